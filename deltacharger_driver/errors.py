@@ -1,0 +1,182 @@
+"""Everything the driver can fail with. One root; each kind carries its values and says what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class DriverError(Exception):
+    """Root of every error raised by deltacharger_driver."""
+
+
+class PortError(DriverError, ConnectionError):
+    """A serial port cannot be used.
+
+    Args:
+        port: path of the port.
+        reason: what the operating system said; empty where it said nothing.
+    """
+
+    advice = "check the cable and the parameter 'port'"
+
+    def __init__(self, port: str, reason: str = "") -> None:
+        self.port = port
+        self.reason = reason
+        super().__init__(f"{port}: {self.describe()}{f' ({reason})' if reason else ''}; {self.advice}")
+
+    def describe(self) -> str:
+        """Return what is wrong in a few words."""
+        return "cannot use the port"
+
+
+class PortMissing(PortError, FileNotFoundError):
+    """No such port: nothing is plugged in under this name. Example: the adapter enumerated as ttyUSB1."""
+
+    advice = "plug the adapter in or correct the parameter 'port'"
+
+    def describe(self) -> str:
+        """Return what is wrong in a few words."""
+        return "there is no such port"
+
+
+class PortGone(PortError):
+    """The port was open and vanished. Example: the USB cable was pulled while the bus ran."""
+
+    advice = "plug the cable back in; the driver reopens the port by itself and stays switched off"
+
+    def describe(self) -> str:
+        """Return what is wrong in a few words."""
+        return "the port disappeared"
+
+
+class PortBusy(PortError):
+    """Another process owns the port. Example: a second driver or a vendor's wizard is open."""
+
+    advice = "close the other program (lsof names it)"
+
+    def describe(self) -> str:
+        """Return what is wrong in a few words."""
+        return "the port is in use by another program"
+
+
+class PortDenied(PortError, PermissionError):
+    """The user may not open the port. Example: not a member of the group dialout."""
+
+    advice = "add the user to the group that owns the port, usually dialout, and log in again"
+
+    def describe(self) -> str:
+        """Return what is wrong in a few words."""
+        return "permission denied"
+
+
+class NoAnswer(DriverError, TimeoutError):
+    """A device did not answer in time. Example: a servo lost its supply.
+
+    Args:
+        device: who was asked.
+        action: what was asked of it.
+        timeout: how long was waited in all, s.
+    """
+
+    def __init__(self, device: str, action: str, timeout: float) -> None:
+        self.device = device
+        self.action = action
+        self.timeout = timeout
+        super().__init__(
+            f"{device}: no answer to {action} within {timeout * 1e3:.0f} ms; check its supply and its cable"
+        )
+
+
+class CorruptReply(DriverError, ConnectionError):
+    """A device answered with something that is not a valid reply. Example: a bad checksum, a wrong length.
+
+    Args:
+        device: who was asked.
+        action: what was asked of it.
+        reason: what was wrong with the reply.
+    """
+
+    def __init__(self, device: str, action: str, reason: str) -> None:
+        self.device = device
+        self.action = action
+        self.reason = reason
+        super().__init__(
+            f"{device}: unusable reply to {action}: {reason}; look for noise, a bad plug or a duplicate id"
+        )
+
+
+class HandshakeError(DriverError, ConnectionError):
+    """The devices found are not the ones expected. Example: id 2 missing and id 3 at another speed.
+
+    Args:
+        port: path of the port.
+        faults: every fault found, one sentence each.
+    """
+
+    def __init__(self, port: str, faults: Sequence[str]) -> None:
+        self.port = port
+        self.faults = tuple(faults)
+        super().__init__(f"{port}: " + "; ".join(self.faults))
+
+
+class ServoFault(DriverError, RuntimeError):
+    """A servo refused an instruction or reports a hardware error. Example: overload after a jam.
+
+    Args:
+        servo: id of the servo.
+        action: what was asked of it; empty where it reports by itself.
+        fault: what it answered.
+        code: the error byte of the reply or the hardware error register.
+    """
+
+    def __init__(self, servo: int, action: str, fault: str, code: int = 0) -> None:
+        self.servo = servo
+        self.action = action
+        self.fault = fault
+        self.code = code
+        super().__init__(f"servo {servo}{f': {action}' if action else ''}: {fault}")
+
+
+class RangeError(DriverError, ValueError):
+    """A value lies outside what the hardware can represent.
+
+    Args:
+        name: what the value is.
+        value: the offending value.
+        low: smallest allowed value.
+        high: largest allowed value.
+        unit: unit of all three.
+    """
+
+    def __init__(self, name: str, value: float, low: float, high: float, unit: str = "") -> None:
+        self.name = name
+        self.value = value
+        self.low = low
+        self.high = high
+        super().__init__(f"{name} = {value:g}{unit} is outside {low:g}…{high:g}{unit}")
+
+
+class TrajectoryRefused(DriverError, ValueError):
+    """A joint trajectory is not carried out; nothing moves. Example: an angle beyond its limit.
+
+    Args:
+        reason: what is wrong with it.
+    """
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(f"trajectory refused: {reason}")
+
+
+class WrongThread(DriverError, RuntimeError):
+    """A bus was used from a thread that does not own it.
+
+    Args:
+        owner: name of the owning thread.
+        caller: name of the calling thread.
+    """
+
+    def __init__(self, owner: str, caller: str) -> None:
+        self.owner = owner
+        self.caller = caller
+        super().__init__(f"the bus belongs to thread '{owner}' and was used from '{caller}'; one thread owns a port")

@@ -1,0 +1,133 @@
+"""The bridge from pip to CMakeLists.txt: build the interfaces there and install its tree as data files.
+
+Name and version stand in package.xml, executables in setup.cfg; this file repeats neither.
+"""
+
+from __future__ import annotations
+
+import configparser
+import os
+import subprocess
+import sys
+import sysconfig
+import xml.etree.ElementTree as ElementTree
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, ClassVar
+
+from setuptools import Command, setup
+from setuptools.command.build import build
+from setuptools.dist import Distribution
+
+ROOT = Path(__file__).resolve().parent
+BUILD = ROOT / "build" / f"pip-{sysconfig.get_platform()}-{sys.implementation.cache_tag}"
+STAGE = BUILD / "stage"
+
+# So that launch files and `ros2 run` find the executables of a venv under lib/deltacharger, wherever it lies.
+FORWARDER = '#!/bin/sh\nexec "$(dirname "$(readlink -f "$0")")/../../bin/{name}" "$@"\n'
+
+
+def ros_prefix() -> Path:
+    """Return the prefix that the ROS build tools are installed in."""
+    spec = find_spec("ament_package")
+    if spec is None or spec.origin is None:
+        sys.exit(
+            "deltacharger: the ROS build tools are missing (no module named ament_package). Run pip without "
+            "--no-build-isolation, or install the packages of [build-system] in pyproject.toml first."
+        )
+    package = Path(spec.origin).resolve()
+    site = Path("lib") / f"python{sys.version_info[0]}.{sys.version_info[1]}" / "site-packages"
+    for parent in package.parents:
+        if (parent / "share" / "ament_cmake").is_dir() or (parent / site).is_dir():
+            return parent
+    return package.parents[4]
+
+
+def run_cmake() -> None:
+    """Configure, build and install the CMake project into STAGE."""
+    prefix = ros_prefix()
+    environment = dict(os.environ)
+    for variable in ("CMAKE_PREFIX_PATH", "AMENT_PREFIX_PATH"):
+        environment[variable] = os.pathsep.join(filter(None, [str(prefix), environment.get(variable)]))
+    environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
+    command = [
+        "cmake", "-S", str(ROOT), "-B", str(BUILD), "-G", "Ninja",
+        f"-DCMAKE_INSTALL_PREFIX={STAGE}", "-DCMAKE_BUILD_TYPE=Release", "-DBUILD_TESTING=OFF",
+        "-DDELTACHARGER_PYTHON_PACKAGES=OFF", f"-DPython3_EXECUTABLE={sys.executable}", "-Wno-dev",
+    ]  # fmt: skip
+    subprocess.run(command, check=True, env=environment, stdout=sys.stderr)
+    subprocess.run(["cmake", "--build", str(BUILD), "--target", "install"], check=True, env=environment, stdout=sys.stderr)
+
+
+def executables() -> list[str]:
+    """Return the names of the executables that setup.cfg lists."""
+    config = configparser.ConfigParser()
+    config.read(ROOT / "setup.cfg")
+    lines = config["options.entry_points"]["console_scripts"].strip().splitlines()
+    return [line.split("=")[0].strip() for line in lines]
+
+
+def write_forwarders() -> None:
+    """Write a script for each executable under lib/deltacharger of the stage."""
+    folder = STAGE / "lib" / "deltacharger"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in executables():
+        script = folder / name
+        script.write_text(FORWARDER.format(name=name))
+        script.chmod(0o755)
+
+
+def staged_files() -> list[tuple[str, list[str]]]:
+    """Return the staged tree in the form of setuptools' data_files, relative to the prefix."""
+    folders: dict[str, list[str]] = {}
+    for path in sorted(STAGE.rglob("*")):
+        if path.is_file() and "__pycache__" not in path.parts:
+            folders.setdefault(str(path.relative_to(STAGE).parent), []).append(os.path.relpath(path, ROOT))
+    return list(folders.items())
+
+
+class BuildInterfaces(Command):
+    """Run CMake before the rest is built, so that its tree is known when data files are listed."""
+
+    description = "build the ROS interfaces and shared files with CMake"
+    user_options: ClassVar[list[tuple[str, str, str]]] = []
+    editable_mode = False
+
+    def initialize_options(self) -> None:
+        """Nothing to set: CMakeLists.txt and package.xml say it all."""
+
+    def finalize_options(self) -> None:
+        """Nothing to check."""
+
+    def run(self) -> None:
+        """Build, stage and list the files."""
+        run_cmake()
+        write_forwarders()
+        self.distribution.data_files = staged_files()
+
+
+class Build(build):
+    """The ordinary build, with the interfaces first."""
+
+    sub_commands: ClassVar[list[Any]] = [("build_interfaces", None), *build.sub_commands]
+
+
+class InterfaceDistribution(Distribution):
+    """A platform wheel without an extension module, whose data files are installed in editable mode too."""
+
+    def has_ext_modules(self) -> bool:
+        """Say that the wheel belongs to this platform."""
+        return True
+
+    def has_data(self) -> bool:
+        """Say yes where setuptools' editable wheel asks before it installs data files; it never finds this name itself."""
+        return True
+
+
+manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+setup(
+    version=manifest.findtext("version"),
+    cmdclass={"build": Build, "build_interfaces": BuildInterfaces},
+    distclass=InterfaceDistribution,
+    data_files=[],
+)
