@@ -56,7 +56,8 @@ def run_cmake() -> None:
         "-DDELTACHARGER_PYTHON_PACKAGES=OFF", f"-DPython3_EXECUTABLE={sys.executable}", "-Wno-dev",
     ]  # fmt: skip
     subprocess.run(command, check=True, env=environment, stdout=sys.stderr)
-    subprocess.run(["cmake", "--build", str(BUILD), "--target", "install"], check=True, env=environment, stdout=sys.stderr)
+    install = ["cmake", "--build", str(BUILD), "--target", "install"]
+    subprocess.run(install, check=True, env=environment, stdout=sys.stderr)
 
 
 def executables() -> list[str]:
@@ -120,7 +121,7 @@ class InterfaceDistribution(Distribution):
         return True
 
     def has_data(self) -> bool:
-        """Say yes where setuptools' editable wheel asks before it installs data files; it never finds this name itself."""
+        """Say yes where setuptools' editable wheel asks; without this name it leaves data files out."""
         return True
 
 

@@ -1,5 +1,10 @@
-"""Kinematics and statics of the inverted delta."""
+"""Kinematics and statics of the inverted delta.
 
+`Delta` works on arrays of points, `deltacharger_kinematics.scalar.ScalarDelta` on one point in plain floats.
+"""
+
+from deltacharger_kinematics.delta import Delta, Forward, Inverse, Jacobian
 from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.status import KinematicsError, Status
 
-__all__ = ["DeltaGeometry"]
+__all__ = ["Delta", "DeltaGeometry", "Forward", "Inverse", "Jacobian", "KinematicsError", "Status"]

@@ -12,7 +12,7 @@ from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, DeltaGeometry, Vec
 
 _NAN3: Vector = (math.nan, math.nan, math.nan)
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
-_NAN9: Matrix = (math.nan,) * 9  # type: ignore[assignment]
+_NAN9: Matrix = (math.nan,) * 9
 
 
 class ScalarDelta:

@@ -1,0 +1,55 @@
+"""What a solve says about each point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntFlag
+
+
+class Status(IntFlag):
+    """Bit mask per point; 0 is OK. The same numbers stand as constants in the two .srv files.
+
+    Only INVALID_INPUT, UNREACHABLE_*, INDETERMINATE, NOT_ASSEMBLABLE and DEGENERATE come with NaN; all others come
+    with a usable answer.
+    """
+
+    OK = 0
+    INVALID_INPUT = 1
+    UNREACHABLE_FAR = 2
+    UNREACHABLE_NEAR = 4
+    UNREACHABLE_LATERAL = 8
+    NOT_ASSEMBLABLE = 16
+    DEGENERATE = 32
+    INDETERMINATE = 64
+    WRONG_ASSEMBLY = 128
+    NEAR_TYPE_1 = 256
+    NEAR_TYPE_2 = 512
+    JOINT_LIMIT = 1024
+    SWING_LIMIT = 2048
+    OUTSIDE_WORKSPACE = 4096
+    LIMB_0 = 65536
+    LIMB_1 = 131072
+    LIMB_2 = 262144
+
+
+UNREACHABLE = Status.UNREACHABLE_FAR | Status.UNREACHABLE_NEAR | Status.UNREACHABLE_LATERAL
+NO_ANSWER = UNREACHABLE | Status.INVALID_INPUT | Status.INDETERMINATE | Status.NOT_ASSEMBLABLE | Status.DEGENERATE
+
+
+class KinematicsError(ValueError):
+    """A strict solve met points that have no good answer.
+
+    Attributes:
+        indices: flat indices of the offending points.
+        statuses: their status, in the same order.
+    """
+
+    def __init__(self, indices: Sequence[int], statuses: Sequence[Status]) -> None:
+        self.indices = list(indices)
+        self.statuses = list(statuses)
+        shown = ", ".join(
+            f"point {index}: {status.name or status!r}"
+            for index, status in list(zip(self.indices, self.statuses, strict=True))[:5]
+        )
+        more = f" and {len(self.indices) - 5} more" if len(self.indices) > 5 else ""
+        super().__init__(f"{shown}{more}; move the points inside the workspace or solve with strict=False")
