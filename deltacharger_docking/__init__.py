@@ -1,0 +1,4 @@
+"""Docking as a pure state machine: observation in, command out, the clock passed in.
+
+`machine.DockingMachine` runs Algorithm 1 of the paper and its reverse; `docking_node` is the thin ROS shell around it.
+"""

@@ -1,0 +1,124 @@
+"""Steps 5 and 6 of Algorithm 1: measure the misalignment, judge it, move, and press again."""
+
+from __future__ import annotations
+
+import math
+
+from deltacharger_docking.alignment import AlignmentFilter
+from deltacharger_docking.clearance import Estimate, Verdict, judge
+from deltacharger_docking.codes import CriticalAngle, EstimateUnsure, Misaligned, NoTactileContact, State, TactileStale
+from deltacharger_docking.contact_script import contact
+from deltacharger_docking.context import Context, Script
+from deltacharger_docking.observation import Service
+
+_SAME_PLACE_MAX = 2  # dockings at one offset whose estimate stays unsure
+_ESTIMATE_TIMEOUT = 3.0  # s
+
+
+class Alignment:
+    """The loop of measuring and moving. One instance serves one goal."""
+
+    def __init__(self, context: Context, critical_angle: float, depth: float) -> None:
+        self._context = context
+        self._critical_angle = critical_angle
+        self._depth = depth
+        parameters = context.parameters
+        self._filter = AlignmentFilter(parameters.docking_jitter, parameters.gain_error)
+        self._angles: list[float] = []
+        self._unsure = 0
+        self._passed = 0
+        self.aligned = False
+
+    def run(self) -> Script[None]:
+        """Align until the estimate allows current to flow.
+
+        Raises:
+            CriticalAngle: the target is tilted too far.
+            Misaligned: clearance was not reached within the allowed alignments.
+            EstimateUnsure: the estimate stayed unsure.
+            NoTactileContact: the pads feel nothing.
+        """
+        context, parameters = self._context, self._context.parameters
+        while True:
+            estimate = yield from self._measure()
+            if estimate is None:
+                yield from self._dock_again(context.commanded[:2])
+                continue
+            place = context.position[0], context.position[1]
+            self._filter.update(place, estimate)
+            verdict = self._judge(estimate)
+            x, y = self._filter.misalignment(place)
+            self.aligned = max(abs(x), abs(y)) <= parameters.alignment_tolerance
+            exhausted = context.status.alignments >= parameters.alignments_max
+            settled = self.aligned or (exhausted and parameters.charge_when_not_aligned)
+            safe = verdict is Verdict.SAFE or (verdict is Verdict.PROBABLY_SAFE and self._passed >= 2)
+            if settled and safe:
+                return
+            if exhausted:
+                raise Misaligned(
+                    f"after {context.status.alignments} alignments the electrodes are still "
+                    f"{1000 * x:.1f} mm horizontally and {1000 * y:.1f} mm vertically off"
+                )
+            context.status.alignments += 1
+            yield from self._dock_again(self._filter.target if not self.aligned else context.commanded[:2])
+
+    def _measure(self) -> Script[Estimate | None]:
+        """Return a trustworthy estimate, or None where another docking must come first."""
+        context = self._context
+        context.enter(State.MEASURE, context.parameters.measure_timeout)
+        reply = yield from context.ask(
+            Service.ESTIMATE, TactileStale, _ESTIMATE_TIMEOUT, context.parameters.estimate_frames
+        )
+        if not reply.success or reply.estimate is None:
+            raise TactileStale(f"no misalignment estimate: {reply.message}")
+        estimate = reply.estimate
+        context.status.estimate = estimate
+        if not estimate.contact:
+            raise NoTactileContact("the pads lost contact before the misalignment was measured")
+        if estimate.sure and estimate.in_range and estimate.complete:
+            self._unsure = 0
+            return estimate
+        self._unsure += 1
+        if self._unsure >= _SAME_PLACE_MAX:
+            self._give_up(estimate)
+        return None
+
+    def _give_up(self, estimate: Estimate) -> None:
+        limit = min(self._critical_angle, self._context.parameters.critical_angle)
+        if math.isfinite(estimate.angle) and abs(estimate.angle) >= limit:
+            raise CriticalAngle(_too_tilted(estimate.angle))
+        what = "outside what the estimator knows" if not estimate.in_range else "unsure"
+        raise EstimateUnsure(f"the tactile estimate stayed {what} after {self._unsure} dockings; check pads and target")
+
+    def _judge(self, estimate: Estimate) -> Verdict:
+        """Judge this docking, and the mean angle once two have been made."""
+        parameters = self._context.parameters
+        self._angles.append(estimate.angle)
+        verdict = judge(estimate, parameters, self._critical_angle)
+        self._passed = self._passed + 1 if verdict in (Verdict.SAFE, Verdict.PROBABLY_SAFE) else 0
+        if len(self._angles) >= 2:
+            mean = sum(self._angles) / len(self._angles)
+            centred = Estimate(
+                mean, estimate.angle_stddev, 0.0, estimate.vertical_stddev, 0.0, estimate.horizontal_stddev
+            )
+            if judge(centred, parameters, self._critical_angle) is Verdict.CRITICAL:
+                raise CriticalAngle(_too_tilted(mean))
+        return verdict
+
+    def _dock_again(self, place: tuple[float, ...]) -> Script[None]:
+        """Lift off, move to `place` (x, y) m and press again."""
+        context, parameters = self._context, self._context.parameters
+        context.enter(State.ALIGN, parameters.align_timeout)
+        z = context.position[2]
+        yield from context.release()
+        x, y, _ = context.position
+        yield from context.move((x, y, z - parameters.lift), parameters.travel_speed, settle=False)
+        yield from context.move((place[0], place[1], z - parameters.lift), parameters.travel_speed)
+        yield from contact(context, self._depth)
+
+
+def _too_tilted(angle: float) -> str:
+    return (
+        f"the target is tilted by {math.degrees(angle):.1f}°: the electrodes would come too close to a short; "
+        "level the target or the charger"
+    )

@@ -1,0 +1,88 @@
+"""When may current flow: the distance between a charger bar and the wrong bar of the target.
+
+Both terminals carry two parallel bars, 2h long, with a gap of 2g between them. Tilted by an angle about the midpoint
+and shifted by y across the bars, the nearest corner of a charger bar keeps a distance of
+c(angle, y) = g (1 + cos angle) − h |sin angle| − |y| from the opposite bar. With g = 3.7 mm and h = 35 mm it vanishes
+at 12.07° for y = 0, which is the paper's critical angle, and already at 3.9° for y = 5 mm.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+from deltacharger_docking.parameters import DockingParameters
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Misalignment as felt: pose of the target in end_effector with standard deviations (rad, m)."""
+
+    angle: float
+    angle_stddev: float
+    vertical: float
+    vertical_stddev: float
+    horizontal: float
+    horizontal_stddev: float
+    contact: bool = True
+    sure: bool = True
+    in_range: bool = True
+
+    @property
+    def complete(self) -> bool:
+        """Whether every number is finite."""
+        return all(
+            math.isfinite(value)
+            for value in (
+                self.angle,
+                self.angle_stddev,
+                self.vertical,
+                self.vertical_stddev,
+                self.horizontal,
+                self.horizontal_stddev,
+            )
+        )
+
+
+class Verdict(Enum):
+    """What an estimate allows."""
+
+    SAFE = "safe at six standard deviations"
+    PROBABLY_SAFE = "safe at three standard deviations"
+    TOO_CLOSE = "the vertical error leaves no clearance"
+    CRITICAL = "the angle leaves no clearance even without a vertical error"
+
+
+def clearance(angle: float, vertical: float, half_gap: float, half_length: float) -> float:
+    """Return the clearance (m); negative where a charger bar touches the wrong target bar."""
+    return half_gap * (1.0 + math.cos(angle)) - half_length * abs(math.sin(angle)) - abs(vertical)
+
+
+def clearance_stddev(estimate: Estimate, half_gap: float, half_length: float) -> float:
+    """Return the standard deviation (m) of the clearance to first order in angle and vertical error."""
+    slope = half_gap * abs(math.sin(estimate.angle)) + half_length * math.cos(estimate.angle)
+    return math.hypot(slope * estimate.angle_stddev, estimate.vertical_stddev)
+
+
+def judge(estimate: Estimate, parameters: DockingParameters, critical_angle: float | None = None) -> Verdict:
+    """Decide what `estimate` allows.
+
+    Args:
+        estimate: complete and sure.
+        parameters: terminal geometry, the clearance to keep and the critical angle.
+        critical_angle: a lower limit (rad) than the parameter's.
+    """
+    gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
+    limit = parameters.critical_angle if critical_angle is None else min(critical_angle, parameters.critical_angle)
+    sigma = clearance_stddev(estimate, gap, length)
+    centred = clearance(estimate.angle, 0.0, gap, length)
+    actual = clearance(estimate.angle, estimate.vertical, gap, length)
+    worst_angle = abs(estimate.angle) + 3.0 * estimate.angle_stddev
+    if worst_angle >= limit or centred - 3.0 * sigma < parameters.clearance_min:
+        return Verdict.CRITICAL
+    if actual - 3.0 * sigma < parameters.clearance_min:
+        return Verdict.TOO_CLOSE
+    if actual - 6.0 * sigma < parameters.clearance_min:
+        return Verdict.PROBABLY_SAFE
+    return Verdict.SAFE

@@ -1,0 +1,147 @@
+"""Steps 2 to 4 of Algorithm 1: go there, back off after too hard a push, press until the current lies in its band."""
+
+from __future__ import annotations
+
+from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
+from deltacharger_docking.context import Context, Script
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.statics import TORQUE_CONSTANT
+
+_LEFT_BASELINE = 0.06  # A of contact current either way that tell contact or the pull of the magnets from free air
+_CAUTION = 0.7  # of the way to the band that one step may take, so that it is entered from below
+_SLOPE_RANGE = (0.4, 2.5)  # a measured slope is believed within these multiples of the expected one
+_ATTEMPTS = 3  # overshoots after which contact is given up
+
+
+def approach(context: Context, target: Vector) -> Script[None]:
+    """Move to the standoff before `target` (m, charger_base) and tare the contact current there.
+
+    The tare is taken at rest after a motion along +z, so that the servos' friction has the sign it has when pushing.
+    """
+    parameters = context.parameters
+    context.enter(State.APPROACH, parameters.approach_timeout)
+    x, y, z = target
+    standoff = z - parameters.standoff
+    run_up = min(0.004, max(standoff - context.position[2], 0.0))
+    yield from context.move((x, y, standoff - run_up), parameters.travel_speed, settle=False)
+    yield from context.move((x, y, standoff), parameters.contact_speed)
+    context.contact.tare()
+
+
+def contact(context: Context, depth: float) -> Script[None]:
+    """Press until the contact current rests in its band, by the configured approach.
+
+    Args:
+        context: shared state; the platform stands before the target.
+        depth: largest z (m, charger_base) at which contact is still looked for.
+
+    Raises:
+        NoContact: nothing was met up to `depth`.
+        NoTactileContact: the servos push but the pads feel nothing.
+        Overcurrent: the band was overshot again and again.
+    """
+    context.enter(State.CONTACT, context.parameters.contact_timeout)
+    if context.parameters.approach == "paper":
+        yield from _paper(context, depth)
+    else:
+        yield from _guarded(context, depth)
+    observation = context.observation
+    if observation.tactile_age > context.parameters.tactile_age_max:
+        raise TactileStale("tactile frames stopped during contact; check the board's cable and tactile_node")
+    if not observation.tactile_contact:
+        raise NoTactileContact(
+            f"the servos push with {context.contact.value:.2f} A but no taxel feels 1 N: the pads missed the target's "
+            "ridges, or something else is in the way"
+        )
+
+
+def first_push(context: Context, target: Vector) -> Script[None]:
+    """The paper's first push: go to the given place itself and back off once where that is already too far."""
+    yield from step_to(context, target[2])
+    if context.contact.value > context.parameters.current_max:
+        yield from back_off(context)
+
+
+def back_off(context: Context) -> Script[None]:
+    """Take the electrodes back by the paper's 30 mm."""
+    parameters = context.parameters
+    context.enter(State.BACK_OFF, parameters.contact_timeout)
+    if context.observation.tactile_contact:
+        yield from context.release()
+    x, y, z = context.position
+    yield from context.move((x, y, z - parameters.back_off), parameters.travel_speed)
+    context.enter(State.CONTACT, parameters.contact_timeout)
+
+
+def step_to(context: Context, z: float) -> Script[None]:
+    """Put the commanded z (m) somewhere else and come to rest; waits while servo_state is too old to press.
+
+    Raises:
+        NoContact: that command lies beyond the arm's reach.
+    """
+    while context.observation.servo_age > context.parameters.press_age_max:
+        yield
+    x, y, _ = context.commanded
+    try:
+        yield from context.move((x, y, z), context.parameters.contact_speed)
+    except Unreachable as error:
+        raise NoContact(f"nothing was met before the arm's limit: {error}") from error
+
+
+def slope_expected(context: Context) -> float:
+    """Return the contact current per metre of command (A/m) that the servos' stiffness gives against a rigid target.
+
+    dI/dz = k / (J_z Kt · 3 J_z) · J_z: 0.006 A/mm for each N·m/rad of servo stiffness at the dock.
+    """
+    x, y, z = context.position
+    jacobian = context.kinematics.jacobian(x, y, z)
+    lever = (jacobian[6] + jacobian[7] + jacobian[8]) / 3.0
+    return context.parameters.servo_stiffness / (3.0 * lever * TORQUE_CONSTANT)
+
+
+def _paper(context: Context, depth: float) -> Script[None]:
+    while context.contact.value < context.parameters.current_min:
+        _check_depth(context, depth)
+        yield from step_to(context, context.commanded[2] + context.parameters.paper_step)
+
+
+def _guarded(context: Context, depth: float) -> Script[None]:
+    """Step coarsely until the current leaves its baseline, then by what is missing; enter the band from below."""
+    parameters = context.parameters
+    low, high = parameters.current_min + parameters.band_margin, parameters.current_max - parameters.band_margin
+    expected = slope = slope_expected(context)
+    overshoots = 0
+    while True:
+        before, z = context.contact.value, context.commanded[2]
+        if low <= before <= high:
+            return
+        if before > high:
+            overshoots += 1
+            if overshoots > _ATTEMPTS:
+                raise Overcurrent(
+                    f"contact current overshot to {before:.2f} A {overshoots} times; is the target moving, or the "
+                    "parameter servo_stiffness far too low?"
+                )
+            yield from step_to(context, z - parameters.overshoot_back_off / slope)
+            continue
+        _check_depth(context, depth)
+        touching = abs(before) > _LEFT_BASELINE or context.observation.tactile_contact
+        if touching:
+            caution = _CAUTION if before < 0.75 * low else 1.0
+            step = caution * (parameters.current_target - before) / slope
+            step = min(step, 3.0 * parameters.paper_step)
+        else:
+            step = min(parameters.coarse_step, _CAUTION * parameters.current_min / expected)
+        yield from step_to(context, z + step)
+        after = context.contact.value
+        if touching and before > 0.0 and after - before > 0.02:
+            measured = (after - before) / step
+            slope = min(max(measured, _SLOPE_RANGE[0] * expected), _SLOPE_RANGE[1] * expected)
+
+
+def _check_depth(context: Context, depth: float) -> None:
+    if context.position[2] > depth:
+        raise NoContact(
+            f"no contact up to z = {1000 * depth:.0f} mm (charger_base); is the target there, and are its coordinates "
+            "right?"
+        )

@@ -1,0 +1,172 @@
+"""What the scripts of docking share: the latest observation, this tick's commands, and the ways to wait."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Generator
+from typing import TypeVar
+
+from deltacharger_docking.codes import DockingError, PhaseTimeout, State, Stuck
+from deltacharger_docking.contact_current import ContactCurrent
+from deltacharger_docking.motion import Planner
+from deltacharger_docking.observation import Command, Observation, Reply, Request, Service, Status, Waypoint
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.statics import TORQUE_CONSTANT
+
+T = TypeVar("T")
+# A script is a generator that yields once per tick and finds the world renewed in its context when it goes on, so that
+# Algorithm 1 reads from top to bottom as in the paper and still never blocks.
+Script = Generator[None, None, T]
+
+_RELEASED = 0.001  # m of retreat that tells the magnets have let go
+
+
+class Context:
+    """State shared by the scripts; the machine fills `observation` before and reads the commands after each tick."""
+
+    def __init__(self, parameters: DockingParameters, geometry: DeltaGeometry) -> None:
+        self.parameters = parameters
+        self.kinematics = ScalarDelta(geometry)
+        self.contact = ContactCurrent(self.kinematics, parameters)
+        self.planner = Planner(parameters, geometry)
+        self.status = Status()
+        self.observation = Observation(time=0.0)
+        self.energise = False
+        self.energy = 0.0
+        self.commanded: Vector = (math.nan, math.nan, math.nan)
+        self.deadline = math.inf
+        self._numbers = itertools.count(1)
+        self._trajectory: tuple[Waypoint, ...] | None = None
+        self._requests: list[Request] = []
+        self._replies: dict[int, Reply] = {}
+
+    @property
+    def time(self) -> float:
+        """Now (s, the clock of the observations)."""
+        return self.observation.time
+
+    @property
+    def position(self) -> Vector:
+        """Measured platform position (m, charger_base)."""
+        return self.contact.position
+
+    def observe(self, observation: Observation) -> None:
+        """Take the observation of this tick."""
+        previous, self.observation = self.observation, observation
+        if observation.servos_valid:
+            self.contact.update(observation.time, observation.angles, observation.currents)
+        self._replies.update((reply.number, reply) for reply in observation.replies)
+        power = observation.charge_current * observation.target_voltage
+        if observation.contactor_closed and math.isfinite(power):
+            self.energy += power * min(max(observation.time - previous.time, 0.0), 0.2)
+        self.status.position = self.position
+        self.status.contact_current = self.contact.value
+
+    def command(self) -> Command:
+        """Return and forget what the scripts asked for in this tick."""
+        command = Command(self._trajectory, tuple(self._requests), self.energise)
+        self._trajectory = None
+        self._requests = []
+        return command
+
+    def enter(self, state: State, limit: float) -> None:
+        """Begin a phase that may last `limit` seconds."""
+        self.status.state = state
+        self.deadline = self.time + limit
+
+    def expired(self) -> DockingError | None:
+        """Return the error of a phase that lasted too long, if it did."""
+        if self.time <= self.deadline:
+            return None
+        return PhaseTimeout(f"{self.status.state.name} took longer than allowed; see the parameter for this phase")
+
+    def wait(self, seconds: float) -> Script[None]:
+        """Let `seconds` pass."""
+        end = self.time + seconds
+        while self.time < end:
+            yield
+
+    def ask(self, service: Service, error: type[DockingError], timeout: float, frames: int = 0) -> Script[Reply]:
+        """Call a service and return its reply, successful or not.
+
+        Raises:
+            DockingError: of the given class, where no reply comes within `timeout` seconds.
+        """
+        request = Request(next(self._numbers), service, frames, timeout)
+        self._requests.append(request)
+        end = self.time + timeout
+        while request.number not in self._replies:
+            if self.time > end:
+                raise error(f"no answer from {service.value} within {timeout:.1f} s; is its node running?")
+            yield
+        return self._replies.pop(request.number)
+
+    def tell(self, service: Service) -> None:
+        """Call a service without waiting for its reply."""
+        self._requests.append(Request(next(self._numbers), service))
+
+    def hold(self) -> None:
+        """Stop where the arm is."""
+        self._trajectory = ()
+        self.commanded = self.position
+
+    def move(self, goal: Vector, speed: float, settle: bool = True) -> Script[None]:
+        """Move on a straight line from the last commanded to the `goal` position and come to rest.
+
+        Raises:
+            Unreachable: the line leaves the arm's reach; nothing was moved.
+        """
+        start = self.commanded if math.isfinite(self.commanded[0]) else self.position
+        waypoints = self.planner.line(start, goal, speed)
+        self._trajectory = waypoints
+        self.commanded = goal
+        yield from self.wait(waypoints[-1].time)
+        if settle:
+            yield from self.rest()
+
+    def rest(self) -> Script[None]:
+        """Wait until the servos have settled and the contact current's window holds only readings at rest."""
+        yield from self.wait(self.parameters.settle_time)
+        self.contact.clear()
+        yield from self.wait(0.13)
+        while not math.isfinite(self.contact.value) or self.observation.servo_age > self.parameters.press_age_max:
+            yield
+
+    def release(self) -> Script[None]:
+        """Pull the electrodes off the magnets.
+
+        The goal is put behind the measured position while the push bound still holds, because a servo whose bound rises
+        while it is clipped jumps; only then may it pull. The bound drops as soon as the platform has moved.
+
+        Raises:
+            Stuck: the platform did not move within the time allowed.
+        """
+        parameters, geometry = self.parameters, self.kinematics.geometry
+        x, y, z = self.position
+        lead = parameters.release_current * TORQUE_CONSTANT / parameters.servo_stiffness
+        behind = tuple(max(angle - lead, geometry.joint_min) for angle in self.observation.angles)
+        goal: Vector = (behind[0], behind[1], behind[2])
+        push = (parameters.push_current * TORQUE_CONSTANT,) * 3
+        pull = (parameters.release_current * TORQUE_CONSTANT,) * 3
+        self._trajectory = (Waypoint(0.0, goal, push),)
+        end = self.time + 0.05
+        while self.time < end and self.position[2] > z - _RELEASED:
+            yield
+        if self.position[2] > z - _RELEASED:
+            self._trajectory = (Waypoint(0.0, goal, pull),)
+            end = self.time + parameters.release_time
+            while self.position[2] > z - _RELEASED:
+                if self.time > end:
+                    self.hold()
+                    raise Stuck(
+                        f"the magnets held against {parameters.release_current:.1f} A per servo for "
+                        f"{parameters.release_time:.1f} s; move the target away by hand or raise release_current"
+                    )
+                yield
+        self.commanded = self.position
+        self._trajectory = self.planner.line(self.position, (x, y, self.position[2] - 0.001), parameters.travel_speed)
+        self.commanded = (x, y, self.position[2] - 0.001)
+        yield

@@ -1,0 +1,196 @@
+"""Energy under watch: probe, close, charge, and open again before anything else goes wrong."""
+
+from __future__ import annotations
+
+import math
+
+from deltacharger_docking.clearance import Verdict, judge
+from deltacharger_docking.codes import (
+    POWER_FAULTS,
+    ContactorWelded,
+    CriticalAngle,
+    DockingError,
+    NoChargeCurrent,
+    NoContact,
+    PowerStale,
+    ReverseCurrent,
+    ReversePolarity,
+    ServoFailure,
+    ShortCircuit,
+    State,
+    VoltageOutOfRange,
+)
+from deltacharger_docking.context import Context, Script
+from deltacharger_docking.observation import DockGoal, Reply, Service
+
+_PROBE_TIMEOUT = 2.0  # s; the board answers within 250 ms
+_OPEN_TIMEOUT = 1.0  # s until current must be gone after an opening
+_ZERO_CURRENT = 0.5  # A below which the contactor counts as open
+_CONTACT_LOST = 0.15  # A of contact current below which the electrodes no longer rest on the target
+_RETREAT_LOST = 0.0015  # m of retreat that means contact is lost whatever the current says
+_UNSAFE_TWICE = 2  # successive estimates without clearance that end charging
+
+
+def energise(context: Context) -> Script[None]:
+    """Probe, close the contactor and wait until charge current has been stable.
+
+    Raises:
+        DockingError: of the code of what was found: short, polarity, voltage, no current, a fault of the power stage.
+    """
+    parameters = context.parameters
+    context.enter(State.ENERGISE, parameters.energise_timeout)
+    reply = yield from context.ask(Service.PROBE, PowerStale, _PROBE_TIMEOUT)
+    _check_probe(context, reply)
+    context.energise = True
+    watch = Watch(context)
+    stable_since = math.inf
+    while context.time - stable_since < parameters.charge_stable_time:
+        problem = watch.problem()
+        if problem is None and context.time > context.deadline - 0.2:
+            problem = NoChargeCurrent(_no_current(context))
+        if problem is not None:
+            raise problem
+        flowing = context.observation.contactor_closed and (
+            context.observation.charge_current >= parameters.charge_current_min
+        )
+        if not flowing:
+            stable_since = math.inf
+        elif stable_since == math.inf:
+            stable_since = context.time
+        yield
+
+
+def charge(context: Context, goal: DockGoal, critical_angle: float) -> Script[None]:
+    """Watch over charging until a stop condition of the goal is met, or for ever.
+
+    Raises:
+        DockingError: what ended charging; the caller opens and retracts.
+    """
+    parameters = context.parameters
+    context.enter(State.CHARGING, math.inf)
+    context.status.charging = True
+    watch = Watch(context)
+    started, energy = context.time, context.energy
+    checks = _clearance_checks(context, critical_angle)
+    while True:
+        problem = watch.problem()
+        if problem is None and context.observation.charge_current < parameters.charge_current_min:
+            problem = NoChargeCurrent(_no_current(context))
+        if problem is not None:
+            raise problem
+        if goal.stop_energy and context.energy - energy >= goal.stop_energy:
+            return
+        if goal.stop_after and context.time - started >= goal.stop_after:
+            return
+        next(checks)
+        yield
+
+
+def de_energise(context: Context) -> Script[None]:
+    """Open the contactor and confirm that no current flows.
+
+    Raises:
+        ContactorWelded: current still flows, or the power stage no longer says so.
+    """
+    closed = context.energise or context.observation.contactor_closed
+    context.energise = False
+    context.status.charging = False
+    end = context.time + _OPEN_TIMEOUT
+    while closed and not _is_open(context):
+        if context.time > end:
+            raise ContactorWelded(
+                f"{context.observation.charge_current:.1f} A still flow after the contactor was told to open; switch "
+                "the charger's battery off and replace the contactor"
+            )
+        yield
+
+
+def _is_open(context: Context) -> bool:
+    observation = context.observation
+    fresh = observation.power_age < context.parameters.power_age_max
+    current = observation.charge_current
+    return fresh and not observation.contactor_closed and not abs(current) >= _ZERO_CURRENT
+
+
+class Watch:
+    """What must stay true while the contactor is closed."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._z = context.position[2]
+        self._was_closed = False
+
+    def problem(self) -> DockingError | None:
+        """Return what went wrong, if anything did."""
+        context, observation = self._context, self._context.observation
+        parameters = context.parameters
+        self._was_closed |= observation.contactor_closed
+        if observation.power_fault:
+            kind = POWER_FAULTS.get(observation.power_fault, PowerStale)
+            return kind(f"the power stage opened the contactor with fault {observation.power_fault}")
+        if observation.power_age > parameters.power_age_max:
+            return PowerStale("charger_power stopped; check the board's cable and tactile_node")
+        if observation.contactor_refusal:
+            return NoChargeCurrent(f"the contactor was not closed: {observation.contactor_refusal}")
+        if self._was_closed and not observation.contactor_closed:
+            return PowerStale("the contactor opened by itself: its lease or heartbeat was lost")
+        if observation.charge_current < -_ZERO_CURRENT:
+            return ReverseCurrent(f"{observation.charge_current:.1f} A flow out of the target")
+        if observation.charge_current > parameters.charge_current_max:
+            return ShortCircuit(
+                f"{observation.charge_current:.1f} A exceed the limit of {parameters.charge_current_max} A"
+            )
+        if observation.servo_age <= parameters.press_age_max:
+            lost = context.contact.value < _CONTACT_LOST or context.position[2] < self._z - _RETREAT_LOST
+            if lost:
+                return NoContact("contact was lost while the electrodes were live; the target moved")
+        if not observation.torque_enabled:
+            return ServoFailure("the servos lost their torque while the electrodes were live")
+        if observation.thermal_reserve < parameters.thermal_reserve_min:
+            return ServoFailure("the servos' thermal reserve is used up; let them cool and dock again")
+        return None
+
+
+def _clearance_checks(context: Context, critical_angle: float) -> Script[None]:
+    """Feel the misalignment again every few seconds; end charging when clearance is gone twice in a row."""
+    parameters = context.parameters
+    unsafe = 0
+    while True:
+        yield from context.wait(parameters.clearance_period)
+        reply = yield from context.ask(Service.ESTIMATE, PowerStale, parameters.measure_timeout, 12)
+        estimate = reply.estimate
+        if not reply.success or estimate is None or not estimate.complete or not estimate.sure:
+            continue
+        context.status.estimate = estimate
+        lost = judge(estimate, parameters, critical_angle) in (Verdict.CRITICAL, Verdict.TOO_CLOSE)
+        unsafe = unsafe + 1 if lost else 0
+        if unsafe >= _UNSAFE_TWICE:
+            raise CriticalAngle(
+                f"the target moved while charging: {math.degrees(estimate.angle):.1f}°, "
+                f"{1000 * estimate.vertical:.1f} mm vertical leave no clearance"
+            )
+
+
+def _check_probe(context: Context, reply: Reply) -> None:
+    parameters = context.parameters
+    if not reply.success:
+        raise PowerStale(f"the probe failed: {reply.message}")
+    if reply.resistance < parameters.probe_resistance_min:
+        raise ShortCircuit(f"the probe found {reply.resistance:.2f} Ω between the electrodes; clean or realign them")
+    if not math.isfinite(reply.resistance) or not math.isfinite(reply.target_voltage):
+        raise NoChargeCurrent("the probe found an open circuit: the electrodes touch but do not conduct; clean them")
+    if reply.target_voltage < 0.0:
+        raise ReversePolarity(f"the probe found {reply.target_voltage:.1f} V: the target's electrodes are swapped")
+    if not parameters.target_voltage_min <= reply.target_voltage <= parameters.target_voltage_max:
+        raise VoltageOutOfRange(
+            f"the target shows {reply.target_voltage:.1f} V; allowed are {parameters.target_voltage_min} to "
+            f"{parameters.target_voltage_max} V"
+        )
+
+
+def _no_current(context: Context) -> str:
+    contactor = "closed" if context.observation.contactor_closed else "open"
+    return (
+        f"charge current is {context.observation.charge_current:.2f} A with the contactor {contactor}; the target may "
+        "be full, or its input switched off"
+    )

@@ -1,0 +1,148 @@
+"""What the state machine sees and what it says, once per tick."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.codes import Code, State
+from deltacharger_kinematics.geometry import Vector
+
+NAN3: Vector = (math.nan, math.nan, math.nan)
+
+
+class Service(Enum):
+    """What the machine may ask the shell to do on its behalf; each is answered by a `Reply`."""
+
+    TORQUE_ON = "set_torque true"
+    TORQUE_OFF = "set_torque false"
+    TARE = "tare"
+    PROBE = "probe"
+    ESTIMATE = "predict_misalignment"
+    DETECT = "detect_electrodes"
+
+
+@dataclass(frozen=True)
+class Request:
+    """One call of a service; `number` comes back in the reply."""
+
+    number: int
+    service: Service
+    frames: int = 0
+    timeout: float = 0.0
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Midpoint of the target's electrodes (m, charger_base), roll about z and its standard deviation (rad), age (s)."""
+
+    position: Vector
+    roll: float
+    roll_stddev: float = 0.0
+    age: float = 0.0
+
+
+@dataclass(frozen=True)
+class Reply:
+    """Answer to the request of the same number; the payload that its service has, else None."""
+
+    number: int
+    success: bool
+    message: str = ""
+    estimate: Estimate | None = None
+    detection: Detection | None = None
+    resistance: float = math.nan
+    target_voltage: float = math.nan
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Everything known at `time` (s, monotonic). Ages in s, inf = never; NaN = not measured."""
+
+    time: float
+    angles: Vector = NAN3
+    currents: Vector = NAN3
+    servo_age: float = math.inf
+    servos_valid: bool = False
+    hardware_error: int = 0
+    torque_enabled: bool = False
+    thermal_reserve: float = math.inf
+    tactile_age: float = math.inf
+    tactile_contact: bool = False
+    tared: bool = False
+    power_age: float = math.inf
+    contactor_closed: bool = False
+    charge_current: float = math.nan
+    target_voltage: float = math.nan
+    power_fault: int = 0
+    contactor_refusal: str = ""
+    replies: tuple[Reply, ...] = ()
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """One point of a trajectory: s from its start, arm angles (rad), bound of each servo's torque (N·m)."""
+
+    time: float
+    angles: Vector
+    torque_bound: Vector
+
+
+@dataclass(frozen=True)
+class Command:
+    """What to do now. No trajectory = go on; an empty one = hold. The contactor is wanted only while `energise`."""
+
+    trajectory: tuple[Waypoint, ...] | None = None
+    requests: tuple[Request, ...] = ()
+    energise: bool = False
+
+
+@dataclass(frozen=True)
+class DockGoal:
+    """What a client wants; `electrodes` None = ask the camera."""
+
+    electrodes: Detection | None
+    critical_angle: float = 0.0
+    start_charging: bool = True
+    hold: bool = False
+    stop_energy: float = 0.0
+    stop_after: float = 0.0
+    request_id: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a goal ended. NaN = not measured; `suggested_base` (m, charger_base) only when unreachable."""
+
+    success: bool = False
+    code: Code = Code.INTERNAL
+    message: str = ""
+    retriable: bool = False
+    aligned: bool = False
+    alignments: int = 0
+    estimate: Estimate | None = None
+    contact_current: float = math.nan
+    contact_force: float = math.nan
+    charge_current: float = math.nan
+    energy: float = 0.0
+    elapsed: float = 0.0
+    suggested_base: Vector | None = None
+
+
+@dataclass
+class Status:
+    """What the machine tells about itself between commands."""
+
+    state: State = State.IDLE
+    docked: bool = False
+    charging: bool = False
+    code: Code = Code.NONE
+    message: str = ""
+    request_id: str = ""
+    alignments: int = 0
+    position: Vector = NAN3
+    contact_current: float = math.nan
+    estimate: Estimate | None = None
+    elapsed: float = 0.0
