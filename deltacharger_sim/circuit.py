@@ -1,0 +1,159 @@
+"""Battery, power stage, contactor and the target's battery."""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+
+from deltacharger_sim.clearance import Overlap
+from deltacharger_sim.parameters import CircuitParameters
+
+NO_CHARGE_CURRENT, SHORT, REVERSE_POLARITY, VOLTAGE, REVERSE_CURRENT, WELDED, OVER_CURRENT = 1, 2, 4, 5, 6, 7, 9
+_NOMINAL_FORCE = 80.0  # N; magnets and push in the middle of the band
+_SHORT_CURRENT = 200.0  # A that a battery drives through shorted electrodes until the stage opens
+_DETECTION = 0.002  # s until the stage has measured a short and opened
+_OVER_CURRENT = 20.0  # A
+_IDLE_TIME = 3.0  # s closed without current until the stage reports it
+
+
+class Phase(Enum):
+    """What the power stage is doing."""
+
+    OPEN = 0
+    PRECHARGE = 1
+    CLOSED = 2
+    RAMP_DOWN = 3
+
+
+class Circuit:
+    """The electrical side. Faults that the stage detects stay until the next command to close or to open."""
+
+    def __init__(self, parameters: CircuitParameters) -> None:
+        self._parameters = parameters
+        self._phase = Phase.OPEN
+        self._since = 0.0
+        self._limit = 0.0
+        self._overlap: Overlap | None = None
+        self._resistance = math.inf
+        self.current = 0.0
+        self.fault = 0
+
+    @property
+    def closed(self) -> bool:
+        """Whether the contactor's contacts touch."""
+        return self._phase in (Phase.CLOSED, Phase.RAMP_DOWN) or (self._parameters.welded and self._ever_closed)
+
+    @property
+    def _ever_closed(self) -> bool:
+        return self._limit > 0.0
+
+    def close(self) -> None:
+        """Begin pre-charge, then close and ramp up."""
+        if self._phase is Phase.OPEN:
+            self.fault = 0
+            self._enter(Phase.PRECHARGE)
+
+    def open(self, ramp: bool) -> None:
+        """Open: after ramping the current down, or at once."""
+        if self._phase is Phase.CLOSED and ramp:
+            self._enter(Phase.RAMP_DOWN)
+        elif not ramp or self._phase is Phase.PRECHARGE:
+            self._enter(Phase.OPEN)
+            if not self._parameters.welded:
+                self.current = 0.0
+        self.fault = 0
+
+    def step(self, dt: float, overlap: Overlap | None, force: float) -> None:
+        """Advance by `dt` s with the terminals lying on each other as `overlap` (None = apart) under `force` N."""
+        self._since += dt
+        self._overlap = overlap
+        self._resistance = self._contact_resistance(force)
+        if self._phase is Phase.PRECHARGE and self._since >= self._parameters.precharge_time:
+            self._leave_precharge()
+        if self._phase is Phase.OPEN and not (self._parameters.welded and self._ever_closed):
+            self.current = 0.0
+            return
+        if self._phase is Phase.CLOSED:
+            self._limit = min(self._limit + self._parameters.ramp_up * dt, self._parameters.current_limit)
+        elif self._phase is Phase.RAMP_DOWN:
+            self._limit = max(self._limit - self._parameters.ramp_down * dt, 0.0)
+        self.current = self._flow()
+        if self._phase is Phase.RAMP_DOWN and self.current < 1.0:
+            self._enter(Phase.OPEN)
+            self.current = self.current if self._parameters.welded else 0.0
+            self.fault = WELDED if self._parameters.welded else 0
+        if self._phase is Phase.CLOSED:
+            self._detect()
+
+    def voltages(self) -> tuple[float, float]:
+        """Return battery and target voltage (V); NaN for a target that is not connected."""
+        parameters = self._parameters
+        if math.isinf(self._resistance):
+            return parameters.battery_voltage, math.nan
+        if self._shorted:
+            return parameters.battery_voltage, 0.0
+        return parameters.battery_voltage, parameters.target_voltage + self.current * parameters.target_resistance
+
+    def probe(self) -> tuple[float, float]:
+        """Return resistance (Ω; inf = open) and target voltage (V) at low voltage."""
+        if math.isinf(self._resistance):
+            return math.inf, math.nan
+        if self._shorted:
+            return min(2.0 * self._resistance, 0.9), 0.0
+        return self._parameters.target_leakage + self._resistance, self._parameters.target_voltage
+
+    @property
+    def _shorted(self) -> bool:
+        return self._overlap is not None and self._overlap.short
+
+    def _enter(self, phase: Phase) -> None:
+        self._phase = phase
+        self._since = 0.0
+        if phase is Phase.CLOSED:
+            self._limit = 0.0
+
+    def _contact_resistance(self, force: float) -> float:
+        """Fall with overlap (area) and with the square root of force, as spots of contact grow."""
+        if self._overlap is None or not (force > 0.0 and (self._overlap.area > 0.0 or self._overlap.short)):
+            return math.inf
+        fraction = max(self._overlap.fraction, 1e-3)
+        return self._parameters.contact_resistance / fraction * math.sqrt(_NOMINAL_FORCE / force)
+
+    def _leave_precharge(self) -> None:
+        voltage = self._parameters.target_voltage
+        if self._shorted:
+            self._trip(SHORT)
+        elif math.isinf(self._resistance):
+            self._trip(NO_CHARGE_CURRENT)
+        elif voltage < 0.0:
+            self._trip(REVERSE_POLARITY)
+        elif not self._parameters.voltage_min <= voltage <= self._parameters.voltage_max:
+            self._trip(VOLTAGE)
+        else:
+            self._enter(Phase.CLOSED)
+
+    def _flow(self) -> float:
+        parameters = self._parameters
+        if self._shorted:
+            return _SHORT_CURRENT
+        if math.isinf(self._resistance) or not parameters.target_accepts:
+            return 0.0
+        driven = (parameters.voltage_limit - parameters.target_voltage) / (
+            parameters.target_resistance + self._resistance
+        )
+        return min(driven, self._limit)
+
+    def _detect(self) -> None:
+        if self._shorted and self._since > _DETECTION:
+            self._trip(SHORT)
+        elif self.current > _OVER_CURRENT and not self._shorted:
+            self._trip(OVER_CURRENT)
+        elif self.current < -0.5:
+            self._trip(REVERSE_CURRENT)
+        elif self.current < 0.05 and self._since > _IDLE_TIME:
+            self._trip(NO_CHARGE_CURRENT)
+
+    def _trip(self, fault: int) -> None:
+        self._enter(Phase.OPEN)
+        self.current = 0.0
+        self.fault = fault

@@ -1,0 +1,228 @@
+"""Parameters of the simulated world, each with bounds and unit, and the reader of mappings that refuses bad ones."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+class ParameterError(ValueError):
+    """A key is unknown, or a value has the wrong type or lies outside its bounds.
+
+    Attributes:
+        key: dotted path of the key.
+        value: what was given.
+        problem: what is wrong and what is allowed.
+    """
+
+    def __init__(self, key: str, value: Any, problem: str) -> None:
+        self.key = key
+        self.value = value
+        self.problem = problem
+        super().__init__(f"{key}: {problem}")
+
+
+def number(default: float, low: float, high: float, unit: str, doc: str) -> Any:
+    """Declare a field with bounds (inclusive), unit and description."""
+    return field(default=default, metadata={"low": low, "high": high, "unit": unit, "doc": doc})
+
+
+def _check_bounds(instance: Any, path: str = "") -> None:
+    for item in dataclasses.fields(instance):
+        if "low" not in item.metadata:
+            continue
+        value, low, high, unit = getattr(instance, item.name), *(item.metadata[k] for k in ("low", "high", "unit"))
+        key = f"{path}.{item.name}" if path else item.name
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ParameterError(key, value, f"{value!r} is not a number; allowed are {low} to {high} {unit}".rstrip())
+        if not low <= value <= high:
+            raise ParameterError(key, value, f"{value!r} is outside {low} to {high} {unit}".rstrip())
+
+
+class Bounded:
+    """Base of parameter groups: refuses a value outside the bounds of its field."""
+
+    def __post_init__(self) -> None:
+        _check_bounds(self)
+
+
+@dataclass(frozen=True)
+class ServoParameters(Bounded):
+    """MX-64 at 12 V in position mode, seen at its horn."""
+
+    stiffness: float = number(15.0, 2.5, 20.0, "N·m/rad", "position loop as a spring")
+    damping: float = number(0.91, 0.05, 5.0, "N·m·s/rad", "position loop and back-EMF as a damper")
+    stall_torque: float = number(6.0, 0.5, 12.0, "N·m", "largest torque whatever the current bound")
+    torque_constant: float = number(6.0 / 4.1, 0.5, 3.0, "N·m/A", "torque per current")
+    friction: float = number(0.06, 0.0, 1.0, "N·m", "Coulomb friction of the gear while powered")
+    unpowered_friction: float = number(0.6, 0.0, 3.0, "N·m", "torque that turns the unpowered gear")
+    inertia: float = number(0.004, 0.0001, 0.05, "kg·m²", "rotor, reflected through the gear")
+    current_noise: float = number(0.008, 0.0, 0.2, "A", "standard deviation of one current reading")
+    supply_voltage: float = number(12.0, 9.5, 16.0, "V", "regulator's output")
+    supply_resistance: float = number(0.05, 0.0, 1.0, "Ω", "of regulator and cable, common to the servos")
+    ambient_temperature: float = number(28.0, -20.0, 60.0, "°C", "of the room")
+    heating: float = number(9.0, 0.0, 100.0, "K/A²", "temperature rise at rest per squared current")
+    heating_time: float = number(600.0, 10.0, 10000.0, "s", "time constant of that rise")
+
+
+@dataclass(frozen=True)
+class ContactParameters(Bounded):
+    """The two spring-mounted electrodes against the target's."""
+
+    stiffness: float = number(1e5, 1e3, 1e9, "N/m", "normal stiffness of each electrode")
+    friction: float = number(0.3, 0.0, 10.0, "", "coefficient of Coulomb friction")
+    hard_stop: float = number(0.002, 0.0005, 0.02, "m", "travel at which the electrode's spring bottoms")
+    hard_stop_stiffness: float = number(1e6, 1e4, 1e9, "N/m", "stiffness behind the stop")
+
+
+@dataclass(frozen=True)
+class MagnetParameters(Bounded):
+    """Six magnets together: F = force/(1 + g/range)² · max(floor, 1/(1 + (r/width)²)), gap g, lateral offset r."""
+
+    force: float = number(60.0, 0.0, 300.0, "N", "at contact, without lateral offset")
+    range: float = number(0.002, 0.0002, 0.02, "m", "gap at which the pull has fallen to a quarter")
+    width: float = number(0.008, 0.001, 0.1, "m", "lateral offset at which the pull has fallen to a half")
+    floor: float = number(0.2, 0.0, 1.0, "", "share of the pull that remains far off")
+
+
+@dataclass(frozen=True)
+class TerminalParameters(Bounded):
+    """The two bars of charger and target alike."""
+
+    length: float = number(0.070, 0.01, 0.2, "m", "of a bar, along x")
+    height: float = number(0.010, 0.002, 0.05, "m", "of a bar, along y")
+    gap: float = number(0.0074, 0.001, 0.05, "m", "between the bars")
+
+
+@dataclass(frozen=True)
+class TargetParameters(Bounded):
+    """Where the target's electrodes are, in charger_base."""
+
+    present: bool = True
+    x: float = number(0.0, -0.2, 0.2, "m", "midpoint between the electrodes")
+    y: float = number(0.0, -0.2, 0.2, "m", "midpoint between the electrodes")
+    z: float = number(0.080, 0.0, 1.0, "m", "touched faces")
+    roll: float = number(0.0, -0.8, 0.8, "rad", "about z, from +x to +y")
+
+
+@dataclass(frozen=True)
+class CircuitParameters(Bounded):
+    """Charger's battery and power stage, target's battery."""
+
+    battery_voltage: float = number(26.0, 22.7, 29.8, "V", "charger's battery (paper: 22.7–29.8 V)")
+    current_limit: float = number(10.0, 0.5, 18.0, "A", "constant-current limit of the stage (electrodes: 18 A)")
+    voltage_limit: float = number(29.0, 10.0, 60.0, "V", "constant-voltage limit of the stage")
+    ramp_up: float = number(40.0, 1.0, 1000.0, "A/s", "rise of the current after closing")
+    ramp_down: float = number(500.0, 50.0, 5000.0, "A/s", "fall of the current before a wanted opening")
+    precharge_time: float = number(0.1, 0.0, 1.0, "s", "until both sides match within 1 V")
+    target_voltage: float = number(24.0, -60.0, 60.0, "V", "open-circuit voltage of the target; negative = swapped")
+    target_resistance: float = number(0.15, 0.001, 100.0, "Ω", "inner resistance of the target")
+    target_leakage: float = number(2000.0, 0.0, 1e6, "Ω", "what the probe sees of a healthy target; < 1 is a short")
+    target_accepts: bool = True
+    contact_resistance: float = number(0.01, 0.0, 10.0, "Ω", "both electrodes fully overlapped, at 80 N")
+    voltage_min: float = number(10.0, 0.0, 60.0, "V", "lowest target voltage that the stage feeds")
+    voltage_max: float = number(30.0, 1.0, 80.0, "V", "highest target voltage that the stage feeds")
+    welded: bool = False
+
+
+@dataclass(frozen=True)
+class WorldParameters(Bounded):
+    """Everything about the simulated world."""
+
+    servo: ServoParameters = field(default_factory=ServoParameters)
+    contact: ContactParameters = field(default_factory=ContactParameters)
+    magnets: MagnetParameters = field(default_factory=MagnetParameters)
+    terminal: TerminalParameters = field(default_factory=TerminalParameters)
+    target: TargetParameters = field(default_factory=TargetParameters)
+    circuit: CircuitParameters = field(default_factory=CircuitParameters)
+    gravity_x: float = number(0.0, -20.0, 20.0, "m/s²", "gravity along x of charger_base")
+    gravity_y: float = number(-9.81, -20.0, 20.0, "m/s²", "gravity along y of charger_base")
+    gravity_z: float = number(0.0, -20.0, 20.0, "m/s²", "gravity along z of charger_base")
+    step: float = number(0.005, 0.001, 0.1, "s", "integration step")
+
+
+def from_mapping(mapping: Any, cls: type[T], path: str = "") -> T:
+    """Build a parameter dataclass from a mapping such as a YAML section; missing keys keep their defaults.
+
+    Args:
+        mapping: keys to values, nested like the dataclasses.
+        cls: dataclass to build.
+        path: dotted path of the mapping, for messages.
+
+    Raises:
+        ParameterError: names the key, the value and what is allowed; for an unknown key the nearest known one.
+    """
+    if not isinstance(mapping, Mapping):
+        raise ParameterError(path or "(top)", mapping, f"{mapping!r} is not a mapping of keys to values")
+    hints = typing.get_type_hints(cls)
+    names = [item.name for item in dataclasses.fields(cls)]  # type: ignore[arg-type]
+    values: dict[str, Any] = {}
+    for key, value in mapping.items():
+        where = f"{path}.{key}" if path else str(key)
+        if key not in names:
+            near = difflib.get_close_matches(str(key), names, 1)
+            hint = f"; did you mean '{near[0]}'?" if near else f"; known are {', '.join(names)}"
+            raise ParameterError(where, value, f"unknown key{hint}")
+        values[key] = _convert(value, hints[key], where)
+    try:
+        return cls(**values)
+    except ParameterError as error:
+        raise ParameterError(f"{path}.{error.key}" if path else error.key, error.value, error.problem) from None
+    except TypeError as error:
+        raise ParameterError(path or "(top)", mapping, str(error)) from None
+
+
+def _convert(value: Any, hint: Any, where: str) -> Any:
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        return from_mapping(value, hint, where)
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        if value is None and type(None) in arguments:
+            return None
+        return _convert(value, next(item for item in arguments if item is not type(None)), where)
+    if origin in (tuple, list):
+        if not isinstance(value, list | tuple):
+            raise ParameterError(where, value, f"{value!r} is not a list")
+        item = arguments[0] if arguments else Any
+        return origin(_convert(entry, item, f"{where}[{index}]") for index, entry in enumerate(value))
+    if origin is dict:
+        if not isinstance(value, Mapping):
+            raise ParameterError(where, value, f"{value!r} is not a mapping of keys to values")
+        return dict(value)
+    return _convert_scalar(value, hint, where)
+
+
+def _convert_scalar(value: Any, hint: Any, where: str) -> Any:
+    if hint is float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ParameterError(where, value, f"{value!r} is not a number")
+        if not math.isfinite(value):
+            raise ParameterError(where, value, f"{value!r} is not finite")
+        return float(value)
+    if hint is int and (isinstance(value, bool) or not isinstance(value, int)):
+        raise ParameterError(where, value, f"{value!r} is not a whole number")
+    if hint is bool and not isinstance(value, bool):
+        raise ParameterError(where, value, f"{value!r} is not true or false")
+    if hint is str and not isinstance(value, str):
+        raise ParameterError(where, value, f"{value!r} is not text")
+    return value
+
+
+def describe(cls: type[Any], path: str = "") -> Iterator[tuple[str, Any, float, float, str, str]]:
+    """Yield (key, default, low, high, unit, description) of every bounded field, nested ones with dotted keys."""
+    hints = typing.get_type_hints(cls)
+    for item in dataclasses.fields(cls):
+        key = f"{path}.{item.name}" if path else item.name
+        if dataclasses.is_dataclass(hints[item.name]):
+            yield from describe(hints[item.name], key)
+        elif "low" in item.metadata:
+            bounds = item.metadata
+            yield key, item.default, bounds["low"], bounds["high"], bounds["unit"], bounds["doc"]

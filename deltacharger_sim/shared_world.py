@@ -1,0 +1,79 @@
+"""One world behind several emulated devices, each asking from its own thread, in real time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_sim.world import World
+
+_CATCH_UP = 0.5  # s; a longer pause of the process is skipped rather than computed
+
+Array = NDArray[np.float64]
+
+
+class SharedWorld:
+    """Advances a world to `clock` whenever somebody asks it something; idle, it computes nothing.
+
+    It is the plant of the servo and board emulators: they know these methods and not the world.
+
+    Args:
+        world: advanced in steps of its parameter `step`.
+        clock: s, monotonic.
+    """
+
+    def __init__(self, world: World, clock: Callable[[], float] = time.monotonic) -> None:
+        self.world = world
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._at = clock()
+
+    def _advance(self) -> World:
+        now = self._clock()
+        step = self.world.parameters.step
+        self._at = max(self._at, now - _CATCH_UP)
+        while self._at + step <= now:
+            self.world.step(step)
+            self._at += step
+        return self.world
+
+    def command_servo(self, index: int, torque_enabled: bool, reference: float, current_limit: float) -> None:
+        """Set torque, goal angle (rad) and current bound (A) of a servo."""
+        with self._lock:
+            self._advance().command(index, torque_enabled, reference, current_limit)
+
+    def read_servo(self, index: int) -> tuple[float, float, float, float, float]:
+        """Return angle (rad), rate (rad/s), current (A), voltage (V) and temperature (°C) of a servo."""
+        with self._lock:
+            return self._advance().servo(index)
+
+    def read_taxels(self) -> tuple[Array, Array]:
+        """Return left and right (10, 10) N, raw; NaN = dead."""
+        with self._lock:
+            return self._advance().taxels()
+
+    def read_power(self) -> tuple[float, float, float, bool, int]:
+        """Return battery and target voltage (V), charge current (A), contactor closed, fault found by the stage."""
+        with self._lock:
+            circuit = self._advance().circuit
+            battery, target = circuit.voltages()
+            return battery, target, circuit.current, circuit.closed, circuit.fault
+
+    def close_contactor(self) -> None:
+        """Let the stage pre-charge, close and ramp up."""
+        with self._lock:
+            self._advance().circuit.close()
+
+    def open_contactor(self, ramp: bool) -> None:
+        """Let the stage open: after ramping down, or at once."""
+        with self._lock:
+            self._advance().circuit.open(ramp)
+
+    def probe(self) -> tuple[float, float]:
+        """Return what the probe measures: Ω (inf = open circuit) and V."""
+        with self._lock:
+            return self._advance().circuit.probe()
