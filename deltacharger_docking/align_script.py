@@ -42,7 +42,7 @@ class Alignment:
         while True:
             estimate = yield from self._measure()
             if estimate is None:
-                yield from self._dock_again(context.commanded[:2])
+                yield from self._dock_again(0.0, 0.0)
                 continue
             place = context.position[0], context.position[1]
             self._filter.update(place, estimate)
@@ -60,7 +60,7 @@ class Alignment:
                     f"{1000 * x:.1f} mm horizontally and {1000 * y:.1f} mm vertically off"
                 )
             context.status.alignments += 1
-            yield from self._dock_again(self._filter.target if not self.aligned else context.commanded[:2])
+            yield from self._dock_again(*((0.0, 0.0) if self.aligned else (x, y)))
 
     def _measure(self) -> Script[Estimate | None]:
         """Return a trustworthy estimate, or None where another docking must come first."""
@@ -105,15 +105,19 @@ class Alignment:
                 raise CriticalAngle(_too_tilted(mean))
         return verdict
 
-    def _dock_again(self, place: tuple[float, ...]) -> Script[None]:
-        """Lift off, move to `place` (x, y) m and press again."""
+    def _dock_again(self, x: float, y: float) -> Script[None]:
+        """Lift off, move the command by (x, y) m and press again.
+
+        The command moves by what the measured pose is off, so that friction and a soft servo, which keep the platform
+        short of its command, are corrected as well.
+        """
         context, parameters = self._context, self._context.parameters
         context.enter(State.ALIGN, parameters.align_timeout)
-        z = context.position[2]
+        commanded, z = context.commanded, context.position[2]
+        place = commanded[0] + x, commanded[1] + y, z - parameters.lift
         yield from context.release()
-        x, y, _ = context.position
-        yield from context.move((x, y, z - parameters.lift), parameters.travel_speed, settle=False)
-        yield from context.move((place[0], place[1], z - parameters.lift), parameters.travel_speed)
+        yield from context.move((*context.position[:2], place[2]), parameters.travel_speed, settle=False)
+        yield from context.move(place, parameters.travel_speed)
         yield from contact(context, self._depth)
 
 

@@ -70,7 +70,7 @@ def charge(context: Context, goal: DockGoal, critical_angle: float) -> Script[No
     context.enter(State.CHARGING, math.inf)
     context.status.charging = True
     watch = Watch(context)
-    started, energy = context.time, context.energy
+    started = context.time
     checks = _clearance_checks(context, critical_angle)
     while True:
         problem = watch.problem()
@@ -78,7 +78,7 @@ def charge(context: Context, goal: DockGoal, critical_angle: float) -> Script[No
             problem = NoChargeCurrent(_no_current(context))
         if problem is not None:
             raise problem
-        if goal.stop_energy and context.energy - energy >= goal.stop_energy:
+        if goal.stop_energy and context.energy >= goal.stop_energy:
             return
         if goal.stop_after and context.time - started >= goal.stop_after:
             return

@@ -15,6 +15,7 @@ from deltacharger_docking.codes import (
     Busy,
     Canceled,
     Code,
+    ContactorWelded,
     CriticalAngle,
     DetectionStale,
     DockingError,
@@ -216,11 +217,18 @@ class DockingMachine:
         context.energise = False
         try:
             yield from self._retract()
+            context.status.docked = False
+        except ContactorWelded as error:
+            # Torque stays on: pulling or letting go of live electrodes would draw an arc.
+            if not isinstance(first, ContactorWelded):
+                context.status.message = f"{first}; then {error}"
+            context.hold()
         except DockingError as error:
             context.status.message = f"{first}; then {error}"
+            context.status.docked = False
             context.hold()
             context.tell(Service.TORQUE_OFF)
-        context.status.docked = context.status.charging = False
+        context.status.charging = False
         context.status.state = State.IDLE
         if not supervising:
             self._finish(self._failure(first))
@@ -272,8 +280,6 @@ class DockingMachine:
 
     def _undock(self) -> Script[None]:
         context = self._context
-        if context.observation.servo_age > self.parameters.servo_age_max:
-            raise ServoFailure("servo_state is missing; is servo_node running?")
         yield from self._retract()
         context.status.docked = False
         context.status.state = State.IDLE
@@ -297,6 +303,8 @@ class DockingMachine:
         """Switch the torque on and tare the pads, both in free air."""
         context = self._context
         context.enter(State.APPROACH, self.parameters.approach_timeout)
+        if context.observation.servo_age > self.parameters.servo_age_max:
+            raise ServoFailure("servo_state is missing or stale; is servo_node running and its bus connected?")
         if context.observation.tactile_age > self.parameters.tactile_age_max:
             raise TactileStale("no tactile frames; check the board's cable and tactile_node")
         context.commanded = context.position

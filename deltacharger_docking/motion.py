@@ -12,11 +12,13 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics import Delta, DeltaGeometry, Status
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.statics import TORQUE_CONSTANT
+from deltacharger_kinematics.status import NO_ANSWER
 
 _INTERVAL = 0.02  # s between waypoints; the servo node interpolates at its bus rate
 _PEAK_TO_MEAN = 1.875  # of the quintic 10u³ − 15u⁴ + 6u⁵, which starts and ends at rest
 _ARM_SPEED = 5.0  # rad/s; the MX-64 turns at 6.6 rad/s unloaded at 12 V
-_TOLERATED = Status.OUTSIDE_WORKSPACE | Status.NEAR_TYPE_1 | Status.LIMB_0 | Status.LIMB_1 | Status.LIMB_2
+# Pressing puts the goal beyond the box, and a nearly stretched arm still presses; everything else is refused.
+_REFUSED = np.uint32(NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_2 | Status.JOINT_LIMIT | Status.SWING_LIMIT)
 
 
 class Planner:
@@ -70,9 +72,7 @@ class Planner:
 
     def _command(self, points: np.ndarray, push: float | None) -> tuple[np.ndarray, np.ndarray]:
         solved = self._delta.inverse(points)
-        bad = np.flatnonzero(
-            np.asarray(solved.status) & ~int(_TOLERATED | Status.LIMB_0 | Status.LIMB_1 | Status.LIMB_2)
-        )
+        bad = np.flatnonzero(np.asarray(solved.status) & _REFUSED)
         if len(bad):
             place = ", ".join(f"{1000 * value:.1f}" for value in points[bad[0]])
             status = Status(int(np.asarray(solved.status)[bad[0]]))

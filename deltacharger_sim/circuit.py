@@ -33,6 +33,7 @@ class Circuit:
         self._phase = Phase.OPEN
         self._since = 0.0
         self._limit = 0.0
+        self._stuck = False
         self._overlap: Overlap | None = None
         self._resistance = math.inf
         self.current = 0.0
@@ -41,11 +42,7 @@ class Circuit:
     @property
     def closed(self) -> bool:
         """Whether the contactor's contacts touch."""
-        return self._phase in (Phase.CLOSED, Phase.RAMP_DOWN) or (self._parameters.welded and self._ever_closed)
-
-    @property
-    def _ever_closed(self) -> bool:
-        return self._limit > 0.0
+        return self._stuck or self._phase in (Phase.CLOSED, Phase.RAMP_DOWN)
 
     def close(self) -> None:
         """Begin pre-charge, then close and ramp up."""
@@ -59,8 +56,6 @@ class Circuit:
             self._enter(Phase.RAMP_DOWN)
         elif not ramp or self._phase is Phase.PRECHARGE:
             self._enter(Phase.OPEN)
-            if not self._parameters.welded:
-                self.current = 0.0
         self.fault = 0
 
     def step(self, dt: float, overlap: Overlap | None, force: float) -> None:
@@ -70,19 +65,19 @@ class Circuit:
         self._resistance = self._contact_resistance(force)
         if self._phase is Phase.PRECHARGE and self._since >= self._parameters.precharge_time:
             self._leave_precharge()
-        if self._phase is Phase.OPEN and not (self._parameters.welded and self._ever_closed):
+        if not self.closed:
             self.current = 0.0
             return
         if self._phase is Phase.CLOSED:
             self._limit = min(self._limit + self._parameters.ramp_up * dt, self._parameters.current_limit)
-        elif self._phase is Phase.RAMP_DOWN:
+        elif self._phase is Phase.RAMP_DOWN and not self._stuck:
             self._limit = max(self._limit - self._parameters.ramp_down * dt, 0.0)
         self.current = self._flow()
-        if self._phase is Phase.RAMP_DOWN and self.current < 1.0:
+        if self._phase is Phase.RAMP_DOWN and (self._stuck or self.current < 1.0):
             self._enter(Phase.OPEN)
-            self.current = self.current if self._parameters.welded else 0.0
-            self.fault = WELDED if self._parameters.welded else 0
-        if self._phase is Phase.CLOSED:
+            self.current = self.current if self._stuck else 0.0
+            self.fault = WELDED if self._stuck else 0
+        elif self._phase is Phase.CLOSED:
             self._detect()
 
     def voltages(self) -> tuple[float, float]:
@@ -111,6 +106,7 @@ class Circuit:
         self._since = 0.0
         if phase is Phase.CLOSED:
             self._limit = 0.0
+            self._stuck = self._parameters.welded
 
     def _contact_resistance(self, force: float) -> float:
         """Fall with overlap (area) and with the square root of force, as spots of contact grow."""
@@ -155,5 +151,5 @@ class Circuit:
 
     def _trip(self, fault: int) -> None:
         self._enter(Phase.OPEN)
-        self.current = 0.0
+        self.current = self.current if self._stuck else 0.0
         self.fault = fault
