@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import signal
 import sys
@@ -12,12 +13,21 @@ from typing import Any, Protocol
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.context import Context
+from rclpy.event_handler import EventHandler
 from rclpy.exceptions import (
+    InvalidHandle,
     InvalidParameterTypeException,
     InvalidParameterValueException,
     ParameterException,
 )
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import (
+    ConditionReachedException,
+    ExternalShutdownException,
+    MultiThreadedExecutor,
+    ShutdownException,
+    TimeoutException,
+)
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -140,7 +150,7 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, threads:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, request_stop)
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     try:
         try:
             node = factory()
@@ -158,12 +168,82 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, threads:
         rclpy.try_shutdown()
 
 
+class PatientExecutor(MultiThreadedExecutor):
+    """rclpy's multi-threaded executor without its two busy loops, which filled a core per node at 100 Hz.
+
+    - While a message waits for a worker thread, the subscription leaves the wait set but its QoS events stay, and with
+      Fast DDS an unread message wakes them too. Here they leave together.
+    - A callback is offered again and again until a worker has begun it, by a loop that holds the interpreter lock which
+      the worker waits for. Here it is handed over once, and comes back only if it awaits something.
+    """
+
+    def __init__(self, num_threads: int, *, context: Context) -> None:
+        super().__init__(num_threads, context=context)
+        self._failure: BaseException | None = None
+        self._subscriptions: dict[int, Any] = {}  # by id of the event handler; None where a publisher owns it
+
+    def can_execute(self, entity: Any) -> bool:
+        """Return whether the entity may be waited for, as in the original; an event only with its subscription."""
+        if not super().can_execute(entity):
+            return False
+        if not isinstance(entity, EventHandler):
+            return True
+        if id(entity) not in self._subscriptions:
+            self._subscriptions[id(entity)] = self._find_subscription(entity)
+        subscription = self._subscriptions[id(entity)]
+        return subscription is None or super().can_execute(subscription)
+
+    def _find_subscription(self, handler: EventHandler) -> Any:
+        for node in self.get_nodes():
+            for subscription in node.subscriptions:
+                if handler in subscription.event_handlers:
+                    return subscription
+        return None
+
+    def _spin_once_impl(
+        self, timeout_sec: Any = None, wait_condition: Callable[[], bool] = lambda: False
+    ) -> None:
+        if self._failure is not None:
+            failure, self._failure = self._failure, None
+            raise failure
+        try:
+            offered = self.wait_for_ready_callbacks(timeout_sec, None, wait_condition)
+        except (ConditionReachedException, ExternalShutdownException, ShutdownException, TimeoutException):
+            return
+        with self._tasks_lock:
+            self._tasks = [waiting for waiting in self._tasks if waiting[0] is not offered[0]]
+        self._executor.submit(self._carry_out, offered)
+
+    def _carry_out(self, offered: Any) -> None:
+        """Run a callback in a worker thread; what it raises ends `spin`, as in the original."""
+        task = offered[0]
+        try:
+            task()
+            if task.done():
+                task.result()
+                return
+        except InvalidHandle as error:  # rclpy signals the guard of an executor that has been shut down meanwhile
+            if not self._is_shutdown:
+                self._fail(error)
+            return
+        except BaseException as error:
+            self._fail(error)
+            return
+        with self._tasks_lock:
+            self._tasks.append(offered)
+        self.wake()
+
+    def _fail(self, error: BaseException) -> None:
+        self._failure = error
+        self.wake()
+
+
 class Spinner:
     """One node with its executor in a thread of its own."""
 
     def __init__(self, node: Node, threads: int = 4) -> None:
         self.node = node
-        self._executor = MultiThreadedExecutor(num_threads=threads, context=node.context)
+        self._executor = PatientExecutor(threads, context=node.context)
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._spin, name=f"spin {node.get_name()}", daemon=True)
         self._thread.start()
@@ -182,7 +262,5 @@ class Spinner:
         self.node.destroy_node()
 
     def _spin(self) -> None:
-        try:
+        with contextlib.suppress(ExternalShutdownException):
             self._executor.spin()
-        except ExternalShutdownException:
-            pass

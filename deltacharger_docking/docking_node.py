@@ -38,6 +38,7 @@ _TICK = 0.02  # s; pace where servo_state does not come
 _FEEDBACK = 0.2  # s between feedbacks without a change
 _DIAGNOSTICS = 1.0  # s
 _OPEN_TIMEOUT = 0.6  # s to see the contactor open when the node closes
+_TORQUE_TIMEOUT = 1.0  # s to see the torque go off; servo_node waits 0.5 s before it switches it off
 
 
 def declare_parameters(node: Node) -> DockingParameters:
@@ -141,7 +142,11 @@ class DockingNode(Node):
         while self._observe().contactor_closed and time.monotonic() < end:
             self._calls.contactor(False, True)
             time.sleep(0.02)
-        self._calls.call(Request(0, Service.TORQUE_OFF))
+        end = time.monotonic() + _TORQUE_TIMEOUT
+        if self._observe().torque_enabled:
+            self._calls.call(Request(0, Service.TORQUE_OFF))
+        while self._observe().torque_enabled and time.monotonic() < end:
+            time.sleep(0.02)
         goal = self._goal
         if goal is not None:
             goal.outcome = Outcome(code=Code.CANCELED, message="the charger is shutting down", retriable=True)

@@ -116,7 +116,8 @@ class DockingMachine:
         self._context.energise = False
         self._context.status.charging = False
         self._context.status.state = State.IDLE
-        self._context.hold()
+        if self._context.observation.torque_enabled:
+            self._context.hold()
         return self._context.command()
 
     def _advance(self) -> None:

@@ -1,0 +1,202 @@
+"""The `deltacharger` command: its commands, options and exit codes; what each does stands in the cli_*.py beside it.
+
+Exit codes: 0 done, 1 the job failed, 2 wrong usage or input, 130 interrupted. With `--json` exactly one JSON object
+goes to stdout; progress and logs always go to stderr.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import math
+import sys
+from collections.abc import Sequence
+
+from deltacharger_bringup.cli_output import FAILED, WRONG_INPUT, CommandError, say, write_json
+
+DEFAULT_SCENE = "simulated"
+
+_LATER: dict[str, tuple[str, ...]] = {
+    "doctor": (),
+    "tactile": ("generate", "record", "train", "evaluate", "compare"),
+    "vision": ("detect",),
+    "calibrate": ("kinematics", "camera", "tactile"),
+    "campaign": (),
+    "report": (),
+    "view": (),
+    "replay": (),
+    "fault": (),
+}
+"""Commands of the interface that this version knows and does not have yet."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code; the entry point."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words and words[0] in _LATER:
+        return _refuse_later(words)
+    parser = build_parser()
+    options = parser.parse_args(words)
+    if not hasattr(options, "run"):
+        parser.print_help(sys.stderr)
+        return WRONG_INPUT
+    module, function = options.run
+    try:
+        return int(getattr(importlib.import_module(module), function)(options))
+    except CommandError as error:
+        say(str(error))
+        if options.json:
+            write_json({"success": False, "error": str(error), **error.details})
+        return error.exit_code
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command."""
+    parser = argparse.ArgumentParser(
+        prog="deltacharger",
+        description="Run, try and inspect DeltaCharger, a robot's arm that docks to other robots and charges them.",
+        epilog="Exit codes: 0 done, 1 the job failed, 2 wrong usage or input, 130 interrupted. "
+        "Simulated scenes use ROS_DOMAIN_ID=76 on this machine only, unless ROS_DOMAIN_ID and "
+        "ROS_AUTOMATIC_DISCOVERY_RANGE are set.",
+    )
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    _add_up(commands)
+    _add_dock(commands)
+    _add_undock(commands)
+    _add_scene(commands)
+    _add_simulate(commands)
+    for name, parts in _LATER.items():
+        what = f" ({'|'.join(parts)})" if parts else ""
+        commands.add_parser(name, help=f"not yet available{what}", add_help=False)
+    return parser
+
+
+def _command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser],
+    name: str,
+    run: tuple[str, str],
+    text: str,
+) -> argparse.ArgumentParser:
+    parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def _add_scene_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--scene", metavar="NAME|FILE", help=f"packaged scene or YAML file (default: {DEFAULT_SCENE})"
+    )
+
+
+def _add_namespace(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--namespace", default="", metavar="NAME", help="of the charger (default: none)")
+
+
+def _add_up(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = _command(
+        commands,
+        "up",
+        ("deltacharger_bringup.cli_charger", "up"),
+        "run a charger in this process until it is stopped; says 'ready' when its actions answer",
+    )
+    _add_scene_option(parser)
+    _add_namespace(parser)
+
+
+def _add_dock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = _command(
+        commands,
+        "dock",
+        ("deltacharger_bringup.cli_dock", "dock"),
+        "dock and charge, with the running charger or else with one started for it",
+    )
+    _add_scene_option(parser)
+    _add_namespace(parser)
+    for axis in "xyz":
+        parser.add_argument(
+            f"--{axis}-mm", type=_number, metavar="MM", help=f"electrodes along {axis} of charger_base"
+        )
+    parser.add_argument("--roll-deg", type=_number, metavar="DEG", help="of the electrodes about z")
+    parser.add_argument("--camera", action="store_true", help="ask the camera even where the scene has coordinates")
+    parser.add_argument(
+        "--critical-angle-deg", type=_positive, default=0.0, metavar="DEG", help="refuse earlier than the charger would"
+    )
+    parser.add_argument("--no-charge", action="store_true", help="end at aligned contact")
+    parser.add_argument("--hold", action="store_true", help="go on charging until a stop condition or Ctrl-C")
+    parser.add_argument("--stop-after-s", type=_positive, default=0.0, metavar="S", help="of charging")
+    parser.add_argument("--stop-energy-j", type=_positive, default=0.0, metavar="J", help="delivered")
+    parser.add_argument("--deadline-s", type=_positive, default=math.inf, metavar="S", help="cancel after this long")
+    parser.add_argument("--request-id", default="", metavar="ID", help="returned in docking_state")
+    parser.add_argument("--picture", default="dock.png", metavar="FILE", help="of the run (default: dock.png)")
+    parser.add_argument("--no-picture", action="store_true", help="write none")
+
+
+def _add_undock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = _command(
+        commands,
+        "undock",
+        ("deltacharger_bringup.cli_charger", "undock"),
+        "stop charging, let go and retract the arm of the running charger",
+    )
+    _add_scene_option(parser)
+    _add_namespace(parser)
+    parser.add_argument("--deadline-s", type=_positive, default=math.inf, metavar="S", help="cancel after this long")
+    parser.add_argument("--request-id", default="", metavar="ID", help="returned in docking_state")
+
+
+def _add_scene(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = commands.add_parser("scene", help="list, check or explain scenes", description="Inspect scenes.")
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    module = "deltacharger_bringup.cli_scene"
+    _command(actions, "list", (module, "list_scenes"), "name every packaged scene")
+    check = _command(actions, "check", (module, "check"), "say whether scenes are well-formed, and what is wrong")
+    check.add_argument("scenes", nargs="*", metavar="NAME|FILE", help="default: every packaged scene")
+    explain = _command(actions, "explain", (module, "explain"), "show what a scene sets and every key it could set")
+    explain.add_argument("scene", nargs="?", default=DEFAULT_SCENE, metavar="NAME|FILE")
+    explain.add_argument("--all", action="store_true", help="also the keys that the scene leaves at their default")
+
+
+def _add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = _command(
+        commands,
+        "simulate",
+        ("deltacharger_bringup.cli_simulate", "simulate"),
+        "serve the emulated servos and board of a scene on two ports, without ROS; says 'ready' with their paths",
+    )
+    _add_scene_option(parser)
+    parser.add_argument(
+        "--directory", required=True, metavar="DIR", help="where the ports appear, as DIR/servo and DIR/board"
+    )
+    parser.add_argument("--record", metavar="FILE", help="at the end, write what really happened in the world as JSON")
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"'{text}' is not finite")
+    return value
+
+
+def _positive(text: str) -> float:
+    value = _number(text)
+    if value < 0.0:
+        raise argparse.ArgumentTypeError(f"'{text}' is negative")
+    return value
+
+
+def _refuse_later(words: Sequence[str]) -> int:
+    parts = _LATER[words[0]]
+    named = " ".join(words[:2]) if len(words) > 1 and words[1] in parts else words[0]
+    message = f"deltacharger {named}: not yet available"
+    say(message)
+    if "--json" in words:
+        write_json({"success": False, "error": message})
+    return FAILED
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,210 @@
+"""`deltacharger up` and `deltacharger undock`, and what all commands that speak to a charger share."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from deltacharger_bringup import environment
+from deltacharger_bringup.cli import DEFAULT_SCENE
+from deltacharger_bringup.cli_output import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    WRONG_INPUT,
+    CommandError,
+    Interrupts,
+    say,
+    write_json,
+)
+from deltacharger_bringup.cli_scene import load_for_command
+from deltacharger_bringup.outcomes import Outcome, Progress
+from deltacharger_bringup.scene import Scene
+
+if TYPE_CHECKING:
+    from rclpy.context import Context
+
+    from deltacharger_bringup.composition import Composition
+
+DISCOVERY = 3.0  # s; a charger that runs is found in 0.25…3 s
+START_UP = 60.0  # s until the actions of a scene's own charger answer
+
+
+def prepare(options: argparse.Namespace) -> Scene:
+    """Load the scene of a command and set the environment that it needs, before anything imports rclpy."""
+    scene = load_for_command(options.scene or DEFAULT_SCENE)
+    environment.prepare()
+    if not scene.touches_hardware:
+        environment.isolate()
+    return scene
+
+
+@contextlib.contextmanager
+def ros_context() -> Iterator[Context]:
+    """Run an rclpy context that leaves signals to the command.
+
+    Raises:
+        CommandError: ROS cannot start.
+    """
+    try:
+        import deltacharger.action  # noqa: F401  (fails here, by name, where the interfaces are not built)
+        import rclpy
+        from rclpy.context import Context
+        from rclpy.signals import SignalHandlerOptions
+    except ImportError as error:
+        raise CommandError(
+            f"ROS 2 or the built interfaces are missing ({error}): install the package or source its workspace"
+        ) from error
+    context = Context()
+    rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        yield context
+    finally:
+        rclpy.try_shutdown(context=context)
+
+
+def start(scene: Scene, context: Context, namespace: str) -> Composition:
+    """Start a scene's charger in this process.
+
+    Raises:
+        CommandError: a part of it cannot start; exit code 2 where its configuration is at fault.
+    """
+    from deltacharger_bringup.composition import Composition
+    from deltacharger_bringup.node_support import StartupError
+
+    composition = Composition(scene, context, namespace)
+    try:
+        return composition.start()
+    except StartupError as error:
+        raise CommandError(f"{scene.file}: {error}", WRONG_INPUT, file=scene.file) from error
+    except ImportError as error:
+        raise CommandError(f"scene '{scene.name}' needs something that is not installed: {error}") from error
+
+
+def wait_for_actions(composition: Composition, client: Any, interrupts: Interrupts) -> bool:
+    """Wait until a composition's actions answer; False where a signal came first.
+
+    Raises:
+        CommandError: a part broke, or they do not answer in time.
+    """
+    waited = 0.0
+    while not client.wait_until_ready(0.5, interrupts.event):
+        waited += 0.5
+        if interrupts.event.is_set():
+            return False
+        raise_if_failed(composition)
+        if waited >= START_UP:
+            raise CommandError(f"the actions do not answer after {START_UP:.0f} s; look at the log above")
+    return True
+
+
+def raise_if_failed(composition: Composition) -> None:
+    """Raise CommandError where a part of the composition no longer runs."""
+    failed = composition.failed()
+    if failed:
+        raise CommandError(f"no longer running: {', '.join(failed)}; look at the log above")
+
+
+def up(options: argparse.Namespace) -> int:
+    """Run a scene's charger until a signal."""
+    scene = prepare(options)
+    with Interrupts() as interrupts, ros_context() as context:
+        from deltacharger_bringup.client import ChargerClient
+        from deltacharger_bringup.composition import describe
+
+        with start(scene, context, options.namespace) as composition:
+            say(f"{describe(composition)}; ROS domain {environment.domain()}")
+            if "docking_node" in scene.nodes:
+                with ChargerClient(options.namespace, context) as client:
+                    answered = wait_for_actions(composition, client, interrupts)
+            else:
+                answered = True
+            if answered:
+                say("ready")
+                if options.json:
+                    ports = composition.ports()
+                    write_json({"ready": True, "scene": scene.name, "domain": environment.domain(), **ports})
+            while not interrupts.event.wait(0.5):
+                raise_if_failed(composition)
+        return interrupts.exit_code(DONE)
+
+
+def undock(options: argparse.Namespace) -> int:
+    """Undock the running charger."""
+    prepare(options)
+    with Interrupts() as interrupts, ros_context() as context:
+        from deltacharger_bringup.client import ChargerClient, ClientError
+
+        with ChargerClient(options.namespace, context) as client:
+            if not client.wait_until_ready(DISCOVERY, interrupts.event):
+                if interrupts.event.is_set():
+                    return INTERRUPTED
+                raise CommandError(
+                    f"no charger answers in ROS domain {environment.domain()}: start one with `deltacharger up`"
+                )
+            printer = PhasePrinter()
+            try:
+                outcome = client.undock(options.request_id, printer, interrupts.event, options.deadline_s)
+            except ClientError as error:
+                raise CommandError(str(error)) from error
+        report(outcome, options.json, {"phases": printer.phases})
+        if interrupts.event.is_set():
+            return INTERRUPTED
+        return DONE if outcome.success else FAILED
+
+
+def report(outcome: Outcome, as_json: bool, more: dict[str, Any]) -> None:
+    """Print how an action ended: for people, or as the one JSON object."""
+    if as_json:
+        write_json({**outcome.as_dict(), **more})
+        return
+    if outcome.success:
+        print(f"{outcome.action}: done in {outcome.elapsed:.1f} s")
+    else:
+        retry = "; the same goal may succeed if sent again" if outcome.retriable else ""
+        print(f"{outcome.action}: failed, {outcome.error_code} {outcome.error_name}: {outcome.error_message}{retry}")
+
+
+class PhasePrinter:
+    """Print one line when a phase begins and remember when each one did.
+
+    Args:
+        force: gives the contact force now (N, NaN = unknown).
+
+    Attributes:
+        phases: one mapping a phase: phase, start (s), z (m), contact_current (A), force (N), alignments.
+    """
+
+    def __init__(self, force: Any = None) -> None:
+        self._force = force
+        self.phases: list[dict[str, Any]] = []
+
+    def __call__(self, progress: Progress) -> None:
+        """Take one feedback message."""
+        if self.phases and self.phases[-1]["phase"] == progress.phase:
+            return
+        force = float("nan") if self._force is None else self._force()
+        self.phases.append(
+            {
+                "phase": progress.phase,
+                "start": progress.time,
+                "z": progress.z,
+                "contact_current": progress.contact_current,
+                "force": force,
+                "alignments": progress.alignments,
+            }
+        )
+        columns = [f"{progress.time:7.2f} s", f"{progress.phase:<9}", _number("z", 1e3 * progress.z, "mm", 1)]
+        if progress.charge_current == progress.charge_current:
+            columns.append(_number("charge", progress.charge_current, "A", 2))
+        else:
+            columns.append(_number("I_c", progress.contact_current, "A", 3))
+        columns.append(_number("force", force, "N", 1))
+        say("  ".join(columns))
+
+
+def _number(name: str, value: float, unit: str, digits: int) -> str:
+    text = "–" if value != value else f"{value:.{digits}f}"
+    return f"{name} {text:>7} {unit}"

@@ -1,0 +1,210 @@
+"""`deltacharger dock`: one docking as a fleet manager would order it, with progress, result and picture."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deltacharger_bringup import environment
+from deltacharger_bringup.cli_charger import (
+    DISCOVERY,
+    PhasePrinter,
+    prepare,
+    report,
+    ros_context,
+    start,
+    wait_for_actions,
+)
+from deltacharger_bringup.cli_output import DONE, FAILED, INTERRUPTED, WRONG_INPUT, CommandError, Interrupts, say
+from deltacharger_bringup.outcomes import DockRequest, Outcome, Pose
+from deltacharger_bringup.scene import Scene
+
+if TYPE_CHECKING:
+    from deltacharger_bringup.client import ChargerClient
+    from deltacharger_bringup.composition import Composition
+    from deltacharger_bringup.recorder import Recorder
+
+
+def dock(options: argparse.Namespace) -> int:
+    """Dock with the running charger, or else with the scene's own in this process."""
+    scene = prepare(options)
+    request = dock_request(options, scene)
+    with Interrupts() as interrupts, ros_context() as context, contextlib.ExitStack() as stack:
+        from deltacharger_bringup.client import ChargerClient
+        from deltacharger_bringup.recorder import Recorder
+
+        client = stack.enter_context(ChargerClient(options.namespace, context))
+        composition: Composition | None = None
+        if not client.wait_until_ready(DISCOVERY, interrupts.event) and not interrupts.event.is_set():
+            say(f"no charger answers in ROS domain {environment.domain()}; starting that of scene '{scene.name}'")
+            composition = stack.enter_context(start(scene, context, options.namespace))
+            wait_for_actions(composition, client, interrupts)
+        if interrupts.event.is_set():
+            return INTERRUPTED
+        recorder = stack.enter_context(Recorder(context, options.namespace))
+        return _Run(options, scene, request, client, recorder, composition, interrupts).carry_out()
+
+
+def dock_request(options: argparse.Namespace, scene: Scene) -> DockRequest:
+    """Return the goal: coordinates of the command line over those of the scene, else the camera's.
+
+    Raises:
+        CommandError: some coordinates are given and nothing supplies the others.
+    """
+    flags: dict[str, float] = {}
+    for axis in "xyz":
+        millimetres = getattr(options, f"{axis}_mm")
+        if millimetres is not None:
+            flags[axis] = 1e-3 * millimetres
+    if options.roll_deg is not None:
+        flags["roll"] = math.radians(options.roll_deg)
+    return DockRequest(
+        electrodes=_electrodes(flags, options.camera, scene),
+        critical_angle=math.radians(options.critical_angle_deg),
+        start_charging=not options.no_charge,
+        hold=options.hold,
+        stop_energy=options.stop_energy_j,
+        stop_after=options.stop_after_s,
+        request_id=options.request_id,
+    )
+
+
+def _electrodes(flags: dict[str, float], camera: bool, scene: Scene) -> Pose | None:
+    if camera:
+        if flags:
+            raise CommandError("--camera and coordinates exclude each other", WRONG_INPUT)
+        return None
+    if scene.goal is not None:
+        known = {"x": scene.goal.x, "y": scene.goal.y, "z": scene.goal.z, "roll": scene.goal.roll, **flags}
+        return Pose(known["x"], known["y"], known["z"], known["roll"])
+    if not flags:
+        return None
+    missing = [f"--{axis}-mm" for axis in "xyz" if axis not in flags]
+    if missing:
+        raise CommandError(
+            f"{', '.join(missing)} missing: scene '{scene.name}' has no goal to take it from", WRONG_INPUT
+        )
+    return Pose(flags["x"], flags["y"], flags["z"], flags.get("roll", 0.0))
+
+
+class _Run:
+    """One docking from goal to report."""
+
+    def __init__(
+        self,
+        options: argparse.Namespace,
+        scene: Scene,
+        request: DockRequest,
+        client: ChargerClient,
+        recorder: Recorder,
+        composition: Composition | None,
+        interrupts: Interrupts,
+    ) -> None:
+        self._options = options
+        self._scene = scene
+        self._request = request
+        self._client = client
+        self._recorder = recorder
+        self._composition = composition
+        self._interrupts = interrupts
+
+    def carry_out(self) -> int:
+        """Dock, draw, undock where this process started the charger, and report."""
+        say(self._goal_line())
+        whose = "the running charger" if self._composition is None else f"scene '{self._scene.name}'"
+        self._recorder.run.notes["about"] = f"{whose}; {self._goal_line()}"
+        printer = PhasePrinter(self._recorder.force)
+        outcome = self._dock(printer)
+        self._recorder.finish(outcome)
+        more: dict[str, Any] = {
+            "scene": self._scene.name,
+            "charger": "running" if self._composition is None else "started",
+            "phases": printer.phases,
+            "picture": self._draw(),
+        }
+        unsafe = self._truth(more)
+        if self._composition is not None and outcome.success:
+            more["undock"] = self._undock()
+        report(outcome, self._options.json, more)
+        if not self._options.json and outcome.success:
+            say(_summary(outcome))
+        if unsafe:
+            say(unsafe)
+        if self._interrupts.event.is_set():
+            return INTERRUPTED
+        return DONE if outcome.success and not unsafe else FAILED
+
+    def _goal_line(self) -> str:
+        pose = self._request.electrodes
+        if pose is None:
+            return "goal: electrodes where the camera finds them"
+        return (
+            f"goal: electrodes at ({1e3 * pose.x:.1f}, {1e3 * pose.y:.1f}, {1e3 * pose.z:.1f}) mm, "
+            f"roll {math.degrees(pose.roll):.1f}°"
+        )
+
+    def _dock(self, printer: PhasePrinter) -> Outcome:
+        from deltacharger_bringup.client import ClientError
+
+        def on_progress(progress: Any) -> None:
+            self._recorder.on_progress(progress)
+            printer(progress)
+
+        try:
+            return self._client.dock(
+                self._request, on_progress, self._interrupts.event, self._options.deadline_s, self._interrupts.impatient
+            )
+        except ClientError as error:
+            raise CommandError(str(error)) from error
+
+    def _undock(self) -> dict[str, Any]:
+        from deltacharger_bringup.client import ClientError
+
+        say("undocking, since this command ends the charger that it started")
+        try:
+            outcome = self._client.undock(on_progress=PhasePrinter(self._recorder.force), deadline=60.0)
+        except ClientError as error:
+            say(str(error))
+            return {"success": False, "error_message": str(error)}
+        if not outcome.success:
+            say(f"undock: failed, {outcome.error_code} {outcome.error_name}: {outcome.error_message}")
+        return outcome.as_dict()
+
+    def _draw(self) -> str | None:
+        if self._options.no_picture:
+            return None
+        from deltacharger_bringup.picture import PictureError, draw
+
+        path = Path(self._options.picture)
+        try:
+            draw(self._recorder.run, path)
+        except PictureError as error:
+            say(f"no picture: {error}")
+            return None
+        say(f"picture: {path}")
+        return str(path)
+
+    def _truth(self, more: dict[str, Any]) -> str:
+        """Add what really happened in an own simulated world; return why it was unsafe, or ''."""
+        if self._composition is None or self._composition.charger is None:
+            return ""
+        record = self._composition.charger.record()
+        more["simulation"] = record
+        if record.get("energised_shorts") or record.get("energised_unsafe"):
+            return "the simulated world saw a short or a lost clearance while energised: this docking has failed"
+        return ""
+
+
+def _summary(outcome: Outcome) -> str:
+    """Return the figures of a docking that worked, in one line."""
+    details = outcome.details
+    felt = details["misalignment"]
+    where = f"({1e3 * felt['horizontal']:.1f}, {1e3 * felt['vertical']:.1f}) mm and {math.degrees(felt['angle']):.1f}°"
+    return (
+        f"charge {details['charge_current']:.2f} A, {details['energy']:.0f} J; "
+        f"contact {details['contact_current']:.3f} A, {details['contact_force']:.1f} N; "
+        f"{details['alignments']} alignments, rest {where}"
+    )

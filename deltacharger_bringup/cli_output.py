@@ -1,0 +1,78 @@
+"""What all commands share: exit codes, where text goes, and signals as events."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import threading
+from types import FrameType, TracebackType
+from typing import Any
+
+from deltacharger_bringup.outcomes import json_ready
+
+DONE, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+class CommandError(Exception):
+    """A command ends with a message and an exit code.
+
+    Args:
+        message: what is wrong and what to do.
+        exit_code: FAILED or WRONG_INPUT.
+        details: more for the JSON object.
+    """
+
+    def __init__(self, message: str, exit_code: int = FAILED, **details: Any) -> None:
+        self.exit_code = exit_code
+        self.details = details
+        super().__init__(message)
+
+
+def say(text: str) -> None:
+    """Write a line for people, to stderr."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def write_json(value: dict[str, Any]) -> None:
+    """Write the command's one JSON object to stdout; NaN and infinity become null."""
+    print(json.dumps(json_ready(value), ensure_ascii=False), flush=True)
+
+
+class Interrupts:
+    """SIGINT and SIGTERM as an event, so that a command ends in its own order. A second signal ends its waits at once.
+
+    Attributes:
+        event: set by the first signal.
+        impatient: set by the second.
+        number: the first signal; 0 = none.
+    """
+
+    def __init__(self) -> None:
+        self.event = threading.Event()
+        self.impatient = threading.Event()
+        self.number = 0
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Interrupts:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def exit_code(self, otherwise: int) -> int:
+        """Return the exit code of a server that was asked to end: 130 after SIGINT, 0 after SIGTERM."""
+        if self.number == signal.SIGINT:
+            return INTERRUPTED
+        return DONE if self.number == signal.SIGTERM else otherwise
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self.event.is_set():
+            self.impatient.set()
+        self.number = self.number or number
+        self.event.set()

@@ -1,0 +1,31 @@
+"""The environment that the executables of a venv need, set by themselves where the user has set nothing."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+SIMULATION_DOMAIN = 76
+"""ROS_DOMAIN_ID of simulated scenes where the user has chosen none: no robot on the default domain 0 hears them."""
+
+
+def prepare() -> None:
+    """Let ROS find this installation; call before the first import of rclpy."""
+    prefix = Path(sys.prefix)
+    if not os.environ.get("AMENT_PREFIX_PATH") and (prefix / "share" / "ament_index").is_dir():
+        os.environ["AMENT_PREFIX_PATH"] = str(prefix)
+
+
+def isolate() -> None:
+    """Keep a simulated scene's traffic on this machine and away from robots, unless the user chose otherwise."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(SIMULATION_DOMAIN))
+
+
+def domain() -> int:
+    """Return the ROS domain that nodes of this process join."""
+    try:
+        return int(os.environ.get("ROS_DOMAIN_ID", "") or 0)
+    except ValueError:
+        return 0

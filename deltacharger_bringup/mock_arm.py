@@ -1,0 +1,135 @@
+"""The arm of the mock nodes: three first-order servos on the real geometry and one springy wall to press on.
+
+It is deliberately small: servos are spring and damper with a torque bound, the target is a plane with friction, and the
+magnets are felt only by friction, not along z. The simulated charger (deltacharger_sim) is the honest model; this one
+serves where nodes, not physics, are under test.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
+
+Vector = tuple[float, float, float]
+
+_STEP = 0.002  # s; the stiffest motion (contact, all three servos) decays in 9 ms, so explicit steps stay stable
+
+
+@dataclass(frozen=True)
+class MockTarget:
+    """The plane on which the arm presses and the pose of the electrodes in it.
+
+    Attributes:
+        x: m, y: m, z: m, midpoint of the electrodes in charger_base; z is where contact begins.
+        angle: rad about +z.
+        stiffness: N/m of the contact.
+        friction: coefficient.
+        grip: N, normal force of the magnets as friction feels it.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.080
+    angle: float = 0.0
+    stiffness: float = 2e4
+    friction: float = 0.3
+    grip: float = 60.0
+
+
+class MockArm:
+    """Three servos that follow their goals and a platform that presses on a `MockTarget`.
+
+    Args:
+        target: what there is to press on.
+        stiffness: N·m/rad of a servo's position loop.
+        damping: N·m·s/rad of a servo.
+        position: m, where the platform starts, charger_base.
+
+    Attributes:
+        angles: rad, measured.
+        goals: rad.
+        bounds: A, largest current of each servo.
+        torque_enabled: per servo; one without torque stays where it is (its gear holds it).
+        jammed: nothing moves, as when the magnets do not let go.
+    """
+
+    def __init__(
+        self,
+        target: MockTarget,
+        stiffness: float = 15.0,
+        damping: float = 0.91,
+        position: Vector = (0.0, 0.0, 0.0),
+    ) -> None:
+        self.target = target
+        self._delta = ScalarDelta()
+        self._stiffness = stiffness
+        self._damping = damping
+        self.angles = list(self._delta.inverse(*position))
+        self.goals = list(self.angles)
+        self.bounds = [0.83, 0.83, 0.83]
+        self.torque_enabled = [False, False, False]
+        self.jammed = False
+        self._velocity = [0.0, 0.0, 0.0]
+        self._anchor: tuple[float, float] | None = None
+        self._torque = [0.0, 0.0, 0.0]
+
+    @property
+    def position(self) -> Vector:
+        """Platform position, m in charger_base."""
+        return self._delta.forward(*self.angles)
+
+    @property
+    def velocities(self) -> list[float]:
+        """rad/s of each servo."""
+        return list(self._velocity)
+
+    @property
+    def currents(self) -> list[float]:
+        """A of each servo, signed: torque over torque constant."""
+        return [torque / TORQUE_CONSTANT for torque in self._torque]
+
+    def advance(self, duration: float) -> None:
+        """Let `duration` (s) pass."""
+        steps = max(1, math.ceil(duration / _STEP))
+        for _ in range(steps):
+            self._step(duration / steps)
+
+    def _step(self, dt: float) -> None:
+        position = self.position
+        held = self._delta.holding_torque(*position, GRAVITY)
+        pressed = self._delta.torque(*position, self._contact_force(position))
+        before = list(self.angles)
+        for index, (hold, press) in enumerate(zip(held, pressed, strict=True)):
+            if not self.torque_enabled[index]:
+                self._torque[index] = 0.0
+                continue
+            bound = self.bounds[index] * TORQUE_CONSTANT
+            wanted = self._stiffness * (self.goals[index] - self.angles[index])
+            self._torque[index] = min(max(wanted, -bound), bound)
+            if not self.jammed:
+                self.angles[index] += dt * (self._torque[index] - hold - press) / self._damping
+        if not math.isfinite(self.position[0]):
+            self.angles = before  # the rods' end stop
+        self._velocity = [(now - was) / dt for now, was in zip(self.angles, before, strict=True)]
+
+    def _contact_force(self, position: Vector) -> Vector:
+        """Return what the platform exerts on the target (N); friction is a spring that slides at its cone."""
+        x, y, z = position
+        depth = z - self.target.z
+        if depth <= 0.0:
+            self._anchor = None
+            return 0.0, 0.0, 0.0
+        if self._anchor is None:
+            self._anchor = (x, y)
+        normal = self.target.stiffness * depth
+        fx = self.target.stiffness * (x - self._anchor[0])
+        fy = self.target.stiffness * (y - self._anchor[1])
+        limit = self.target.friction * (normal + self.target.grip)
+        size = math.hypot(fx, fy)
+        if size > limit:
+            fx, fy = fx * limit / size, fy * limit / size
+            self._anchor = (x - fx / self.target.stiffness, y - fy / self.target.stiffness)
+        return fx, fy, normal

@@ -1,0 +1,108 @@
+"""What a client asks of the charger and what it learns, as plain data without ROS types."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Midpoint of the target's electrodes: position (m) and roll about z (rad) in the frame `frame_id`."""
+
+    x: float
+    y: float
+    z: float
+    roll: float = 0.0
+    frame_id: str = "charger_base"
+
+
+@dataclass(frozen=True)
+class DockRequest:
+    """A Dock goal.
+
+    Attributes:
+        electrodes: where the electrodes are; None asks the camera.
+        critical_angle: rad; 0 leaves it to the charger, which only accepts a lower one.
+        start_charging: False ends at aligned contact.
+        hold: keep the goal until a stop condition or a cancel.
+        stop_energy: J to deliver, 0 = no limit.
+        stop_after: s of charging, 0 = no limit.
+        request_id: returned in docking_state.
+    """
+
+    electrodes: Pose | None = None
+    critical_angle: float = 0.0
+    start_charging: bool = True
+    hold: bool = False
+    stop_energy: float = 0.0
+    stop_after: float = 0.0
+    request_id: str = ""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One feedback message of an action.
+
+    Attributes:
+        time: s since the goal was sent.
+        phase: name of the state, lower case.
+        z: m, measured, charger_base; NaN = not measured.
+        contact_current: A per servo; NaN = not measured.
+        charge_current: A into the target; NaN = not measured or not reported.
+        alignments: lateral corrections so far.
+        horizontal: m, vertical: m, angle: rad, the last estimate; NaN = none yet.
+    """
+
+    time: float
+    phase: str
+    z: float = math.nan
+    contact_current: float = math.nan
+    charge_current: float = math.nan
+    alignments: int = 0
+    horizontal: float = math.nan
+    vertical: float = math.nan
+    angle: float = math.nan
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How an action ended.
+
+    Attributes:
+        action: "dock" or "undock".
+        success: whether it did what was asked.
+        error_code: 0 or a code of Dock.Result; error_name: its name.
+        error_message: what failed and what to do.
+        retriable: the same goal may succeed if sent again.
+        elapsed: s that the charger worked on it.
+        details: the result's other fields by name, SI units, NaN = not measured.
+    """
+
+    action: str
+    success: bool
+    error_code: int
+    error_name: str
+    error_message: str
+    retriable: bool
+    elapsed: float
+    details: dict[str, Any] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return one flat, JSON-ready mapping; NaN and infinity become None."""
+        plain = asdict(self)
+        details = plain.pop("details")
+        flat: dict[str, Any] = json_ready({**plain, **details})
+        return flat
+
+
+def json_ready(value: Any) -> Any:
+    """Return `value` with every NaN and infinity replaced by None, which JSON can carry."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(key): json_ready(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_ready(item) for item in value]
+    return value

@@ -1,0 +1,141 @@
+"""A scene's simulated hardware: one world behind emulated servos and an emulated board, each on a pseudo-terminal.
+
+What opens the two ports cannot tell them from the robot's. Nothing here knows ROS.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import threading
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from deltacharger_bringup.scene import Scene
+from deltacharger_bringup.scene_faults import FaultSchedule, Hardware
+from deltacharger_driver.board_emulator import BoardEmulator
+from deltacharger_driver.pseudo_terminal import ByteDevice, PseudoTerminal
+from deltacharger_driver.servo_emulator import ServoBusEmulator
+from deltacharger_sim.shared_world import SharedWorld
+from deltacharger_sim.world import World
+from deltacharger_tactile.source import ContactSource
+
+
+class SimulatedCharger:
+    """Serve the emulated servo bus and board of a scene until stopped.
+
+    Args:
+        scene: one with the key `simulation`.
+        directory: where the ports appear, as `servo` and `board`; None makes a temporary one and removes it again.
+
+    Attributes:
+        servo_port: path of the servo bus.
+        board_port: path of the board.
+
+    Raises:
+        ValueError: the scene is not a simulated one.
+    """
+
+    def __init__(self, scene: Scene, directory: Path | None = None) -> None:
+        if scene.simulation is None:
+            raise ValueError(f"scene '{scene.name}' has no key 'simulation': there is nothing to simulate")
+        self._simulation = scene.simulation
+        self._directory = directory
+        self._temporary: Path | None = None
+        self._terminals: list[PseudoTerminal] = []
+        self._taps: list[_Tap] = []
+        self._faults: FaultSchedule | None = None
+        self.servo_port = ""
+        self.board_port = ""
+        self.world = _build_world(scene)
+
+    def start(self) -> SimulatedCharger:
+        """Open both ports."""
+        folder = self._directory
+        if folder is None:
+            folder = self._temporary = Path(tempfile.mkdtemp(prefix="deltacharger-"))
+        plant = SharedWorld(self.world)
+        servos = ServoBusEmulator(plant, seed=self._simulation.seed)
+        board = BoardEmulator(plant, seed=self._simulation.seed)
+        try:
+            self.servo_port = self._serve(servos, folder / "servo")
+            self.board_port = self._serve(board, folder / "board")
+            hardware = Hardware(servos, board, *self._terminals)
+            self._faults = FaultSchedule(self._simulation.faults, hardware, time.monotonic)
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def stop(self) -> None:
+        """Close both ports, as if the cables were pulled. Safe to call twice."""
+        if self._faults is not None:
+            self._faults.close()
+            self._faults = None
+        for terminal in reversed(self._terminals):
+            terminal.stop()
+        self._terminals = []
+        if self._temporary is not None:
+            shutil.rmtree(self._temporary, ignore_errors=True)
+            self._temporary = None
+
+    def __enter__(self) -> SimulatedCharger:
+        return self.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def errors(self) -> list[BaseException]:
+        """Return what broke an emulator's thread; empty when both serve."""
+        return [terminal.error for terminal in self._terminals if terminal.error is not None]
+
+    def record(self) -> dict[str, Any]:
+        """Return what really happened in the world; for reports and tests, never for the docking itself."""
+        return self.world.record.as_dict()
+
+    def wait_until_quiet(self, quiet: float, timeout: float, hurry: threading.Event) -> bool:
+        """Wait until no host has sent a byte for `quiet` (s), at most `timeout` (s) or until `hurry` is set."""
+        deadline = time.monotonic() + timeout
+        while True:
+            silence = time.monotonic() - max((tap.last for tap in self._taps), default=0.0)
+            if silence >= quiet:
+                return True
+            left = min(quiet - silence, deadline - time.monotonic())
+            if left <= 0.0 or hurry.wait(left):
+                return False
+
+    def _serve(self, device: ByteDevice, link: Path) -> str:
+        tap = _Tap(device)
+        terminal = PseudoTerminal(tap, link).start()
+        self._taps.append(tap)
+        self._terminals.append(terminal)
+        return terminal.path
+
+
+class _Tap:
+    """A device that remembers when its host last sent something."""
+
+    def __init__(self, device: ByteDevice) -> None:
+        self._device = device
+        self.last = 0.0
+
+    def receive(self, data: bytes, now: float) -> bytes:
+        self.last = now
+        return self._device.receive(data, now)
+
+    def poll(self, now: float) -> bytes:
+        return self._device.poll(now)
+
+    def next_event(self, now: float) -> float:
+        return self._device.next_event(now)
+
+
+def _build_world(scene: Scene) -> World:
+    simulation = scene.simulation
+    assert simulation is not None
+    source = ContactSource(None, simulation.rig_seed, simulation.seed)
+    return World(simulation.world, source, simulation.seed)

@@ -1,0 +1,227 @@
+"""What packets of the board link carry, as values and as bytes (docs/board-link.md). Pure functions."""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .board_protocol import (
+    COLUMNS,
+    FULL_SCALE,
+    ROWS,
+    SHORT_RESISTANCE,
+    TAXELS,
+    PacketError,
+    PacketType,
+    SampleFormat,
+)
+
+_POWER = struct.Struct("<fffBBH")
+_HELLO = struct.Struct("<BBBBIf")
+_ACK = struct.Struct("<BBH")
+_PROBE = struct.Struct("<ff")
+_RATE = struct.Struct("<f")
+_SAMPLE_BYTES = {SampleFormat.U8: 200, SampleFormat.U12: 300, SampleFormat.U16: 400}
+
+Taxels = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Power:
+    """Payload of a POWER packet: V, V, A (NaN = not measured), contactor and fault."""
+
+    battery_voltage: float
+    target_voltage: float
+    charge_current: float
+    contactor_closed: bool
+    fault: int
+
+
+@dataclass(frozen=True)
+class Hello:
+    """Payload of the board's HELLO packet; `rate` in Hz."""
+
+    major: int
+    minor: int
+    rows: int
+    columns: int
+    boot_id: int
+    rate: float
+
+
+@dataclass(frozen=True)
+class Ack:
+    """Payload of an ACK packet: which packet it answers, how, and what the answer carries."""
+
+    type: int
+    error: int
+    sequence: int
+    data: bytes = b""
+
+
+def encode_samples(left: npt.ArrayLike, right: npt.ArrayLike, sample_format: SampleFormat) -> bytes:
+    """Write both pads' forces as the payload of a TACTILE packet.
+
+    Args:
+        left: (10, 10) or (100,) N, row-major from the top row; NaN = dead. Clipped to 0…10 N.
+        right: the same for the other pad.
+        sample_format: U8, U12 or U16.
+
+    Returns:
+        200, 300 or 400 bytes.
+    """
+    forces = np.concatenate((np.ravel(left), np.ravel(right)))
+    if forces.size != 2 * TAXELS:
+        raise ValueError(f"{forces.size} forces; both pads together have {2 * TAXELS}")
+    top = sample_format.top
+    with np.errstate(invalid="ignore"):
+        scaled = np.rint(np.clip(forces, 0.0, FULL_SCALE) * ((top - 1) / FULL_SCALE))
+    codes = np.where(np.isnan(scaled), top, scaled).astype(np.uint16)
+    if sample_format is SampleFormat.U8:
+        return codes.astype(np.uint8).tobytes()
+    if sample_format is SampleFormat.U16:
+        return codes.astype("<u2").tobytes()
+    first, second = codes[0::2], codes[1::2]
+    packed = np.empty((TAXELS, 3), np.uint8)
+    packed[:, 0] = first & 255
+    packed[:, 1] = first >> 8 | (second & 15) << 4
+    packed[:, 2] = second >> 4
+    return packed.tobytes()
+
+
+def decode_samples(payload: bytes, sample_format: int) -> tuple[Taxels, Taxels]:
+    """Read the payload of a TACTILE packet.
+
+    Returns:
+        Left and right, each (10, 10) N, row-major from the top row, NaN = dead.
+
+    Raises:
+        PacketError: unknown format, or a length that does not belong to it.
+    """
+    expected = _SAMPLE_BYTES.get(sample_format)  # type: ignore[call-overload]
+    if expected is None:
+        raise PacketError(PacketType.TACTILE, f"sample format {sample_format} is not known")
+    if len(payload) != expected:
+        raise PacketError(PacketType.TACTILE, f"{len(payload)} bytes of samples instead of {expected}")
+    if sample_format == SampleFormat.U12:
+        packed = np.frombuffer(payload, np.uint8).reshape(TAXELS, 3).astype(np.uint16)
+        codes = np.empty(2 * TAXELS, np.uint16)
+        codes[0::2] = packed[:, 0] | (packed[:, 1] & 15) << 8
+        codes[1::2] = packed[:, 1] >> 4 | packed[:, 2] << 4
+    else:
+        codes = np.frombuffer(payload, np.uint8 if sample_format == SampleFormat.U8 else "<u2")
+    top = SampleFormat(sample_format).top
+    forces = codes.astype(np.float32) * np.float32(FULL_SCALE / (top - 1))
+    forces[codes == top] = np.nan
+    pads = forces.reshape(2, ROWS, COLUMNS)
+    return pads[0], pads[1]
+
+
+def encode_power(power: Power) -> bytes:
+    """Return the payload of a POWER packet."""
+    return _POWER.pack(
+        power.battery_voltage,
+        power.target_voltage,
+        power.charge_current,
+        power.contactor_closed,
+        power.fault,
+        0,
+    )
+
+
+def decode_power(payload: bytes) -> Power:
+    """Read the payload of a POWER packet.
+
+    Raises:
+        PacketError: wrong length.
+    """
+    battery, target, current, closed, fault, _ = _unpack(_POWER, payload, PacketType.POWER)
+    return Power(battery, target, current, closed != 0, fault)
+
+
+def encode_hello(hello: Hello) -> bytes:
+    """Return the payload of the board's HELLO packet."""
+    return _HELLO.pack(hello.major, hello.minor, hello.rows, hello.columns, hello.boot_id, hello.rate)
+
+
+def decode_hello(payload: bytes) -> Hello:
+    """Read the payload of the board's HELLO packet.
+
+    Raises:
+        PacketError: wrong length.
+    """
+    return Hello(*_unpack(_HELLO, payload, PacketType.HELLO))
+
+
+def encode_ack(ack: Ack) -> bytes:
+    """Return the payload of an ACK packet."""
+    return _ACK.pack(ack.type, ack.error, ack.sequence) + ack.data
+
+
+def decode_ack(payload: bytes) -> Ack:
+    """Read the payload of an ACK packet.
+
+    Raises:
+        PacketError: too short.
+    """
+    kind, error, sequence = _unpack(_ACK, payload[: _ACK.size], PacketType.ACK)
+    return Ack(kind, error, sequence, payload[_ACK.size :])
+
+
+def encode_probe(resistance: float, target_voltage: float) -> bytes:
+    """Return what the ACK of a PROBE carries: ohm (inf = open circuit) and V."""
+    return _PROBE.pack(resistance, target_voltage)
+
+
+def decode_probe(data: bytes) -> tuple[float, float]:
+    """Read what the ACK of a PROBE carries.
+
+    Raises:
+        PacketError: wrong length.
+    """
+    resistance, voltage = _unpack(_PROBE, data, PacketType.PROBE)
+    return resistance, voltage
+
+
+def encode_rate(rate: float) -> bytes:
+    """Return the payload of a RATE packet: Hz."""
+    return _RATE.pack(rate)
+
+
+def decode_rate(payload: bytes) -> float:
+    """Read the payload of a RATE packet.
+
+    Raises:
+        PacketError: wrong length.
+    """
+    (rate,) = _unpack(_RATE, payload, PacketType.RATE)
+    return float(rate)
+
+
+def _unpack(layout: struct.Struct, data: bytes, type: PacketType) -> tuple[Any, ...]:
+    if len(data) != layout.size:
+        raise PacketError(type, f"{len(data)} bytes instead of {layout.size}")
+    return layout.unpack(data)
+
+
+def probe_problem(resistance: float, target_voltage: float) -> str:
+    """Say why a probe's result forbids closing the contactor; empty where it does not.
+
+    Args:
+        resistance: ohm between the electrodes, inf = open circuit.
+        target_voltage: V, negative = reversed.
+    """
+    if math.isnan(resistance) or math.isnan(target_voltage):
+        return "the probe measured nothing; check its wiring"
+    if target_voltage < 0.0:
+        return f"reversed polarity: the target shows {target_voltage:.2f} V; swap its terminals"
+    if resistance < SHORT_RESISTANCE:
+        return f"short circuit: {resistance:.3g} ohm between the electrodes; dock again"
+    if math.isinf(resistance):
+        return "open circuit: the electrodes do not touch the target's; dock again"
+    return ""

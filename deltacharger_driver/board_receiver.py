@@ -1,0 +1,147 @@
+"""What arrives from the board, made sense of: on the host's clock, numbered for good, reboots noticed."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+
+from .board_payloads import Hello, decode_ack, decode_hello, decode_power, decode_samples
+from .board_protocol import FLAG_OVERRUN, FLAG_TARED, Packet, PacketError, PacketType
+from .board_requests import Requests
+from .board_samples import LinkCounters, PowerSample, TactileSample
+from .device_clock import DeviceClock, SequenceUnwrapper
+
+_log = logging.getLogger(__name__)
+_CLOCK_STEP_BACK = 0.5  # s; a device clock that falls further has restarted
+
+
+class BoardReceiver:
+    """The state of the receiving side, over all connections of one link. Used by one thread at a time.
+
+    Attributes:
+        hello: the board's last introduction.
+        counters: of the whole link; its owner counts what it sends.
+
+    Args:
+        requests: who waits for answers.
+        on_tactile: called with every frame.
+        on_power: called with every reading of the power stage.
+        on_boot: called when the board has rebooted.
+    """
+
+    def __init__(
+        self,
+        requests: Requests,
+        on_tactile: Callable[[TactileSample], None] | None,
+        on_power: Callable[[PowerSample], None] | None,
+        on_boot: Callable[[], None],
+    ) -> None:
+        self._requests = requests
+        self._on_tactile = on_tactile
+        self._on_power = on_power
+        self._on_boot = on_boot
+        self._device_clock = DeviceClock()
+        self._tactile_sequence = SequenceUnwrapper()
+        self._power_sequence = SequenceUnwrapper()
+        self._latest_device_time = 0.0
+        self._boot_id: int | None = None
+        self.hello: Hello | None = None
+        self.counters = LinkCounters()
+
+    @property
+    def drift(self) -> float:
+        """Drift of the board's clock against the host's, s/s."""
+        return self._device_clock.drift
+
+    def snapshot(self) -> LinkCounters:
+        """Return a copy of the counters."""
+        return replace(
+            self.counters,
+            lost_tactile=self._tactile_sequence.lost,
+            lost_power=self._power_sequence.lost,
+            duplicates=self._tactile_sequence.duplicates + self._power_sequence.duplicates,
+        )
+
+    def take(self, packet: Packet, received: float) -> None:
+        """Interpret one packet that arrived at `received` (s, monotonic)."""
+        try:
+            kind = PacketType(packet.type)
+            handler = _HANDLERS[kind]
+        except (ValueError, KeyError):
+            self.counters.unknown_types += 1
+            _log.debug("dropped a packet of type %d", packet.type)
+            return
+        try:
+            if kind is PacketType.HELLO:
+                self._notice_boot_id(decode_hello(packet.payload))
+            device_time = packet.device_time_us * 1e-6
+            if device_time < self._latest_device_time - _CLOCK_STEP_BACK:
+                self._boot_id = None  # its HELLO was lost; the next one tells the new number
+                self._reboot()
+            self._latest_device_time = max(self._latest_device_time, device_time)
+            when = self._device_clock.update(device_time, received)
+            handler(self, packet, when, received)
+        except PacketError as error:
+            self.counters.bad_payloads += 1
+            _log.debug("dropped: %s", error)
+
+    def _notice_boot_id(self, hello: Hello) -> None:
+        known, self._boot_id = self._boot_id, hello.boot_id
+        if known is not None and known != hello.boot_id:
+            self._reboot()
+
+    def _reboot(self) -> None:
+        self.counters.reboots += 1
+        self._latest_device_time = 0.0
+        self._device_clock.reset()
+        self._tactile_sequence.reboot()
+        self._power_sequence.reboot()
+        self._requests.rebooted()
+        self._call(self._on_boot)
+
+    def _take_tactile(self, packet: Packet, when: float, received: float) -> None:
+        left, right = decode_samples(packet.payload, packet.format)
+        sequence = self._tactile_sequence.update(packet.sequence)
+        if sequence is None:
+            return
+        self.counters.tactile += 1
+        tared, overrun = bool(packet.flags & FLAG_TARED), bool(packet.flags & FLAG_OVERRUN)
+        sample = TactileSample(when, sequence, packet.device_time_us, left, right, tared, overrun)
+        self._call(self._on_tactile, sample)
+
+    def _take_power(self, packet: Packet, when: float, received: float) -> None:
+        power = decode_power(packet.payload)
+        if self._power_sequence.update(packet.sequence) is None:
+            return
+        self.counters.power += 1
+        self._call(self._on_power, PowerSample(when, power))
+
+    def _take_hello(self, packet: Packet, when: float, received: float) -> None:
+        self.hello = decode_hello(packet.payload)
+
+    def _take_ack(self, packet: Packet, when: float, received: float) -> None:
+        self._requests.acknowledge(decode_ack(packet.payload), received)
+
+    def _take_ping(self, packet: Packet, when: float, received: float) -> None:
+        self._requests.ping_returned(packet.payload, received)
+
+    def _call(self, callback: Callable[..., None] | None, *arguments: object) -> None:
+        """Run a callback; its failure must not end the link, so it is counted and told once."""
+        if callback is None:
+            return
+        try:
+            callback(*arguments)
+        except Exception:
+            self.counters.callback_errors += 1
+            if self.counters.callback_errors == 1:
+                _log.exception("a callback of the board link failed; further failures are only counted")
+
+
+_HANDLERS: dict[PacketType, Callable[[BoardReceiver, Packet, float, float], None]] = {
+    PacketType.TACTILE: BoardReceiver._take_tactile,
+    PacketType.POWER: BoardReceiver._take_power,
+    PacketType.HELLO: BoardReceiver._take_hello,
+    PacketType.ACK: BoardReceiver._take_ack,
+    PacketType.PING: BoardReceiver._take_ping,
+}

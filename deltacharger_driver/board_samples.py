@@ -1,0 +1,65 @@
+"""What the board link hands out: samplings on the host's clock, results and counters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .board_payloads import Power, Taxels
+
+
+@dataclass(frozen=True)
+class TactileSample:
+    """One sampling of both pads.
+
+    Attributes:
+        time: sampling instant, s on the host's monotonic clock.
+        sequence: unwrapped, rising over a reboot; gaps are lost frames.
+        device_time_us: us on the board's clock at the sampling instant.
+        left: (10, 10) N, float32, row 0 at +y, column 0 at +x of end_effector; NaN = dead. The pad at +x.
+        right: the same for the pad at -x.
+        tared: the board subtracts a tare.
+        overrun: the board lost samplings before this one.
+    """
+
+    time: float
+    sequence: int
+    device_time_us: int
+    left: Taxels
+    right: Taxels
+    tared: bool
+    overrun: bool
+
+
+@dataclass(frozen=True)
+class PowerSample:
+    """The power stage at `time`, s on the host's monotonic clock."""
+
+    time: float
+    power: Power
+
+
+@dataclass(frozen=True)
+class ProbeResult:
+    """A probe: ohm (inf = open circuit), V (negative = reversed), and when it was measured (s, monotonic)."""
+
+    resistance: float
+    target_voltage: float
+    time: float
+
+
+@dataclass
+class LinkCounters:
+    """What the link met so far. Every number only rises."""
+
+    tactile: int = 0
+    power: int = 0
+    lost_tactile: int = 0
+    lost_power: int = 0
+    duplicates: int = 0
+    unknown_types: int = 0
+    bad_payloads: int = 0
+    reboots: int = 0
+    retries: int = 0
+    unanswered: int = 0
+    heartbeats: int = 0
+    callback_errors: int = 0

@@ -1,0 +1,256 @@
+"""The MX-64 servo with Protocol 2.0 firmware (model 311): its registers as data, its units as pure functions.
+
+Addresses, sizes, defaults and units are those of the vendor's e-manual for MX-64(2.0).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from .errors import RangeError
+
+MODEL = 311
+"""Model number of an MX-64 whose firmware speaks Protocol 2.0."""
+MODEL_PROTOCOL_1 = 310
+"""Model number of the same servo with Protocol 1.0 firmware: other registers, no sync read, no current in mode 5."""
+
+TICKS_PER_TURN = 4096
+TICK = 2.0 * math.pi / TICKS_PER_TURN  # rad
+CURRENT_UNIT = 3.36e-3  # A
+VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0  # rad/s
+ACCELERATION_UNIT = 214.577 * 2.0 * math.pi / 3600.0  # rad/s², of 214.577 rev/min²
+VOLTAGE_UNIT = 0.1  # V
+RETURN_DELAY_UNIT = 2e-6  # s
+WATCHDOG_UNIT = 0.02  # s
+WATCHDOG_TRIPPED = 255  # −1 in one byte
+TORQUE_CONSTANT = 6.0 / 4.1  # N·m/A, stall torque over stall current at 12 V
+EXTENDED_TICKS = 1_048_575
+"""Largest goal position of modes 4 and 5, ± 256 turns."""
+
+MODE_CURRENT, MODE_VELOCITY, MODE_POSITION, MODE_EXTENDED, MODE_CURRENT_POSITION, MODE_PWM = 0, 1, 3, 4, 5, 16
+
+SPEEDS = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000}
+"""Value of the baud register → bit/s; 7 (4.5 M) is not a speed that Linux names."""
+
+HARDWARE_ERRORS = {0: "input voltage", 2: "overheating", 3: "encoder", 4: "electrical shock", 5: "overload"}
+"""Bit of register hardware_error → what it means; only a reboot clears them."""
+
+STATUS_ERRORS = {
+    1: "could not process the instruction",
+    2: "does not know the instruction",
+    3: "received a bad checksum",
+    4: "value out of range, or goals locked by the bus watchdog",
+    5: "wrong number of bytes",
+    6: "value beyond its limit register",
+    7: "register is read-only or locked while torque is on",
+}
+"""Error number of a status packet → what it means."""
+ALERT = 0x80
+"""Bit of the same byte: a hardware error is latched."""
+
+
+@dataclass(frozen=True)
+class Register:
+    """One entry of the control table.
+
+    Attributes:
+        address: of the least significant byte.
+        size: bytes.
+        default: value after a factory reset (EEPROM) or a start (RAM).
+        writable: whether an instruction may write it.
+        signed: whether it is two's complement.
+        eeprom: kept without power, and locked while torque is on.
+        low: smallest value accepted.
+        high: largest value accepted.
+    """
+
+    address: int
+    size: int
+    default: int
+    writable: bool = True
+    signed: bool = False
+    eeprom: bool = False
+    low: int = 0
+    high: int = 0
+
+    def to_bytes(self, value: int) -> bytes:
+        """Return `value` as it stands on the wire.
+
+        Raises:
+            RangeError: the register cannot hold it.
+        """
+        bits = 8 * self.size
+        low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if self.signed else (0, (1 << bits) - 1)
+        if not low <= value <= high:
+            raise RangeError(f"register {self.address}", value, low, high)
+        return value.to_bytes(self.size, "little", signed=self.signed)
+
+    def from_bytes(self, data: bytes) -> int:
+        """Return the value of `size` bytes from the wire."""
+        return int.from_bytes(data, "little", signed=self.signed)
+
+
+def _eeprom(address: int, size: int, default: int, low: int, high: int, signed: bool = False) -> Register:
+    return Register(address, size, default, True, signed, True, low, high)
+
+
+def _ram(address: int, size: int, default: int, low: int, high: int, signed: bool = False) -> Register:
+    return Register(address, size, default, True, signed, False, low, high)
+
+
+def _fixed(address: int, size: int, default: int, signed: bool = False, eeprom: bool = False) -> Register:
+    return Register(address, size, default, False, signed, eeprom)
+
+
+REGISTERS: dict[str, Register] = {
+    "model": _fixed(0, 2, MODEL, eeprom=True),
+    "model_information": _fixed(2, 4, 0, eeprom=True),
+    "firmware": _fixed(6, 1, 45, eeprom=True),
+    "id": _eeprom(7, 1, 1, 0, 252),
+    "baud": _eeprom(8, 1, 1, 0, 7),
+    "return_delay": _eeprom(9, 1, 250, 0, 254),
+    "drive_mode": _eeprom(10, 1, 0, 0, 5),
+    "operating_mode": _eeprom(11, 1, 3, 0, 16),
+    "secondary_id": _eeprom(12, 1, 255, 0, 255),
+    "protocol": _eeprom(13, 1, 2, 1, 2),
+    "homing_offset": _eeprom(20, 4, 0, -1_044_479, 1_044_479, True),
+    "moving_threshold": _eeprom(24, 4, 10, 0, 1023),
+    "temperature_limit": _eeprom(31, 1, 80, 0, 100),
+    "max_voltage": _eeprom(32, 2, 160, 95, 160),
+    "min_voltage": _eeprom(34, 2, 95, 95, 160),
+    "pwm_limit": _eeprom(36, 2, 885, 0, 885),
+    "current_limit": _eeprom(38, 2, 1941, 0, 1941),
+    "acceleration_limit": _eeprom(40, 4, 32767, 0, 32767),
+    "velocity_limit": _eeprom(44, 4, 285, 0, 1023),
+    "max_position": _eeprom(48, 4, 4095, 0, 4095),
+    "min_position": _eeprom(52, 4, 0, 0, 4095),
+    "shutdown": _eeprom(63, 1, 52, 0, 61),
+    "torque_enable": _ram(64, 1, 0, 0, 1),
+    "led": _ram(65, 1, 0, 0, 1),
+    "status_return_level": _ram(68, 1, 2, 0, 2),
+    "registered": _fixed(69, 1, 0),
+    "hardware_error": _fixed(70, 1, 0),
+    "velocity_i_gain": _ram(76, 2, 1920, 0, 16383),
+    "velocity_p_gain": _ram(78, 2, 100, 0, 16383),
+    "position_d_gain": _ram(80, 2, 0, 0, 16383),
+    "position_i_gain": _ram(82, 2, 0, 0, 16383),
+    "position_p_gain": _ram(84, 2, 850, 0, 16383),
+    "feedforward_2_gain": _ram(88, 2, 0, 0, 16383),
+    "feedforward_1_gain": _ram(90, 2, 0, 0, 16383),
+    "bus_watchdog": _ram(98, 1, 0, 0, 127),
+    "goal_pwm": _ram(100, 2, 885, -885, 885, True),
+    "goal_current": _ram(102, 2, 1941, -1941, 1941, True),
+    "goal_velocity": _ram(104, 4, 0, -1023, 1023, True),
+    "profile_acceleration": _ram(108, 4, 0, 0, 32767),
+    "profile_velocity": _ram(112, 4, 0, 0, 32767),
+    "goal_position": _ram(116, 4, 0, -EXTENDED_TICKS, EXTENDED_TICKS, True),
+    "realtime_tick": _fixed(120, 2, 0),
+    "moving": _fixed(122, 1, 0),
+    "moving_status": _fixed(123, 1, 0),
+    "present_pwm": _fixed(124, 2, 0, True),
+    "present_current": _fixed(126, 2, 0, True),
+    "present_velocity": _fixed(128, 4, 0, True),
+    "present_position": _fixed(132, 4, 0, True),
+    "velocity_trajectory": _fixed(136, 4, 0, True),
+    "position_trajectory": _fixed(140, 4, 0, True),
+    "input_voltage": _fixed(144, 2, 0),
+    "temperature": _fixed(146, 1, 0),
+}
+"""The control table by name; the indirect registers are `indirect_address` and `indirect_data`."""
+
+INDIRECT_COUNT = 56
+
+
+def indirect_address(slot: int) -> int:
+    """Return where the two-byte address of indirect register `slot` (0–55) is kept.
+
+    Raises:
+        RangeError: there is no such slot.
+    """
+    if not 0 <= slot < INDIRECT_COUNT:
+        raise RangeError("indirect register", slot, 0, INDIRECT_COUNT - 1)
+    return 168 + 2 * slot if slot < 28 else 578 + 2 * (slot - 28)
+
+
+def indirect_data(slot: int) -> int:
+    """Return where the byte that indirect register `slot` (0–55) points to is read and written.
+
+    Raises:
+        RangeError: there is no such slot.
+    """
+    if not 0 <= slot < INDIRECT_COUNT:
+        raise RangeError("indirect register", slot, 0, INDIRECT_COUNT - 1)
+    return 224 + slot if slot < 28 else 634 + (slot - 28)
+
+
+def angle_to_ticks(angle: float, zero_ticks: int, direction: int) -> int:
+    """Return the encoder count of an arm angle: zero_ticks + direction · angle · 4096 / 2π, rounded.
+
+    Args:
+        angle: rad, from radially outward toward +z.
+        zero_ticks: count at angle 0.
+        direction: +1 or −1.
+
+    Raises:
+        RangeError: the goal register cannot hold it, or it is not finite.
+    """
+    limit = EXTENDED_TICKS * TICK
+    if not -limit <= angle <= limit:
+        raise RangeError("angle", angle, -limit, limit, " rad")
+    return zero_ticks + direction * round(angle / TICK)
+
+
+def ticks_to_angle(ticks: int, zero_ticks: int, direction: int) -> float:
+    """Return the arm angle, rad, of an encoder count: direction · (ticks − zero_ticks) · 2π / 4096."""
+    return direction * (ticks - zero_ticks) * TICK
+
+
+def current_to_counts(current: float) -> int:
+    """Return a current, A, in counts of 3.36 mA, rounded toward zero so that a bound is never exceeded.
+
+    Raises:
+        RangeError: beyond what the registers accept, or not finite.
+    """
+    limit = REGISTERS["current_limit"].high * CURRENT_UNIT
+    if not -limit <= current <= limit:
+        raise RangeError("current", current, -limit, limit, " A")
+    return int(current / CURRENT_UNIT + math.copysign(1e-9, current))
+
+
+def counts_to_current(counts: int) -> float:
+    """Return the current, A, of counts of 3.36 mA."""
+    return counts * CURRENT_UNIT
+
+
+def velocity_to_counts(velocity: float) -> int:
+    """Return a velocity, rad/s, in counts of 0.229 rev/min, rounded.
+
+    Raises:
+        RangeError: beyond what four bytes hold, or not finite.
+    """
+    limit = (1 << 31) * VELOCITY_UNIT * 0.999
+    if not -limit <= velocity <= limit:
+        raise RangeError("velocity", velocity, -limit, limit, " rad/s")
+    return round(velocity / VELOCITY_UNIT)
+
+
+def counts_to_velocity(counts: int) -> float:
+    """Return the velocity, rad/s, of counts of 0.229 rev/min."""
+    return counts * VELOCITY_UNIT
+
+
+def describe_hardware_error(bits: int) -> str:
+    """Return the names of the latched hardware errors in `bits`, empty where none is."""
+    names = [name for bit, name in HARDWARE_ERRORS.items() if bits >> bit & 1]
+    unknown = bits & ~sum(1 << bit for bit in HARDWARE_ERRORS)
+    return ", ".join(names + ([f"unknown bits {unknown:#04x}"] if unknown else []))
+
+
+def describe_status_error(code: int) -> str:
+    """Return what the error byte of a status packet says, empty where it says nothing."""
+    number = code & ~ALERT
+    text = STATUS_ERRORS.get(number, f"unknown error {number}") if number else ""
+    if code & ALERT:
+        text = f"{text}, hardware error latched" if text else "hardware error latched"
+    return text

@@ -1,0 +1,375 @@
+"""The servos of the arm as one device: a snapshot per cycle, goals with current bounds, torque, reboot."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import struct
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from .errors import CorruptReply, DriverError, NoAnswer, RangeError, ServoFault
+from .mx64 import (
+    CURRENT_UNIT,
+    REGISTERS,
+    VELOCITY_UNIT,
+    VOLTAGE_UNIT,
+    WATCHDOG_UNIT,
+    angle_to_ticks,
+    current_to_counts,
+    describe_hardware_error,
+    ticks_to_angle,
+)
+from .servo_link import ServoLink
+from .servo_port import REPLY_MARGIN, LinkCounters
+from .servo_setup import (
+    READ_ADDRESS,
+    READ_LENGTH,
+    WATCHDOG,
+    WRITE_ADDRESS,
+    WRITE_LENGTH,
+    configure,
+    identify,
+    restart_watchdog,
+    watchdog_tripped,
+)
+
+MISSING_AFTER = 3
+"""Cycles without a good reply after which a servo counts as missing."""
+_RETRY_EVERY = 25  # cycles between two questions to a missing servo: waiting for it must not slow the others
+_WATCHDOG_EVERY = 100  # cycles between two looks at one servo's watchdog where nothing gave cause to look
+_READ_LAYOUT = struct.Struct("<BBhiiHB")
+_WRITE_LAYOUT = struct.Struct("<hi")
+_NAN = math.nan
+
+
+@dataclass(frozen=True)
+class BusSettings:
+    """How the arm's servos are wired and mounted.
+
+    Attributes:
+        port: path of the serial port.
+        baud_rate: bit/s.
+        ids: of the servos of limbs 0, 1, 2.
+        zero_ticks: encoder count at angle 0, per servo.
+        direction: +1 or −1 per servo: whether the count rises with the angle.
+        watchdog: units of 20 ms, 1–6.
+        reply_margin: s, see `servo_port.REPLY_MARGIN`.
+    """
+
+    port: str
+    baud_rate: int = 1_000_000
+    ids: tuple[int, ...] = (1, 2, 3)
+    zero_ticks: tuple[int, ...] = (2048, 2048, 2048)
+    direction: tuple[int, ...] = (1, 1, 1)
+    watchdog: int = WATCHDOG
+    reply_margin: float = REPLY_MARGIN
+
+    def __post_init__(self) -> None:
+        count = len(self.ids)
+        if not count == len(set(self.ids)) == len(self.zero_ticks) == len(self.direction):
+            raise DriverError(
+                f"ids {self.ids}, zero_ticks {self.zero_ticks} and direction {self.direction} must have one value per "
+                "servo, and no id twice"
+            )
+        if any(sign not in (1, -1) for sign in self.direction):
+            raise DriverError(f"direction {self.direction}: each value is 1 or -1")
+        if not 1 <= self.watchdog <= WATCHDOG:
+            raise RangeError("watchdog", self.watchdog, 1, WATCHDOG, " × 20 ms")
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The servos in one cycle, in the order of the ids. What was not measured is NaN, never 0.
+
+    Attributes:
+        time: when the replies had arrived, s, monotonic.
+        valid: a good reply came in this cycle.
+        angle: rad.
+        velocity: rad/s.
+        current: A, positive is torque toward +angle.
+        voltage: V.
+        temperature: °C.
+        hardware_error: latched error bits; the last known.
+        torque_enabled: the last known.
+        rebooted: the servo answers but has lost its set-up; call `ServoBus.configure`.
+        missed: cycles since the last good reply.
+    """
+
+    time: float
+    valid: tuple[bool, ...]
+    angle: tuple[float, ...]
+    velocity: tuple[float, ...]
+    current: tuple[float, ...]
+    voltage: tuple[float, ...]
+    temperature: tuple[float, ...]
+    hardware_error: tuple[int, ...]
+    torque_enabled: tuple[bool, ...]
+    rebooted: tuple[bool, ...]
+    missed: tuple[int, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every servo gave a good reply."""
+        return all(self.valid)
+
+
+class ServoBus:
+    """The servos on one port. Whichever thread opens it owns it until it is closed.
+
+    Args:
+        settings: wiring and mounting.
+    """
+
+    def __init__(self, settings: BusSettings) -> None:
+        self.settings = settings
+        self._link = ServoLink(settings.port, settings.baud_rate, settings.reply_margin)
+        self._count = len(settings.ids)
+        self._cycle = 0
+        self._last_sent = -math.inf
+        self._look_at_watchdogs = False
+        self._forget()
+
+    @property
+    def counters(self) -> LinkCounters:
+        """What went wrong on the wire so far."""
+        return self._link.counters
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is open."""
+        return self._link.is_open
+
+    def open(self, scan: bool = True) -> None:
+        """Open the port, identify every servo and set each up; torque is off afterwards.
+
+        Args:
+            scan: look for missing servos at other speeds, so that the error names where they are.
+
+        Raises:
+            PortMissing, PortBusy, PortDenied, PortError: the port cannot be opened, and why.
+            HandshakeError: servos are missing, wrong or do not take their set-up; names every fault.
+        """
+        self._forget()
+        self._link.open()
+        try:
+            identify(self._link, self.settings.ids, scan)
+            for index in range(self._count):
+                self.configure(index)
+        except BaseException:
+            self._link.close()
+            raise
+
+    def close(self) -> None:
+        """Release the port. Does not touch the servos: switch torque off first. Never raises; safe to call twice."""
+        self._link.close()
+
+    def configure(self, index: int) -> None:
+        """Set up servo `index` again, torque off, after it was restarted.
+
+        Raises:
+            HandshakeError: it does not take its set-up.
+            PortGone: the port vanished.
+        """
+        configure(self._link, self.settings.ids[index], self.settings.watchdog)
+        self._rebooted[index] = False
+        self._torque[index] = False
+        self._missed[index] = min(self._missed[index], 1)  # ask it again in the next cycle
+        self._last_sent = time.monotonic()
+
+    def read(self) -> Snapshot:
+        """Return the state of all servos; a servo that gave no good reply is NaN and not valid.
+
+        One sync read while all answer. Once one has failed, each is asked by itself, for in a sync read those behind
+        a missing servo stay silent; a servo missing for longer is asked now and then.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        self._note_silence()
+        ids = self.settings.ids
+        if not any(self._missed):
+            replies = self._link.sync_read(ids, READ_ADDRESS, READ_LENGTH)
+        else:
+            replies = {}
+            for index, servo in enumerate(ids):
+                if self._missed[index] < MISSING_AFTER or (self._cycle + index) % _RETRY_EVERY == 0:
+                    replies.update(self._link.sync_read((servo,), READ_ADDRESS, READ_LENGTH))
+        now = self._last_sent = time.monotonic()
+        self._cycle += 1
+        return self._snapshot(now, replies)
+
+    def write_goals(self, angles: Sequence[float], currents: Sequence[float]) -> None:
+        """Send goal angle (rad) and current bound (A, ≥ 0) of each servo; they change together.
+
+        Servos do not confirm this. It moves nothing while torque is off.
+
+        Raises:
+            RangeError: a value that the registers cannot hold; nothing is sent.
+            PortGone: the port vanished.
+        """
+        settings = self.settings
+        rows = []
+        for index, (angle, current) in enumerate(zip(angles, currents, strict=True)):
+            if not current >= 0.0:
+                raise RangeError("current bound", current, 0.0, REGISTERS["goal_current"].high * CURRENT_UNIT, " A")
+            ticks = angle_to_ticks(angle, settings.zero_ticks[index], settings.direction[index])
+            rows.append((settings.ids[index], _WRITE_LAYOUT.pack(current_to_counts(current), ticks)))
+        self._note_silence()
+        self._link.sync_write(WRITE_ADDRESS, WRITE_LENGTH, rows)
+        self._last_sent = time.monotonic()
+
+    def enable_torque(self, currents: Sequence[float]) -> Snapshot:
+        """Switch all servos on, holding where they are: goal := present position first.
+
+        Args:
+            currents: current bound of each servo, A.
+
+        Returns:
+            the snapshot whose angles became the goals.
+
+        Raises:
+            NoAnswer: a servo is missing or has just been restarted; none is switched on.
+            ServoFault: a servo has a latched hardware error or refuses; all are switched off again.
+            PortGone: the port vanished.
+        """
+        snapshot = self.read()
+        for index, servo in enumerate(self.settings.ids):
+            if not snapshot.valid[index]:
+                raise NoAnswer(f"servo {servo}", "read before switching torque on", self.settings.reply_margin)
+            if snapshot.hardware_error[index]:
+                bits = snapshot.hardware_error[index]
+                text = f"{describe_hardware_error(bits)} latched; remove the cause, then reboot it"
+                raise ServoFault(servo, "switch torque on", text, bits)
+        try:
+            for index, servo in enumerate(self.settings.ids):
+                restart_watchdog(self._link, servo, self.settings.watchdog)
+                self._verify_goal(index, snapshot.angle, currents)
+            for servo in self.settings.ids:
+                self._link.write(servo, "torque_enable", 1)
+            self._torque = [True] * self._count
+        except DriverError:
+            with contextlib.suppress(DriverError):
+                self.disable_torque()
+            raise
+        return snapshot
+
+    def disable_torque(self) -> None:
+        """Switch all servos off: one packet to all, then each by itself until it confirms or proves missing.
+
+        Raises:
+            PortGone: the port vanished; the servos stop by their watchdog.
+        """
+        register = REGISTERS["torque_enable"]
+        self._link.sync_write(register.address, register.size, [(servo, b"\0") for servo in self.settings.ids])
+        for index, servo in enumerate(self.settings.ids):
+            with contextlib.suppress(NoAnswer, CorruptReply, ServoFault):
+                self._link.write(servo, "torque_enable", 0)
+                self._torque[index] = False
+        self._last_sent = time.monotonic()
+
+    def reboot(self, index: int) -> None:
+        """Restart servo `index`: torque off, latched errors cleared. It is away for a moment and must be set up again.
+
+        Raises:
+            NoAnswer, CorruptReply, ServoFault, PortGone: it did not take the instruction.
+        """
+        self._link.reboot(self.settings.ids[index])
+        self._torque[index] = False
+
+    def tripped_watchdogs(self) -> tuple[int, ...]:
+        """Return the ids of servos that stopped because they heard nothing for too long.
+
+        Cheap enough for every cycle: it asks all servos after a silence long enough to trip them, and else one servo
+        a second.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        ids = self.settings.ids
+        if self._look_at_watchdogs:
+            suspects: Sequence[int] = ids
+        elif self._cycle % _WATCHDOG_EVERY == 0:
+            suspects = (ids[self._cycle // _WATCHDOG_EVERY % self._count],)
+        else:
+            return ()
+        self._look_at_watchdogs = False
+        tripped = []
+        for servo in suspects:
+            if self._missed[ids.index(servo)]:
+                continue
+            with contextlib.suppress(NoAnswer, CorruptReply, ServoFault):
+                if watchdog_tripped(self._link, servo):
+                    tripped.append(servo)
+        return tuple(tripped)
+
+    def restart_watchdogs(self) -> None:
+        """Clear and arm every servo's watchdog, so that it takes goals again.
+
+        Raises:
+            NoAnswer, CorruptReply, ServoFault, PortGone: a servo does not take it.
+        """
+        for servo in self.settings.ids:
+            restart_watchdog(self._link, servo, self.settings.watchdog)
+
+    def _forget(self) -> None:
+        """Start without knowledge of any servo."""
+        self._missed = [0] * self._count
+        self._rebooted = [False] * self._count
+        self._errors = [0] * self._count
+        self._torque = [False] * self._count
+
+    def _note_silence(self) -> None:
+        if time.monotonic() - self._last_sent > 0.75 * self.settings.watchdog * WATCHDOG_UNIT:
+            self._look_at_watchdogs = True
+
+    def _verify_goal(self, index: int, angles: Sequence[float], currents: Sequence[float]) -> None:
+        """Write the goal of one servo with confirmation, so that switching on cannot jump."""
+        settings = self.settings
+        ticks = angle_to_ticks(angles[index], settings.zero_ticks[index], settings.direction[index])
+        servo = settings.ids[index]
+        self._link.write(servo, "goal_current", current_to_counts(currents[index]))
+        self._link.write(servo, "goal_position", ticks)
+        found = self._link.read(servo, "goal_position")
+        if found != ticks:
+            raise ServoFault(servo, "switch torque on", f"goal position reads {found} after {ticks} was written")
+
+    def _snapshot(self, now: float, replies: dict[int, tuple[int, bytes]]) -> Snapshot:
+        settings = self.settings
+        rows: list[tuple[float, float, float, float, float]] = []
+        for index, servo in enumerate(settings.ids):
+            reply = replies.get(servo)
+            row = (_NAN, _NAN, _NAN, _NAN, _NAN)
+            if reply is not None and len(reply[1]) == READ_LENGTH:
+                torque, error, current, velocity, ticks, voltage, temperature = _READ_LAYOUT.unpack(reply[1])
+                # After a restart the indirect registers point to themselves and all read 0; a real supply never does.
+                self._rebooted[index] = voltage == 0
+                if voltage:
+                    sign = settings.direction[index]
+                    row = (
+                        ticks_to_angle(ticks, settings.zero_ticks[index], sign),
+                        sign * velocity * VELOCITY_UNIT,
+                        sign * current * CURRENT_UNIT,
+                        voltage * VOLTAGE_UNIT,
+                        float(temperature),
+                    )
+                    self._errors[index] = error
+                self._torque[index] = bool(torque)
+            good = not math.isnan(row[0])
+            self._missed[index] = 0 if good else self._missed[index] + 1
+            rows.append(row)
+        angle, velocity_, current_, voltage_, temperature_ = zip(*rows, strict=True)
+        return Snapshot(
+            time=now,
+            valid=tuple(missed == 0 for missed in self._missed),
+            angle=angle,
+            velocity=velocity_,
+            current=current_,
+            voltage=voltage_,
+            temperature=temperature_,
+            hardware_error=tuple(self._errors),
+            torque_enabled=tuple(self._torque),
+            rebooted=tuple(self._rebooted),
+            missed=tuple(self._missed),
+        )

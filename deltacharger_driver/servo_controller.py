@@ -1,0 +1,384 @@
+"""What the arm's servos do from cycle to cycle: follow trajectories, stop for faults, come back after them. No ROS.
+
+One thread calls `open`, `cycle` and `close`; `submit` and `request` may be called from any thread and take effect at
+the next cycle. Torque goes on by a request only, and every fault ends with torque off.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import queue
+import threading
+import time
+from collections.abc import Callable
+
+from .errors import DriverError, PortError, PortGone, TrajectoryRefused
+from .servo_bus import BusSettings, ServoBus, Snapshot
+from .servo_report import Phase, ServoMemory, ServoReport, find_faults
+from .trajectory import Trajectory
+
+STOP_TIME = 0.5  # s from "goal := present position" to torque off
+_BACKOFF_FIRST, _BACKOFF_LONGEST = 0.25, 2.0  # s between two attempts to open a port that vanished
+_REBOOT_TIME = 3.0  # s until rebooted servos must be back
+_REPEATED_TRIP = 1.0  # s; a second watchdog trip within it is a fault
+
+
+class Request:
+    """Something asked of the servos' thread, and its outcome."""
+
+    def __init__(self, action: str) -> None:
+        self.action = action
+        self.success = False
+        self.message = ""
+        self._done = threading.Event()
+
+    def finish(self, success: bool, message: str) -> None:
+        """Say how it went."""
+        self.success, self.message = success, message
+        self._done.set()
+
+    def wait(self, timeout: float) -> bool:
+        """Wait at most `timeout` s for the outcome and return whether it is there."""
+        return self._done.wait(timeout)
+
+
+class ServoController:
+    """The arm's servos with their safety rules.
+
+    Args:
+        settings: wiring and mounting.
+        current_bound: bound of each servo's current where a trajectory sets none, A.
+        torque_constant: N·m/A, turns a trajectory's torque bound into a current.
+        notify: called with (severity "info" | "warning" | "error", sentence) at every event worth a log line.
+        clock: monotonic time, s.
+
+    Attributes:
+        watchdog_trips: how often the servos stopped because they heard nothing.
+        reconnections: how often a port that vanished was opened again.
+    """
+
+    def __init__(
+        self,
+        settings: BusSettings,
+        current_bound: float,
+        torque_constant: float,
+        notify: Callable[[str, str], None] = lambda severity, sentence: None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.watchdog_trips = 0
+        self.reconnections = 0
+        self.bus = ServoBus(settings)
+        self._ids = settings.ids
+        self._default = (current_bound,) * len(settings.ids)
+        self._torque_constant = torque_constant
+        self._notify = notify
+        self._clock = clock
+        self._phase = Phase.DISCONNECTED
+        self._lock = threading.Lock()
+        self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
+        self._submitted: Trajectory | None = None
+        self._running: tuple[Trajectory, tuple[float, ...], float] | None = None
+        self._goal: tuple[float, ...] = (math.nan,) * len(settings.ids)
+        self._bound = self._default
+        self._stop_at = math.inf
+        self._stop_reason = ""
+        self._reopen_at = 0.0
+        self._backoff = _BACKOFF_FIRST
+        self._connection_fault = ""
+        self._rebooting: tuple[Request, float, set[int]] | None = None  # outcome, deadline, servos still away
+        self._last_trip = -math.inf
+        self._snapshot: Snapshot | None = None
+        self._memory = ServoMemory(len(settings.ids))
+
+    @property
+    def phase(self) -> Phase:
+        """What the servos are doing; may be read from any thread."""
+        return self._phase
+
+    @property
+    def stop_reason(self) -> str:
+        """Why the servos were stopped last."""
+        return self._stop_reason
+
+    def open(self) -> None:
+        """Open the port and set the servos up, torque off.
+
+        Raises:
+            PortMissing, PortBusy, PortDenied, PortError: the port cannot be opened, and why.
+            HandshakeError: names everything that is wrong with the servos.
+        """
+        self.bus.open(scan=True)
+        self._phase = Phase.OFF
+
+    def close(self) -> None:
+        """Switch torque off where it is on, and release the port. Never raises; safe to call twice."""
+        if self.bus.is_open and self._phase in (Phase.ON, Phase.STOPPING):
+            with contextlib.suppress(DriverError):
+                self.bus.disable_torque()
+        self.bus.close()
+        self._phase = Phase.DISCONNECTED
+        self._refuse_all("the driver is closing")
+
+    def submit(self, trajectory: Trajectory) -> None:
+        """Let `trajectory` replace whatever runs, at the next cycle.
+
+        Raises:
+            TrajectoryRefused: torque is off, or the servos are being stopped.
+        """
+        with self._lock:
+            if self._phase is not Phase.ON:
+                reason = f": {self._stop_reason}" if self._phase is Phase.STOPPING else ""
+                raise TrajectoryRefused(f"{self._phase.value}{reason}; call set_torque first")
+            self._submitted = trajectory
+
+    def request(self, action: str) -> Request:
+        """Ask for "torque_on", "torque_off" or "reboot"; the servos' thread carries it out and finishes the request."""
+        request = Request(action)
+        self._requests.put(request)
+        return request
+
+    def stop(self, reason: str) -> None:
+        """Goal := present position now, torque off after `STOP_TIME`; to be called in the servos' thread."""
+        with self._lock:
+            if self._phase is not Phase.ON:
+                return
+            self._phase = Phase.STOPPING
+            self._submitted = None
+        self._running = None
+        self._stop_reason = reason
+        self._stop_at = self._clock() + STOP_TIME
+        self._hold_present()
+        self._notify("error", f"stopping all servos: {reason}")
+
+    def cycle(self) -> ServoReport:
+        """Carry out one bus cycle and return the state after it. Never raises `DriverError`."""
+        try:
+            if self._phase is Phase.DISCONNECTED:
+                self._reopen()
+            self._serve_requests()
+            if self._phase is not Phase.DISCONNECTED:
+                self._exchange()
+        except PortGone as error:
+            self._disconnect(error)
+        return self._memory.report(self._clock(), self._phase, self._faults())
+
+    def _exchange(self) -> None:
+        """Send goals, read the state, and act on what it says."""
+        if self._phase is not Phase.OFF:
+            self._advance()
+            self.bus.write_goals(self._goal, self._bound)
+        snapshot = self._snapshot = self.bus.read()
+        self._memory.learn(snapshot)
+        self._check_watchdogs()
+        if self._phase is Phase.ON:
+            faults = self._faults()
+            lost = [
+                servo
+                for servo, valid, on in zip(self._ids, snapshot.valid, snapshot.torque_enabled, strict=True)
+                if valid and not on
+            ]
+            if lost:
+                faults.append(f"servo {lost[0]} has switched its torque off by itself")
+            if faults:
+                self.stop("; ".join(faults))
+                self.bus.write_goals(self._goal, self._bound)
+        elif self._phase is Phase.STOPPING and self._clock() >= self._stop_at:
+            self._switch_off()
+        if self._phase is Phase.OFF:
+            self._restore(snapshot)
+
+    def _advance(self) -> None:
+        """Take the goal and the bounds of this instant from the trajectory."""
+        now = self._clock()
+        with self._lock:
+            submitted, self._submitted = self._submitted, None
+        if submitted is not None and self._phase is Phase.ON:
+            self._running = None
+            # Bounds of the past never outlive their trajectory upwards: a release must not leave 2.8 A behind.
+            if submitted.is_hold:
+                self._bound = tuple(map(min, self._bound, self._default))
+            else:
+                self._running = (submitted, self._goal, now)
+                self._bound = self._default
+        if self._running is None:
+            return
+        trajectory, start, since = self._running
+        elapsed = now - since
+        self._goal = trajectory.goal_at(elapsed, start)
+        torque = trajectory.torque_at(elapsed)
+        if torque is not None:
+            self._bound = tuple(value / self._torque_constant for value in torque)
+        if elapsed >= trajectory.duration:
+            self._running = None
+
+    def _hold_present(self) -> None:
+        """Goal := present position; a servo whose angle is not known keeps its goal."""
+        self._goal = tuple(
+            goal if math.isnan(angle) else angle for angle, goal in zip(self._memory.angles, self._goal, strict=True)
+        )
+        self._bound = tuple(map(min, self._bound, self._default))
+
+    def _check_watchdogs(self) -> None:
+        tripped = self.bus.tripped_watchdogs()
+        if not tripped:
+            return
+        if self._phase is Phase.ON:
+            self.watchdog_trips += 1
+            self._running = None
+            self._hold_present()
+            now = self._clock()
+            repeated, self._last_trip = now - self._last_trip < _REPEATED_TRIP, now
+            sentence = f"the bus fell silent and servos {tripped} stopped by their watchdog"
+            if repeated:
+                self.stop(f"{sentence} again; this computer is overloaded")
+            else:
+                self._notify("warning", f"{sentence}; holding the present position")
+        try:
+            self.bus.restart_watchdogs()
+        except PortGone:
+            raise
+        except DriverError as error:
+            self.stop(f"a tripped watchdog cannot be cleared: {error}")
+
+    def _faults(self) -> list[str]:
+        """Return what stands in the way of moving, by the last snapshot."""
+        if self._phase is Phase.DISCONNECTED:
+            return [self._connection_fault or "not connected"]
+        return find_faults(self._ids, self._snapshot) if self._snapshot is not None else []
+
+    def _restore(self, snapshot: Snapshot) -> None:
+        """Set restarted servos up again, torque off, and finish a reboot that was asked for."""
+        for index, rebooted in enumerate(snapshot.rebooted):
+            if not rebooted:
+                continue
+            try:
+                self.bus.configure(index)
+                self._notify("warning", f"servo {self._ids[index]} had restarted; set up again, torque off")
+                if self._rebooting is not None:
+                    self._rebooting[2].discard(index)
+            except PortGone:
+                raise
+            except DriverError as error:
+                self._notify("warning", f"servo {self._ids[index]} had restarted: {error}")
+        if self._rebooting is None:
+            return
+        request, deadline, away = self._rebooting
+        if not away and snapshot.complete:
+            latched = self._faults()
+            request.finish(not latched, "; ".join(latched) or "rebooted and set up; torque is off")
+        elif self._clock() >= deadline:
+            request.finish(False, "; ".join(self._faults()) or "the servos did not come back in time")
+        else:
+            return
+        self._rebooting = None
+
+    def _serve_requests(self) -> None:
+        while True:
+            try:
+                request = self._requests.get_nowait()
+            except queue.Empty:
+                return
+            try:
+                if self._phase is Phase.DISCONNECTED:
+                    request.finish(False, self._connection_fault or "not connected")
+                elif request.action == "torque_on":
+                    self._switch_on(request)
+                elif request.action == "torque_off":
+                    self._switch_off()
+                    request.finish(True, "torque is off")
+                else:
+                    self._reboot(request)
+            except PortGone as error:
+                request.finish(False, str(error))
+                raise
+            except DriverError as error:
+                request.finish(False, str(error))
+
+    def _switch_on(self, request: Request) -> None:
+        if self._phase is Phase.ON:
+            request.finish(True, "torque is already on")
+            return
+        if self._phase is Phase.STOPPING:
+            request.finish(False, f"stopping: {self._stop_reason}")
+            return
+        faults = self._faults()
+        if faults or self._rebooting is not None:
+            request.finish(False, "; ".join(faults) or "the servos are being rebooted")
+            return
+        snapshot = self.bus.enable_torque(self._default)
+        self._memory.learn(snapshot)
+        self._goal, self._bound = snapshot.angle, self._default
+        with self._lock:
+            self._submitted = None
+            self._running = None
+            self._phase = Phase.ON
+        request.finish(True, "torque is on, holding the present position")
+        self._notify("info", "torque on")
+
+    def _switch_off(self) -> None:
+        with self._lock:
+            was, self._phase = self._phase, Phase.OFF
+            self._submitted = None
+        self._running = None
+        self._stop_at = math.inf
+        try:
+            self.bus.disable_torque()
+        finally:
+            if was is not Phase.OFF:
+                self._notify("info", "torque off")
+
+    def _reboot(self, request: Request) -> None:
+        if self._phase is not Phase.OFF:
+            request.finish(False, f"{self._phase.value}; call set_torque with false first")
+            return
+        if self._rebooting is not None:
+            request.finish(False, "the servos are being rebooted already")
+            return
+        snapshot = self._snapshot
+        faulty = [i for i, bits in enumerate(snapshot.hardware_error) if bits] if snapshot is not None else []
+        away = set(faulty or range(len(self._ids)))
+        for index in sorted(away):
+            self.bus.reboot(index)
+        self._rebooting = (request, self._clock() + _REBOOT_TIME, away)
+
+    def _reopen(self) -> None:
+        now = self._clock()
+        if now < self._reopen_at:
+            return
+        try:
+            self.bus.open(scan=False)
+        except DriverError as error:
+            self._backoff = min(2.0 * self._backoff, _BACKOFF_LONGEST)
+            self._reopen_at = self._clock() + self._backoff
+            if str(error) != self._connection_fault:
+                self._connection_fault = str(error)
+                self._notify("error", str(error))
+            return
+        self._phase = Phase.OFF
+        self._connection_fault = ""
+        self._backoff = _BACKOFF_FIRST
+        self.reconnections += 1
+        self._notify("info", "connected again; torque is off")
+
+    def _disconnect(self, error: PortError) -> None:
+        self.bus.close()
+        with self._lock:
+            self._phase = Phase.DISCONNECTED
+            self._submitted = None
+        self._running = None
+        self._snapshot = None
+        self._connection_fault = str(error)
+        self._backoff = _BACKOFF_FIRST
+        self._reopen_at = self._clock() + self._backoff
+        self._memory.forget()
+        self._refuse_all(str(error))
+        self._notify("error", str(error))
+
+    def _refuse_all(self, reason: str) -> None:
+        if self._rebooting is not None:
+            self._rebooting[0].finish(False, reason)
+            self._rebooting = None
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self._requests.get_nowait().finish(False, reason)

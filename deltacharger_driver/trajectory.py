@@ -1,0 +1,180 @@
+"""Joint trajectories: what is accepted, and the goal at any instant. No ROS in here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from .errors import TrajectoryRefused
+
+STALE_AFTER = 0.5  # s, age of a stamp beyond which a trajectory is refused
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """What a trajectory may ask for.
+
+    Attributes:
+        names: joint names, in the order of the servos.
+        angle_min: smallest angle, rad.
+        angle_max: largest angle, rad.
+        torque_max: largest torque bound of a servo, N·m.
+    """
+
+    names: tuple[str, ...]
+    angle_min: float
+    angle_max: float
+    torque_max: float
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """One point of a trajectory as it was received, in the order of the names that came with it.
+
+    Attributes:
+        time: from the start, s.
+        angles: rad.
+        torques: bound of each servo from the start of the segment that leads here, N·m; empty = as before.
+    """
+
+    time: float
+    angles: Sequence[float]
+    torques: Sequence[float] = ()
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Checked points in the order of the servos, times rising; without points it means: hold.
+
+    Attributes:
+        times: from the start, s.
+        angles: rad, per point and servo.
+        torques: bound, N·m, per point and servo; None = as before.
+    """
+
+    times: tuple[float, ...]
+    angles: tuple[tuple[float, ...], ...]
+    torques: tuple[tuple[float, ...] | None, ...]
+
+    @property
+    def is_hold(self) -> bool:
+        """Whether it says: stay at the present goal."""
+        return not self.times
+
+    @property
+    def duration(self) -> float:
+        """Time of the last point, s."""
+        return self.times[-1] if self.times else 0.0
+
+    def goal_at(self, elapsed: float, start: tuple[float, ...]) -> tuple[float, ...]:
+        """Return the goal angles `elapsed` s after the start: linear from `start` to the first point and on.
+
+        Args:
+            elapsed: s.
+            start: goal angles when it began, rad.
+        """
+        elapsed = max(elapsed, 0.0)
+        previous, since = start, 0.0
+        for time, angles in zip(self.times, self.angles, strict=True):
+            if elapsed < time:
+                share = (elapsed - since) / (time - since)
+                return tuple(a + share * (b - a) for a, b in zip(previous, angles, strict=True))
+            previous, since = angles, time
+        return previous
+
+    def torque_at(self, elapsed: float) -> tuple[float, ...] | None:
+        """Return the torque bound of each servo (N·m) at `elapsed` s; None where no point has set one yet.
+
+        A point's bound holds from the instant of the point before it, when the motion toward it begins.
+        """
+        bound: tuple[float, ...] | None = None
+        since = 0.0
+        for time, torques in zip(self.times, self.torques, strict=True):
+            if elapsed < since:
+                break
+            if torques is not None:
+                bound = torques
+            since = time
+        return bound
+
+
+def check(names: Sequence[str], points: Sequence[Waypoint], limits: JointLimits) -> Trajectory:
+    """Return the trajectory of `points`, or refuse it as a whole.
+
+    Args:
+        names: joint of each column, in any order.
+        points: in the order of time; none = hold, and then no names are needed.
+        limits: what may be asked for.
+
+    Raises:
+        TrajectoryRefused: a joint is unknown, doubled or missing, a number is missing or not finite, an angle or a
+            torque bound is outside its limits, or the times do not rise.
+    """
+    if not points and not names:
+        return Trajectory((), (), ())
+    order = _order(names, limits)
+    times: list[float] = []
+    angles: list[tuple[float, ...]] = []
+    torques: list[tuple[float, ...] | None] = []
+    for number, point in enumerate(points):
+        where = f"point {number}"
+        _check_time(where, point.time, times)
+        times.append(point.time)
+        angles.append(_row(f"{where}: angle", point.angles, order, limits, limits.angle_min, limits.angle_max, " rad"))
+        bounded = len(point.torques) > 0
+        torques.append(
+            _row(f"{where}: effort", point.torques, order, limits, 0.0, limits.torque_max, " N·m") if bounded else None
+        )
+    return Trajectory(tuple(times), tuple(angles), tuple(torques))
+
+
+def check_age(age: float) -> None:
+    """Refuse a trajectory stamped `age` s ago; a negative age is a stamp in the future.
+
+    Raises:
+        TrajectoryRefused: older, or further in the future, than `STALE_AFTER`.
+    """
+    if age > STALE_AFTER:
+        raise TrajectoryRefused(f"its stamp is {age:.2f} s old, more than {STALE_AFTER} s")
+    if age < -STALE_AFTER:
+        raise TrajectoryRefused(f"its stamp is {-age:.2f} s in the future; compare the clocks of both computers")
+
+
+def _order(names: Sequence[str], limits: JointLimits) -> list[int]:
+    """Return the column of each servo."""
+    unknown = [name for name in names if name not in limits.names]
+    if unknown:
+        raise TrajectoryRefused(f"unknown joint '{unknown[0]}'; known: {', '.join(limits.names)}")
+    if sorted(names) != sorted(limits.names):
+        raise TrajectoryRefused(
+            f"it names {len(names)} joints ({', '.join(names)}); name each of the {len(limits.names)} exactly once"
+        )
+    return [list(names).index(name) for name in limits.names]
+
+
+def _check_time(where: str, time: float, before: list[float]) -> None:
+    if not math.isfinite(time) or time < 0.0:
+        raise TrajectoryRefused(f"{where}: time_from_start is {time:g} s")
+    if before and time <= before[-1]:
+        raise TrajectoryRefused(f"{where}: time_from_start {time:g} s does not rise above {before[-1]:g} s")
+
+
+def _row(
+    what: str,
+    values: Sequence[float],
+    order: list[int],
+    limits: JointLimits,
+    low: float,
+    high: float,
+    unit: str,
+) -> tuple[float, ...]:
+    if len(values) != len(order):
+        raise TrajectoryRefused(f"{what}: {len(values)} numbers for {len(order)} joints")
+    row = tuple(float(values[column]) for column in order)
+    for name, value in zip(limits.names, row, strict=True):
+        if not math.isfinite(value):
+            raise TrajectoryRefused(f"{what} of {name} is {value}")
+        if not low <= value <= high:
+            raise TrajectoryRefused(f"{what} of {name} is {value:.4f}{unit}, outside {low:.4f}…{high:.4f}{unit}")
+    return row

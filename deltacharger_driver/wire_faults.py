@@ -1,0 +1,78 @@
+"""What can go wrong on a wire, for emulators: packets dropped, damaged, cut short, surrounded by noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+KINDS = ("drop", "corrupt", "truncate", "garbage", "duplicate")
+
+
+@dataclass
+class _Injection:
+    kind: str
+    count: int
+    type: int | None
+
+
+class WireFaults:
+    """Damages packets on their way from an emulated device to the host.
+
+    Attributes:
+        probability: how likely each kind is for every packet, all 0 at first. drop: it vanishes; corrupt: a bit flips;
+            truncate: its end is missing, delimiter included; garbage: 1 to 64 random bytes precede it; duplicate: it
+            comes twice.
+        silent: nothing leaves the device, which works on.
+        deaf: nothing reaches the device, which works on.
+
+    Args:
+        seed: of the damage.
+    """
+
+    def __init__(self, seed: int | None = None) -> None:
+        self.probability = dict.fromkeys(KINDS, 0.0)
+        self.silent = False
+        self.deaf = False
+        self._random = np.random.default_rng(seed)
+        self._injections: list[_Injection] = []
+
+    def inject(self, kind: str, count: int = 1, type: int | None = None) -> None:
+        """Let the next `count` packets (of one type, or any) suffer `kind` for certain.
+
+        Raises:
+            ValueError: no such kind.
+        """
+        if kind not in KINDS:
+            raise ValueError(f"no wire fault '{kind}'; there are {', '.join(KINDS)}")
+        self._injections.append(_Injection(kind, count, type))
+
+    def apply(self, packet: bytes, type: int) -> bytes:
+        """Return what arrives of a packet (with its delimiters) of a type."""
+        if self.silent:
+            return b""
+        for kind in self._draw(type):
+            packet = self._damage(packet, kind)
+        return packet
+
+    def _draw(self, type: int) -> list[str]:
+        kinds = [kind for kind, chance in self.probability.items() if chance and self._random.random() < chance]
+        for injection in self._injections:
+            if injection.type in (None, type) and injection.count > 0:
+                injection.count -= 1
+                kinds.append(injection.kind)
+        self._injections = [injection for injection in self._injections if injection.count > 0]
+        return kinds
+
+    def _damage(self, packet: bytes, kind: str) -> bytes:
+        if kind == "drop" or not packet:
+            return b""
+        if kind == "duplicate":
+            return packet + packet
+        if kind == "garbage":
+            return self._random.bytes(int(self._random.integers(1, 65))) + packet
+        if kind == "truncate":
+            return packet[: int(self._random.integers(1, len(packet)))]
+        damaged = bytearray(packet)
+        damaged[int(self._random.integers(1, len(packet) - 1))] ^= 1 << int(self._random.integers(8))
+        return bytes(damaged)

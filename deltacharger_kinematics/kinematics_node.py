@@ -1,0 +1,155 @@
+"""kinematics_node: where the end effector is, what pushes on it, and kinematics as a service.
+
+Subscribes: servo_state.
+Publishes: end_effector_pose (charger_base) and contact_wrench (force on the end effector, in end_effector, the arm's
+weight removed), one of each per servo_state while somebody listens; nothing where the pose or a current is not known.
+Serves: solve_inverse_kinematics, solve_forward_kinematics, with a status per point.
+Parameters: the arm's geometry, gravity, torque_constant.
+"""
+
+from __future__ import annotations
+
+import array
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from deltacharger.msg import ServoState
+from deltacharger.srv import SolveForwardKinematics, SolveInverseKinematics
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from deltacharger_bringup import node_support
+from deltacharger_kinematics import Delta, DeltaGeometry
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
+
+_DEFAULT_DEPTH = 10
+
+
+class KinematicsNode(Node):  # type: ignore[misc]
+    """Pose, contact force and kinematics of the arm; see the module's docstring for its interface."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("kinematics_node", **kwargs)
+        geometry = declare_geometry(self)
+        gravity = node_support.declare(
+            self, "gravity", list(GRAVITY), "gravity in charger_base (m/s²), +z toward the target, +y up", -20.0, 20.0
+        )
+        self._torque_constant = node_support.declare(
+            self, "torque_constant", TORQUE_CONSTANT, "torque per current of a servo (N·m/A)", 0.1, 10.0
+        )
+        node_support.reject_unknown(self)
+        if len(gravity) != 3:
+            raise node_support.StartupError(f"kinematics_node: parameter 'gravity' has {len(gravity)} numbers; give 3")
+        self._gravity = (float(gravity[0]), float(gravity[1]), float(gravity[2]))
+        self._delta = Delta(geometry)
+        self._scalar = ScalarDelta(geometry)
+        self._pose = self.create_publisher(PoseStamped, "end_effector_pose", _DEFAULT_DEPTH)
+        self._wrench = self.create_publisher(WrenchStamped, "contact_wrench", _DEFAULT_DEPTH)
+        self.create_subscription(ServoState, "servo_state", self._on_servo_state, QoSProfile(depth=1))
+        group = ReentrantCallbackGroup()
+        self.create_service(
+            SolveInverseKinematics, "solve_inverse_kinematics", self._on_inverse, callback_group=group
+        )
+        self.create_service(
+            SolveForwardKinematics, "solve_forward_kinematics", self._on_forward, callback_group=group
+        )
+
+    def close(self) -> None:
+        """Nothing to make safe: this node drives nothing."""
+
+    def _on_servo_state(self, message: ServoState) -> None:
+        wants_pose = self._pose.get_subscription_count() > 0
+        wants_wrench = self._wrench.get_subscription_count() > 0
+        if not (wants_pose or wants_wrench) or len(message.position) != 3:
+            return
+        x, y, z = self._scalar.forward(*message.position)
+        if not math.isfinite(x + y + z):
+            return
+        if wants_pose:
+            pose = PoseStamped()
+            pose.header.stamp = message.header.stamp
+            pose.header.frame_id = "charger_base"
+            pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = x, y, z
+            self._pose.publish(pose)
+        if wants_wrench and len(message.current) == 3:
+            self._publish_wrench(message, (x, y, z))
+
+    def _publish_wrench(self, message: ServoState, position: tuple[float, float, float]) -> None:
+        held = self._scalar.holding_torque(*position, self._gravity)
+        spare = [self._torque_constant * current - hold for current, hold in zip(message.current, held, strict=True)]
+        fx, fy, fz = self._scalar.force(*position, (spare[0], spare[1], spare[2]))
+        if not math.isfinite(fx + fy + fz):
+            return
+        wrench = WrenchStamped()
+        wrench.header.stamp = message.header.stamp
+        wrench.header.frame_id = "end_effector"
+        # What the arm exerts on the target comes back with the opposite sign.
+        wrench.wrench.force.x, wrench.wrench.force.y, wrench.wrench.force.z = -fx, -fy, -fz
+        self._wrench.publish(wrench)
+
+    def _on_inverse(
+        self, request: SolveInverseKinematics.Request, response: SolveInverseKinematics.Response
+    ) -> SolveInverseKinematics.Response:
+        solved = self._delta.inverse(points(request.positions))
+        response.angles = array.array("d", solved.angles.ravel())
+        response.status = array.array("I", np.asarray(solved.status, dtype=np.uint32).ravel())
+        response.margin = array.array("d", solved.margin.ravel())
+        return response
+
+    def _on_forward(
+        self, request: SolveForwardKinematics.Request, response: SolveForwardKinematics.Response
+    ) -> SolveForwardKinematics.Response:
+        solved = self._delta.forward(points(request.angles))
+        response.positions = array.array("d", solved.position.ravel())
+        response.status = array.array("I", np.asarray(solved.status, dtype=np.uint32).ravel())
+        return response
+
+
+def points(values: Sequence[float]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return `values`, three per point, as (n, 3); an incomplete last point is filled with NaN (INVALID_INPUT)."""
+    flat = np.asarray(values, dtype=np.float64)
+    missing = -len(flat) % 3
+    return np.concatenate([flat, np.full(missing, np.nan)]).reshape(-1, 3)
+
+
+def declare_geometry(node: Node) -> DeltaGeometry:
+    """Declare the geometry's lengths and masses as parameters of `node` and return the geometry.
+
+    Raises:
+        StartupError: a value is out of its range.
+    """
+    default = DeltaGeometry()
+    lengths = {
+        "base_radius": ("motor axis from the centre of the setup ring (m)", 0.001, 1.0),
+        "arm": ("driven link, motor axis to elbow (m)", 0.001, 1.0),
+        "rod": ("passive link, elbow to platform joint (m)", 0.001, 1.0),
+        "platform_radius": ("platform joint from the centre of the platform (m)", 0.001, 1.0),
+        "z_offset": ("motor plane to the plane z = 0 of charger_base (m)", -1.0, 1.0),
+        "joint_min": ("smallest arm angle (rad)", -math.pi, math.pi),
+        "joint_max": ("largest arm angle (rad)", -math.pi, math.pi),
+        "swing_max": ("largest angle between a rod and the plane its arm turns in (rad)", 0.01, math.pi / 2),
+        "platform_mass": ("end effector with electrodes, magnets and pads (kg)", 0.0, 10.0),
+        "rod_mass": ("one rod pair (kg)", 0.0, 10.0),
+    }
+    values = {
+        name: node_support.declare(node, name, getattr(default, name), text, low, high)
+        for name, (text, low, high) in lengths.items()
+    }
+    try:
+        return default.with_values(**values)
+    except ValueError as error:
+        raise node_support.StartupError(f"{node.get_name()}: {error}") from error
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM; the executable."""
+    return node_support.run(KinematicsNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,185 @@
+"""Where the target's ridges press on the pads, and how hard each taxel is pressed.
+
+A rigid end effector meets one rigid horizontal ridge per pad. The common approach z is the one at which the
+pressures of both pads carry the total force; an elastic half-space then spreads them onto the taxels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from deltacharger_tactile.parameters import COLUMNS, PADS, ROWS, ContactParameters
+
+Array = NDArray[np.float64]
+
+WAVES = 3
+"""Sinusoids that make up the waviness of one ridge."""
+
+_MISSED = 1.0
+"""Gap (m) of a point beyond the ridge: far more than any indentation."""
+_CHUNK = 128
+
+
+@dataclass(frozen=True)
+class Waviness:
+    """Height error of both ridges along their length, positive away from the pad.
+
+    Attributes:
+        amplitude: (2, WAVES), m.
+        number: (2, WAVES), wave number, rad/m.
+        phase: (2, WAVES), rad.
+    """
+
+    amplitude: Array
+    number: Array
+    phase: Array
+
+    @staticmethod
+    def draw(parameters: ContactParameters, random: np.random.Generator) -> Waviness:
+        """Draw the ridges of one rig with the rms of the parameters."""
+        amplitude = np.full((PADS, WAVES), parameters.waviness * np.sqrt(2.0 / WAVES))
+        length = random.uniform(0.008, 0.040, (PADS, WAVES))
+        return Waviness(amplitude, 2.0 * np.pi / length, random.uniform(0.0, 2.0 * np.pi, (PADS, WAVES)))
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Result of N contacts.
+
+    Attributes:
+        taxels: (N, 2, 10, 10) N; pad 0 is left (+x); row 0 at +y, column 0 at +x. Their sum is the total force.
+        approach: (N,) m, common approach of the end effector; NaN where both pads miss.
+        touching: (N,) whether a ridge touches a pad at all.
+    """
+
+    taxels: Array
+    approach: Array
+    touching: NDArray[np.bool_]
+
+
+class ContactModel:
+    """Ridge on pad for a family of rigs; immutable, so that threads may share it."""
+
+    def __init__(self, parameters: ContactParameters | None = None) -> None:
+        self.parameters = parameters or ContactParameters()
+        self._u, self._v = _sample_points(self.parameters)
+        self._pooling = _pooling_matrix(self.parameters)
+        side = self.parameters.pad_side / (ROWS * self.parameters.sub_samples)
+        self._unit = self.parameters.stiffness * side * side
+        centre = self.parameters.pad_distance
+        self._x = np.stack([self._u + centre, self._u - centre])
+        self._centre = np.array([[centre], [-centre]])
+
+    def solve(
+        self,
+        pose: ArrayLike,
+        force: ArrayLike,
+        tilt: ArrayLike = (0.0, 0.0),
+        waviness: Waviness | None = None,
+    ) -> Contact:
+        """Press the ridges on the pads.
+
+        Args:
+            pose: (N, 3) or (3,) misalignment (x, y, angle), m and rad: pose of the target in end_effector.
+            force: (N,) or scalar, total contact force, N; nothing is felt where it is not positive.
+            tilt: (N, 2) or (2,) rad: (about x: indents +y more, about y: indents +x more).
+            waviness: ridges of the rig; None = perfectly straight.
+
+        Returns:
+            Contact of N frames.
+        """
+        poses = np.atleast_2d(np.asarray(pose, dtype=float))
+        count = len(poses)
+        forces = np.broadcast_to(np.asarray(force, dtype=float), (count,))
+        tilts = np.broadcast_to(np.asarray(tilt, dtype=float), (count, 2))
+        taxels = np.zeros((count, PADS, ROWS, COLUMNS))
+        approach = np.full(count, np.nan)
+        for start in range(0, count, _CHUNK):
+            part = slice(start, start + _CHUNK)
+            taxels[part], approach[part] = self._press(poses[part], forces[part], tilts[part], waviness)
+        return Contact(taxels, approach, np.isfinite(approach))
+
+    def _press(
+        self, pose: Array, force: Array, tilt: Array, waviness: Waviness | None
+    ) -> tuple[Array, Array]:
+        count = len(pose)
+        height = self._height(pose, tilt, waviness)
+        highest = height.max(axis=1)
+        pressed = (highest > -0.5 * _MISSED) & (force > 0.0)
+        approach = np.full(count, np.nan)
+        taxels = np.zeros((count, PADS, ROWS, COLUMNS))
+        if pressed.any():
+            chosen = height if pressed.all() else height[pressed]
+            depth, approach[pressed] = self._carry(chosen, highest[pressed], force[pressed])
+            load = self._unit * depth * (1.0 + depth / self.parameters.hardening)
+            spread = load.reshape(-1, load.shape[1] // PADS) @ self._pooling.T
+            taxels[pressed] = spread.reshape(-1, PADS, ROWS, COLUMNS)
+        return taxels, approach
+
+    def _height(self, pose: Array, tilt: Array, waviness: Waviness | None) -> Array:
+        """(N, 1800) how far the ridge stands out toward each point of both pads, m."""
+        x, y, angle = (pose[:, i, None, None] for i in range(3))
+        cosine, sine = np.cos(angle), np.sin(angle)
+        dx, dy = self._x - x, self._v - y
+        qx = cosine * dx + sine * dy - self._centre
+        qy = cosine * dy - sine * dx
+        gap = self._gap(qx, qy)
+        if waviness is not None and self.parameters.waviness > 0.0:
+            for wave in range(WAVES):
+                phase = waviness.number[:, wave, None] * qx + waviness.phase[:, wave, None]
+                gap += waviness.amplitude[:, wave, None] * np.sin(phase)
+        height = tilt[:, 0, None, None] * self._v + tilt[:, 1, None, None] * self._x - gap
+        return np.asarray(height.reshape(len(pose), -1))
+
+    def _gap(self, qx: Array, qy: Array) -> Array:
+        p = self.parameters
+        radius = p.edge_radius
+        across, along = np.abs(qy), np.abs(qx)
+        gap = qy * qy * (0.5 / p.crown_radius)
+        for distance, half in ((across, 0.5 * p.ridge_height), (along, 0.5 * p.ridge_length)):
+            inside = np.maximum(distance - (half - radius), 0.0)
+            gap += radius - np.sqrt(np.maximum(radius * radius - inside * inside, 0.0))
+            gap += (inside > radius) * _MISSED
+        return np.asarray(gap)
+
+    def _carry(self, height: Array, highest: Array, force: Array) -> tuple[Array, Array]:
+        """Find the approach by Newton's method: the force is convex in it, so that steps from above never cross."""
+        hardening = self.parameters.hardening
+        target = force / self._unit
+        approach = 3e-4 - highest
+        for _ in range(60):
+            depth = np.maximum(approach[:, None] + height, 0.0)
+            first = depth.sum(axis=1)
+            carried = first + np.einsum("ij,ij->i", depth, depth) / hardening
+            slope = np.count_nonzero(depth, axis=1) + 2.0 * first / hardening
+            step = (carried - target) / slope
+            approach = np.maximum(approach - step, 1e-9 - highest)
+            if np.all(np.abs(step) <= 1e-13):
+                break
+        return np.maximum(approach[:, None] + height, 0.0), approach
+
+
+def _sample_points(parameters: ContactParameters) -> tuple[Array, Array]:
+    """Sub-sample coordinates (900,) in the pad: row-major from +y, columns from +x."""
+    count = ROWS * parameters.sub_samples
+    line = parameters.pad_side * (0.5 - (np.arange(count) + 0.5) / count)
+    v, u = np.meshgrid(line, line, indexing="ij")
+    return u.ravel(), v.ravel()
+
+
+def _pooling_matrix(parameters: ContactParameters) -> Array:
+    """(100, 900) share of each sub-sample's force that each taxel feels; columns sum to 1: no force is lost.
+
+    Kernel of an elastic half-space at depth h under a point load (Boussinesq): 3 h³ / (2π (r² + h²)^2.5). What
+    would leave the pad is shared among its taxels.
+    """
+    u, v = _sample_points(parameters)
+    squared = (u[:, None] - u) ** 2 + (v[:, None] - v) ** 2
+    depth = parameters.spread_depth
+    kernel = 3.0 * depth**3 / (2.0 * np.pi * (squared + depth * depth) ** 2.5)
+    fine = parameters.sub_samples
+    pooled = kernel.reshape(ROWS, fine, COLUMNS, fine, -1).sum(axis=(1, 3)).reshape(ROWS * COLUMNS, -1)
+    return np.asarray(pooled / pooled.sum(axis=0))

@@ -1,0 +1,68 @@
+"""Everything the tactile package can fail with; one root, each kind carries its values and says what to do."""
+
+from __future__ import annotations
+
+
+class TactileError(Exception):
+    """Root of every error raised by deltacharger_tactile."""
+
+
+class ParameterError(TactileError, ValueError):
+    """A generator parameter lies outside its bounds. Example: a negative gain spread.
+
+    Args:
+        name: field of the parameter class.
+        value: the offending value.
+        low: smallest allowed value.
+        high: largest allowed value.
+        unit: unit of all three.
+    """
+
+    def __init__(self, name: str, value: float, low: float, high: float, unit: str) -> None:
+        self.name = name
+        self.value = value
+        self.low = low
+        self.high = high
+        super().__init__(f"{name} = {value!r} is outside {low:g}…{high:g} {unit}".rstrip() + "; correct it")
+
+
+class FrameError(TactileError, ValueError):
+    """Taxel arrays do not have the shape of two pads. Example: a flat vector of 100 instead of 10 × 10.
+
+    Args:
+        left: shape found for the pad at +x.
+        right: shape found for the pad at −x.
+    """
+
+    def __init__(self, left: tuple[int, ...], right: tuple[int, ...]) -> None:
+        self.left = left
+        self.right = right
+        super().__init__(f"taxel arrays have shapes {left} and {right}; both must be (..., 10, 10)")
+
+
+class ModelError(TactileError, ValueError):
+    """A file is not a usable estimator. Example: a data set was given where a model belongs.
+
+    Args:
+        path: the file.
+        reason: what is wrong with it.
+    """
+
+    def __init__(self, path: str, reason: str) -> None:
+        self.path = path
+        self.reason = reason
+        super().__init__(f"{path}: not a usable tactile model: {reason}; train one or use the packaged model")
+
+
+class DatasetError(TactileError, ValueError):
+    """A data set is not usable as asked. Example: an array is missing in the npz file.
+
+    Args:
+        source: file or protocol.
+        reason: what is wrong with it.
+    """
+
+    def __init__(self, source: str, reason: str) -> None:
+        self.source = source
+        self.reason = reason
+        super().__init__(f"{source}: {reason}")

@@ -1,0 +1,150 @@
+"""From the force on a taxel to what the board reads: one rig's sensor, stateful for the world, batched for data sets.
+
+Order: hysteresis, creep, gain spread, cross-talk, offsets, noise, clip, quantisation, dead taxels.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_tactile.contact import Waviness
+from deltacharger_tactile.parameters import COLUMNS, PADS, ROWS, SensorParameters, TactileParameters
+
+Array = NDArray[np.float64]
+SHAPE = (PADS, ROWS, COLUMNS)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What stays the same on one device and its target.
+
+    Attributes:
+        gain: (2, 10, 10) relative gain of each taxel.
+        offset: (2, 10, 10) N, removed by a tare.
+        dead: (2, 10, 10) taxels that read NaN.
+        tilt: (2,) rad, constant tilt (about x, about y).
+        magnets: relative strength of the magnets.
+        waviness: the target's ridges.
+    """
+
+    gain: Array
+    offset: Array
+    dead: NDArray[np.bool_]
+    tilt: Array
+    magnets: float
+    waviness: Waviness
+
+    @staticmethod
+    def draw(parameters: TactileParameters, seed: int) -> Rig:
+        """Draw a device; the same seed gives the same device."""
+        random = np.random.default_rng([0x7A9, seed])
+        sensor, docking = parameters.sensor, parameters.docking
+        dead = np.zeros(PADS * ROWS * COLUMNS, dtype=bool)
+        dead[random.permutation(dead.size)[: sensor.dead_taxels]] = True
+        return Rig(
+            gain=np.clip(1.0 + sensor.gain_spread * random.standard_normal(SHAPE), 0.3, 2.0),
+            offset=sensor.fixed_offset * np.clip(random.standard_normal(SHAPE), -3.0, 3.0),
+            dead=dead.reshape(SHAPE),
+            tilt=docking.tilt_bias * random.standard_normal(2),
+            magnets=float(np.clip(1.0 + docking.magnet_spread * random.standard_normal(), 0.5, 1.5)),
+            waviness=Waviness.draw(parameters.contact, random),
+        )
+
+
+@dataclass(frozen=True)
+class Dockings:
+    """What is drawn anew for each of N dockings.
+
+    Attributes:
+        jitter: (N, 3) displacement of the relative pose (x, y, angle), m and rad.
+        tilt: (N, 2) rad, added to the rig's and to what the offset causes.
+        hysteresis: (N, 2) relative error of each pad.
+        offset: (N, 2, 10, 10) N.
+    """
+
+    jitter: Array
+    tilt: Array
+    hysteresis: Array
+    offset: Array
+
+    @staticmethod
+    def draw(parameters: TactileParameters, random: np.random.Generator, count: int = 1) -> Dockings:
+        """Draw `count` dockings."""
+        docking, sensor = parameters.docking, parameters.sensor
+        spread = np.array([docking.position_jitter, docking.position_jitter, docking.angle_jitter])
+        return Dockings(
+            jitter=spread * random.standard_normal((count, 3)),
+            tilt=docking.tilt_spread * random.standard_normal((count, 2)),
+            hysteresis=np.clip(sensor.hysteresis * random.standard_normal((count, PADS)), -0.5, 0.5),
+            offset=sensor.docking_offset * random.standard_normal((count, *SHAPE)),
+        )
+
+    def tilts(self, parameters: TactileParameters, rig: Rig, pose: Array) -> Array:
+        """Tilt (N, 2) of each docking at its pose (N, 3): an offset contact tips the end effector."""
+        per = np.array([parameters.docking.tilt_per_y, parameters.docking.tilt_per_x])
+        return np.asarray(rig.tilt + per * pose[:, 1::-1] + self.tilt)
+
+
+class Sensor:
+    """The electronics of one rig for N dockings at once: deterministic part, then noise with memory."""
+
+    def __init__(
+        self, parameters: SensorParameters, rig: Rig, random: np.random.Generator, count: int = 1
+    ) -> None:
+        self._parameters = parameters
+        self._rig = rig
+        self._random = random
+        self._slow = random.standard_normal((count, *SHAPE))
+        self._levels = 2**parameters.bits - 1
+        self._top = parameters.full_scale + parameters.pedestal
+        self._share = (math.sqrt(1.0 - parameters.noise_memory), math.sqrt(parameters.noise_memory))
+
+    def read(
+        self, force: Array | None, docking: Dockings | None, contact_time: Array | float, step: float
+    ) -> Array:
+        """Read both pads once.
+
+        Args:
+            force: (N, 2, 10, 10) N on the taxels; None = nothing touches.
+            docking: hysteresis and offsets of the present contact; None = out of contact.
+            contact_time: s since contact began, (N,) or scalar.
+            step: s since the last reading.
+
+        Returns:
+            (N, 2, 10, 10) N raw: pedestal, offsets and noise included; NaN where dead.
+        """
+        signal = self._respond(force, docking, contact_time)
+        return self._digitise(signal + self._noise(force, step))
+
+    def _respond(self, force: Array | None, docking: Dockings | None, contact_time: Array | float) -> Array:
+        p = self._parameters
+        base = self._rig.offset + p.pedestal
+        if docking is not None:
+            base = base + docking.offset
+        if force is None:
+            return base
+        creep = 1.0 + p.creep * np.log10(1.0 + np.maximum(contact_time, 0.0) / p.creep_time)
+        factor = np.asarray(creep).reshape(-1, 1)
+        if docking is not None:
+            factor = factor * (1.0 + docking.hysteresis)
+        felt = force * factor[:, :, None, None] * self._rig.gain
+        rows, columns = felt.mean(axis=-1, keepdims=True), felt.mean(axis=-2, keepdims=True)
+        return np.asarray(felt + p.cross_talk * (rows + columns) + base)
+
+    def _noise(self, force: Array | None, step: float) -> Array:
+        p = self._parameters
+        keep = math.exp(-max(step, 0.0) / p.noise_time)
+        self._slow *= keep
+        self._slow += math.sqrt(1.0 - keep * keep) * self._random.standard_normal(self._slow.shape)
+        unit = self._share[1] * self._slow + self._share[0] * self._random.standard_normal(self._slow.shape)
+        return np.asarray(unit * (p.noise if force is None else p.noise + p.noise_gain * np.abs(force)))
+
+    def _digitise(self, signal: Array) -> Array:
+        quantum = self._top / self._levels
+        raw = np.round(np.clip(signal, 0.0, self._top) / quantum) * quantum
+        raw[:, self._rig.dead] = np.nan
+        return np.asarray(raw)

@@ -1,0 +1,160 @@
+"""Makes the packaged model: `python -m deltacharger_tactile.training` writes models/pose.npz (about a minute).
+
+The rigs and seeds below belong to training alone; demos, scenes and tests must use others (any rig below 1 000 000).
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_tactile.estimator import PoseEstimator
+from deltacharger_tactile.generator import measure
+from deltacharger_tactile.parameters import DockingParameters, SensorParameters, TactileParameters
+from deltacharger_tactile.sensor import Rig
+
+Array = NDArray[np.float64]
+
+TRAINING_RIGS = range(1_000_000, 1_000_120)
+CALIBRATION_RIGS = range(1_100_000, 1_100_060)
+TRAINING_SEED = 20_260_101
+DOCKINGS_PER_RIG = 700
+
+_ANGLE_REACH = math.radians(28.0)
+_POSITION_REACH = 0.016
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Robot frames with the pose in contact.
+
+    Attributes:
+        frames: (N, 2, 10, 10) float32 N, tared, averaged, not thresholded; NaN where dead.
+        pose: (N, 3) m, m, rad: (horizontal, vertical, angle) in contact.
+        force: (N,) N, total contact force.
+        rig: (N,) seed of the device.
+    """
+
+    frames: NDArray[np.float32]
+    pose: Array
+    force: Array
+    rig: NDArray[np.int64]
+
+
+def varied(rig: int) -> TactileParameters:
+    """Parameters of one training rig: the defaults, with what differs between real chargers drawn anew.
+
+    Forces, tilts, dead taxels and the elastomer's stiffness vary more than between two rigs of the defaults, so
+    that the model does not lean on them.
+    """
+    random = np.random.default_rng([0x7EA, rig])
+    base = TactileParameters()
+    docking: DockingParameters = dataclasses.replace(
+        base.docking,
+        tilt_per_x=base.docking.tilt_per_x * random.uniform(0.85, 1.15),
+        tilt_per_y=base.docking.tilt_per_y * random.uniform(0.7, 1.3),
+        tilt_spread=base.docking.tilt_spread * 1.3,
+        tilt_bias=base.docking.tilt_bias * 1.5,
+        magnet_spread=0.08,
+        current_low=0.35,
+        current_high=0.55,
+    )
+    sensor: SensorParameters = dataclasses.replace(
+        base.sensor, dead_taxels=int(random.choice([0, 1, 1, 1, 2, 3]))
+    )
+    contact = dataclasses.replace(base.contact, stiffness=base.contact.stiffness * random.uniform(0.85, 1.15))
+    return dataclasses.replace(base, docking=docking, sensor=sensor, contact=contact)
+
+
+def draw_poses(count: int, random: np.random.Generator) -> Array:
+    """(count, 3) commanded poses: half over the whole reach and beyond the range, half where dockings mostly happen."""
+    reach = np.array([_POSITION_REACH, _POSITION_REACH, _ANGLE_REACH])
+    wide = random.uniform(-reach, reach, (count, 3))
+    near = np.column_stack(
+        [
+            random.normal(0.0, 0.004, (count, 2)),
+            random.uniform(-math.radians(16.0), math.radians(16.0), count),
+        ]
+    )
+    return np.where(random.random((count, 1)) < 0.5, wide, near)
+
+
+def record(rigs: Sequence[int], count: int, seed: int, vary: bool = True) -> Recording:
+    """Dock `count` times on each rig.
+
+    Args:
+        rigs: seeds of the devices.
+        count: dockings per rig.
+        seed: seed of the dockings.
+        vary: draw each rig's family by `varied` instead of the defaults.
+    """
+    frames, poses, forces = [], [], []
+    for rig_seed in rigs:
+        parameters = varied(rig_seed) if vary else TactileParameters()
+        random = np.random.default_rng([0x7EC, seed, rig_seed])
+        averaged = int(random.choice([1, 4, 12, 12])) if vary else 12
+        rows = measure(
+            parameters, Rig.draw(parameters, rig_seed), draw_poses(count, random), random, averaged, 0.0
+        )
+        felt = np.stack([rows["left"], rows["right"]], axis=1)
+        felt[rows["dead"]] = np.nan
+        frames.append(felt)
+        poses.append(rows["contact_pose"])
+        forces.append(rows["force"])
+    return Recording(
+        np.concatenate(frames),
+        np.concatenate(poses),
+        np.concatenate(forces),
+        np.repeat(np.array(rigs), count),
+    )
+
+
+def train(
+    rigs: Sequence[int] = TRAINING_RIGS,
+    held_out: Sequence[int] = CALIBRATION_RIGS,
+    count: int = DOCKINGS_PER_RIG,
+    seed: int = TRAINING_SEED,
+    epochs: int = 12,
+) -> PoseEstimator:
+    """Train an estimator and scale its standard deviations on rigs that it has not seen.
+
+    Args:
+        rigs: seeds of the devices to learn from.
+        held_out: seeds of the devices that scale the standard deviations.
+        count: dockings per rig.
+        seed: seed of the dockings and of the initial weights.
+        epochs: passes over the data.
+    """
+    learn, check = record(rigs, count, seed), record(held_out, count, seed)
+    model = PoseEstimator("pose-1", epochs=epochs)
+    model.fit(learn.frames, learn.pose, (check.frames, check.pose), seed)
+    model.describe(
+        {
+            "parameters": TactileParameters().digest(),
+            "training_rigs": len(rigs),
+            "held_out_rigs": len(held_out),
+            "dockings_per_rig": count,
+            "seed": seed,
+        }
+    )
+    return model
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Train the packaged model and write it."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "models" / "pose.npz")
+    options = parser.parse_args(arguments)
+    train().save(options.output)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

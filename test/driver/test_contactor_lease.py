@@ -1,0 +1,102 @@
+"""The lease on the contactor: one holder, 0.25 s at most, and every opening starts from nothing."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from deltacharger_driver.contactor_lease import ContactorLease, LeaseRefused
+
+
+def probed(now: float = 0.0, resistance: float = 25.0, voltage: float = 24.0) -> ContactorLease:
+    lease = ContactorLease()
+    lease.probed(resistance, voltage, now)
+    return lease
+
+
+def test_a_close_needs_a_probe() -> None:
+    with pytest.raises(LeaseRefused, match="probe"):
+        ContactorLease().take("dock", 0.2, 0.0)
+
+
+def test_a_probe_counts_for_less_than_two_seconds() -> None:
+    probed().take("dock", 0.2, 1.99)
+    with pytest.raises(LeaseRefused, match=r"2\.0 s old"):
+        probed().take("dock", 0.2, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("resistance", "voltage", "word"),
+    [(0.5, 24.0, "short"), (math.inf, 0.0, "open circuit"), (25.0, -24.0, "polarity"), (math.nan, 24.0, "nothing")],
+)
+def test_a_probe_that_found_trouble_forbids_the_close(resistance: float, voltage: float, word: str) -> None:
+    with pytest.raises(LeaseRefused, match=word):
+        probed(0.0, resistance, voltage).take("dock", 0.2, 0.1)
+
+
+def test_a_longer_lease_is_cut() -> None:
+    assert probed().take("dock", 10.0, 1.0) == 1.25
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, math.nan])
+def test_a_lease_without_duration_is_refused(duration: float) -> None:
+    with pytest.raises(LeaseRefused, match="closes nothing"):
+        probed().take("dock", duration, 0.0)
+
+
+def test_a_nameless_holder_is_refused() -> None:
+    with pytest.raises(LeaseRefused, match="name"):
+        probed().take("", 0.2, 0.0)
+
+
+def test_the_holder_renews_without_a_new_probe() -> None:
+    lease = probed()
+    now = 0.0
+    for _ in range(100):
+        now = lease.take("dock", 0.25, now) - 0.01
+    assert now > 20.0
+    assert lease.is_live(now)
+
+
+def test_another_holder_cannot_close() -> None:
+    lease = probed()
+    lease.take("dock", 0.25, 0.0)
+    with pytest.raises(LeaseRefused, match="'dock' holds"):
+        lease.take("other", 0.25, 0.1)
+    assert lease.holder == "dock"
+
+
+def test_a_lapsed_lease_serves_nobody_until_opened() -> None:
+    lease = probed()
+    lease.take("dock", 0.25, 0.0)
+    assert not lease.has_lapsed(0.249)
+    assert lease.has_lapsed(0.25)
+    assert not lease.is_live(0.25)
+    for holder in ("dock", "other"):
+        with pytest.raises(LeaseRefused, match="lapsed"):
+            lease.take(holder, 0.25, 0.3)
+    lease.opened()
+    assert not lease.has_lapsed(0.4)
+
+
+def test_every_opening_voids_the_probe_and_the_lease() -> None:
+    lease = probed()
+    lease.take("dock", 0.25, 0.0)
+    lease.opened()
+    assert lease.holder == ""
+    assert lease.openings == 1
+    assert math.isinf(lease.probe_age(0.1))
+    assert lease.resistance == 25.0  # still known, no longer counting
+    with pytest.raises(LeaseRefused, match="since the last opening"):
+        lease.take("dock", 0.25, 0.1)
+    lease.probed(25.0, 24.0, 0.2)
+    lease.take("other", 0.25, 0.3)
+
+
+def test_remaining() -> None:
+    lease = probed()
+    assert math.isinf(lease.remaining(0.0))
+    lease.take("dock", 0.25, 0.0)
+    assert lease.remaining(0.1) == pytest.approx(0.15)
+    assert lease.remaining(9.0) == 0.0

@@ -1,0 +1,92 @@
+"""The device's clock: offset from the least delayed packets, drift, reboots; sequence numbers that only rise."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from deltacharger_driver.device_clock import DeviceClock, SequenceUnwrapper
+
+
+def run(
+    clock: DeviceClock, seconds: float, offset: float, drift: float, delay: random.Random, start: float = 0.0
+) -> float:
+    """Feed a 120 Hz stream with exponential delays and return the worst error over the last second."""
+    worst = 0.0
+    for number in range(int(seconds * 120)):
+        true = start + number / 120.0
+        device = (true - start) * (1.0 + drift)
+        stamp = clock.update(device, true + offset + 0.0005 + delay.expovariate(1.0 / 0.002))
+        if number > (seconds - 1.0) * 120:
+            worst = max(worst, abs(stamp - (true + offset + 0.0005)))
+    return worst
+
+
+@pytest.mark.parametrize("drift", [0.0, 50e-6, -200e-6])
+def test_offset_and_drift_are_found_under_jitter(drift: float) -> None:
+    clock = DeviceClock()
+    assert run(clock, 12.0, 1234.5, drift, random.Random(1)) < 0.0005
+    assert clock.drift == pytest.approx(-drift, abs=40e-6)
+
+
+def test_long_runs_do_not_lose_the_drifting_offset() -> None:
+    assert run(DeviceClock(), 120.0, 0.0, 100e-6, random.Random(2)) < 0.0005
+
+
+def test_a_stalled_host_does_not_move_the_clock() -> None:
+    clock = DeviceClock()
+    for number in range(1200):
+        late = 0.3 if 600 <= number < 640 else 0.0  # what waited in the kernel's buffer
+        stamp = clock.update(number / 120.0, number / 120.0 + 50.0 + late)
+        assert stamp == pytest.approx(number / 120.0 + 50.0, abs=1e-4)
+
+
+def test_never_later_than_the_reception() -> None:
+    clock, delay = DeviceClock(), random.Random(3)
+    for number in range(2000):
+        received = number / 120.0 + 7.0 + delay.expovariate(500.0)
+        assert clock.update(number / 120.0, received) <= received
+
+
+def test_a_reset_starts_from_the_first_packet() -> None:
+    clock = DeviceClock()
+    run(clock, 6.0, 0.0, 0.0, random.Random(4))
+    clock.reset()
+    assert clock.update(0.0, 6.5) == 6.5
+
+
+def test_sequence_gaps_are_counted_modulo_65536() -> None:
+    counter = SequenceUnwrapper()
+    assert [counter.update(n) for n in (65533, 65534, 1, 2)] == [65533, 65534, 65537, 65538]
+    assert counter.lost == 2
+
+
+def test_many_turns_keep_rising() -> None:
+    counter = SequenceUnwrapper()
+    last = -1
+    for number in range(0, 300_000, 7):
+        unwrapped = counter.update(number % 65536)
+        assert unwrapped == number
+        assert unwrapped > last
+        last = unwrapped
+
+
+def test_a_repetition_is_no_frame() -> None:
+    counter = SequenceUnwrapper()
+    assert [counter.update(n) for n in (5, 5, 6)] == [5, None, 6]
+    assert (counter.lost, counter.duplicates) == (0, 1)
+
+
+def test_a_reboot_continues_above_and_counts_what_it_missed() -> None:
+    counter = SequenceUnwrapper()
+    counter.update(100)
+    counter.reboot()
+    assert [counter.update(n) for n in (2, 3)] == [103, 104]
+    assert counter.lost == 2
+
+
+def test_joining_a_running_stream_loses_nothing() -> None:
+    counter = SequenceUnwrapper()
+    assert counter.update(4711) == 4711
+    assert counter.lost == 0

@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from deltacharger_driver.errors import DriverError, RangeError
+from deltacharger_driver.mx64 import (
+    CURRENT_UNIT,
+    REGISTERS,
+    TICK,
+    angle_to_ticks,
+    counts_to_current,
+    counts_to_velocity,
+    current_to_counts,
+    describe_hardware_error,
+    describe_status_error,
+    indirect_address,
+    indirect_data,
+    ticks_to_angle,
+    velocity_to_counts,
+)
+
+
+def test_no_two_registers_overlap():
+    taken: dict[int, str] = {}
+    blocks = {f"indirect address {n}": (indirect_address(n), 2) for n in range(56)}
+    blocks |= {f"indirect data {n}": (indirect_data(n), 1) for n in range(56)}
+    blocks |= {name: (register.address, register.size) for name, register in REGISTERS.items()}
+    for name, (address, size) in blocks.items():
+        for place in range(address, address + size):
+            assert place not in taken, f"{name} overlaps {taken[place]}"
+            taken[place] = name
+
+
+@pytest.mark.parametrize(
+    ("name", "address", "size"),
+    [
+        ("operating_mode", 11, 1),
+        ("homing_offset", 20, 4),
+        ("torque_enable", 64, 1),
+        ("hardware_error", 70, 1),
+        ("bus_watchdog", 98, 1),
+        ("goal_current", 102, 2),
+        ("goal_position", 116, 4),
+        ("present_current", 126, 2),
+        ("present_velocity", 128, 4),
+        ("present_position", 132, 4),
+        ("input_voltage", 144, 2),
+        ("temperature", 146, 1),
+    ],
+)
+def test_addresses_of_the_e_manual(name, address, size):
+    assert (REGISTERS[name].address, REGISTERS[name].size) == (address, size)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("zero", [0, 2048, -511, 4095])
+def test_every_tick_survives_the_round_trip(direction, zero):
+    for ticks in range(-8192, 8193, 37):
+        angle = ticks_to_angle(ticks, zero, direction)
+        assert angle_to_ticks(angle, zero, direction) == ticks
+
+
+def test_angle_convention():
+    assert ticks_to_angle(2048, 2048, 1) == 0.0
+    assert ticks_to_angle(3072, 2048, 1) == pytest.approx(math.pi / 2)
+    assert ticks_to_angle(3072, 2048, -1) == pytest.approx(-math.pi / 2)
+    assert abs(ticks_to_angle(angle_to_ticks(0.3, 2048, 1), 2048, 1) - 0.3) <= TICK / 2
+
+
+def test_currents_of_the_paper():
+    assert current_to_counts(0.4) == 119
+    assert current_to_counts(0.5) == 148  # never above what was asked for
+    assert counts_to_current(-119) == pytest.approx(-0.4, abs=CURRENT_UNIT)
+
+
+def test_a_bound_is_never_rounded_up():
+    for tenth_milliampere in range(0, 42_000, 7):
+        current = tenth_milliampere * 1e-4
+        assert counts_to_current(current_to_counts(current)) <= current + 1e-9
+        assert current_to_counts(-current) == -current_to_counts(current)
+
+
+def test_velocity_round_trip():
+    for counts in range(-1023, 1024):
+        assert velocity_to_counts(counts_to_velocity(counts)) == counts
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9])
+def test_what_a_register_cannot_hold_is_refused_with_its_value(value):
+    for encode in (lambda v: angle_to_ticks(v, 2048, 1), current_to_counts, velocity_to_counts):
+        with pytest.raises(RangeError) as caught:
+            encode(value)
+        assert isinstance(caught.value, DriverError)
+        assert isinstance(caught.value, ValueError)
+        assert caught.value.value is value or caught.value.value == value
+
+
+def test_registers_refuse_too_large_numbers():
+    with pytest.raises(RangeError):
+        REGISTERS["bus_watchdog"].to_bytes(256)
+    with pytest.raises(RangeError):
+        REGISTERS["goal_current"].to_bytes(40_000)
+    assert REGISTERS["goal_current"].from_bytes(REGISTERS["goal_current"].to_bytes(-1)) == -1
+
+
+def test_errors_in_words():
+    assert describe_hardware_error(0) == ""
+    assert describe_hardware_error(0b100100) == "overheating, overload"
+    assert "0x02" in describe_hardware_error(2)
+    assert "hardware error" in describe_status_error(0x80)
+    assert "read-only" in describe_status_error(7)

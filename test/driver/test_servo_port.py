@@ -1,0 +1,279 @@
+"""Each trap of the bare dynamixel-sdk, shown on a real pseudo-terminal, and the same situation with ours."""
+
+from __future__ import annotations
+
+import errno
+import struct
+import termios
+import threading
+import time
+
+import pytest
+import serial
+from dynamixel_sdk import COMM_PORT_BUSY, COMM_SUCCESS, GroupSyncRead, PortHandler, Protocol2PacketHandler
+
+from deltacharger_driver.bench_arm import BenchArm
+from deltacharger_driver.errors import (
+    CorruptReply,
+    DriverError,
+    NoAnswer,
+    PortBusy,
+    PortDenied,
+    PortError,
+    PortGone,
+    PortMissing,
+    WrongThread,
+)
+from deltacharger_driver.mx64 import REGISTERS
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.servo_emulator import ServoBusEmulator
+from deltacharger_driver.servo_link import ServoLink
+from deltacharger_driver.servo_port import ServoPort, ServoProtocol, crc16
+
+POSITION = REGISTERS["present_position"].address
+SPARE = 650  # indirect data that nothing maps: plain memory
+STUFFING = bytes.fromhex("fffffd01fffdfd00")
+
+
+@pytest.fixture
+def emulator():
+    return ServoBusEmulator(BenchArm())
+
+
+@pytest.fixture
+def terminal(emulator):
+    with PseudoTerminal(emulator) as terminal:
+        yield terminal
+
+
+@pytest.fixture
+def bare(terminal):
+    port = PortHandler(terminal.path)
+    port.openPort()
+    yield port, Protocol2PacketHandler()
+    port.closePort()
+
+
+@pytest.fixture
+def link(terminal):
+    link = ServoLink(terminal.path, 1_000_000)
+    link.open()
+    yield link
+    link.close()
+
+
+def busy_share(action):
+    wall, cpu = time.monotonic(), time.thread_time()
+    action()
+    return (time.thread_time() - cpu) / (time.monotonic() - wall)
+
+
+def reads_while(port, action):
+    """Return how often `port` is read while `action` runs."""
+    count, read = 0, port.readPort
+
+    def counted(length):
+        nonlocal count
+        count += 1
+        return read(length)
+
+    port.readPort = counted
+    action()
+    return count
+
+
+def test_trap_1_failure_is_absence_not_zero(bare, link, emulator):
+    emulator.faults.missing = {1}
+    group = GroupSyncRead(*bare, POSITION, 4)
+    group.addParam(1)
+    group.txRxPacket()
+    assert group.getData(1, POSITION, 4) == 0
+    assert link.sync_read((1,), POSITION, 4) == {}
+
+
+def test_trap_2_a_late_reply_never_answers_another_question(bare, link, emulator):
+    port, protocol = bare
+    emulator.faults.delay = 0.05
+    protocol.read2ByteTxRx(port, 1, 144)
+    wrong, result, _ = protocol.read1ByteTxRx(port, 1, 146)
+    assert result == COMM_SUCCESS
+    assert wrong == 120  # decivolts taken for °C
+    time.sleep(0.1)
+    for _ in range(5):
+        link.sync_read((1,), POSITION, 4)
+        try:
+            assert link.read(1, "temperature") == 30
+        except NoAnswer:
+            continue
+    emulator.faults.delay = 0.0
+    assert link.read(1, "temperature") == 30
+    assert link.counters.late > 0
+
+
+def test_trap_3_what_is_sent_is_stuffed(bare, link):
+    port, protocol = bare
+    ticks = -131_073  # FF FF FD FF on the wire
+    link.write(2, "operating_mode", 5)
+    assert protocol.write4ByteTxRx(port, 2, 116, ticks & 0xFFFFFFFF)[0] != COMM_SUCCESS
+    link.write(2, "goal_position", ticks)
+    assert link.read(2, "goal_position") == ticks
+
+
+def test_trap_3_stuffing_is_removed_exactly(bare, link):
+    port, protocol = bare
+    link.write_bytes(1, SPARE, STUFFING)
+    data, result, _ = protocol.readTxRx(port, 1, SPARE, len(STUFFING))
+    assert result == COMM_SUCCESS
+    assert bytes(data) != STUFFING  # the SDK takes FF FD FD for stuffing once it has removed some
+    assert link.read_bytes(1, SPARE, len(STUFFING)) == STUFFING
+
+
+def test_trap_4_the_error_byte_is_kept(link, emulator):
+    emulator.raise_hardware_error(3, 1)
+    replies = link.sync_read((1, 2, 3), POSITION, 4)
+    assert [error for error, _ in replies.values()] == [0, 0, 0x80]
+
+
+def test_trap_6_waiting_costs_no_processor_time(bare, link, emulator):
+    emulator.faults.missing = {1}
+    port, protocol = bare
+    assert reads_while(port, lambda: protocol.ping(port, 1)) > 200
+    assert reads_while(link._handler, lambda: link.sync_read((1,), POSITION, 4)) < 5
+
+    def wait():
+        for _ in range(5):
+            assert link.sync_read((1,), POSITION, 4) == {}
+
+    assert busy_share(wait) < 0.2
+
+
+def test_trap_7_timeouts_ignore_the_wall_clock_and_the_adapter_decides(bare, link, emulator, monkeypatch):
+    emulator.faults.missing = {1}
+    port, _ = bare
+    monkeypatch.setattr(time, "time", lambda: 1.0)
+    assert port.getCurrentTime() == port.getCurrentTime() == 1000.0  # with a stopped clock it would wait for ever
+    begin = time.monotonic()
+    with pytest.raises(NoAnswer):
+        link.ping(1)
+    assert time.monotonic() - begin < 0.2
+    ours = ServoPort("unused")
+    ours.tx_time_per_byte = port.tx_time_per_byte
+    ours.setPacketTimeout(11)
+    port.setPacketTimeout(11)
+    assert ours.packet_timeout < port.packet_timeout
+
+
+def test_trap_8_a_pulled_cable_is_one_error_and_the_port_opens_again(terminal, bare, link):
+    port, protocol = bare
+    assert link.ping(1) == 311
+    terminal.stop()
+    with pytest.raises(termios.error):
+        protocol.ping(port, 1)
+    assert protocol.ping(port, 1)[1] == COMM_PORT_BUSY
+    for _ in range(3):
+        with pytest.raises(PortGone):
+            link.ping(1)
+        with pytest.raises(PortGone):
+            link.sync_write(116, 4, [(1, bytes(4))])
+    terminal.start()
+    link.close()
+    again = ServoLink(terminal.path, 1_000_000)
+    again.open()
+    assert again.ping(1) == 311
+    again.close()
+
+
+def test_trap_8_the_cable_goes_while_a_reply_is_awaited(terminal, link, emulator):
+    emulator.faults.missing = {1}
+    puller = threading.Timer(0.01, terminal.stop)
+    puller.start()
+    with pytest.raises(PortGone):
+        while True:
+            link.sync_read((1,), POSITION, 4)
+    puller.join()
+
+
+def test_trap_9_one_thread_owns_the_port(link):
+    caught = []
+
+    def use():
+        try:
+            link.ping(1)
+        except WrongThread as error:
+            caught.append(str(error))
+
+    thread = threading.Thread(target=use, name="intruder")
+    thread.start()
+    thread.join()
+    assert "intruder" in caught[0]
+    assert "MainThread" in caught[0]
+
+
+def test_a_second_program_finds_the_port_busy(terminal, link):
+    with pytest.raises(PortBusy, match="in use"):
+        ServoLink(terminal.path, 1_000_000).open()
+
+
+def test_each_way_not_to_open_has_its_name(tmp_path, monkeypatch):
+    with pytest.raises(PortMissing, match="no such port") as caught:
+        ServoLink(str(tmp_path / "nothing"), 1_000_000).open()
+    assert isinstance(caught.value, ConnectionError)
+    plain = tmp_path / "file"
+    plain.write_text("not a port")
+    with pytest.raises(PortError):
+        ServoLink(str(plain), 1_000_000).open()
+
+    def refuse(*args, **kwargs):
+        raise serial.SerialException(errno.EACCES, "permission denied")
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with pytest.raises(PortDenied, match="dialout"):
+        ServoLink(str(plain), 1_000_000).open()
+
+
+def test_a_speed_that_servos_lack_is_refused(terminal):
+    with pytest.raises(DriverError, match="12345"):
+        ServoLink(terminal.path, 12345).open()
+
+
+def test_corrupt_replies_are_asked_for_again(link, emulator):
+    emulator.faults.next_reply("corrupt", 1, 2)
+    assert link.read(1, "input_voltage") == 120
+    assert link.counters.corrupt + link.counters.timeouts == 2
+
+
+def test_a_servo_that_only_stammers_is_told_from_a_silent_one(link, emulator):
+    emulator.faults.rate["corrupt"] = 1.0
+    with pytest.raises((CorruptReply, NoAnswer)):
+        link.read(1, "input_voltage")
+    emulator.faults.rate.clear()
+    emulator.faults.missing = {1}
+    with pytest.raises(NoAnswer, match="servo 1") as caught:
+        link.read(1, "input_voltage")
+    assert isinstance(caught.value, TimeoutError)
+
+
+@pytest.mark.parametrize("fault", ["drop", "corrupt", "truncate", "duplicate", "garbage"])
+def test_no_fault_of_the_wire_ever_yields_a_wrong_value(link, emulator, fault):
+    emulator.faults.rate[fault] = 0.3
+    good = 0
+    for _ in range(40):
+        try:
+            assert link.read(2, "input_voltage") == 120
+            good += 1
+        except (NoAnswer, CorruptReply):
+            continue
+    assert good > 25
+    emulator.faults.rate.clear()
+    assert link.read(2, "temperature") == 30
+
+
+def test_checksum_and_stuffing_agree_with_the_sdk_where_it_is_right():
+    sdk, ours = Protocol2PacketHandler(), ServoProtocol()
+    packet = list(bytes.fromhex("fffffd0001070002840004001d15"))
+    assert crc16(packet[:-2]) == sdk.updateCRC(0, packet, len(packet) - 2) == struct.unpack("<H", bytes(packet[-2:]))[0]
+    assert ours.updateCRC(0, packet, 5) == sdk.updateCRC(0, packet, 5)
+    for body in (b"\xff\xff\xfd", b"\xff\xff\xff\xfd\xfd", b"\xff\xff\xfd\xff\xff\xfd\x07", STUFFING, b"plain"):
+        stuffed = ours.addStuffing([0xFF, 0xFF, 0xFD, 0, 1, len(body) + 3, 0, 0x55, *body, 0, 0])
+        assert b"\xff\xff\xfd\xfd" in bytes(stuffed) or body == b"plain"
+        assert bytes(ours.removeStuffing(stuffed)[8:-2]) == body

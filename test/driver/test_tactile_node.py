@@ -1,0 +1,457 @@
+"""tactile_node over a pseudo-terminal, the emulated board and a bench plant, seen by a real ROS client."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import threading
+import time
+from array import array
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+rclpy = pytest.importorskip("rclpy")
+pytest.importorskip("deltacharger.msg")
+
+from builtin_interfaces.msg import Duration  # noqa: E402
+from deltacharger.msg import ChargerPower, TactileFrame  # noqa: E402
+from deltacharger.srv import Probe, SetContactor  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from rclpy.callback_groups import ReentrantCallbackGroup  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import QoSProfile, qos_profile_sensor_data  # noqa: E402
+from std_srvs.srv import Trigger  # noqa: E402
+
+from deltacharger_bringup.node_support import Spinner, StartupError  # noqa: E402
+from deltacharger_driver.bench_plant import BenchPlant  # noqa: E402
+from deltacharger_driver.board_emulator import BoardEmulator  # noqa: E402
+from deltacharger_driver.board_protocol import Fault, PacketType  # noqa: E402
+from deltacharger_driver.pseudo_terminal import PseudoTerminal  # noqa: E402
+from deltacharger_driver.tactile_node import TactileNode  # noqa: E402
+
+_domains = itertools.count(os.getpid() % 50 * 4)
+
+
+def new_context() -> Any:
+    """A context in a domain of its own, so that nothing else on this machine answers."""
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=1 + next(_domains) % 200)
+    return context
+
+
+def wait_for(condition: Callable[[], object], timeout: float = 10.0) -> None:
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, "the condition did not come true in time"
+        time.sleep(0.002)
+
+
+class Client(Node):
+    """What docking_node is to tactile_node."""
+
+    def __init__(self, context: Any) -> None:
+        super().__init__("client", context=context)
+        self.frames: list[TactileFrame] = []
+        self.powers: list[ChargerPower] = []
+        self.diagnostics: list[DiagnosticArray] = []
+        group = ReentrantCallbackGroup()
+        self.create_subscription(
+            TactileFrame, "tactile_frame", self.frames.append, qos_profile_sensor_data, callback_group=group
+        )
+        self.create_subscription(
+            ChargerPower, "charger_power", self.powers.append, QoSProfile(depth=1), callback_group=group
+        )
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10, callback_group=group)
+        self._tare = self.create_client(Trigger, "tare", callback_group=group)
+        self._probe = self.create_client(Probe, "probe", callback_group=group)
+        self._contactor = self.create_client(SetContactor, "set_contactor", callback_group=group)
+        for client in (self._tare, self._probe, self._contactor):
+            assert client.wait_for_service(10.0)
+
+    @staticmethod
+    def call(client: Any, request: Any) -> Any:
+        answered = threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _: answered.set())
+        assert answered.wait(5.0), "the service did not answer"
+        return future.result()
+
+    def tare(self) -> Any:
+        return self.call(self._tare, Trigger.Request())
+
+    def probe(self) -> Any:
+        return self.call(self._probe, Probe.Request())
+
+    def contactor(self, close: bool, holder: str = "dock", lease: float = 0.25) -> Any:
+        duration = Duration(sec=int(lease), nanosec=int(lease % 1.0 * 1e9))
+        return self.call(self._contactor, SetContactor.Request(close=close, holder=holder, lease=duration))
+
+
+class Rig:
+    """Board, cable, node and client."""
+
+    def __init__(self, directory: Path) -> None:
+        self.plant = BenchPlant()
+        self.board = BoardEmulator(self.plant, seed=5)
+        self.path = directory / "board"
+        self.cable = PseudoTerminal(self.board, self.path).start()
+        self.context = new_context()
+        self.node = TactileNode(context=self.context, parameter_overrides=[Parameter("port", value=str(self.path))])
+        self.server = Spinner(self.node)
+        self.client = Client(self.context)
+        self.spinner = Spinner(self.client)
+
+    def reset(self) -> None:
+        """Everything as after power-up, whatever the test before left."""
+        self.plant.press(0.0)
+        self.plant.resistance, self.plant.target, self.plant.detected = 2.0, 24.0, 0
+        self.board.reboot()
+        self.client.contactor(False)
+        wait_for(lambda: not self.power().contactor_closed and not self.power().fault)
+        self.fresh_frame()
+
+    def fresh_frame(self) -> TactileFrame:
+        self.client.frames.clear()
+        wait_for(lambda: len(self.client.frames) > 2)
+        return self.client.frames[-1]
+
+    def power(self) -> ChargerPower:
+        self.client.powers.clear()
+        wait_for(lambda: len(self.client.powers) > 1)
+        return self.client.powers[-1]
+
+    def dock(self) -> None:
+        """Tare, touch, probe: ready to close."""
+        assert self.client.tare().success
+        self.plant.press(20.0)
+        self.wait_for_contact()
+        answer = self.client.probe()
+        assert answer.success, answer.message
+
+    def wait_for_contact(self) -> None:
+        wait_for(lambda: np.nanmax(self.fresh_frame().left) > 4.0)
+
+    def charge(self, seconds: float) -> None:
+        """Hold the lease as docking_node does and see current."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            answer = self.client.contactor(True)
+            assert answer.success, answer.message
+            time.sleep(0.1)  # the holder's 10 Hz, not a wait for a condition
+
+    def stop(self) -> None:
+        self.server.close()
+        self.spinner.close()
+        self.cable.stop()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    rig = Rig(tmp_path_factory.mktemp("tactile"))
+    yield rig
+    rig.stop()
+
+
+@pytest.fixture
+def rig(shared: Rig) -> Rig:
+    shared.reset()
+    return shared
+
+
+def test_frames_are_complete_and_stamped_with_the_sampling_instant(rig: Rig) -> None:
+    rig.plant.left[0, 0] = 5.0
+    rig.plant.right[9, 9] = 3.0
+    rig.board.set_dead(1, 0, 0)
+    frame = rig.fresh_frame()
+    rig.board.set_dead(1, 0, 0, dead=False)
+    now = rig.client.get_clock().now().nanoseconds * 1e-9
+    stamp = frame.header.stamp.sec + frame.header.stamp.nanosec * 1e-9
+    assert -0.01 < now - stamp < 0.2
+    assert frame.header.frame_id == "end_effector"
+    assert (frame.rows, frame.columns, len(frame.left), len(frame.right)) == (10, 10, 100, 100)
+    assert frame.pitch == pytest.approx(0.0024)
+    assert isinstance(frame.left, array)
+    assert frame.left[0] > 4.5
+    assert frame.right[99] > 2.5
+    assert math.isnan(frame.right[0])
+
+
+def test_frames_come_at_120_hz_without_gaps(rig: Rig) -> None:
+    rig.client.frames.clear()
+    wait_for(lambda: len(rig.client.frames) >= 120)
+    frames = rig.client.frames[:120]
+    assert [f.sequence - frames[0].sequence for f in frames] == list(range(120))
+    span = (frames[-1].device_time_us - frames[0].device_time_us) * 1e-6
+    assert span == pytest.approx(119 / 120, abs=0.001)
+
+
+def test_tare(rig: Rig) -> None:
+    assert not rig.fresh_frame().tared
+    assert rig.client.tare().success
+    frame = rig.fresh_frame()
+    assert frame.tared
+    assert min(frame.left) == 0.0
+    rig.plant.press(20.0)
+    answer = rig.client.tare()
+    assert not answer.success
+    assert "retract first" in answer.message
+
+
+def test_power_before_anything(rig: Rig) -> None:
+    power = rig.power()
+    assert not power.contactor_closed
+    assert (power.battery_voltage, power.target_voltage, power.charge_current) == (26.0, 24.0, 0.0)
+    assert math.isinf(power.probe_age)
+
+
+def test_probe(rig: Rig) -> None:
+    answer = rig.client.probe()
+    assert (answer.success, answer.resistance, answer.target_voltage) == (True, 2.0, 24.0)
+    power = rig.power()
+    assert power.probe_resistance == 2.0
+    assert 0.0 <= power.probe_age < 1.0
+    rig.plant.resistance = 0.1
+    answer = rig.client.probe()
+    assert answer.success  # measured, also where it is a short
+    assert answer.resistance == pytest.approx(0.1)
+
+
+def test_a_held_lease_charges_and_an_open_ends_it(rig: Rig) -> None:
+    rig.dock()
+    rig.charge(0.6)
+    power = rig.power()
+    assert power.contactor_closed
+    assert power.charge_current == pytest.approx(1.0)
+    rig.charge(0.1)
+    assert rig.client.contactor(False, "somebody else").success
+    wait_for(lambda: not rig.plant.read_power()[3])
+    power = rig.power()
+    assert math.isinf(power.probe_age)
+    assert power.fault == 0
+    answer = rig.client.contactor(True)
+    assert not answer.success
+    assert "call probe" in answer.message
+
+
+def test_a_lease_that_is_not_renewed_lapses_and_is_opened_without_a_fault(rig: Rig) -> None:
+    rig.dock()
+    rig.charge(0.3)
+    began = time.monotonic()
+    wait_for(lambda: not rig.plant.read_power()[3])
+    assert time.monotonic() - began < 0.4
+    assert rig.power().fault == 0
+    answer = rig.client.contactor(True)
+    assert not answer.success
+    assert "probe" in answer.message
+
+
+def test_another_holder_cannot_close(rig: Rig) -> None:
+    rig.dock()
+    assert rig.client.contactor(True, "dock").success
+    answer = rig.client.contactor(True, "thief")
+    assert not answer.success
+    assert "'dock' holds" in answer.message
+    assert rig.client.contactor(True, "dock").success
+
+
+def test_a_long_lease_is_cut(rig: Rig) -> None:
+    rig.dock()
+    began = time.monotonic()
+    assert rig.client.contactor(True, lease=5.0).success
+    wait_for(lambda: rig.plant.read_power()[3])
+    wait_for(lambda: not rig.plant.read_power()[3])
+    assert time.monotonic() - began < 0.6
+
+
+@pytest.mark.parametrize(
+    ("trouble", "words"),
+    [
+        ("no contact", "no contact"),
+        ("no probe", "call probe"),
+        ("short", "short circuit"),
+        ("open circuit", "open circuit"),
+        ("reverse polarity", "polarity"),
+        ("no name", "name"),
+        ("fault", "over current"),
+    ],
+)
+def test_what_refuses_a_close(rig: Rig, trouble: str, words: str) -> None:
+    if trouble == "short":
+        rig.plant.resistance = 0.5
+    elif trouble == "open circuit":
+        rig.plant.resistance = math.inf
+    elif trouble == "reverse polarity":
+        rig.plant.target = -24.0
+    if trouble == "no probe":
+        assert rig.client.tare().success
+        rig.plant.press(20.0)
+        rig.wait_for_contact()
+    else:
+        rig.dock()
+    if trouble == "no contact":
+        rig.plant.press(0.0)
+        wait_for(lambda: np.nanmax(rig.fresh_frame().left) < 1.0)
+        time.sleep(0.12)  # contact within the last 0.1 s counts
+    elif trouble == "fault":
+        rig.board.trip(Fault.OVER_CURRENT)
+        wait_for(lambda: rig.power().fault)
+        rig.client.probe()
+    answer = rig.client.contactor(True, "" if trouble == "no name" else "dock")
+    assert not answer.success
+    assert words in answer.message
+    assert not rig.board.contactor_commanded
+    assert rig.power().fault == (Fault.OVER_CURRENT if trouble == "fault" else 0)
+
+
+def test_stale_frames_refuse_a_close(rig: Rig) -> None:
+    rig.dock()
+    rig.board.faults.inject("drop", 40, PacketType.TACTILE)
+    time.sleep(0.15)
+    answer = rig.client.contactor(True)
+    assert not answer.success
+    assert "stale" in answer.message
+    rig.fresh_frame()
+
+
+def test_a_latched_fault_ends_the_lease_and_only_an_open_clears_it(rig: Rig) -> None:
+    rig.dock()
+    rig.charge(0.3)
+    rig.board.trip(Fault.REVERSE_CURRENT)
+    wait_for(lambda: rig.power().fault == Fault.REVERSE_CURRENT)
+    answer = rig.client.contactor(True)
+    assert not answer.success
+    assert "reverse current" in answer.message
+    time.sleep(0.4)  # a lapse would have opened by now, which clears the fault
+    assert rig.power().fault == Fault.REVERSE_CURRENT
+    assert rig.client.contactor(False).success
+    wait_for(lambda: rig.power().fault == 0)
+
+
+def test_a_probe_while_closed_is_refused(rig: Rig) -> None:
+    rig.dock()
+    assert rig.client.contactor(True).success
+    answer = rig.client.probe()
+    assert not answer.success
+    assert "keeps the contactor closed" in answer.message
+
+
+def test_an_open_does_not_wait_for_a_probe(rig: Rig) -> None:
+    answers: list[Any] = []
+    prober = threading.Thread(target=lambda: answers.append(rig.client.probe()))
+    prober.start()
+    wait_for(lambda: rig.node._keeper.guard._probing.locked())
+    began = time.monotonic()
+    assert rig.client.contactor(False).success
+    assert time.monotonic() - began < 0.12
+    prober.join()
+    assert not answers[0].success
+    assert math.isnan(answers[0].resistance)
+
+
+def test_frames_flow_while_services_wait(rig: Rig) -> None:
+    rig.client.frames.clear()
+    for _ in range(3):
+        rig.client.probe()
+    instants = [f.device_time_us for f in rig.client.frames]
+    assert len(instants) > 40
+    assert np.diff(instants).max() < 10_000
+
+
+def test_a_reboot_of_the_board_recovers_untared_with_rising_sequence(rig: Rig) -> None:
+    assert rig.client.tare().success
+    before = rig.fresh_frame()
+    assert before.tared
+    rig.board.reboot()
+    wait_for(lambda: not rig.fresh_frame().tared)
+    after = rig.fresh_frame()
+    assert after.sequence > before.sequence
+    assert after.device_time_us < before.device_time_us
+
+
+def test_a_reboot_while_charging_ends_the_lease(rig: Rig) -> None:
+    rig.dock()
+    rig.charge(0.3)
+    rig.board.reboot()
+    wait_for(lambda: not rig.plant.read_power()[3])
+    rig.fresh_frame()
+    rig.wait_for_contact()
+    rig.power()
+    answer = rig.client.contactor(True)
+    assert not answer.success
+    assert "probe" in answer.message
+
+
+def test_unplugging_while_charging_opens_and_replugging_recovers(rig: Rig) -> None:
+    rig.dock()
+    rig.charge(0.3)
+    rig.cable.stop()
+    unplugged = time.monotonic()
+    answer = rig.client.contactor(True)
+    assert not answer.success
+    while rig.board.contactor_commanded:  # nobody serves the board now, so let its time pass
+        rig.board.poll(time.monotonic())
+        assert time.monotonic() - unplugged < 0.3
+    assert rig.board.fault == Fault.HEARTBEAT_LOST
+    rig.client.frames.clear()
+    assert not rig.client.tare().success
+    rig.cable = PseudoTerminal(rig.board, rig.path).start()
+    rig.fresh_frame()
+    assert not rig.client.contactor(True).success
+    assert not rig.plant.read_power()[3]
+    assert rig.power().fault == Fault.HEARTBEAT_LOST
+
+
+def test_diagnostics_name_every_part(rig: Rig) -> None:
+    rig.client.tare()
+    rig.client.diagnostics.clear()
+    wait_for(lambda: len(rig.client.diagnostics) >= 2)
+    statuses = {s.name.rsplit(": ", 1)[1]: s for s in rig.client.diagnostics[-1].status}
+    assert set(statuses) == {"board link", "tactile arrays", "power stage"}
+    assert statuses["tactile arrays"].message == "OK"
+    assert int(next(v.value for v in statuses["board link"].values if v.key == "tactile")) > 0
+
+
+def test_close_opens_the_contactor_and_releases_the_port(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.fresh_frame()
+    rig.dock()
+    rig.charge(0.3)
+    assert rig.plant.read_power()[3]
+    rig.node.close()
+    assert not rig.plant.read_power()[3]
+    assert rig.board.fault == 0
+    assert not [t for t in threading.enumerate() if str(rig.path) in t.name]
+    assert not rig.client.contactor(True).success
+    rig.node.close()
+    rig.stop()
+
+
+def test_a_node_without_its_port_waits_for_it(tmp_path: Path) -> None:
+    context = new_context()
+    node = TactileNode(context=context, parameter_overrides=[Parameter("port", value=str(tmp_path / "later"))])
+    wait_for(lambda: "no such port" in node._keeper.problem)
+    with PseudoTerminal(BoardEmulator(BenchPlant()), tmp_path / "later"):
+        wait_for(lambda: node._keeper.problem == "")
+        node.close()
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [("rate", 1000.0, "rate"), ("prot", "x", "did you mean 'port'"), ("pitch", 0.0, "pitch")],
+)
+def test_bad_parameters_stop_the_node(name: str, value: object, words: str) -> None:
+    context = new_context()
+    with pytest.raises(StartupError, match=words):
+        TactileNode(context=context, parameter_overrides=[Parameter(name, value=value)])
+    rclpy.shutdown(context=context)

@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from deltacharger_driver.errors import DriverError, TrajectoryRefused
+from deltacharger_driver.trajectory import JointLimits, Waypoint, check, check_age
+
+NAMES = ("a", "b", "c")
+LIMITS = JointLimits(NAMES, -1.0, 1.2, 4.0)
+START = (0.0, 0.1, 0.2)
+
+
+def points(*rows):
+    return [Waypoint(*row) for row in rows]
+
+
+def test_linear_between_the_goal_and_the_points():
+    trajectory = check(NAMES, points((1.0, (0.2, 0.2, 0.2)), (2.0, (0.0, 0.4, 0.2))), LIMITS)
+    assert trajectory.goal_at(0.0, START) == START
+    assert trajectory.goal_at(0.5, START) == pytest.approx((0.1, 0.15, 0.2))
+    assert trajectory.goal_at(1.0, START) == (0.2, 0.2, 0.2)
+    assert trajectory.goal_at(1.5, START) == pytest.approx((0.1, 0.3, 0.2))
+    assert trajectory.goal_at(99.0, START) == (0.0, 0.4, 0.2)
+    assert trajectory.duration == 2.0
+
+
+def test_the_goal_never_leaves_the_hull_of_start_and_points():
+    trajectory = check(NAMES, points((0.0, (0.2, 0.2, 0.2)), (0.3, (-0.5, 0.4, 1.0))), LIMITS)
+    for step in range(-10, 100):
+        for angle, low, high in zip(trajectory.goal_at(step * 0.005, START), (-0.5, 0.1, 0.2), (0.2, 0.4, 1.0), strict=True):
+            assert low - 1e-12 <= angle <= high + 1e-12
+
+
+def test_a_point_at_time_zero_takes_effect_at_once():
+    trajectory = check(NAMES, points((0.0, (0.2, 0.2, 0.2))), LIMITS)
+    assert trajectory.goal_at(0.0, START) == (0.2, 0.2, 0.2)
+
+
+def test_joints_may_come_in_any_order():
+    trajectory = check(("c", "a", "b"), points((1.0, (0.3, 0.1, 0.2), (3.0, 1.0, 2.0))), LIMITS)
+    assert trajectory.angles == ((0.1, 0.2, 0.3),)
+    assert trajectory.torques == ((1.0, 2.0, 3.0),)
+
+
+def test_a_bound_holds_from_the_start_of_its_segment():
+    trajectory = check(
+        NAMES, points((1.0, START), (2.0, START, (1.0, 1.0, 1.0)), (3.0, START), (4.0, START, (0.0, 2.0, 4.0))), LIMITS
+    )
+    assert trajectory.torque_at(0.5) is None
+    assert trajectory.torque_at(1.0) == (1.0, 1.0, 1.0)
+    assert trajectory.torque_at(2.5) == (1.0, 1.0, 1.0)
+    assert trajectory.torque_at(3.0) == (0.0, 2.0, 4.0)
+    assert trajectory.torque_at(9.0) == (0.0, 2.0, 4.0)
+
+
+def test_no_points_mean_hold():
+    assert check((), [], LIMITS).is_hold
+    assert check(NAMES, [], LIMITS).is_hold
+
+
+@pytest.mark.parametrize(
+    ("names", "rows", "told"),
+    [
+        (("a", "b", "x"), [(1.0, START)], "x"),
+        (("a", "b"), [(1.0, (0.0, 0.0))], "exactly once"),
+        (("a", "b", "b"), [(1.0, START)], "exactly once"),
+        ((), [(1.0, ())], "exactly once"),
+        (("a", "x", "c"), [], "x"),
+        (NAMES, [(1.0, (0.0, 0.0))], "2 numbers for 3"),
+        (NAMES, [(1.0, ())], "0 numbers"),
+        (NAMES, [(1.0, START, (1.0, 1.0))], "effort"),
+        (NAMES, [(1.0, (0.0, math.nan, 0.0))], "nan"),
+        (NAMES, [(1.0, (0.0, math.inf, 0.0))], "inf"),
+        (NAMES, [(1.0, START, (1.0, math.nan, 1.0))], "nan"),
+        (NAMES, [(1.0, (0.0, 1.2001, 0.0))], "b is 1.2001"),
+        (NAMES, [(1.0, (-1.0001, 0.0, 0.0))], "outside"),
+        (NAMES, [(1.0, START, (1.0, -0.1, 1.0))], "outside"),
+        (NAMES, [(1.0, START, (1.0, 4.1, 1.0))], "outside"),
+        (NAMES, [(-0.1, START)], "time_from_start"),
+        (NAMES, [(1.0, START), (1.0, START)], "rise"),
+        (NAMES, [(1.0, START), (0.5, START)], "rise"),
+        (NAMES, [(math.nan, START)], "time_from_start"),
+        (NAMES, [(1.0, START), (2.0, (0.0, 0.0, 9.0))], "point 1"),
+    ],
+)
+def test_what_is_refused_and_why(names, rows, told):
+    with pytest.raises(TrajectoryRefused, match=told.replace(".", r"\.")) as caught:
+        check(names, points(*rows), LIMITS)
+    assert isinstance(caught.value, DriverError)
+
+
+def test_stale_stamps():
+    check_age(0.0)
+    check_age(0.49)
+    check_age(-0.1)
+    with pytest.raises(TrajectoryRefused, match="old"):
+        check_age(0.51)
+    with pytest.raises(TrajectoryRefused, match="future"):
+        check_age(-0.6)

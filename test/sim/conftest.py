@@ -1,0 +1,73 @@
+"""An arm in simulated time: servos commanded by platform positions, everything else is the real world model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.statics import TORQUE_CONSTANT
+from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.world import TactileSource, World
+
+DELTA = ScalarDelta()
+
+
+class Arm:
+    """A world with the weight of the arm led into its commands; `delta` is its kinematics."""
+
+    delta = DELTA
+
+    def __init__(
+        self, parameters: WorldParameters | None = None, step: float = 0.005, tactile: TactileSource | None = None
+    ) -> None:
+        self.world = World(parameters or WorldParameters(), tactile)
+        self.step = step
+        values = self.world.parameters
+        self.gravity = (values.gravity_x, values.gravity_y, values.gravity_z)
+
+    def aim(self, point: Vector, bound: float = 4.1, lead: bool = True) -> None:
+        held = DELTA.holding_torque(*point, self.gravity)
+        stiffness = self.world.parameters.servo.stiffness
+        for index, (angle, torque) in enumerate(zip(DELTA.inverse(*point), held, strict=True)):
+            self.world.command(index, True, angle + (torque / stiffness if lead else 0.0), bound)
+
+    def release(self) -> None:
+        for index in range(3):
+            self.world.command(index, False, 0.0, 0.0)
+
+    def run(self, seconds: float) -> None:
+        for _ in range(max(1, round(seconds / self.step))):
+            self.world.step(self.step)
+
+    def go(self, point: Vector, seconds: float = 1.0, bound: float = 4.1, lead: bool = True) -> None:
+        self.aim(point, bound, lead)
+        self.run(seconds)
+
+    def dock(self, push: float = 0.0065) -> None:
+        """Approach the default target and press with a command `push` (m) beyond its faces."""
+        target = self.world.parameters.target
+        self.go((target.x, target.y, target.z - 0.01), 0.6)
+        self.go((target.x, target.y, target.z + push), 0.8)
+
+    def charge(self, seconds: float = 1.0) -> None:
+        """Dock and close the contactor."""
+        self.dock()
+        self.world.circuit.close()
+        self.run(seconds)
+
+    @property
+    def contact_current(self) -> float:
+        """Per-servo current (A) that pushes along +z; weight removed."""
+        mechanics = self.world.mechanics
+        held = DELTA.holding_torque(*mechanics.position, self.gravity)
+        push = [torque - hold for torque, hold in zip(mechanics.torques, held, strict=True)]
+        force = DELTA.force(*mechanics.position, (push[0], push[1], push[2]))[2]
+        return force * sum(DELTA.jacobian(*mechanics.position)[6:]) / (3.0 * TORQUE_CONSTANT)
+
+
+@pytest.fixture
+def arm() -> Callable[..., Arm]:
+    return Arm
