@@ -58,9 +58,8 @@ def print_accuracy(model: PoseEstimator, count: int) -> None:
     left, right, _, actual = dockings(count, 0.012, 0.0, 20.0, 11)
     estimate = model.predict(left, right)
     used = estimate.in_range
-    print(
-        f"\n{len(left)} dockings, |x|, |y| ≤ 12 mm, |angle| ≤ 20°: in range {used.mean():.3f}, sure {estimate.sure.mean():.3f}"
-    )
+    print(f"\n{len(left)} dockings, |x|, |y| ≤ 12 mm, |angle| ≤ 20°:", end=" ")
+    print(f"in range {used.mean():.3f}, sure {estimate.sure.mean():.3f}")
     print("in range      rms    median σ   rms z   max |z|  kurtosis  P(|z|>3)")
     for name, axis, scale, unit in (
         ("angle", 2, 180 / np.pi, "°"),
@@ -109,10 +108,9 @@ def print_acts(model: PoseEstimator, count: int) -> None:
     left, right, _, actual = dockings(count, 0.010, 12.0, 20.0, 77)
     act = acts(model.predict(left, right))
     beyond = np.abs(actual[:, 2]) >= np.radians(12.0)
-    print(
-        f" {len(left)} dockings commanded at 12–20°, offsets ≤ 10 mm: {act.sum()} acts, {(act & beyond).sum()} of them "
-        f"at a true angle ≥ 12°, unsafe {(act & (clearance(actual[:, 2], actual[:, 1]) < 0)).sum()}"
-    )
+    print(f" {len(left)} dockings commanded at 12–20°, offsets ≤ 10 mm: {act.sum()} acts,", end=" ")
+    print(f"{(act & beyond).sum()} of them at a true angle ≥ 12°,", end=" ")
+    print(f"{(act & (clearance(actual[:, 2], actual[:, 1]) < 0)).sum()} unsafe")
 
 
 def print_shifts(model: PoseEstimator, count: int) -> None:

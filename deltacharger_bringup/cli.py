@@ -56,7 +56,7 @@ def build_parser() -> argparse.ArgumentParser:
         prog="deltacharger",
         description="Run, try and inspect DeltaCharger, a robot's arm that docks to other robots and charges them.",
         epilog="Exit codes: 0 done, 1 the job failed, 2 wrong usage or input, 130 interrupted. "
-        "Simulated scenes use ROS_DOMAIN_ID=76 on this machine only, unless ROS_DOMAIN_ID and "
+        "Simulated scenes use ROS_DOMAIN_ID=87 on this machine only, unless ROS_DOMAIN_ID and "
         "ROS_AUTOMATIC_DISCOVERY_RANGE are set.",
     )
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
@@ -84,9 +84,7 @@ def _command(
 
 
 def _add_scene_option(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--scene", metavar="NAME|FILE", help=f"packaged scene or YAML file (default: {DEFAULT_SCENE})"
-    )
+    parser.add_argument("--scene", metavar="NAME|FILE", help=f"packaged scene or YAML file (default: {DEFAULT_SCENE})")
 
 
 def _add_namespace(parser: argparse.ArgumentParser) -> None:
@@ -114,9 +112,7 @@ def _add_dock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     _add_scene_option(parser)
     _add_namespace(parser)
     for axis in "xyz":
-        parser.add_argument(
-            f"--{axis}-mm", type=_number, metavar="MM", help=f"electrodes along {axis} of charger_base"
-        )
+        parser.add_argument(f"--{axis}-mm", type=_number, metavar="MM", help=f"electrodes along {axis} of charger_base")
     parser.add_argument("--roll-deg", type=_number, metavar="DEG", help="of the electrodes about z")
     parser.add_argument("--camera", action="store_true", help="ask the camera even where the scene has coordinates")
     parser.add_argument(

@@ -201,7 +201,8 @@ class PhasePrinter:
             columns.append(_number("charge", progress.charge_current, "A", 2))
         else:
             columns.append(_number("I_c", progress.contact_current, "A", 3))
-        columns.append(_number("force", force, "N", 1))
+        if self._force is not None:
+            columns.append(_number("force", force, "N", 1))
         say("  ".join(columns))
 
 

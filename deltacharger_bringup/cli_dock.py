@@ -112,7 +112,7 @@ class _Run:
         self._interrupts = interrupts
 
     def carry_out(self) -> int:
-        """Dock, draw, undock where this process started the charger, and report."""
+        """Dock, undock where this process started the charger, draw and report."""
         say(self._goal_line())
         whose = "the running charger" if self._composition is None else f"scene '{self._scene.name}'"
         self._recorder.run.notes["about"] = f"{whose}; {self._goal_line()}"
@@ -123,11 +123,16 @@ class _Run:
             "scene": self._scene.name,
             "charger": "running" if self._composition is None else "started",
             "phases": printer.phases,
-            "picture": self._draw(),
         }
-        unsafe = self._truth(more)
-        if self._composition is not None and outcome.success:
-            more["undock"] = self._undock()
+        unsafe = ""
+        if self._composition is not None:
+            if outcome.success:
+                more["undock"] = self._undock()
+            unsafe = self._truth(more)
+            # Drawing holds the interpreter for seconds, which nodes in this process would take for a broken cable.
+            self._recorder.close()
+            self._composition.close()
+        more["picture"] = self._draw()
         report(outcome, self._options.json, more)
         if not self._options.json and outcome.success:
             say(_summary(outcome))
@@ -189,7 +194,8 @@ class _Run:
 
     def _truth(self, more: dict[str, Any]) -> str:
         """Add what really happened in an own simulated world; return why it was unsafe, or ''."""
-        if self._composition is None or self._composition.charger is None:
+        assert self._composition is not None
+        if self._composition.charger is None:
             return ""
         record = self._composition.charger.record()
         more["simulation"] = record

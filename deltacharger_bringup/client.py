@@ -158,9 +158,7 @@ class ChargerClient:
         deadline: float = math.inf,
     ) -> Outcome:
         """Send an Undock goal and wait for its result; arguments and errors as in `dock`."""
-        return self._execute(
-            "undock", self._undock, Undock.Goal(request_id=request_id), on_progress, cancel, deadline
-        )
+        return self._execute("undock", self._undock, Undock.Goal(request_id=request_id), on_progress, cancel, deadline)
 
     def _execute(
         self,

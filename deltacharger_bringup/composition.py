@@ -116,40 +116,18 @@ class Composition:
 
             self.charger = SimulatedCharger(self.scene).start()
         ports = self.ports()
-        for name in start_order(self.scene):
+        for name in self.scene.start_order():
             spec = NODES[name]
             factory = getattr(importlib.import_module(spec.module), spec.class_name)
             node = factory(
                 context=self._context,
                 namespace=self._namespace or None,
                 parameter_overrides=[
-                    Parameter(key, value=value) for key, value in node_parameters(self.scene, name, ports).items()
+                    Parameter(key, value=value) for key, value in self.scene.node_parameters(name, ports).items()
                 ],
                 use_global_arguments=False,
             )
             self.nodes.append(Running(name, Spinner(node)))
-
-
-def start_order(scene: Scene) -> list[str]:
-    """Return the scene's nodes in the order in which they start."""
-    return sorted(scene.nodes, key=lambda name: list(NODES).index(name))
-
-
-def node_parameters(scene: Scene, name: str, ports: dict[str, str]) -> dict[str, Any]:
-    """Return the parameters of one node of a scene.
-
-    Args:
-        scene: the scene.
-        name: executable name of the node.
-        ports: "servo" and "board" to paths, of a simulated charger; empty takes the scene's own.
-    """
-    parameters = dict(scene.parameters.get(name, {}))
-    port = NODES[name].port
-    if port and "port" not in parameters:
-        path = ports.get(port) or getattr(scene.ports, port)
-        if path:
-            parameters["port"] = path
-    return parameters
 
 
 def describe(composition: Composition) -> str:

@@ -6,7 +6,7 @@ import os
 import sys
 from pathlib import Path
 
-SIMULATION_DOMAIN = 76
+SIMULATION_DOMAIN = 87
 """ROS_DOMAIN_ID of simulated scenes where the user has chosen none: no robot on the default domain 0 hears them."""
 
 

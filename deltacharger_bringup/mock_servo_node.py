@@ -48,6 +48,7 @@ class MockServoNode(Node):  # type: ignore[misc]
         super().__init__("servo_node", **kwargs)
         self._rate = node_support.declare(self, "rate", 100.0, "cycles per second (Hz)", 1.0, 500.0)
         stiffness = node_support.declare(self, "stiffness", 15.0, "of a servo's position loop (N·m/rad)", 1.0, 50.0)
+        damping = node_support.declare(self, "damping", 0.91, "of a servo's position loop (N·m·s/rad)", 0.2, 5.0)
         self._default_bound = node_support.declare(self, "current_bound", 0.83, "bound without effort (A)", 0.0, 4.1)
         geometry = DeltaGeometry()
         self._joint_min, self._joint_max = geometry.joint_min, geometry.joint_max
@@ -55,7 +56,7 @@ class MockServoNode(Node):  # type: ignore[misc]
         self._fault = FaultSwitch(self, FAULTS)
         node_support.reject_unknown(self)
         self._lock = threading.Lock()
-        self._arm = MockArm(target, stiffness)
+        self._arm = MockArm(target, stiffness, damping)
         self._plan: list[tuple[float, list[float], list[float]]] = []  # (monotonic s, angles, bounds in A) to come
         self._plan_start: tuple[float, list[float]] = (0.0, list(self._arm.goals))
         self._error = [0, 0, 0]

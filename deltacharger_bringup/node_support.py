@@ -200,9 +200,7 @@ class PatientExecutor(MultiThreadedExecutor):
                     return subscription
         return None
 
-    def _spin_once_impl(
-        self, timeout_sec: Any = None, wait_condition: Callable[[], bool] = lambda: False
-    ) -> None:
+    def _spin_once_impl(self, timeout_sec: Any = None, wait_condition: Callable[[], bool] = lambda: False) -> None:
         if self._failure is not None:
             failure, self._failure = self._failure, None
             raise failure

@@ -24,9 +24,7 @@ class NodeSpec:
 
 NODES: dict[str, NodeSpec] = {
     "servo_node": NodeSpec("deltacharger_driver.servo_node", "ServoNode", port="servo"),
-    "mock_servo_node": NodeSpec(
-        "deltacharger_bringup.mock_servo_node", "MockServoNode", stands_in_for="servo_node"
-    ),
+    "mock_servo_node": NodeSpec("deltacharger_bringup.mock_servo_node", "MockServoNode", stands_in_for="servo_node"),
     "tactile_node": NodeSpec("deltacharger_driver.tactile_node", "TactileNode", port="board"),
     "mock_tactile_node": NodeSpec(
         "deltacharger_bringup.mock_tactile_node", "MockTactileNode", stands_in_for="tactile_node"

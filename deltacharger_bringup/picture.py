@@ -186,7 +186,7 @@ def _misalignment(axes: Axes, run: Run) -> None:
 
 
 def _legend(axes: Axes) -> None:
-    axes.legend(loc="upper left", ncols=3, fontsize=7.5, frameon=True, framealpha=0.75, edgecolor="none", borderpad=0.25)
+    axes.legend(loc="upper left", ncols=3, fontsize=7.5, frameon=True, framealpha=0.75, edgecolor="none")
 
 
 def _charge(axes: Axes, run: Run) -> None:
@@ -233,7 +233,6 @@ def _heat_maps(figure: Figure, side: Any, run: Run) -> None:
 
 def _heat_colours() -> Any:
     import matplotlib
-
     from matplotlib.colors import LinearSegmentedColormap
 
     deep = [matplotlib.colormaps["magma_r"](share) for share in np.linspace(0.08, 0.95, 12)]

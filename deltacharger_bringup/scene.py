@@ -101,6 +101,22 @@ class Scene:
         """Whether a node of it opens a port of real hardware."""
         return self.simulation is None and any(NODES[name].port for name in self.nodes)
 
+    def start_order(self) -> list[str]:
+        """Return the nodes in the order in which they start; who commands comes last, and closes first."""
+        return sorted(self.nodes, key=list(NODES).index)
+
+    def node_parameters(self, name: str, ports: Mapping[str, str]) -> dict[str, Any]:
+        """Return the parameters of one node.
+
+        Args:
+            name: executable of the node.
+            ports: "servo" and "board" of a simulated charger; empty takes the scene's own.
+        """
+        parameters = dict(self.parameters.get(name, {}))
+        port = NODES[name].port
+        path = (ports.get(port) or getattr(self.ports, port)) if port else ""
+        return {"port": path, **parameters} if path else parameters
+
 
 def scene_folders() -> list[Path]:
     """Return the folders that hold packaged scenes: those of the source tree, then of each installation."""
@@ -285,8 +301,10 @@ def _is_parameter(value: Any) -> bool:
 def _check_ports(scene: Scene) -> None:
     for name in scene.nodes:
         port = NODES[name].port
-        if port and scene.touches_hardware and not (
-            getattr(scene.ports, port) or scene.parameters.get(name, {}).get("port")
+        if (
+            port
+            and scene.touches_hardware
+            and not (getattr(scene.ports, port) or scene.parameters.get(name, {}).get("port"))
         ):
             raise SceneError(
                 scene.file,

@@ -216,12 +216,12 @@ def probe_problem(resistance: float, target_voltage: float) -> str:
         resistance: ohm between the electrodes, inf = open circuit.
         target_voltage: V, negative = reversed.
     """
+    if math.isinf(resistance):
+        return "open circuit: the electrodes do not touch the target's; dock again"
     if math.isnan(resistance) or math.isnan(target_voltage):
         return "the probe measured nothing; check its wiring"
     if target_voltage < 0.0:
         return f"reversed polarity: the target shows {target_voltage:.2f} V; swap its terminals"
     if resistance < SHORT_RESISTANCE:
         return f"short circuit: {resistance:.3g} ohm between the electrodes; dock again"
-    if math.isinf(resistance):
-        return "open circuit: the electrodes do not touch the target's; dock again"
     return ""

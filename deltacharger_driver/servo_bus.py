@@ -7,7 +7,6 @@ import math
 import struct
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from .errors import CorruptReply, DriverError, NoAnswer, RangeError, ServoFault
 from .mx64 import (
@@ -22,11 +21,10 @@ from .mx64 import (
     ticks_to_angle,
 )
 from .servo_link import ServoLink
-from .servo_port import REPLY_MARGIN, LinkCounters
+from .servo_protocol import LinkCounters
 from .servo_setup import (
     READ_ADDRESS,
     READ_LENGTH,
-    WATCHDOG,
     WRITE_ADDRESS,
     WRITE_LENGTH,
     configure,
@@ -34,85 +32,18 @@ from .servo_setup import (
     restart_watchdog,
     watchdog_tripped,
 )
+from .servo_snapshot import BusSettings, Snapshot
 
-MISSING_AFTER = 3
-"""Cycles without a good reply after which a servo counts as missing."""
+UNKNOWN_AFTER = 3
+"""Cycles without a good reply after which a servo's last values are no longer worth anything."""
+MISSING_TIME = 0.2
+"""s without a good reply, and `UNKNOWN_AFTER` cycles, after which it counts as missing: a pause of this computer alone
+is none of the servo's doing."""
 _RETRY_EVERY = 25  # cycles between two questions to a missing servo: waiting for it must not slow the others
 _WATCHDOG_EVERY = 100  # cycles between two looks at one servo's watchdog where nothing gave cause to look
 _READ_LAYOUT = struct.Struct("<BBhiiHB")
 _WRITE_LAYOUT = struct.Struct("<hi")
 _NAN = math.nan
-
-
-@dataclass(frozen=True)
-class BusSettings:
-    """How the arm's servos are wired and mounted.
-
-    Attributes:
-        port: path of the serial port.
-        baud_rate: bit/s.
-        ids: of the servos of limbs 0, 1, 2.
-        zero_ticks: encoder count at angle 0, per servo.
-        direction: +1 or −1 per servo: whether the count rises with the angle.
-        watchdog: units of 20 ms, 1–6.
-        reply_margin: s, see `servo_port.REPLY_MARGIN`.
-    """
-
-    port: str
-    baud_rate: int = 1_000_000
-    ids: tuple[int, ...] = (1, 2, 3)
-    zero_ticks: tuple[int, ...] = (2048, 2048, 2048)
-    direction: tuple[int, ...] = (1, 1, 1)
-    watchdog: int = WATCHDOG
-    reply_margin: float = REPLY_MARGIN
-
-    def __post_init__(self) -> None:
-        count = len(self.ids)
-        if not count == len(set(self.ids)) == len(self.zero_ticks) == len(self.direction):
-            raise DriverError(
-                f"ids {self.ids}, zero_ticks {self.zero_ticks} and direction {self.direction} must have one value per "
-                "servo, and no id twice"
-            )
-        if any(sign not in (1, -1) for sign in self.direction):
-            raise DriverError(f"direction {self.direction}: each value is 1 or -1")
-        if not 1 <= self.watchdog <= WATCHDOG:
-            raise RangeError("watchdog", self.watchdog, 1, WATCHDOG, " × 20 ms")
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """The servos in one cycle, in the order of the ids. What was not measured is NaN, never 0.
-
-    Attributes:
-        time: when the replies had arrived, s, monotonic.
-        valid: a good reply came in this cycle.
-        angle: rad.
-        velocity: rad/s.
-        current: A, positive is torque toward +angle.
-        voltage: V.
-        temperature: °C.
-        hardware_error: latched error bits; the last known.
-        torque_enabled: the last known.
-        rebooted: the servo answers but has lost its set-up; call `ServoBus.configure`.
-        missed: cycles since the last good reply.
-    """
-
-    time: float
-    valid: tuple[bool, ...]
-    angle: tuple[float, ...]
-    velocity: tuple[float, ...]
-    current: tuple[float, ...]
-    voltage: tuple[float, ...]
-    temperature: tuple[float, ...]
-    hardware_error: tuple[int, ...]
-    torque_enabled: tuple[bool, ...]
-    rebooted: tuple[bool, ...]
-    missed: tuple[int, ...]
-
-    @property
-    def complete(self) -> bool:
-        """Whether every servo gave a good reply."""
-        return all(self.valid)
 
 
 class ServoBus:
@@ -194,7 +125,7 @@ class ServoBus:
         else:
             replies = {}
             for index, servo in enumerate(ids):
-                if self._missed[index] < MISSING_AFTER or (self._cycle + index) % _RETRY_EVERY == 0:
+                if not self._missing(index) or (self._cycle + index) % _RETRY_EVERY == 0:
                     replies.update(self._link.sync_read((servo,), READ_ADDRESS, READ_LENGTH))
         now = self._last_sent = time.monotonic()
         self._cycle += 1
@@ -256,7 +187,8 @@ class ServoBus:
         return snapshot
 
     def disable_torque(self) -> None:
-        """Switch all servos off: one packet to all, then each by itself until it confirms or proves missing.
+        """Switch all servos off: one packet to all, then each by itself until it confirms; one that did not answer
+        lately is asked once.
 
         Raises:
             PortGone: the port vanished; the servos stop by their watchdog.
@@ -265,7 +197,7 @@ class ServoBus:
         self._link.sync_write(register.address, register.size, [(servo, b"\0") for servo in self.settings.ids])
         for index, servo in enumerate(self.settings.ids):
             with contextlib.suppress(NoAnswer, CorruptReply, ServoFault):
-                self._link.write(servo, "torque_enable", 0)
+                self._link.write(servo, "torque_enable", 0, hurry=self._missed[index] > 0)
                 self._torque[index] = False
         self._last_sent = time.monotonic()
 
@@ -305,20 +237,25 @@ class ServoBus:
         return tuple(tripped)
 
     def restart_watchdogs(self) -> None:
-        """Clear and arm every servo's watchdog, so that it takes goals again.
+        """Clear and arm the watchdog of every servo that answers, so that it takes goals again.
 
         Raises:
             NoAnswer, CorruptReply, ServoFault, PortGone: a servo does not take it.
         """
-        for servo in self.settings.ids:
+        for servo in (servo for servo, missed in zip(self.settings.ids, self._missed, strict=True) if not missed):
             restart_watchdog(self._link, servo, self.settings.watchdog)
 
     def _forget(self) -> None:
         """Start without knowledge of any servo."""
         self._missed = [0] * self._count
+        self._seen = [time.monotonic()] * self._count
         self._rebooted = [False] * self._count
         self._errors = [0] * self._count
         self._torque = [False] * self._count
+
+    def _missing(self, index: int) -> bool:
+        silent = time.monotonic() - self._seen[index]
+        return self._missed[index] >= UNKNOWN_AFTER and silent >= MISSING_TIME
 
     def _note_silence(self) -> None:
         if time.monotonic() - self._last_sent > 0.75 * self.settings.watchdog * WATCHDOG_UNIT:
@@ -358,6 +295,8 @@ class ServoBus:
                 self._torque[index] = bool(torque)
             good = not math.isnan(row[0])
             self._missed[index] = 0 if good else self._missed[index] + 1
+            if good:
+                self._seen[index] = now
             rows.append(row)
         angle, velocity_, current_, voltage_, temperature_ = zip(*rows, strict=True)
         return Snapshot(
@@ -372,4 +311,5 @@ class ServoBus:
             torque_enabled=tuple(self._torque),
             rebooted=tuple(self._rebooted),
             missed=tuple(self._missed),
+            missing=tuple(map(self._missing, range(self._count))),
         )

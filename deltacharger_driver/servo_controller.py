@@ -14,8 +14,9 @@ import time
 from collections.abc import Callable
 
 from .errors import DriverError, PortError, PortGone, TrajectoryRefused
-from .servo_bus import BusSettings, ServoBus, Snapshot
+from .servo_bus import ServoBus
 from .servo_report import Phase, ServoMemory, ServoReport, find_faults
+from .servo_snapshot import BusSettings, Snapshot
 from .trajectory import Trajectory
 
 STOP_TIME = 0.5  # s from "goal := present position" to torque off
@@ -88,6 +89,7 @@ class ServoController:
         self._connection_fault = ""
         self._rebooting: tuple[Request, float, set[int]] | None = None  # outcome, deadline, servos still away
         self._last_trip = -math.inf
+        self._complaint = ""
         self._snapshot: Snapshot | None = None
         self._memory = ServoMemory(len(settings.ids))
 
@@ -260,7 +262,9 @@ class ServoController:
             except PortGone:
                 raise
             except DriverError as error:
-                self._notify("warning", f"servo {self._ids[index]} had restarted: {error}")
+                if str(error) != self._complaint:
+                    self._complaint = str(error)
+                    self._notify("warning", f"servo {self._ids[index]} had restarted: {error}")
         if self._rebooting is None:
             return
         request, deadline, away = self._rebooting

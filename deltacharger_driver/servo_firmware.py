@@ -91,8 +91,11 @@ class ServoFirmware:
         return number | (ALERT if self.table.get("hardware_error") else 0)
 
     def heard(self, now: float) -> None:
-        """Note an instruction packet on the bus for this servo at `now` (s)."""
-        self._watch(now)
+        """Note an instruction packet on the bus for this servo at `now` (s).
+
+        The watchdog is looked at in `tick` only, after what has come is read: if the emulator itself was kept waiting
+        for the processor, that was no silence of the host.
+        """
         self._heard = now
 
     def read(self, address: int, length: int, now: float) -> tuple[int, bytes]:

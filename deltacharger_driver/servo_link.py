@@ -10,7 +10,8 @@ from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS
 
 from .errors import CorruptReply, DriverError, NoAnswer, PortGone, ServoFault, WrongThread
 from .mx64 import ALERT, REGISTERS, describe_status_error
-from .servo_port import REPLY_MARGIN, LinkCounters, ServoPort, ServoProtocol
+from .servo_port import PATIENCE, REPLY_MARGIN, ServoPort
+from .servo_protocol import LinkCounters, ServoProtocol
 
 ATTEMPTS = 3
 """How often a read or write is tried before it fails; reads and writes of registers may be repeated without harm."""
@@ -22,12 +23,13 @@ class ServoLink:
     Args:
         port: path of the serial port.
         baud_rate: bit/s.
-        reply_margin: s, see `servo_port.REPLY_MARGIN`.
+        reply_margin: s, for what is asked in a hurry, see `servo_port.REPLY_MARGIN`.
     """
 
     def __init__(self, port: str, baud_rate: int, reply_margin: float = REPLY_MARGIN) -> None:
         self.port = port
         self.baud_rate = baud_rate
+        self._margin = reply_margin
         self._handler = ServoPort(port, baud_rate, reply_margin)
         self._protocol = ServoProtocol()
         self._protocol_1 = Protocol1PacketHandler()
@@ -68,15 +70,20 @@ class ServoLink:
         self._check_owner()
         self._handler.setBaudRate(baud_rate)
 
-    def ping(self, servo: int, attempts: int = 1) -> int:
+    def ping(self, servo: int, attempts: int = 1, hurry: bool = False) -> int:
         """Return the model number of a servo.
+
+        Args:
+            servo: its id.
+            attempts: how often to try.
+            hurry: wait for a reply no longer than in the cycle.
 
         Raises:
             NoAnswer: nobody has this id at this speed.
             CorruptReply: somebody answers, but not intelligibly.
             PortGone: the port vanished.
         """
-        self._check_owner()
+        self._begin(hurry)
         result = COMM_RX_TIMEOUT
         for _ in range(attempts):
             model, result, _ = self._protocol.ping(self._handler, servo)
@@ -84,18 +91,23 @@ class ServoLink:
                 return int(model)
         raise self._failure(servo, "ping", result, attempts)
 
-    def ping_protocol_1(self, servo: int) -> bool:
+    def ping_protocol_1(self, servo: int, hurry: bool = False) -> bool:
         """Return whether a servo with this id speaks Protocol 1.0 at this speed.
 
         Raises:
             PortGone: the port vanished.
         """
-        self._check_owner()
+        self._begin(hurry)
         _, result, _ = self._protocol_1.ping(self._handler, servo)
         return bool(result == COMM_SUCCESS)
 
-    def read(self, servo: int, name: str) -> int:
+    def read(self, servo: int, name: str, hurry: bool = False) -> int:
         """Return the register `name` of a servo.
+
+        Args:
+            servo: its id.
+            name: key of `mx64.REGISTERS`.
+            hurry: try once, and wait no longer than in the cycle.
 
         Raises:
             NoAnswer, CorruptReply: no good reply in `ATTEMPTS` tries.
@@ -103,22 +115,28 @@ class ServoLink:
             PortGone: the port vanished.
         """
         register = REGISTERS[name]
-        return register.from_bytes(self.read_bytes(servo, register.address, register.size, f"read {name}"))
+        return register.from_bytes(self.read_bytes(servo, register.address, register.size, f"read {name}", hurry))
 
-    def read_bytes(self, servo: int, address: int, length: int, action: str = "") -> bytes:
+    def read_bytes(self, servo: int, address: int, length: int, action: str = "", hurry: bool = False) -> bytes:
         """Return `length` bytes from `address` of a servo; errors as in `read`."""
-        self._check_owner()
+        self._begin(hurry)
         action = action or f"read {length} bytes at {address}"
-        result = COMM_RX_TIMEOUT
-        for _ in range(ATTEMPTS):
+        result, attempts = COMM_RX_TIMEOUT, 1 if hurry else ATTEMPTS
+        for _ in range(attempts):
             data, result, code = self._protocol.readTxRx(self._handler, servo, address, length)
             if result == COMM_SUCCESS:
                 self._refuse(servo, action, code)
                 return bytes(data)
-        raise self._failure(servo, action, result, ATTEMPTS)
+        raise self._failure(servo, action, result, attempts)
 
-    def write(self, servo: int, name: str, value: int) -> None:
+    def write(self, servo: int, name: str, value: int, hurry: bool = False) -> None:
         """Write the register `name` of a servo.
+
+        Args:
+            servo: its id.
+            name: key of `mx64.REGISTERS`.
+            value: in register units.
+            hurry: try once, and wait no longer than in the cycle.
 
         Raises:
             RangeError: the register cannot hold `value`.
@@ -127,19 +145,19 @@ class ServoLink:
             PortGone: the port vanished.
         """
         register = REGISTERS[name]
-        self.write_bytes(servo, register.address, register.to_bytes(value), f"write {name} = {value}")
+        self.write_bytes(servo, register.address, register.to_bytes(value), f"write {name} = {value}", hurry)
 
-    def write_bytes(self, servo: int, address: int, data: bytes, action: str = "") -> None:
+    def write_bytes(self, servo: int, address: int, data: bytes, action: str = "", hurry: bool = False) -> None:
         """Write `data` from `address` of a servo on; errors as in `write`."""
-        self._check_owner()
+        self._begin(hurry)
         action = action or f"write {len(data)} bytes at {address}"
-        result = COMM_RX_TIMEOUT
-        for _ in range(ATTEMPTS):
+        result, attempts = COMM_RX_TIMEOUT, 1 if hurry else ATTEMPTS
+        for _ in range(attempts):
             result, code = self._protocol.writeTxRx(self._handler, servo, address, len(data), list(data))
             if result == COMM_SUCCESS:
                 self._refuse(servo, action, code)
                 return
-        raise self._failure(servo, action, result, ATTEMPTS)
+        raise self._failure(servo, action, result, attempts)
 
     def write_unanswered(self, servo: int, name: str, value: int) -> None:
         """Write a register without waiting for a reply; for a servo told not to give any.
@@ -157,7 +175,7 @@ class ServoLink:
 
     def sync_read(self, servos: Sequence[int], address: int, length: int) -> dict[int, tuple[int, bytes]]:
         """Return error byte and data of each servo that answered; see `ServoProtocol.sync_read`."""
-        self._check_owner()
+        self._begin(hurry=True)
         return self._protocol.sync_read(self._handler, servos, address, length)
 
     def sync_write(self, address: int, length: int, rows: Sequence[tuple[int, bytes]]) -> None:
@@ -184,11 +202,16 @@ class ServoLink:
         Raises:
             NoAnswer, CorruptReply, ServoFault, PortGone: as in `write`, without a retry.
         """
-        self._check_owner()
+        self._begin(hurry=False)
         result, code = self._protocol.reboot(self._handler, servo)
         if result != COMM_SUCCESS:
             raise self._failure(servo, "reboot", result, 1)
         self._refuse(servo, "reboot", code)
+
+    def _begin(self, hurry: bool) -> None:
+        """Check who asks, and set how long the reply is waited for."""
+        self._check_owner()
+        self._handler.margin = self._margin if hurry else max(self._margin, PATIENCE)
 
     def _check_owner(self) -> None:
         caller = threading.current_thread()

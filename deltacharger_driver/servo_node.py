@@ -35,11 +35,11 @@ from deltacharger_bringup import node_support
 
 from .errors import DriverError, TrajectoryRefused
 from .mx64 import TORQUE_CONSTANT
-from .servo_bus import BusSettings
 from .servo_controller import ServoController
 from .servo_diagnostics import DiagnosticEntry, bus_entry, servo_entry
 from .servo_port import REPLY_MARGIN
 from .servo_report import Phase, ServoReport
+from .servo_snapshot import BusSettings
 from .trajectory import JointLimits, Waypoint, check, check_age
 
 JOINTS = ("limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint")

@@ -7,7 +7,8 @@ import math
 from dataclasses import dataclass
 
 from .mx64 import describe_hardware_error
-from .servo_bus import MISSING_AFTER, Snapshot
+from .servo_bus import UNKNOWN_AFTER
+from .servo_snapshot import Snapshot
 from .thermal import ThermalModel
 
 _UNKNOWN = (math.nan,) * 5
@@ -80,7 +81,7 @@ class ServoMemory:
         for index, row in enumerate(zip(*columns, strict=True)):
             if snapshot.valid[index]:
                 self._rows[index] = row
-            elif snapshot.missed[index] >= MISSING_AFTER or snapshot.rebooted[index]:
+            elif snapshot.missed[index] >= UNKNOWN_AFTER or snapshot.rebooted[index]:
                 self._rows[index] = _UNKNOWN
             if first:
                 self._thermal[index].start_at(row[4])
@@ -116,7 +117,7 @@ def find_faults(ids: tuple[int, ...], snapshot: Snapshot) -> list[str]:
     for index, servo in enumerate(ids):
         if snapshot.rebooted[index]:
             found.append(f"servo {servo} has restarted by itself")
-        elif snapshot.missed[index] >= MISSING_AFTER:
+        elif snapshot.missing[index]:
             found.append(f"servo {servo} does not answer; check its supply and its cable")
         if snapshot.hardware_error[index]:
             error = describe_hardware_error(snapshot.hardware_error[index])

@@ -55,7 +55,8 @@ def identify(link: ServoLink, servos: Sequence[int], scan: bool = True) -> None:
     Args:
         link: an open link.
         servos: ids.
-        scan: look for those that do not answer at the other speeds, to name where they are; about 0.3 s per servo.
+        scan: look for those that do not answer at the other speeds, and for old firmware, to name where they are; about
+            a second per servo.
 
     Raises:
         HandshakeError: with everything that is wrong, one sentence each.
@@ -64,7 +65,7 @@ def identify(link: ServoLink, servos: Sequence[int], scan: bool = True) -> None:
     faults = []
     for servo in servos:
         fault = _identify_one(link, servo)
-        if fault == "missing":
+        if fault is None:
             fault = _locate(link, servo) if scan else f"servo {servo} does not answer"
         if fault:
             faults.append(fault)
@@ -72,14 +73,12 @@ def identify(link: ServoLink, servos: Sequence[int], scan: bool = True) -> None:
         raise HandshakeError(link.port, faults)
 
 
-def _identify_one(link: ServoLink, servo: int) -> str:
-    """Return what is wrong with a servo at the link's speed: "" for nothing, "missing" where nobody answers."""
+def _identify_one(link: ServoLink, servo: int) -> str | None:
+    """Return what is wrong with a servo at the link's speed: "" for nothing, None where nobody answers."""
     try:
         model = link.ping(servo, attempts=2)
     except NoAnswer:
-        if link.ping_protocol_1(servo):
-            return f"servo {servo} speaks Protocol 1.0; {_UPDATE_ADVICE}"
-        return "missing"
+        return None
     except CorruptReply:
         return f"servo {servo} answers unintelligibly; two servos with this id, noise, or a bad plug"
     if model == MODEL:
@@ -92,6 +91,8 @@ def _identify_one(link: ServoLink, servo: int) -> str:
 def _locate(link: ServoLink, servo: int) -> str:
     """Say where a servo that does not answer at the link's speed is."""
     try:
+        if link.ping_protocol_1(servo):
+            return f"servo {servo} speaks Protocol 1.0; {_UPDATE_ADVICE}"
         for speed in _SCANNED_SPEEDS:
             if speed == link.baud_rate:
                 continue
@@ -152,12 +153,12 @@ def configure(link: ServoLink, servo: int, watchdog: int = WATCHDOG) -> None:
 
 
 def watchdog_tripped(link: ServoLink, servo: int) -> bool:
-    """Return whether the servo heard nothing for too long and has locked its goals.
+    """Return whether the servo heard nothing for too long and has locked its goals; asked in a hurry.
 
     Raises:
         NoAnswer, CorruptReply, ServoFault, PortGone: it cannot be read.
     """
-    return link.read(servo, "bus_watchdog") == WATCHDOG_TRIPPED
+    return link.read(servo, "bus_watchdog", hurry=True) == WATCHDOG_TRIPPED
 
 
 def restart_watchdog(link: ServoLink, servo: int, watchdog: int = WATCHDOG) -> None:

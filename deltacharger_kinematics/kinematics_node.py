@@ -52,12 +52,8 @@ class KinematicsNode(Node):  # type: ignore[misc]
         self._wrench = self.create_publisher(WrenchStamped, "contact_wrench", _DEFAULT_DEPTH)
         self.create_subscription(ServoState, "servo_state", self._on_servo_state, QoSProfile(depth=1))
         group = ReentrantCallbackGroup()
-        self.create_service(
-            SolveInverseKinematics, "solve_inverse_kinematics", self._on_inverse, callback_group=group
-        )
-        self.create_service(
-            SolveForwardKinematics, "solve_forward_kinematics", self._on_forward, callback_group=group
-        )
+        self.create_service(SolveInverseKinematics, "solve_inverse_kinematics", self._on_inverse, callback_group=group)
+        self.create_service(SolveForwardKinematics, "solve_forward_kinematics", self._on_forward, callback_group=group)
 
     def close(self) -> None:
         """Nothing to make safe: this node drives nothing."""

@@ -13,7 +13,10 @@ _NOMINAL_FORCE = 80.0  # N; magnets and push in the middle of the band
 _SHORT_CURRENT = 200.0  # A that a battery drives through shorted electrodes until the stage opens
 _DETECTION = 0.002  # s until the stage has measured a short and opened
 _OVER_CURRENT = 20.0  # A
-_IDLE_TIME = 3.0  # s closed without current until the stage reports it
+_OPEN_CURRENT = 1.0  # A, below which a ramped opening opens
+_IDLE_TIME = 3.0  # s closed until the stage reports that no current has come
+_LOST_TIME = 0.05  # s until it reports that current which flowed has gone
+_IDLE_CURRENT = 0.05  # A
 
 
 class Phase(Enum):
@@ -26,7 +29,13 @@ class Phase(Enum):
 
 
 class Circuit:
-    """The electrical side. Faults that the stage detects stay until the next command to close or to open."""
+    """The electrical side. Faults that the stage detects stay until the next command to close or to open.
+
+    Attributes:
+        current: into the target, A.
+        fault: code that the stage has detected, 0 none.
+        broken_current: largest current that the contactor has had to interrupt, A.
+    """
 
     def __init__(self, parameters: CircuitParameters) -> None:
         self._parameters = parameters
@@ -34,10 +43,14 @@ class Circuit:
         self._since = 0.0
         self._limit = 0.0
         self._stuck = False
+        self._shorted_for = 0.0
+        self._idle_for = 0.0
+        self._flowed = False
         self._overlap: Overlap | None = None
         self._resistance = math.inf
         self.current = 0.0
         self.fault = 0
+        self.broken_current = 0.0
 
     @property
     def closed(self) -> bool:
@@ -52,17 +65,19 @@ class Circuit:
 
     def open(self, ramp: bool) -> None:
         """Open: after ramping the current down, or at once."""
+        self.fault = 0
         if self._phase is Phase.CLOSED and ramp:
             self._enter(Phase.RAMP_DOWN)
         elif not ramp or self._phase is Phase.PRECHARGE:
-            self._enter(Phase.OPEN)
-        self.fault = 0
+            self._break()
 
     def step(self, dt: float, overlap: Overlap | None, force: float) -> None:
         """Advance by `dt` s with the terminals lying on each other as `overlap` (None = apart) under `force` N."""
         self._since += dt
         self._overlap = overlap
         self._resistance = self._contact_resistance(force)
+        # What was shorted when this step began has now been so for its length.
+        self._shorted_for = self._shorted_for + dt if self._shorted and self.current >= _SHORT_CURRENT else 0.0
         if self._phase is Phase.PRECHARGE and self._since >= self._parameters.precharge_time:
             self._leave_precharge()
         if not self.closed:
@@ -73,11 +88,12 @@ class Circuit:
         elif self._phase is Phase.RAMP_DOWN and not self._stuck:
             self._limit = max(self._limit - self._parameters.ramp_down * dt, 0.0)
         self.current = self._flow()
-        if self._phase is Phase.RAMP_DOWN and (self._stuck or self.current < 1.0):
-            self._enter(Phase.OPEN)
-            self.current = self.current if self._stuck else 0.0
-            self.fault = WELDED if self._stuck else 0
-        elif self._phase is Phase.CLOSED:
+        idle = self.current < _IDLE_CURRENT
+        self._idle_for = self._idle_for + dt if idle else 0.0
+        self._flowed = self._flowed or not idle
+        if self._phase is Phase.RAMP_DOWN and (self._stuck or self.current < _OPEN_CURRENT):
+            self._break()
+        elif self._phase is not Phase.OPEN:
             self._detect()
 
     def voltages(self) -> tuple[float, float]:
@@ -105,7 +121,8 @@ class Circuit:
         self._phase = phase
         self._since = 0.0
         if phase is Phase.CLOSED:
-            self._limit = 0.0
+            self._limit = self._idle_for = 0.0
+            self._flowed = False
             self._stuck = self._parameters.welded
 
     def _contact_resistance(self, force: float) -> float:
@@ -140,16 +157,24 @@ class Circuit:
         return min(driven, self._limit)
 
     def _detect(self) -> None:
-        if self._shorted and self._since > _DETECTION:
+        if self._shorted and self._shorted_for >= _DETECTION:
             self._trip(SHORT)
         elif self.current > _OVER_CURRENT and not self._shorted:
             self._trip(OVER_CURRENT)
         elif self.current < -0.5:
             self._trip(REVERSE_CURRENT)
-        elif self.current < 0.05 and self._since > _IDLE_TIME:
+        elif self._idle_for > (_LOST_TIME if self._flowed else _IDLE_TIME):
             self._trip(NO_CHARGE_CURRENT)
 
     def _trip(self, fault: int) -> None:
-        self._enter(Phase.OPEN)
-        self.current = self.current if self._stuck else 0.0
         self.fault = fault
+        self._break()
+
+    def _break(self) -> None:
+        """Tell the contactor to open; one that is welded stays closed and is found out, unless something worse was."""
+        self._enter(Phase.OPEN)
+        if self._stuck:
+            self.fault = self.fault or WELDED
+            return
+        self.broken_current = max(self.broken_current, abs(self.current))
+        self.current = 0.0

@@ -18,6 +18,7 @@ from deltacharger_sim.magnets import pull
 from deltacharger_sim.parameters import WorldParameters
 
 _GEAR_BRISTLE = 400.0  # N·m/rad; a gear yields 0.15 mrad before it slips
+_LATERAL_MOST = 1e6  # N/m; stiffer bristles would give less than 20 µm and only make stick and slip hard to solve
 _END_STOP = 2000.0  # N·m/rad behind a joint limit
 _ITERATIONS = 60
 _TOLERANCE = 1e-9  # m of displacement
@@ -36,6 +37,7 @@ class Mechanics:
         angles: of the arms, rad.
         rates: rad/s.
         torques: of the motors, N·m, before gear friction.
+        slack: how far play lets each encoder run ahead of its arm, rad.
         contact_force: normal force on the electrodes together, N.
         gap: distance of the touched faces, m; negative = compression of the springs; inf without a target.
     """
@@ -51,6 +53,7 @@ class Mechanics:
         self.angles: Vector = self._kinematics.inverse(*start)
         self.rates: Vector = (0.0, 0.0, 0.0)
         self.torques: Vector = (0.0, 0.0, 0.0)
+        self.slack: Vector = (0.0, 0.0, 0.0)
         self.contact_force = 0.0
         self.magnet_force = 0.0
         self._gear = [0.0, 0.0, 0.0]
@@ -100,6 +103,8 @@ class Mechanics:
         self.position = (x, y, z)
         self.angles = angles
         self.torques = balance.motor
+        if balance.play > 0.0:
+            self.slack = balance.slack(angles)
         self._gear = balance.gear
         self._rub = balance.rub
         self.contact_force = balance.normal
@@ -128,6 +133,8 @@ class _Balance:
         self._gap = state.gap
         self._gravity = state._gravity
         self._inverse = _inverse(state._kinematics.jacobian(*state.position))
+        self.play = 0.5 * servo.backlash
+        self._reference = reference
         self._stiffness = servo.stiffness
         self._damping = servo.damping / dt
         self._inertia = servo.inertia / (dt * dt)
@@ -165,6 +172,14 @@ class _Balance:
         self._evaluate(best)
         return best
 
+    def slack(self, angles: Vector) -> Vector:
+        """Return how far each encoder is ahead of its arm (rad): toward its goal, as far as the play allows."""
+        ahead = list(self._state.slack)
+        for index, angle in enumerate(angles):
+            if self._enabled[index]:
+                ahead[index] = max(-self.play, min(self.play, self._reference[index] - angle))
+        return ahead[0], ahead[1], ahead[2]
+
     def _evaluate(self, d: list[float]) -> tuple[list[float], Symmetric]:
         """Return the imbalance (N) at displacement `d` (m) and the positive-definite tangent (N/m)."""
         state, dt, inverse = self._state, self._dt, self._inverse
@@ -200,13 +215,20 @@ class _Balance:
         drive, tangent = 0.0, 0.0
         if self._enabled[index]:
             limit = self._limits[index]
-            drive = self._stiffness * (self._lead[index] - turn) - self._damping * turn
+            error, slope = self._lead[index] - turn, self._stiffness + self._damping
+            if self.play > 0.0:
+                # Within the play the position loop turns its own side of the gear only; the arm feels no spring.
+                if abs(error) < self.play:
+                    error, slope = 0.0, self._damping
+                else:
+                    error -= math.copysign(self.play, error)
+            drive = self._stiffness * error - self._damping * turn
             if drive > limit:
                 drive = limit
             elif drive < -limit:
                 drive = -limit
             else:
-                tangent = self._stiffness + self._damping
+                tangent = slope
         friction = self._friction[index]
         gear = state._gear[index] - _GEAR_BRISTLE * turn
         if gear > friction:
@@ -247,13 +269,13 @@ class _Balance:
             along += contact.hard_stop_stiffness
         self.normal = normal
         fz -= normal
-        rx, ry = self._state._rub[0] - stiffness * d[0], self._state._rub[1] - stiffness * d[1]
+        side = min(stiffness, _LATERAL_MOST)
+        rx, ry = self._state._rub[0] - side * d[0], self._state._rub[1] - side * d[1]
         size, most = math.hypot(rx, ry), contact.friction * normal
-        side = stiffness
         if size > most:
             scale = most / size
             rx, ry = rx * scale, ry * scale
-            side = stiffness * scale
+            side *= scale
         self.rub = [rx, ry]
         return fx + rx, fy + ry, fz, side, along
 

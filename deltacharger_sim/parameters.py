@@ -64,6 +64,7 @@ class ServoParameters(Bounded):
     torque_constant: float = number(6.0 / 4.1, 0.5, 3.0, "N·m/A", "torque per current")
     friction: float = number(0.06, 0.0, 1.0, "N·m", "Coulomb friction of the gear while powered")
     unpowered_friction: float = number(0.6, 0.0, 3.0, "N·m", "torque that turns the unpowered gear")
+    backlash: float = number(0.0, 0.0, 0.05, "rad", "play between encoder and arm, from stop to stop")
     inertia: float = number(0.004, 0.0001, 0.05, "kg·m²", "rotor, reflected through the gear")
     current_noise: float = number(0.008, 0.0, 0.2, "A", "standard deviation of one current reading")
     supply_voltage: float = number(12.0, 9.5, 16.0, "V", "regulator's output")

@@ -17,7 +17,6 @@ from deltacharger_sim.clearance import Overlap, overlap
 from deltacharger_sim.mechanics import Mechanics
 from deltacharger_sim.parameters import WorldParameters
 
-_ENERGISED = 0.5  # A from which the electrodes count as live
 _APART = 0.001  # m of gap that ends a docking; less is a bounce
 Pose = tuple[float, float, float]
 Array = NDArray[np.float64]
@@ -40,7 +39,10 @@ class Record:
     Attributes:
         energised_shorts: times that live electrodes were shorted.
         energised_unsafe: s that the electrodes were live with negative clearance.
-        energised: s that the electrodes were live.
+        energised: s that the electrodes were live: the contactor was closed, whether or not current flowed.
+        parted_live: times that live electrodes left the target.
+        unpowered_live: times that a servo lost its torque while the electrodes were live.
+        broken_current: largest current that the contactor had to interrupt, A.
         contacts: dockings, bounces not counted.
         peak_force: largest normal force, N.
         peak_push: largest force of the servos along z, N.
@@ -49,6 +51,9 @@ class Record:
     energised_shorts: int = 0
     energised_unsafe: float = 0.0
     energised: float = 0.0
+    parted_live: int = 0
+    unpowered_live: int = 0
+    broken_current: float = 0.0
     contacts: int = 0
     peak_force: float = 0.0
     peak_push: float = 0.0
@@ -106,7 +111,7 @@ class World:
         self._docked = False
         self._overlap: Overlap | None = None
         self._overlap_pose: Pose | None = None
-        self._was_short = False
+        self._was_short = self._was_parted = self._was_unpowered = False
         self._temperature = [parameters.servo.ambient_temperature] * 3
 
     def command(self, index: int, enabled: bool, reference: float, current_limit: float) -> None:
@@ -160,7 +165,8 @@ class World:
         drawn = sum(abs(torque) for torque in self.mechanics.torques) / servo.torque_constant
         measured = current + self._random.gauss(0.0, servo.current_noise) if self._enabled[index] else 0.0
         voltage = servo.supply_voltage - servo.supply_resistance * drawn
-        return self.mechanics.angles[index], self.mechanics.rates[index], measured, voltage, self._temperature[index]
+        angle = self.mechanics.angles[index] + self.mechanics.slack[index]
+        return angle, self.mechanics.rates[index], measured, voltage, self._temperature[index]
 
     def taxels(self) -> tuple[Array, Array]:
         """Return both pads' raw readings (10, 10) N now."""
@@ -199,7 +205,8 @@ class World:
             self._temperature[index] += (goal - self._temperature[index]) * min(dt / servo.heating_time, 1.0)
 
     def _take_record(self, dt: float) -> None:
-        record, live = self.record, self.circuit.closed and abs(self.circuit.current) >= _ENERGISED
+        record, live = self.record, self.circuit.closed
+        record.broken_current = self.circuit.broken_current
         record.peak_force = max(record.peak_force, self.mechanics.contact_force)
         record.peak_push = max(record.peak_push, self.push())
         lies = self._overlap
@@ -210,3 +217,9 @@ class World:
         short = live and lies is not None and lies.short
         record.energised_shorts += short and not self._was_short
         self._was_short = short
+        parted = live and lies is None
+        record.parted_live += parted and not self._was_parted
+        self._was_parted = parted
+        unpowered = live and not all(self._enabled)
+        record.unpowered_live += unpowered and not self._was_unpowered
+        self._was_unpowered = unpowered

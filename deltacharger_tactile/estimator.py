@@ -324,8 +324,8 @@ def _restore(header: dict[str, Any], arrays: dict[str, Any]) -> PoseEstimator:
     )
     for name in _EXPERTS:
         networks = tuple(_network(f"{name}_{member}", arrays) for member in range(model.members))
-        parts = (arrays[f"{name}_{part}"] for part in ("centre", "spread"))
-        model._experts[name] = _Expert(*parts, networks, arrays[f"{name}_factor"])
+        centre, spread = arrays[f"{name}_centre"], arrays[f"{name}_spread"]
+        model._experts[name] = _Expert(centre, spread, networks, arrays[f"{name}_factor"])
     return model
 
 

@@ -1,8 +1,8 @@
 """Do frames look like those of training, and like the pose that was estimated from them?
 
-Two checks. The Mahalanobis distance of the features finds frames far from any that training saw. The second predicts what both
-pads should show (centres, moments, active taxels) at the estimated pose and load, and compares: a stuck row or another
-ridge shifts the estimate yet contradicts the rest of the picture.
+Two checks. The Mahalanobis distance of the features finds frames far from any that training saw. The second
+predicts what both pads should show (centres, moments, active taxels) at the estimated pose and load, and compares:
+a drifted row shifts the estimate yet contradicts the rest of the picture.
 """
 
 from __future__ import annotations
@@ -92,4 +92,4 @@ class Support:
 
 def _question(inputs: Array, pose: Array) -> Weights:
     asked = np.concatenate([pose / _POSE_SCALE, inputs[:, _LOADS] / _LOAD_SCALE], axis=1)
-    return np.clip(np.nan_to_num(asked), -6.0, 6.0).astype(np.float32)
+    return np.asarray(np.clip(np.nan_to_num(asked), -6.0, 6.0), dtype=np.float32)

@@ -243,6 +243,7 @@ def test_samples_of_the_wrong_length_or_format_are_refused(length: int, sample_f
         (0.99, 24.0, "short"),
         (0.0, 0.0, "short"),
         (math.inf, 0.0, "open circuit"),
+        (math.inf, math.nan, "open circuit"),
         (5.0, -0.1, "polarity"),
         (math.nan, 24.0, "nothing"),
         (5.0, math.nan, "nothing"),

@@ -12,8 +12,9 @@ from deltacharger_driver.control_table import ControlTable
 from deltacharger_driver.errors import DriverError, HandshakeError, NoAnswer, PortGone, RangeError, ServoFault
 from deltacharger_driver.mx64 import CURRENT_UNIT, TICK
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_bus import MISSING_AFTER, BusSettings, ServoBus
+from deltacharger_driver.servo_bus import UNKNOWN_AFTER, ServoBus
 from deltacharger_driver.servo_emulator import ServoBusEmulator, terminal_speed
+from deltacharger_driver.servo_snapshot import BusSettings
 
 OVERLOAD = 1 << 5
 BOUND = (0.83, 0.83, 0.83)
@@ -133,7 +134,8 @@ def test_old_firmware_at_the_factory_speed_is_found_too(closed, emulator, termin
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "told"), [("model", 1020, "1020"), ("homing_offset", 12, "zero_ticks"), ("drive_mode", 1, "direction")]
+    ("name", "value", "told"),
+    [("model", 1020, "1020"), ("homing_offset", 12, "zero_ticks"), ("drive_mode", 1, "direction")],
 )
 def test_a_servo_that_is_not_as_expected_is_named(closed, emulator, name, value, told):
     emulator.servo(2).table.set(name, value)
@@ -229,18 +231,17 @@ def test_a_lost_reply_is_nan_and_the_next_cycle_is_whole_again(bus, emulator):
 @pytest.mark.parametrize("missing", [1, 2, 3])
 def test_a_missing_servo_is_the_only_one_that_is_not_valid(bus, emulator, missing):
     emulator.faults.missing = {missing}
-    snapshots = [bus.read() for _ in range(MISSING_AFTER + 2)]
+    snapshots = [bus.read() for _ in range(UNKNOWN_AFTER + 2)]
     expected = tuple(servo != missing for servo in (1, 2, 3))
-    assert [snapshot.valid for snapshot in snapshots[1:]] == [expected] * (MISSING_AFTER + 1)
-    assert snapshots[-1].missed[missing - 1] == MISSING_AFTER + 2
+    assert [snapshot.valid for snapshot in snapshots[1:]] == [expected] * (UNKNOWN_AFTER + 1)
+    assert snapshots[-1].missed[missing - 1] == UNKNOWN_AFTER + 2
     emulator.faults.missing = set()
     until(lambda: bus.read().complete)
 
 
 def test_waiting_for_a_missing_servo_does_not_slow_the_others(bus, emulator):
     emulator.faults.missing = {2}
-    for _ in range(MISSING_AFTER):
-        bus.read()
+    until(lambda: bus.read().missing[1])
     begin = time.monotonic()
     for _ in range(50):
         bus.read()
@@ -262,7 +263,7 @@ def test_under_any_noise_a_value_is_right_or_not_there(bus, emulator, fault):
 def test_a_hardware_error_shows_and_forbids_torque(bus, emulator, arm):
     emulator.raise_hardware_error(3, OVERLOAD)
     assert bus.read().hardware_error == (0, 0, OVERLOAD)
-    with pytest.raises(ServoFault, match="servo 3.*overload") as caught:
+    with pytest.raises(ServoFault, match=r"servo 3.*overload") as caught:
         bus.enable_torque(BOUND)
     assert caught.value.code == OVERLOAD
     assert arm.torque_enabled() == [False, False, False]

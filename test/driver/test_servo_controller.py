@@ -11,10 +11,10 @@ from deltacharger_driver.bench_arm import BenchArm
 from deltacharger_driver.errors import PortMissing, TrajectoryRefused
 from deltacharger_driver.mx64 import CURRENT_UNIT, TICK, TORQUE_CONSTANT
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_bus import BusSettings
 from deltacharger_driver.servo_controller import STOP_TIME, ServoController
 from deltacharger_driver.servo_emulator import ServoBusEmulator
 from deltacharger_driver.servo_report import Phase
+from deltacharger_driver.servo_snapshot import BusSettings
 from deltacharger_driver.trajectory import JointLimits, Waypoint, check
 
 START = (-0.7, -0.5, 0.2)

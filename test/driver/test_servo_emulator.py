@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -26,7 +27,7 @@ from deltacharger_driver.servo_packets import (
     SYNC_WRITE,
     WRITE,
 )
-from deltacharger_driver.servo_port import crc16
+from deltacharger_driver.servo_protocol import crc16
 
 OVERLOAD = 1 << 5
 
@@ -193,12 +194,12 @@ def test_profile_velocity_and_acceleration_shape_the_reference(host):
     while len(references) < 3000 and (not references[1:] or host.read(1, "moving")):
         host.advance(0.005)
         references.append(host.arm.commands[0][1])
-    speeds = [(b - a) / 0.005 for a, b in zip(references, references[1:], strict=False)]
+    speeds = [(b - a) / 0.005 for a, b in itertools.pairwise(references)]
     assert references[-1] == pytest.approx(start + 1000 * TICK, abs=TICK)
     assert max(speeds) == pytest.approx(50 * VELOCITY_UNIT, rel=0.05)
     assert min(speeds) > -1e-9
     assert max(references) <= references[-1] + 1e-3
-    changes = [abs(b - a) / 0.005 for a, b in zip(speeds[1:], speeds[2:-2], strict=False)]
+    changes = [abs(b - a) / 0.005 for a, b in itertools.pairwise(speeds[1:-2])]
     assert max(changes) < 20 * 0.3745 * 1.6
 
 

@@ -28,7 +28,8 @@ from deltacharger_driver.mx64 import REGISTERS
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servo_emulator import ServoBusEmulator
 from deltacharger_driver.servo_link import ServoLink
-from deltacharger_driver.servo_port import ServoPort, ServoProtocol, crc16
+from deltacharger_driver.servo_port import ServoPort
+from deltacharger_driver.servo_protocol import ServoProtocol, crc16
 
 POSITION = REGISTERS["present_position"].address
 SPARE = 650  # indirect data that nothing maps: plain memory
@@ -94,10 +95,13 @@ def test_trap_1_failure_is_absence_not_zero(bare, link, emulator):
 def test_trap_2_a_late_reply_never_answers_another_question(bare, link, emulator):
     port, protocol = bare
     emulator.faults.delay = 0.05
-    protocol.read2ByteTxRx(port, 1, 144)
-    wrong, result, _ = protocol.read1ByteTxRx(port, 1, 146)
-    assert result == COMM_SUCCESS
-    assert wrong == 120  # decivolts taken for °C
+
+    def misled():
+        protocol.read2ByteTxRx(port, 1, 144)
+        value, result, _ = protocol.read1ByteTxRx(port, 1, 146)
+        return result == COMM_SUCCESS and value == 120  # decivolts taken for °C
+
+    assert any(misled() for _ in range(10))
     time.sleep(0.1)
     for _ in range(5):
         link.sync_read((1,), POSITION, 4)
@@ -187,9 +191,13 @@ def test_trap_8_the_cable_goes_while_a_reply_is_awaited(terminal, link, emulator
     emulator.faults.missing = {1}
     puller = threading.Timer(0.01, terminal.stop)
     puller.start()
-    with pytest.raises(PortGone):
+
+    def read_on():
         while True:
             link.sync_read((1,), POSITION, 4)
+
+    with pytest.raises(PortGone):
+        read_on()
     puller.join()
 
 

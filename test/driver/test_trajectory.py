@@ -29,7 +29,9 @@ def test_linear_between_the_goal_and_the_points():
 def test_the_goal_never_leaves_the_hull_of_start_and_points():
     trajectory = check(NAMES, points((0.0, (0.2, 0.2, 0.2)), (0.3, (-0.5, 0.4, 1.0))), LIMITS)
     for step in range(-10, 100):
-        for angle, low, high in zip(trajectory.goal_at(step * 0.005, START), (-0.5, 0.1, 0.2), (0.2, 0.4, 1.0), strict=True):
+        for angle, low, high in zip(
+            trajectory.goal_at(step * 0.005, START), (-0.5, 0.1, 0.2), (0.2, 0.4, 1.0), strict=True
+        ):
             assert low - 1e-12 <= angle <= high + 1e-12
 
 

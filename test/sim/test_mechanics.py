@@ -78,9 +78,10 @@ class TestStatics:
     def test_a_5_mm_step_is_0_030_ampere_per_unit_of_servo_stiffness(self, arm: ArmFactory, stiffness: float) -> None:
         servo = ServoParameters(friction=0.0, stiffness=stiffness)
         pressing = arm(WorldParameters(servo=servo, magnets=NO_MAGNETS))
-        pressing.go((0.0, 0.0, 0.081), 1.5)
+        rest = max(1.0, 8.0 * servo.damping / stiffness)
+        pressing.go((0.0, 0.0, 0.081), rest)
         before = pressing.contact_current
-        pressing.go((0.0, 0.0, 0.086), 1.5)
+        pressing.go((0.0, 0.0, 0.086), rest)
         assert pressing.contact_current - before == pytest.approx(0.030 * stiffness, rel=0.05)
 
     def test_friction_hides_a_few_newtons_and_not_more(self, arm: ArmFactory) -> None:
@@ -180,7 +181,7 @@ class TestContact:
         mechanics, rest = still.world.mechanics, still.world.mechanics.position
         slid = False
         for side in range(1, 15):
-            still.go((0.002 * side, 0.0, 0.0865), 0.3)
+            still.go((0.003 * side, 0.0, 0.0865), 0.3)
             force = still.delta.force(*mechanics.position, mechanics.torques)
             lateral = math.hypot(force[0], force[1])
             assert lateral <= 0.3 * mechanics.contact_force + 0.01

@@ -1,0 +1,70 @@
+"""What can go wrong on an emulated servo bus, to order."""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from dataclasses import dataclass, field
+
+from .errors import DriverError
+
+FAULTS = ("drop", "corrupt", "truncate", "duplicate", "garbage")
+"""What can befall a reply: lost, a byte changed, cut short, sent twice, preceded by noise."""
+
+
+@dataclass
+class ServoFaults:
+    """What goes wrong on an emulated bus; may be changed at any time, from any thread.
+
+    Attributes:
+        missing: ids without supply: they neither hear nor answer.
+        delay: added before every reply, s.
+        rate: fault of `FAULTS` → share of replies that it befalls, 0–1.
+        servos: ids whose replies `rate` concerns; empty = all.
+    """
+
+    missing: set[int] = field(default_factory=set)
+    delay: float = 0.0
+    rate: dict[str, float] = field(default_factory=dict)
+    servos: set[int] = field(default_factory=set)
+    _next: Counter[tuple[str, int]] = field(default_factory=Counter)
+
+    def next_reply(self, fault: str, servo: int, count: int = 1) -> None:
+        """Let `fault` befall the next `count` replies of one servo.
+
+        Raises:
+            DriverError: there is no such fault.
+        """
+        if fault not in FAULTS:
+            raise DriverError(f"unknown fault '{fault}'; known: {', '.join(FAULTS)}")
+        self._next[(fault, servo)] += count
+
+    def apply(self, servo: int, reply: bytes, random_source: random.Random) -> bytes:
+        """Return what is left of `reply`."""
+        if not self.rate and not self._next:
+            return reply
+        for fault in FAULTS:
+            if self._befalls(fault, servo, random_source):
+                reply = _damage(fault, reply, random_source)
+        return reply
+
+    def _befalls(self, fault: str, servo: int, random_source: random.Random) -> bool:
+        if self._next[(fault, servo)] > 0:
+            self._next[(fault, servo)] -= 1
+            return True
+        share = self.rate.get(fault, 0.0)
+        return share > 0.0 and (not self.servos or servo in self.servos) and random_source.random() < share
+
+
+def _damage(fault: str, reply: bytes, random_source: random.Random) -> bytes:
+    if not reply or fault == "drop":
+        return b""
+    if fault == "corrupt":
+        # Behind the length, so that the packet is found and its checksum must catch it.
+        at = random_source.randrange(min(7, len(reply) - 1), len(reply))
+        return reply[:at] + bytes((reply[at] ^ random_source.randrange(1, 256),)) + reply[at + 1 :]
+    if fault == "truncate":
+        return reply[: random_source.randrange(1, len(reply))]
+    if fault == "duplicate":
+        return reply + reply
+    return random_source.randbytes(5) + reply

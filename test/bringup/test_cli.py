@@ -1,0 +1,123 @@
+"""The command's contract: exit codes, one JSON object on stdout, everything else on stderr."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deltacharger_bringup.cli import main
+
+COMMANDS = (
+    *("up", "dock", "undock", "scene", "simulate", "doctor", "tactile", "vision", "calibrate"),
+    *("campaign", "report", "view", "replay", "fault"),
+)
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    try:
+        code = main(words)
+    except SystemExit as end:  # argparse ends the process itself
+        code = int(end.code or 0)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def one_object(text: str) -> dict[str, Any]:
+    value = json.loads(text)
+    assert isinstance(value, dict)
+    return value
+
+
+def test_help_names_every_command_of_the_interface(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "--help")
+    assert code == 0
+    for command in COMMANDS:
+        assert f"    {command}" in out
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("doctor",), ("tactile", "train"), ("vision", "detect", "--x"), ("calibrate", "camera"), ("fault", "--now", "3")],
+)
+def test_a_command_to_come_refuses_with_1(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
+    code, out, err = run(capsys, *words)
+    assert (code, out) == (1, "")
+    assert "not yet available" in err
+    code, out, _ = run(capsys, *words, "--json")
+    assert code == 1
+    assert one_object(out)["success"] is False
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        (),
+        ("no-such-command",),
+        ("scene",),
+        ("dock", "--x-mm", "left"),
+        ("dock", "--x-mm", "nan"),
+        ("dock", "--critical-angle-deg", "-1"),
+        ("dock", "--x-mm", "1", "--camera"),
+        ("simulate",),
+        ("simulate", "--directory", "/tmp/never", "--scene", "bench"),
+    ],
+)
+def test_wrong_usage_is_2_with_a_reason_on_stderr(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
+    code, out, err = run(capsys, *words)
+    assert (code, out) == (2, "")
+    assert err
+
+
+@pytest.mark.parametrize("command", ["up", "dock", "undock", "simulate"])
+def test_a_refused_scene_is_2_and_names_file_and_key(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str
+) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text("simulation: {sed: 1}", encoding="utf-8")
+    more = ("--directory", str(tmp_path)) if command == "simulate" else ()
+    code, out, err = run(capsys, command, "--scene", str(path), "--json", *more)
+    assert code == 2
+    assert one_object(out)["key"] == "simulation.sed"
+    assert one_object(out)["file"] == str(path)
+    assert "did you mean 'seed'" in err
+
+
+def test_missing_coordinates_are_named(capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = run(capsys, "dock", "--scene", "bench", "--x-mm", "3")
+    assert code == 2
+    assert "--y-mm, --z-mm missing" in err
+
+
+def test_scene_list_check_and_explain_print_one_object_each(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "scene", "list", "--json")
+    names = [scene["name"] for scene in one_object(out)["scenes"]]
+    assert code == 0
+    assert {"simulated", "mocks", "bench"} <= set(names)
+    code, out, _ = run(capsys, "scene", "check", "--json")
+    assert code == 0
+    assert one_object(out)["ok"] is True
+    code, out, _ = run(capsys, "scene", "explain", "simulated", "--json")
+    assert code == 0
+    assert any(key["key"] == "simulation.world.servo.stiffness" for key in one_object(out)["keys"])
+
+
+def test_scene_check_is_2_where_one_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text("goal: {x: 9}", encoding="utf-8")
+    code, out, err = run(capsys, "scene", "check", "simulated", str(path), "--json")
+    report = one_object(out)
+    assert code == 2
+    assert [scene["ok"] for scene in report["scenes"]] == [True, False]
+    assert report["scenes"][1]["key"] == "goal.x"
+    assert "goal.x" in err
+
+
+def test_explain_for_people_hides_defaults_until_asked(capsys: pytest.CaptureFixture[str]) -> None:
+    _, short, _ = run(capsys, "scene", "explain", "simulated")
+    _, everything, _ = run(capsys, "scene", "explain", "simulated", "--all")
+    assert "simulation.world.target.x = 0.004 m" in short
+    assert "simulation.world.servo.stiffness" not in short
+    assert "simulation.world.servo.stiffness = 15 N·m/rad" in everything

@@ -1,0 +1,325 @@
+"""servo_node over a real pseudo-terminal and real rclpy, with emulated servos on a bench."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from array import array
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+pytest.importorskip("deltacharger.msg")
+
+from deltacharger.msg import ServoState  # noqa: E402
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from rclpy.context import Context  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from std_srvs.srv import SetBool, Trigger  # noqa: E402
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402
+
+from deltacharger_bringup.node_support import Spinner, StartupError  # noqa: E402
+from deltacharger_driver.bench_arm import BenchArm  # noqa: E402
+from deltacharger_driver.mx64 import CURRENT_UNIT, TICK, TORQUE_CONSTANT  # noqa: E402
+from deltacharger_driver.pseudo_terminal import PseudoTerminal  # noqa: E402
+from deltacharger_driver.servo_emulator import ServoBusEmulator, terminal_speed  # noqa: E402
+from deltacharger_driver.servo_node import JOINTS, ServoNode  # noqa: E402
+
+START = (-0.7, -0.5, 0.2)
+OVERLOAD = 1 << 5
+DOMAIN = 1 + os.getpid() % 200  # so that nothing else on this machine answers
+
+
+class Client(Node):
+    """What docking_node does with servo_node."""
+
+    def __init__(self, context):
+        super().__init__("client", context=context, use_global_arguments=False)
+        reliable = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+        self.states, self.joints, self.diagnostics = [], [], []
+        self.create_subscription(ServoState, "servo_state", self.states.append, reliable)
+        self.create_subscription(JointState, "joint_states", self.joints.append, 10)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
+        self.trajectories = self.create_publisher(JointTrajectory, "joint_trajectory", reliable)
+        self.torque = self.create_client(SetBool, "set_torque")
+        self.reboot = self.create_client(Trigger, "reboot_servos")
+
+    def call(self, client, request):
+        assert client.wait_for_service(8.0)
+        future = client.call_async(request)
+        until(future.done, 8.0)
+        return future.result()
+
+    def set_torque(self, on):
+        return self.call(self.torque, SetBool.Request(data=on))
+
+    def fresh(self):
+        """Return a state that was sent after this call."""
+        count = len(self.states)
+        until(lambda: len(self.states) > count + 1)
+        return self.states[-1]
+
+    def send(self, *points, names=JOINTS, stamp=None, efforts=()):
+        message = JointTrajectory(joint_names=list(names))
+        if stamp is not None:
+            message.header.stamp = stamp
+        for seconds, angles in points:
+            point = JointTrajectoryPoint(positions=array("d", angles), effort=array("d", efforts))
+            point.time_from_start.sec = int(seconds)
+            point.time_from_start.nanosec = int(seconds % 1 * 1e9)
+            message.points.append(point)
+        self.trajectories.publish(message)
+
+    def told(self, text):
+        """Return whether a diagnostic says `text`."""
+        return any(text in status.message for message in self.diagnostics for status in message.status)
+
+
+def until(condition, seconds=5.0):
+    deadline = time.monotonic() + seconds
+    while not (result := condition()):
+        assert time.monotonic() < deadline, "it did not come to pass"
+        time.sleep(0.005)
+    return result
+
+
+@pytest.fixture(scope="module")
+def context():
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    context = Context()
+    context.init(args=[], domain_id=DOMAIN)
+    yield context
+    context.try_shutdown()
+
+
+@pytest.fixture
+def arm():
+    return BenchArm(START)
+
+
+@pytest.fixture
+def emulator(arm):
+    return ServoBusEmulator(arm)
+
+
+@pytest.fixture
+def terminal(emulator, tmp_path):
+    with PseudoTerminal(emulator, tmp_path / "servo") as terminal:
+        yield terminal
+
+
+def build(context, port, **parameters):
+    overrides = [Parameter(name, value=value) for name, value in {"port": port, **parameters}.items()]
+    return ServoNode(context=context, parameter_overrides=overrides, use_global_arguments=False)
+
+
+@pytest.fixture
+def node(context, terminal):
+    spinner = Spinner(build(context, terminal.path))
+    yield spinner.node
+    spinner.close()
+
+
+@pytest.fixture
+def client(context, node):
+    spinner = Spinner(Client(context))
+    until(lambda: spinner.node.states and spinner.node.trajectories.get_subscription_count())
+    yield spinner.node
+    spinner.close()
+
+
+def test_the_state_at_start(client, arm):
+    state = client.fresh()
+    assert tuple(state.name) == JOINTS
+    assert state.header.frame_id == "charger_base"
+    assert list(state.position) == pytest.approx(START, abs=TICK)
+    assert list(state.voltage) == pytest.approx([12.0] * 3)
+    assert list(state.temperature) == [30.0] * 3
+    assert list(state.hardware_error) == [0, 0, 0]
+    assert list(state.torque_enabled) == [False] * 3
+    assert list(state.valid) == [True] * 3
+    assert list(state.thermal_reserve) == [math.inf] * 3
+    age = client.get_clock().now().nanoseconds - (state.header.stamp.sec * 10**9 + state.header.stamp.nanosec)
+    assert 0 <= age < 0.2e9
+    until(lambda: client.joints)
+    assert list(client.joints[-1].position) == pytest.approx(START, abs=TICK)
+    until(lambda: client.diagnostics)
+    assert {status.level for status in client.diagnostics[-1].status} == {DiagnosticStatus.OK}
+    assert arm.torque_enabled() == [False] * 3
+
+
+def test_the_rate(client):
+    first = client.fresh()
+    time.sleep(1.0)
+    last = client.fresh()
+    seconds = last.header.stamp.sec - first.header.stamp.sec
+    seconds += (last.header.stamp.nanosec - first.header.stamp.nanosec) * 1e-9
+    arrived = client.states.index(last) - client.states.index(first)
+    assert 60 <= arrived / seconds <= 105  # the upper bound is the promise; a loaded machine may lose some
+
+
+def test_torque_trajectory_torque_off(client, arm):
+    answer = client.set_torque(True)
+    assert answer.success
+    assert arm.torque_enabled() == [True] * 3
+    goal = [angle + 0.1 for angle in START]
+    client.send((0.2, goal), stamp=client.get_clock().now().to_msg())
+    until(lambda: list(client.states[-1].position) == pytest.approx(goal, abs=2 * TICK))
+    assert list(client.states[-1].torque_enabled) == [True] * 3
+    assert client.set_torque(False).success
+    assert arm.torque_enabled() == [False] * 3
+    assert list(client.fresh().torque_enabled) == [False] * 3
+
+
+def test_joints_in_another_order_and_effort_as_bound(client, arm):
+    client.set_torque(True)
+    order = (JOINTS[2], JOINTS[0], JOINTS[1])
+    client.send((0.0, (0.3, -0.6, -0.4)), names=order, efforts=(3.0, 1.0, 2.0))
+    until(lambda: arm.commands[0][1] == pytest.approx(-0.6, abs=TICK))
+    assert [command[1] for command in arm.commands] == pytest.approx([-0.6, -0.4, 0.3], abs=TICK)
+    bounds = [effort / TORQUE_CONSTANT for effort in (1.0, 2.0, 3.0)]
+    assert [command[2] for command in arm.commands] == pytest.approx(bounds, abs=CURRENT_UNIT)
+    client.send(names=())
+    until(lambda: arm.commands[2][2] == pytest.approx(0.83, abs=CURRENT_UNIT))
+    assert [command[1] for command in arm.commands] == pytest.approx([-0.6, -0.4, 0.3], abs=TICK)
+
+
+@pytest.mark.parametrize(
+    ("points", "names", "old", "efforts", "told"),
+    [
+        ([(0.0, (0.0, 0.0, 0.0))], ("limb_0_arm_joint", "limb_1_arm_joint", "elbow"), 0.0, (), "unknown joint 'elbow'"),
+        ([(0.0, (0.0, 0.0))], JOINTS[:2], 0.0, (), "exactly once"),
+        ([(0.0, (0.0, 0.0, 1.3))], JOINTS, 0.0, (), "outside"),
+        ([(0.0, (0.0, math.nan, 0.0))], JOINTS, 0.0, (), "nan"),
+        ([(0.0, (0.0, 0.0, 0.0))], JOINTS, 0.7, (), "old"),
+        ([(0.0, (0.0, 0.0, 0.0))], JOINTS, 0.0, (9.0, 1.0, 1.0), "effort"),
+        ([(1.0, (0.0, 0.0, 0.0)), (0.5, (0.0, 0.0, 0.0))], JOINTS, 0.0, (), "rise"),
+    ],
+)
+def test_what_is_refused_moves_nothing_and_is_told(client, arm, points, names, old, efforts, told):
+    client.set_torque(True)
+    before = list(arm.commands)
+    now = client.get_clock().now().nanoseconds - int(old * 1e9)
+    stamp = client.get_clock().now().to_msg()
+    stamp.sec, stamp.nanosec = divmod(now, 10**9)
+    client.send(*points, names=names, stamp=stamp, efforts=efforts)
+    until(lambda: client.told(told))
+    assert list(arm.commands) == before
+
+
+def test_without_torque_a_trajectory_is_refused(client, arm):
+    client.send((0.0, START))
+    until(lambda: client.told("set_torque"))
+    assert arm.torque_enabled() == [False] * 3
+
+
+def test_a_missing_servo_stops_all(client, arm, emulator):
+    client.set_torque(True)
+    emulator.faults.missing = {2}
+    until(lambda: not client.states[-1].valid[1] and math.isnan(client.states[-1].position[1]))
+    state = client.states[-1]
+    assert list(state.valid) == [True, False, True]
+    assert math.isnan(state.temperature[1])
+    assert state.torque_enabled[1]
+    until(lambda: arm.torque_enabled()[0] is False)
+    assert list(client.fresh().torque_enabled)[::2] == [False, False]
+    until(lambda: client.told("servo 2 does not answer"))
+    answer = client.set_torque(True)
+    assert not answer.success
+    assert "servo 2" in answer.message
+
+
+def test_a_latched_error_needs_a_reboot(client, arm, emulator):
+    client.set_torque(True)
+    emulator.raise_hardware_error(1, OVERLOAD)
+    until(lambda: client.states[-1].hardware_error[0] == ServoState.ERROR_OVERLOAD)
+    until(lambda: arm.torque_enabled() == [False] * 3)
+    assert not client.set_torque(True).success
+    answer = client.call(client.reboot, Trigger.Request())
+    assert answer.success, answer.message
+    assert list(client.fresh().hardware_error) == [0, 0, 0]
+    assert arm.torque_enabled() == [False] * 3
+    assert client.set_torque(True).success
+
+
+def test_the_cable_is_pulled_and_put_back(client, arm, terminal):
+    client.set_torque(True)
+    terminal.stop()
+    until(lambda: not any(client.states[-1].valid))
+    assert all(map(math.isnan, client.fresh().position))
+    until(lambda: client.told("plug"))
+    assert not client.set_torque(True).success
+    terminal.start()
+    until(lambda: all(client.states[-1].valid))
+    assert arm.torque_enabled() == [False] * 3
+    assert client.set_torque(True).success
+
+
+def test_closing_holds_then_lets_go_and_frees_the_port(context, terminal, arm):
+    spinner = Spinner(build(context, terminal.path))
+    client = Spinner(Client(context))
+    assert client.node.set_torque(True).success
+    begin = time.monotonic()
+    spinner.close()
+    assert time.monotonic() - begin < 1.5
+    assert arm.torque_enabled() == [False] * 3
+    assert arm.commands[0][1] == pytest.approx(START[0], abs=2 * TICK)
+    spinner.node.close()
+    again = Spinner(build(context, terminal.path))  # the port is free
+    again.close()
+    client.close()
+
+
+def test_two_chargers_by_namespace(context, terminal):
+    parameters = [Parameter("port", value=terminal.path)]
+    node = ServoNode(context=context, namespace="/second", parameter_overrides=parameters, use_global_arguments=False)
+    topics = dict(node.get_topic_names_and_types())
+    node.close()
+    node.destroy_node()
+    assert {"/second/servo_state", "/second/joint_states", "/second/joint_trajectory", "/diagnostics"} <= set(topics)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "told"),
+    [
+        ({"port": "/nowhere"}, "no such port"),
+        ({"ids": [1, 2]}, "ids"),
+        ({"ids": [1, 1, 2]}, "no id twice"),
+        ({"ids": [1, 2, 4]}, "servo 4 does not answer at any speed"),
+        ({"direction": [1, 0, 1]}, "direction"),
+        ({"rate": 1000.0}, "rate"),
+        ({"joint_min": 1.0, "joint_max": 0.5}, "joint_min"),
+        ({"current_bound": 3.5}, "current_bound"),
+        ({"baud": 57600}, "did you mean 'baud_rate'"),
+        ({"baud_rate": 57600}, "answers at 1000000"),
+    ],
+)
+def test_it_does_not_start_with_a_wrong_configuration_and_says_why(context, terminal, emulator, parameters, told):
+    emulator.line_speed = lambda: terminal_speed(terminal.path)
+    with pytest.raises(StartupError, match=told):
+        build(context, **{"port": terminal.path, **parameters})
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_executable_ends_cleanly_on_a_signal(context, terminal, arm, number):
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "PYTHONUNBUFFERED": "1"}
+    command = [sys.executable, "-m", "deltacharger_driver.servo_node", "--ros-args", "-p", f"port:={terminal.path}"]
+    client = Spinner(Client(context))
+    process = subprocess.Popen(command, env=environment)
+    try:
+        assert client.node.torque.wait_for_service(10.0)
+        assert client.node.set_torque(True).success
+        process.send_signal(number)
+        assert process.wait(5.0) == 0
+        assert arm.torque_enabled() == [False] * 3
+    finally:
+        if process.poll() is None:
+            process.kill()
+        client.close()

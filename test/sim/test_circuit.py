@@ -1,0 +1,217 @@
+"""The power stage: pre-charge, ramp, constant current and voltage, contact resistance, openings, and what it detects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from deltacharger_sim.circuit import (
+    NO_CHARGE_CURRENT,
+    REVERSE_CURRENT,
+    REVERSE_POLARITY,
+    SHORT,
+    VOLTAGE,
+    WELDED,
+    Circuit,
+)
+from deltacharger_sim.clearance import Overlap
+from deltacharger_sim.parameters import CircuitParameters
+
+FULL = Overlap(area=1.4e-3, fraction=1.0, clearance=0.0074, short=False)
+HALF = Overlap(area=0.7e-3, fraction=0.5, clearance=0.002, short=False)
+BRIDGED = Overlap(area=1.2e-3, fraction=0.86, clearance=-0.001, short=True)
+FORCE = 77.0
+
+
+def make(**changes: Any) -> Circuit:
+    return Circuit(CircuitParameters(**changes))
+
+
+def run(circuit: Circuit, seconds: float, lies: Overlap | None = FULL, force: float = FORCE, step: float = 0.005) -> None:
+    for _ in range(round(seconds / step)):
+        circuit.step(step, lies, force)
+
+
+def charging(**changes: Any) -> Circuit:
+    circuit = make(**changes)
+    run(circuit, 0.02)
+    circuit.close()
+    run(circuit, 1.0)
+    assert circuit.closed
+    assert circuit.fault == 0
+    return circuit
+
+
+def test_closing_waits_for_the_pre_charge_and_then_ramps() -> None:
+    circuit = make(precharge_time=0.1, ramp_up=40.0)
+    circuit.close()
+    run(circuit, 0.09)
+    assert not circuit.closed
+    assert circuit.current == 0.0
+    run(circuit, 0.02)
+    assert circuit.closed
+    before = circuit.current
+    while circuit.current < 10.0:
+        circuit.step(0.005, FULL, FORCE)
+        assert circuit.current - before <= 40.0 * 0.005 + 1e-9
+        before = circuit.current
+
+
+@pytest.mark.parametrize("limit", [2.0, 10.0, 18.0])
+def test_the_current_is_constant_below_the_voltage_limit(limit: float) -> None:
+    circuit = charging(current_limit=limit, target_voltage=20.0)
+    assert circuit.current == pytest.approx(limit)
+
+
+def test_a_nearly_full_target_is_fed_at_constant_voltage() -> None:
+    circuit = charging(target_voltage=28.5, voltage_limit=29.0)
+    assert 0.5 < circuit.current < 10.0
+    _, terminals = circuit.voltages()
+    assert 28.5 < terminals < 29.0
+
+
+def test_the_target_voltage_is_measured_only_in_contact() -> None:
+    circuit = make()
+    run(circuit, 0.02, None)
+    battery, target = circuit.voltages()
+    assert 22.7 <= battery <= 29.8
+    assert math.isnan(target)
+    run(circuit, 0.02)
+    assert circuit.voltages()[1] == pytest.approx(24.0)
+
+
+def test_contact_resistance_falls_with_overlap_and_with_force() -> None:
+    def resistance(lies: Overlap, force: float) -> float:
+        circuit = make(target_leakage=0.0)
+        circuit.step(0.005, lies, force)
+        return circuit.probe()[0]
+
+    assert resistance(FULL, 80.0) == pytest.approx(0.01)
+    assert resistance(HALF, 80.0) > 1.9 * resistance(FULL, 80.0)
+    assert resistance(FULL, 20.0) == pytest.approx(2.0 * resistance(FULL, 80.0))
+    assert math.isinf(resistance(FULL, 0.0))
+
+
+def test_the_probe_tells_healthy_short_reversed_and_open_apart() -> None:
+    cases: list[tuple[dict[str, float], Overlap | None]] = [({}, FULL), ({}, BRIDGED), ({"target_voltage": -24.0}, FULL), ({}, None)]
+    probes = []
+    for changes, lies in cases:
+        circuit = make(**changes)
+        circuit.step(0.005, lies, FORCE)
+        probes.append(circuit.probe())
+    (ohm, volt), (short, _), (_, reverse), (apart, nothing) = probes
+    assert ohm >= 1.0
+    assert volt == pytest.approx(24.0)
+    assert short < 1.0
+    assert reverse < 0.0
+    assert math.isinf(apart)
+    assert math.isnan(nothing)
+
+
+def test_a_wanted_opening_ramps_below_one_ampere_within_50_ms() -> None:
+    circuit = charging(current_limit=18.0)
+    circuit.open(True)
+    elapsed, last = 0.0, circuit.current
+    while circuit.closed:
+        last = circuit.current
+        circuit.step(0.001, FULL, FORCE)
+        elapsed += 0.001
+    assert elapsed <= 0.050
+    assert last < 1.0 + 500.0 * 0.001
+    assert circuit.current == 0.0
+    assert circuit.fault == 0
+
+
+def test_an_emergency_opening_takes_no_time() -> None:
+    circuit = charging(current_limit=18.0)
+    circuit.open(False)
+    assert not circuit.closed
+    assert circuit.current == 0.0
+
+
+def test_an_opening_during_pre_charge_ends_it() -> None:
+    circuit = make()
+    circuit.close()
+    run(circuit, 0.05)
+    circuit.open(True)
+    run(circuit, 0.5)
+    assert not circuit.closed
+
+
+@pytest.mark.parametrize(
+    ("changes", "lies", "fault"),
+    [
+        ({}, BRIDGED, SHORT),
+        ({}, None, NO_CHARGE_CURRENT),
+        ({"target_voltage": -24.0}, FULL, REVERSE_POLARITY),
+        ({"target_voltage": 8.0}, FULL, VOLTAGE),
+        ({"target_voltage": 31.0}, FULL, VOLTAGE),
+    ],
+)
+def test_nothing_is_closed_onto_what_is_wrong(changes: dict[str, float], lies: Overlap | None, fault: int) -> None:
+    circuit = make(**changes)
+    run(circuit, 0.02, lies)
+    circuit.close()
+    for _ in range(100):
+        circuit.step(0.005, lies, FORCE)
+        assert not circuit.closed
+        assert circuit.current == 0.0
+    assert circuit.fault == fault
+
+
+def test_a_target_that_feeds_back_is_cut_off() -> None:
+    circuit = make(target_voltage=29.5, voltage_limit=29.0)
+    run(circuit, 0.02)
+    circuit.close()
+    run(circuit, 0.3)
+    assert not circuit.closed
+    assert circuit.fault == REVERSE_CURRENT
+
+
+def test_a_target_that_takes_nothing_is_reported() -> None:
+    circuit = make(target_accepts=False)
+    run(circuit, 0.02)
+    circuit.close()
+    run(circuit, 5.0)
+    assert not circuit.closed
+    assert circuit.fault == NO_CHARGE_CURRENT
+
+
+def test_a_short_while_charging_opens_at_the_next_step() -> None:
+    circuit = charging()
+    run(circuit, 0.01, BRIDGED)
+    assert not circuit.closed
+    assert circuit.fault == SHORT
+
+
+def test_a_short_during_a_ramped_opening_still_opens() -> None:
+    circuit = charging(current_limit=18.0)
+    circuit.open(True)
+    run(circuit, 0.1, BRIDGED)
+    assert not circuit.closed
+    assert circuit.current == 0.0
+
+
+@pytest.mark.parametrize("ramp", [True, False])
+def test_a_welded_contactor_is_reported_and_stays_closed(ramp: bool) -> None:
+    circuit = charging(welded=True)
+    circuit.open(ramp)
+    run(circuit, 0.2)
+    assert circuit.closed
+    assert circuit.fault == WELDED
+
+
+def test_an_opening_forgets_the_fault() -> None:
+    circuit = charging()
+    run(circuit, 0.01, BRIDGED)
+    circuit.open(True)
+    assert circuit.fault == 0
+
+
+def test_worse_contact_means_less_current_at_the_voltage_limit() -> None:
+    good, bad = charging(target_voltage=28.5), charging(target_voltage=28.5)
+    run(bad, 0.1, replace(FULL, area=1e-5, fraction=0.007))
+    assert bad.current < 0.8 * good.current

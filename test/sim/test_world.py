@@ -1,0 +1,273 @@
+"""The world as a whole: contacts and their jitter, what is recorded, the emulators' plant, and reproducibility."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_sim.parameters import MagnetParameters, ServoParameters, TargetParameters, WorldParameters
+from deltacharger_sim.shared_world import SharedWorld
+from deltacharger_sim.world import World
+
+ArmFactory = Callable[..., Any]
+SIX_DEGREES = TargetParameters(roll=math.radians(6.0))
+
+
+class Pads:
+    """A tactile source that remembers what it was asked and displaces docking n by n mm along y."""
+
+    def __init__(self) -> None:
+        self.dockings = 0
+        self.asked: list[tuple[float, tuple[float, float, float] | None, float]] = []
+
+    def begin_docking(self) -> tuple[float, float, float]:
+        self.dockings += 1
+        return 0.0, 0.001 * self.dockings, 0.01 * self.dockings
+
+    def sample(
+        self, time: float, pose: tuple[float, float, float] | None, force: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        self.asked.append((time, pose, force))
+        return np.zeros((10, 10)), np.zeros((10, 10))
+
+
+class TestContact:
+    def test_each_contact_has_its_own_jitter_which_is_real(self, arm: ArmFactory) -> None:
+        pads = Pads()
+        touching = arm(WorldParameters(target=SIX_DEGREES), tactile=pads)
+        clearances = []
+        for docking in (1, 2):
+            touching.go((0.0, 0.0, 0.07))
+            assert touching.world.misalignment is None
+            touching.go((0.0, 0.0, 0.086))
+            x, y, angle = touching.world.misalignment
+            position = touching.world.mechanics.position
+            assert pads.dockings == touching.world.record.contacts == docking
+            assert x == pytest.approx(-position[0])
+            assert y == pytest.approx(0.001 * docking - position[1])
+            assert angle == pytest.approx(math.radians(6.0) + 0.01 * docking)
+            clearances.append(touching.world.snapshot().clearance)
+            touching.go((0.0, 0.0, 0.05))
+        assert clearances[1] < clearances[0] < 0.0036  # without jitter 3.58 mm
+
+    def test_the_pads_are_asked_with_pose_and_total_force(self, arm: ArmFactory) -> None:
+        pads = Pads()
+        touching = arm(WorldParameters(target=TargetParameters(x=0.004, y=-0.003)), tactile=pads)
+        touching.go((0.0, 0.0, 0.06))
+        touching.world.taxels()
+        assert pads.asked[-1][1:] == (None, 0.0)
+        touching.go((0.0, 0.0, 0.086))
+        touching.world.taxels()
+        time, pose, force = pads.asked[-1]
+        assert time == touching.world.time
+        assert pose is not None
+        assert pose[0] == pytest.approx(0.004, abs=5e-4)
+        assert pose[1] == pytest.approx(-0.002, abs=5e-4)  # −3 mm and the jitter of docking 1
+        assert force == touching.world.mechanics.contact_force > 60.0 / (1.0 + 25.0 / 64.0)
+
+    def test_without_a_target_there_is_nothing_to_touch(self, arm: ArmFactory) -> None:
+        free = arm(WorldParameters(target=TargetParameters(present=False)))
+        free.go((0.0, 0.0, 0.1))
+        assert free.world.mechanics.position[2] == pytest.approx(0.1, abs=5e-4)
+        snapshot = free.world.snapshot()
+        assert snapshot.contact_force == 0.0
+        assert snapshot.misalignment is None
+        assert math.isnan(snapshot.clearance)
+
+    def test_without_a_tactile_model_the_pads_read_nothing(self, arm: ArmFactory) -> None:
+        left, right = arm().world.taxels()
+        assert left.shape == right.shape == (10, 10)
+        assert not left.any()
+        assert not right.any()
+
+
+class TestRecord:
+    def test_a_good_docking_leaves_a_clean_record(self, arm: ArmFactory) -> None:
+        good = arm(WorldParameters(target=SIX_DEGREES))
+        good.charge()
+        record = good.world.record.as_dict()
+        assert good.world.circuit.current == pytest.approx(10.0)
+        assert record["energised_shorts"] == 0
+        assert record["energised_unsafe"] == 0.0
+        assert record["energised"] > 0.5
+        assert record["contacts"] == 1
+        assert 60.0 < record["peak_force"] < 130.0
+
+    def test_a_short_that_comes_while_charging_is_recorded(self, arm: ArmFactory) -> None:
+        dragged = arm(WorldParameters(target=SIX_DEGREES))
+        dragged.charge()
+        for side in range(1, 61):
+            dragged.go((0.0, 0.001 * side, 0.085), 0.1)
+            if not dragged.world.circuit.closed:
+                break
+        assert dragged.world.circuit.fault == 2
+        assert dragged.world.snapshot().clearance < 0.0
+        assert dragged.world.record.energised_shorts == 1
+        assert dragged.world.record.energised_unsafe > 0.0
+
+    def test_a_short_without_energy_is_nothing(self, arm: ArmFactory) -> None:
+        dead = arm(WorldParameters(target=TargetParameters(roll=math.radians(15.0))))
+        dead.dock()
+        assert dead.world.snapshot().clearance < 0.0
+        assert dead.world.record.energised_shorts == 0
+        assert dead.world.record.energised_unsafe == 0.0
+
+    def test_tearing_off_while_charging_stops_the_current(self, arm: ArmFactory) -> None:
+        torn = arm(WorldParameters(magnets=MagnetParameters(force=0.0)))
+        torn.charge(4.0)
+        torn.go((0.0, 0.0, 0.05), 0.5)
+        assert torn.world.circuit.current == 0.0
+        assert not torn.world.circuit.closed
+        assert torn.world.circuit.fault == 1
+
+
+class TestServos:
+    def test_the_current_read_is_the_torque_with_noise(self, arm: ArmFactory) -> None:
+        still = arm()
+        still.go((0.0, 0.0, 0.05))
+        readings = np.array([still.world.servo(1)[2] for _ in range(2000)])
+        assert readings.mean() == pytest.approx(still.world.mechanics.torques[1] / (6.0 / 4.1), abs=1e-3)
+        assert readings.std() == pytest.approx(0.008, rel=0.1)
+
+    def test_positive_torque_turns_toward_the_target(self, arm: ArmFactory) -> None:
+        moving = arm()
+        moving.go((0.0, 0.0, 0.02))
+        moving.aim((0.0, 0.0, 0.03))
+        moving.run(0.02)
+        for index in range(3):
+            _, rate, current, voltage, temperature = moving.world.servo(index)
+            assert rate > 0.0
+            assert current > 0.0
+            assert 11.5 < voltage <= 12.0
+            assert temperature == pytest.approx(28.0, abs=1.0)
+
+    def test_holding_hard_warms_and_resting_cools(self, arm: ArmFactory) -> None:
+        hot = arm(WorldParameters(servo=ServoParameters(heating_time=10.0)), step=0.1)
+        hot.dock(0.02)
+        hot.run(20.0)
+        warm = [hot.world.servo(index)[4] for index in range(3)]
+        assert min(warm) > 28.5
+        hot.release()
+        hot.run(20.0)
+        assert max(hot.world.servo(index)[4] for index in range(3)) < min(warm)
+
+    def test_the_same_seed_gives_the_same_run(self) -> None:
+        def readings(seed: int) -> list[float]:
+            world = World(WorldParameters(), None, seed)
+            for index in range(3):
+                world.command(index, True, -0.5, 4.1)
+            result = []
+            for _ in range(50):
+                world.step()
+                result.append(world.servo(0)[2])
+            return result
+
+        assert readings(4) == readings(4)
+        assert readings(4) != readings(5)
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class TestSharedWorld:
+    def test_nothing_is_computed_until_somebody_asks(self) -> None:
+        clock, world = Clock(), World(WorldParameters())
+        plant = SharedWorld(world, clock)
+        clock.now += 0.1
+        assert world.time == 0.0
+        plant.read_servo(0)
+        assert world.time == pytest.approx(0.1, abs=0.0051)
+
+    @pytest.mark.parametrize("period", [0.001, 0.0073, 0.02])
+    def test_time_passes_in_whole_steps_and_never_drifts(self, period: float) -> None:
+        clock, world = Clock(), World(WorldParameters())
+        plant = SharedWorld(world, clock)
+        for _ in range(round(2.0 / period)):
+            clock.now += period
+            plant.read_power()
+        assert world.time == pytest.approx(clock.now - 100.0, abs=0.0051)
+        assert world.time / 0.005 == pytest.approx(round(world.time / 0.005), abs=1e-6)
+
+    def test_a_long_pause_is_skipped_rather_than_computed(self) -> None:
+        clock, world = Clock(), World(WorldParameters())
+        plant = SharedWorld(world, clock)
+        clock.now += 3600.0
+        plant.read_servo(0)
+        assert world.time <= 0.51
+        before = world.time
+        clock.now += 0.1
+        plant.read_servo(0)
+        assert world.time - before == pytest.approx(0.1, abs=0.0051)
+
+    def test_a_clock_that_steps_back_stops_the_world_and_breaks_nothing(self) -> None:
+        clock, world = Clock(), World(WorldParameters())
+        plant = SharedWorld(world, clock)
+        clock.now += 0.1
+        plant.read_servo(0)
+        before = world.time
+        clock.now -= 0.05
+        plant.read_servo(0)
+        assert world.time == before
+
+    def test_both_plants_act_on_one_world(self, arm: ArmFactory) -> None:
+        clock, world = Clock(), arm().world
+        plant = SharedWorld(world, clock)
+
+        def hold(z: float, seconds: float) -> None:
+            for index, angle in enumerate(arm.delta.inverse(0.0, 0.0, z)):
+                plant.command_servo(index, True, angle, 1.5)
+            for _ in range(round(seconds / 0.02)):
+                clock.now += 0.02
+                plant.read_power()
+
+        hold(0.07, 1.0)
+        assert plant.probe()[0] == math.inf
+        hold(0.087, 1.0)
+        ohm, volt = plant.probe()
+        assert 1.0 <= ohm < math.inf
+        assert volt == pytest.approx(24.0)
+        plant.close_contactor()
+        hold(0.087, 1.0)
+        _, target, current, closed, fault = plant.read_power()
+        assert closed
+        assert fault == 0
+        assert current == pytest.approx(10.0)
+        assert target > 24.0
+        plant.open_contactor(True)
+        clock.now += 0.06
+        assert plant.read_power()[2:] == (0.0, False, 0)
+        left, right = plant.read_taxels()
+        assert left.shape == right.shape == (10, 10)
+
+    def test_many_threads_share_it(self) -> None:
+        world = World(WorldParameters())
+        plant = SharedWorld(world)
+        errors: list[BaseException] = []
+
+        def ask(index: int) -> None:
+            try:
+                for _ in range(300):
+                    plant.command_servo(index, True, -0.6, 1.0)
+                    assert all(map(math.isfinite, plant.read_servo(index)))
+                    plant.read_power()
+                    plant.read_taxels()
+            except BaseException as error:
+                errors.append(error)
+
+        threads = [threading.Thread(target=ask, args=(index,)) for index in range(3)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(20.0)
+        assert not errors
+        assert not any(thread.is_alive() for thread in threads)

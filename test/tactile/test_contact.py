@@ -1,0 +1,114 @@
+"""Laws of the contact model: nothing of the force is lost, symmetry, signs, misses."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from deltacharger_tactile.contact import ContactModel, Waviness
+from deltacharger_tactile.errors import ParameterError
+from deltacharger_tactile.parameters import ContactParameters
+
+MODEL = ContactModel()
+V = 1.2e-3 * (9 - 2 * np.arange(10))  # taxel centres, row 0 at +y
+U = V  # column 0 at +x
+
+
+def poses(count: int, seed: int = 0) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    return random.uniform([-0.012, -0.012, -0.35], [0.012, 0.012, 0.35], (count, 3))
+
+
+def centre(pad: np.ndarray, axis: int) -> float:
+    line = pad.sum(axis=1 - axis)
+    return float(line @ V / line.sum())
+
+
+def test_the_pads_carry_the_whole_force() -> None:
+    force = np.linspace(5.0, 120.0, 200)
+    contact = MODEL.solve(poses(200), force, (0.001, 0.002))
+    assert np.array_equal(contact.touching, contact.taxels.sum(axis=(1, 2, 3)) > 0)
+    assert np.allclose(
+        contact.taxels.sum(axis=(1, 2, 3))[contact.touching], force[contact.touching], rtol=1e-6
+    )
+    assert contact.touching.mean() > 0.8
+    assert contact.taxels.min() >= 0.0
+
+
+def test_a_batch_equals_its_single_contacts() -> None:
+    many = poses(20, 3)
+    ridges = Waviness.draw(ContactParameters(), np.random.default_rng(1))
+    batch = MODEL.solve(many, 60.0, (0.0005, -0.001), ridges)
+    for index, pose in enumerate(many):
+        one = MODEL.solve(pose, 60.0, (0.0005, -0.001), ridges)
+        assert np.allclose(batch.taxels[index], one.taxels[0], atol=1e-9)
+
+
+def test_mirroring_the_pose_mirrors_the_pads() -> None:
+    many, tilt = poses(50, 1), np.array([0.0007, -0.0011])
+    straight = MODEL.solve(many, 60.0, tilt).taxels
+    over_y = MODEL.solve(many * [1, -1, -1], 60.0, tilt * [-1, 1]).taxels
+    assert np.allclose(over_y, straight[:, :, ::-1, :], atol=1e-9)
+    over_x = MODEL.solve(many * [-1, 1, -1], 60.0, tilt * [1, -1]).taxels
+    assert np.allclose(over_x, straight[:, ::-1, :, ::-1], atol=1e-9)
+
+
+def test_signs_follow_the_target() -> None:
+    """Where the ridge's own points end up, by plain trigonometry, is where the pads feel them."""
+    up = MODEL.solve((0.0, 0.005, 0.0), 60.0).taxels[0]
+    assert centre(up[0], 0) == pytest.approx(
+        0.005, abs=4e-4
+    )  # the target is higher: both pads feel it higher
+    assert centre(up[1], 0) == pytest.approx(0.005, abs=4e-4)
+    angle = np.radians(6.0)
+    turned = MODEL.solve((0.0, 0.0, angle), 60.0).taxels[0]
+    # A turn from +x to +y lifts the target's ridge at +x (left pad) and lowers the one at −x (right pad).
+    assert centre(turned[0], 0) == pytest.approx(0.048 * np.tan(angle), abs=5e-4)
+    assert centre(turned[1], 0) == pytest.approx(-0.048 * np.tan(angle), abs=5e-4)
+    # Within a pad the ridge rises toward +x, which is toward column 0.
+    toward_x, toward_minus_x = turned[0][:, :3], turned[0][:, 7:]
+    assert centre(toward_x, 0) > centre(toward_minus_x, 0) + 1e-3
+    # A target that is shifted far to +x leaves the −x end of the left pad.
+    aside = MODEL.solve((0.016, 0.0, 0.0), 60.0).taxels[0]
+    assert centre(aside[0], 1) > 1e-3
+    # Tilts press what the docstring says they press.
+    tilted = MODEL.solve((0.0, 0.0, 0.0), 60.0, (0.0, 0.001)).taxels[0]
+    assert tilted[0].sum() > tilted[1].sum() + 5.0
+    assert centre(MODEL.solve((0.0, 0.0, 0.0), 60.0, (0.005, 0.0)).taxels[0, 0], 0) > 1e-5
+
+
+def test_a_missed_ridge_presses_nothing() -> None:
+    both = MODEL.solve((0.0, 0.020, 0.0), 60.0)
+    assert not both.touching[0]
+    assert not both.taxels.any()
+    assert np.isnan(both.approach[0])
+    one = MODEL.solve((0.0, 0.012, np.radians(12.0)), 60.0).taxels[0]
+    assert not one[0].any()
+    assert one[1].sum() == pytest.approx(60.0)
+    assert not MODEL.solve((0.0, 0.0, 0.0), 0.0).taxels.any()
+
+
+def test_more_force_presses_deeper() -> None:
+    contact = MODEL.solve(np.zeros((3, 3)), [20.0, 60.0, 120.0])
+    assert np.all(np.diff(contact.approach) > 0)
+    assert np.all(np.diff(contact.taxels.max(axis=(1, 2, 3))) > 0)
+
+
+def test_a_batch_costs_less_than_half_a_millisecond_per_pair() -> None:
+    many = poses(400, 5)
+    best = np.inf
+    for _ in range(5):
+        start = time.perf_counter()
+        MODEL.solve(many, 60.0)
+        best = min(best, time.perf_counter() - start)
+    assert best / len(many) < 0.5e-3
+
+
+def test_parameters_outside_their_bounds_are_named() -> None:
+    with pytest.raises(ParameterError, match="ridge_height") as caught:
+        ContactParameters(ridge_height=-0.001)
+    assert caught.value.value == -0.001
+    with pytest.raises(ParameterError):
+        ContactParameters(stiffness=float("nan"))

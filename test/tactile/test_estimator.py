@@ -1,0 +1,202 @@
+"""The packaged model on rigs that training did not see: precise, honest, and silent where it does not know."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_tactile import Estimate, PoseEstimator, default_model
+from deltacharger_tactile.contact import ContactModel
+from deltacharger_tactile.errors import FrameError, ModelError
+from deltacharger_tactile.features import fill_dead
+from deltacharger_tactile.generator import generate_continuous, measure
+from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.sensor import Rig
+from deltacharger_tactile.training import train
+
+MODEL = default_model()
+
+
+def dockings(count: int, offset: float, angle: float, rigs: range, seed: int) -> tuple[Any, Any, Any]:
+    data = generate_continuous(None, rigs, count, seed, 12, 0.0, offset, math.radians(angle))
+    return *data.robot_frames(), data.contact_pose
+
+
+@pytest.fixture(scope="module")
+def wide() -> tuple[Any, Any, Any, Estimate]:
+    left, right, pose = dockings(250, 0.012, 20.0, range(300, 312), 42)
+    return left, right, pose, MODEL.predict(left, right)
+
+
+def acts(estimate: Estimate) -> Any:
+    sigma = np.hypot(0.035 * estimate.angle_stddev, estimate.vertical_stddev)
+    room = 0.0037 * (1 + np.cos(estimate.angle)) - 0.035 * np.abs(np.sin(estimate.angle))
+    return estimate.sure & (room - np.abs(estimate.vertical) - 3 * sigma >= 0.3e-3)
+
+
+def test_precise_enough_to_decide(wide: Any) -> None:
+    _, _, pose, estimate = wide
+    near = estimate.in_range & (np.abs(pose[:, 2]) < math.radians(12.0))
+    error = 0.035 * (estimate.angle - pose[:, 2]) + estimate.vertical - pose[:, 1]
+    assert near.sum() > 800
+    assert np.median(np.abs(error[near])) < 0.2e-3
+    assert np.median(np.hypot(0.035 * estimate.angle_stddev, estimate.vertical_stddev)[near]) < 0.35e-3
+
+
+@pytest.mark.parametrize(("name", "axis"), [("horizontal", 0), ("vertical", 1), ("angle", 2)])
+def test_three_standard_deviations_hold(wide: Any, name: str, axis: int) -> None:
+    _, _, pose, estimate = wide
+    z = ((getattr(estimate, name) - pose[:, axis]) / getattr(estimate, f"{name}_stddev"))[estimate.in_range]
+    assert 0.6 < z.std() < 1.1
+    assert np.mean(np.abs(z) > 3) < 0.01
+    assert np.abs(z).max() < 7.0
+
+
+def test_energises_at_seven_degrees_of_either_sign() -> None:
+    family, rig = TactileParameters(), Rig.draw(TactileParameters(), 320)
+    for sign in (-1.0, 1.0):
+        poses = np.tile([0.0, 0.0, sign * math.radians(7.0)], (150, 1))
+        got = measure(family, rig, poses, np.random.default_rng(4), 12, 0.0)
+        estimate = MODEL.predict(got["left"], got["right"])
+        assert np.all(np.sign(estimate.angle) == sign)
+        assert acts(estimate).mean() > 0.9
+
+
+def test_never_energises_beyond_twelve_degrees() -> None:
+    left, right, pose = dockings(300, 0.010, 20.0, range(330, 340), 3)
+    beyond = np.abs(pose[:, 2]) >= math.radians(12.0)
+    assert {-1.0, 1.0} == set(np.sign(pose[beyond, 2]))
+    act = acts(MODEL.predict(left, right))
+    assert not act[beyond].any()
+    small = (np.abs(pose[:, 2]) < math.radians(7.0)) & (np.abs(pose[:, 1]) < 1.5e-3)
+    assert act[small].mean() > 0.9
+
+
+def test_signs_by_the_contact_model_alone() -> None:
+    """A clean contact, no sensor: the estimate must be the pose that pressed the pads."""
+    contact = ContactModel()
+    for pose in (
+        (0.0, 0.004, 0.0),
+        (0.0, -0.004, 0.0),
+        (0.0, 0.0, 0.1),
+        (0.0, 0.0, -0.1),
+        (0.002, 0.003, -0.08),
+    ):
+        tilt = (math.radians(7.0) * pose[1], math.radians(10.0) * pose[0])
+        pads = contact.solve(pose, 70.0, tilt).taxels[0]
+        estimate = MODEL.predict(pads[0], pads[1])
+        assert isinstance(estimate.angle, float)
+        assert estimate.in_range is True
+        assert abs(estimate.vertical - pose[1]) < 0.4e-3
+        assert abs(estimate.angle - pose[2]) < math.radians(0.4)
+    right_loaded, left_loaded = (
+        contact.solve((x, 0.0, 0.0), 55.0, (0.0, math.radians(10.0) * x)).taxels[0] for x in (-0.006, 0.006)
+    )
+    assert MODEL.predict(*left_loaded).horizontal > 0.003
+    assert MODEL.predict(*right_loaded).horizontal < -0.003
+
+
+def test_mirrored_frames_give_the_mirrored_pose(wide: Any) -> None:
+    left, right, _, estimate = wide
+    rows = np.flatnonzero(estimate.in_range)[:200]
+    over_y = MODEL.predict(left[rows][:, ::-1], right[rows][:, ::-1])
+    over_x = MODEL.predict(right[rows][:, :, ::-1], left[rows][:, :, ::-1])
+    assert np.allclose(over_y.angle, -estimate.angle[rows], atol=1e-5)
+    assert np.allclose(over_y.vertical, -estimate.vertical[rows], atol=1e-7)
+    assert np.allclose(over_x.horizontal, -estimate.horizontal[rows], atol=1e-6)
+    assert np.allclose(over_x.vertical, estimate.vertical[rows], atol=1e-7)
+
+
+def test_out_of_range_where_a_pad_does_not_tell() -> None:
+    left, right, _ = dockings(40, 0.003, 6.0, range(340, 342), 5)
+    good = MODEL.predict(left, right)
+    assert good.in_range.mean() > 0.95
+    nothing, unknown = np.zeros_like(left), np.full_like(left, np.nan)
+    for a, b in ((nothing, right), (left, nothing), (unknown, right), (left, unknown)):
+        estimate = MODEL.predict(a, b)
+        assert not estimate.in_range.any()
+        assert not estimate.sure.any()
+    spotted = left.copy()
+    spotted[:, 4, :5] = np.nan
+    assert not MODEL.predict(spotted, right).in_range.any()
+    beyond, other, pose = dockings(400, 0.002, 32.0, range(342, 344), 6)
+    chosen = np.abs(pose[:, 2]) > math.radians(22.0)
+    assert not MODEL.predict(beyond[chosen], other[chosen]).in_range.any()
+
+
+def test_no_contact_is_unknown_not_zero() -> None:
+    estimate = MODEL.predict(np.full((10, 10), 0.1), np.zeros((10, 10)))
+    assert estimate.contact is False
+    assert estimate.in_range is False
+    assert math.isnan(estimate.angle)
+    assert math.isnan(estimate.vertical_stddev)
+    assert estimate.left_force == 0.0
+    dead = MODEL.predict(np.full((10, 10), np.nan), np.full((10, 10), np.nan))
+    assert dead.contact is False
+
+
+def test_one_pad_still_guides_a_correction() -> None:
+    left, right, pose = dockings(400, 0.012, 8.0, range(344, 347), 8)
+    estimate = MODEL.predict(left, right)
+    lost = (np.minimum(estimate.left_force, estimate.right_force) < 0.5) & np.isfinite(estimate.vertical)
+    assert lost.sum() > 20
+    z = (estimate.vertical - pose[:, 1])[lost] / estimate.vertical_stddev[lost]
+    assert np.abs(z).max() < 6.0
+    assert not estimate.in_range[lost].any()
+
+
+def test_class_probabilities() -> None:
+    left, right, pose = dockings(100, 0.008, 5.0, range(350, 352), 9)
+    estimate = MODEL.predict(left, right)
+    known = np.isfinite(estimate.angle)
+    for name, classes in (("angle", 6), ("vertical", 5), ("horizontal", 5)):
+        chances = getattr(estimate, f"{name}_probability")[known]
+        assert chances.shape[1] == classes
+        assert chances.min() >= -1e-12
+        assert np.allclose(chances.sum(axis=1), 1.0)
+    best = estimate.vertical_probability[known].argmax(axis=1)
+    true = np.clip(np.round(pose[known, 1] / 0.005), -2, 2) + 2
+    assert np.mean(best == true) > 0.85
+
+
+def test_a_dead_taxel_takes_the_value_of_its_row() -> None:
+    frames = np.zeros((1, 2, 10, 10))
+    frames[0, 0, 4] = 2.0
+    frames[0, 0, 4, 5] = np.nan
+    filled = fill_dead(frames)
+    assert filled[0, 0, 4, 5] == pytest.approx(1.5)
+    assert np.isfinite(filled).all()
+    assert np.array_equal(filled[0, 1], frames[0, 1])
+
+
+def test_wrong_shapes_are_refused() -> None:
+    with pytest.raises(FrameError, match="10, 10"):
+        MODEL.predict(np.zeros(100), np.zeros(100))
+    with pytest.raises(FrameError):
+        MODEL.predict(np.zeros((10, 10)), np.zeros((2, 10, 10)))
+
+
+def test_training_saving_and_loading(tmp_path: Path) -> None:
+    model = train(range(600, 606), range(610, 613), 200, 5, 2)
+    model.save(tmp_path / "model.npz")
+    loaded = PoseEstimator.load(tmp_path / "model.npz")
+    left, right, _ = dockings(50, 0.004, 8.0, range(360, 361), 2)
+    before, after = model.predict(left, right), loaded.predict(left, right)
+    for name, value in vars(before).items():
+        assert np.allclose(value, getattr(after, name), equal_nan=True), name
+    assert loaded.about == model.about
+
+
+def test_a_file_that_is_no_model_is_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "data.npz", left=np.zeros(3))
+    with pytest.raises(ModelError, match=r"data\.npz"):
+        PoseEstimator.load(tmp_path / "data.npz")
+    (tmp_path / "text.npz").write_text("hello")
+    with pytest.raises(ModelError):
+        PoseEstimator.load(tmp_path / "text.npz")
+    with pytest.raises(FileNotFoundError):
+        PoseEstimator.load(tmp_path / "none.npz")

@@ -1,0 +1,76 @@
+"""Data sets: the paper's protocol, the continuous one, files, seeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deltacharger_tactile.errors import DatasetError
+from deltacharger_tactile.generator import Dataset, generate_continuous, generate_paper
+from deltacharger_tactile.parameters import TactileParameters
+
+# Data sets and models name this digest: a changed default needs a new model and new figures in docs/tactile.md.
+FROZEN_DEFAULTS = "06ff4a4443992688"
+
+
+def test_the_defaults_are_the_frozen_ones() -> None:
+    assert TactileParameters().digest() == FROZEN_DEFAULTS
+
+
+def test_the_papers_protocol() -> None:
+    data = generate_paper(rigs=(3, 4), seed=5)
+    assert len(data) == 2 * 1100
+    assert data.left.shape == data.right.shape == (2200, 10, 10)
+    assert data.left.dtype == np.float32
+    assert data.tare.shape == data.dead.shape == (2200, 2, 10, 10)
+    first = data.rig == 3
+    angles = np.round(np.degrees(data.angle[first & (data.subset == 0)]))
+    assert {int(k): int((angles == k).sum()) for k in np.unique(angles)} == dict.fromkeys(range(6), 100)
+    positions = data.subset == 1
+    pairs = np.unique(
+        np.round(1e3 * np.column_stack([data.horizontal, data.vertical])[first & positions]), axis=0
+    )
+    assert len(pairs) == 25
+    assert (first & positions).sum() == 500
+    assert not data.angle[positions].any()
+    assert len(np.unique(data.attempt)) == len(data)
+    assert not set(data.session[first]) & set(data.session[~first])
+    lit = np.concatenate([data.left, data.right])
+    assert lit[lit > 0].min() >= 1.0
+    assert data.current.min() >= 0.4
+    assert data.current.max() <= 0.5
+
+
+def test_the_continuous_protocol_is_signed_and_jittered() -> None:
+    data = generate_continuous(rigs=(6,), count=300, seed=1)
+    assert set(data.subset) == {-1}
+    assert data.angle.min() < -0.3
+    assert data.angle.max() > 0.3
+    jitter = data.contact_pose - np.column_stack([data.horizontal, data.vertical, data.angle])
+    assert np.allclose(jitter.std(axis=0), [0.95e-3, 0.95e-3, np.radians(0.15)], rtol=0.2)
+    left, right = data.robot_frames()
+    assert np.array_equal(np.isnan(left), data.dead[:, 0])
+    assert np.array_equal(np.isnan(right), data.dead[:, 1])
+
+
+def test_one_seed_is_one_data_set(tmp_path: Path) -> None:
+    data, again = (generate_continuous(rigs=(2, 3), count=20, seed=8) for _ in range(2))
+    other = generate_continuous(rigs=(2, 3), count=20, seed=9)
+    assert np.array_equal(data.left, again.left)
+    assert not np.array_equal(data.left, other.left)
+    data.save(tmp_path / "set.npz")
+    loaded = Dataset.load(tmp_path / "set.npz")
+    assert loaded.meta == data.meta
+    assert loaded.meta["digest"] == TactileParameters().digest()
+    for name in ("left", "tare", "contact_pose", "session", "force"):
+        assert np.array_equal(getattr(loaded, name), getattr(data, name))
+
+
+def test_a_file_without_an_array_is_named(tmp_path: Path) -> None:
+    np.savez(tmp_path / "bad.npz", left=np.zeros((1, 10, 10)))
+    with pytest.raises(DatasetError, match="right"):
+        Dataset.load(tmp_path / "bad.npz")
+    with pytest.raises(DatasetError, match="0 rigs"):
+        generate_continuous(rigs=())

@@ -1,0 +1,85 @@
+"""The sensor chain and the source that a world samples."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from deltacharger_tactile.parameters import SensorParameters, TactileParameters
+from deltacharger_tactile.sensor import Dockings, Rig, Sensor
+from deltacharger_tactile.source import ContactSource
+
+PERFECT = SensorParameters(
+    hysteresis=0.0, creep=0.0, gain_spread=0.0, cross_talk=0.0, fixed_offset=0.0, docking_offset=0.0,
+    noise=0.0, noise_gain=0.0, dead_taxels=0,
+)  # fmt: skip
+
+
+def sensor(parameters: SensorParameters, seed: int = 1) -> tuple[Sensor, TactileParameters, Rig]:
+    family = dataclasses.replace(TactileParameters(), sensor=parameters)
+    rig = Rig.draw(family, seed)
+    return Sensor(parameters, rig, np.random.default_rng(seed)), family, rig
+
+
+def test_a_perfect_sensor_reads_force_plus_pedestal_within_one_code() -> None:
+    chain, _, _ = sensor(PERFECT)
+    force = np.random.default_rng(0).uniform(0.0, 9.0, (1, 2, 10, 10))
+    raw = chain.read(force, None, 0.0, 1 / 120)
+    assert np.abs(raw - force - PERFECT.pedestal).max() <= 0.5 * 9.5 / 1023 + 1e-12
+
+
+def test_readings_stay_within_the_scale_and_on_its_codes() -> None:
+    parameters = SensorParameters(dead_taxels=2)
+    chain, family, rig = sensor(parameters)
+    docking = Dockings.draw(family, np.random.default_rng(2))
+    raw = chain.read(np.full((1, 2, 10, 10), 50.0), docking, 1.0, 1 / 120)[0]
+    assert np.array_equal(np.isnan(raw), rig.dead)
+    assert rig.dead.sum() == 2
+    live = raw[~rig.dead]
+    assert live.max() <= 9.5 + 1e-12
+    assert live.min() >= 0.0
+    codes = live * 1023 / 9.5
+    assert np.allclose(codes, np.round(codes), atol=1e-9)
+
+
+def test_creep_grows_by_its_share_per_decade() -> None:
+    chain, _, _ = sensor(dataclasses.replace(PERFECT, creep=0.03, bits=16))
+    force = np.full((1, 2, 10, 10), 5.0)
+    early, late = (chain.read(force, None, t, 1 / 120)[0, 0, 0, 0] - 0.5 for t in (99.0, 999.0))
+    assert abs((late - early) / 5.0 - 0.03) < 1e-3
+
+
+def test_noise_has_the_stated_size_and_memory() -> None:
+    parameters = dataclasses.replace(PERFECT, noise=0.08, pedestal=0.5)
+    chain, _, _ = sensor(parameters)
+    raw = np.stack([chain.read(None, None, 0.0, 1 / 120)[0] for _ in range(600)]) - 0.5
+    assert abs(raw.std() - 0.08) < 0.004
+    step = 6
+    memory = np.mean(raw[step:] * raw[:-step]) / raw.var()
+    assert abs(memory - 0.3 * np.exp(-step / 120 / 0.25)) < 0.05
+
+
+def test_a_source_feels_contact_only_in_contact() -> None:
+    source = ContactSource(rig_seed=4, seed=9)
+    free = np.mean([source.sample(i / 120, None, 0.0) for i in range(60)], axis=0)
+    assert abs(np.nanmean(free) - 0.5) < 0.05
+    dx, dy, turn = source.begin_docking()
+    assert abs(dx) < 0.005
+    assert abs(dy) < 0.005
+    assert abs(turn) < 0.02
+    felt = source.sample(1.0, (dx, dy, turn), 70.0) - free
+    assert 60.0 < np.nansum(felt) < 90.0
+    after = source.sample(2.0, None, 0.0) - free
+    assert np.nanmax(np.abs(after)) < 0.6
+
+
+def test_the_same_seeds_give_the_same_run_and_others_do_not() -> None:
+    def run(rig: int, seed: int) -> list[np.ndarray]:
+        source = ContactSource(rig_seed=rig, seed=seed)
+        jitter = source.begin_docking()
+        return [np.array(source.sample(i / 120, jitter, 60.0)) for i in range(3)]
+
+    assert np.array_equal(run(1, 2), run(1, 2), equal_nan=True)
+    assert not np.array_equal(run(1, 2), run(1, 3), equal_nan=True)
+    assert not np.array_equal(run(1, 2), run(2, 2), equal_nan=True)
