@@ -142,10 +142,16 @@ def print_shifts(model: PoseEstimator, count: int) -> None:
         left, right, _, actual = dockings(count // 4, 0.010, 0.0, 16.0, 55, family)
         print_shift(name, model.predict(left, right), actual)
     left, right, _, actual = dockings(count // 4, 0.010, 0.0, 16.0, 55)
-    for name, change in (("two rows read 0", 0.0), ("two rows stuck at 2 N", 2.0)):
+    spoils = (
+        ("two rows read 0", slice(4, 6), 0.0),
+        ("two rows read 2 N", slice(4, 6), 2.0),
+        ("one row reads 1.5 N", slice(6, 7), 1.5),
+    )
+    for name, rows, value in spoils:
         spoiled = left.copy()
-        spoiled[:, 4:6] = change
+        spoiled[:, rows] = value
         print_shift(name, model.predict(spoiled, right), actual)
+    print_shift("left pad gain × 0.7", model.predict(0.7 * left, right), actual)
     print_shift("left pad reads 0", model.predict(np.zeros_like(left), right), actual)
 
 

@@ -1,9 +1,9 @@
 """What the simulated world costs and how far it can be trusted; the figures of docs/simulation.md.
 
-    python benchmarks/world.py [--json]
+    python benchmarks/world.py [--json | --parameters]
 
-Everything is measured through the public World: cost of a step, statics, magnets, settled force over contact stiffness and
-step, and a docking's path over the step. Takes about half a minute.
+Everything is measured through the public World: cost of a step, statics, magnets, settled force over contact stiffness
+and step, and a docking's path over the step. Takes a few seconds.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from deltacharger_sim.parameters import (
     ServoParameters,
     TargetParameters,
     WorldParameters,
+    describe,
 )
 from deltacharger_sim.world import World
 
@@ -122,7 +123,10 @@ def statics(stiffness: float) -> dict[str, float]:
 def twenty_newtons() -> float:
     """Current per servo (A) when the platform presses with 20 N at (0, 0, 80 mm), weightless and without friction."""
     world = WorldParameters(
-        servo=without_friction(), magnets=MagnetParameters(force=0.0), contact=ContactParameters(stiffness=1e9), gravity_y=0.0
+        servo=without_friction(),
+        magnets=MagnetParameters(force=0.0),
+        contact=ContactParameters(stiffness=1e9),
+        gravity_y=0.0,
     )
     arm = Arm(world)
     low, high = 0.080, 0.100
@@ -135,7 +139,11 @@ def twenty_newtons() -> float:
 
 def magnets(stiffness: float, friction: float | None = None) -> dict[str, float]:
     """Approach in steps of 0.25 mm, press until the servos push again, pull off; what happens on the way."""
-    servo = ServoParameters(stiffness=stiffness) if friction is None else ServoParameters(stiffness=stiffness, friction=friction)
+    servo = (
+        ServoParameters(stiffness=stiffness)
+        if friction is None
+        else ServoParameters(stiffness=stiffness, friction=friction)
+    )
     arm = Arm(WorldParameters(servo=servo))
     arm.go((0.0, 0.0, 0.060))
     command, gap, current = 0.060, math.nan, math.nan
@@ -151,8 +159,8 @@ def magnets(stiffness: float, friction: float | None = None) -> dict[str, float]
     release = 0.0
     while arm.world.mechanics.contact_force > 0.0:
         release = min(release, arm.contact_current())
-        command -= 0.001
-        arm.go((0.0, 0.0, command), 0.3)
+        command -= 0.00025
+        arm.go((0.0, 0.0, command), 0.2)
     return {
         "gap before the snap, mm": 1000.0 * gap,
         "before, A": current,
@@ -187,6 +195,21 @@ def settled(stiffness: float, step: float) -> tuple[float, float]:
     return arm.world.mechanics.contact_force / exact - 1.0, max(abs(v) for v in arm.world.mechanics.velocity)
 
 
+def imbalance(stiffness: float, step: float) -> float:
+    """Largest force (N) that a step leaves unbalanced over contact, 25 mm of sliding and pulling off."""
+    arm = Arm(WorldParameters(contact=ContactParameters(stiffness=stiffness)), step)
+    points = [(0.0, 0.0, 0.07), (0.0, 0.0, 0.08), (0.0, 0.0, 0.088)]
+    points += [(0.001 * side, 0.002 * side, 0.086) for side in range(1, 26)]
+    points += [(0.025, 0.05, 0.086 - 0.002 * index) for index in range(25)]
+    worst = 0.0
+    for point in points:
+        arm.aim(point, 2.8)
+        for _ in range(max(1, round(0.2 / step))):
+            arm.run(step)
+            worst = max(worst, arm.world.mechanics.imbalance)
+    return worst
+
+
 def path(step: float) -> list[Vector]:
     """Platform positions every 100 ms of a 1.2 s docking with the default world."""
     arm = Arm(step=step)
@@ -218,6 +241,7 @@ def measure() -> dict[str, Any]:
         "magnets": {str(k): magnets(k) for k in (5.0, 10.0, 15.0, 20.0)},
         "magnets_without_friction": magnets(15.0, 0.0),
         "settled": {f"{k:.0e}": {str(step): settled(k, step) for step in STEPS} for k in STIFFNESSES},
+        "imbalance": {f"{k:.0e}": {str(step): imbalance(k, step) for step in STEPS} for k in STIFFNESSES},
         "path": {str(step): {"rms_mm": error, "wall_ms": wall} for step, error, wall in path_errors()},
     }
 
@@ -229,12 +253,18 @@ def show(figures: dict[str, Any]) -> None:
     print(f"\n20 N at the dock: {figures['twenty_newtons_A']:.4f} A per servo\n\nStatics without friction\n")
     table("servo stiffness N·m/rad", figures["statics"], "{:.3f}")
     print("\nMagnets\n")
-    table("servo stiffness N·m/rad", {**figures["magnets"], "15, no friction": figures["magnets_without_friction"]}, "{:.2f}")
+    table(
+        "servo stiffness N·m/rad",
+        {**figures["magnets"], "15, no friction": figures["magnets_without_friction"]},
+        "{:.2f}",
+    )
     print("\nError of the settled force, % (rows: contact stiffness N/m, columns: step s)\n")
     errors = {k: {step: 100.0 * value[0] for step, value in row.items()} for k, row in figures["settled"].items()}
     table("", errors, "{:+.5f}")
     fastest = max(value[1] for row in figures["settled"].values() for value in row.values())
-    print(f"\nlargest speed left after 2 s: {fastest:.1e} m/s\n\nPath of a docking against a step of 0.2 ms\n")
+    print(f"\nlargest speed left after 2 s: {fastest:.1e} m/s\n\nLargest imbalance while sliding and tearing off, N\n")
+    table("", figures["imbalance"], "{:.1g}")
+    print("\nPath of a docking against a step of 0.2 ms\n")
     table("step s", figures["path"], "{:.3f}")
 
 
@@ -245,10 +275,21 @@ def table(corner: str, rows: dict[str, dict[str, float]], form: str) -> None:
         print("| " + " | ".join([name, *(form.format(row[column]) for column in columns)]) + " |")
 
 
+def show_parameters() -> None:
+    """Print the table of every number that a scene may set under simulation.world."""
+    print("| key | default | range | unit | meaning |\n|---|---|---|---|---|")
+    for key, default, low, high, unit, doc in describe(WorldParameters):
+        print(f"| {key} | {default:.4g} | {low:g} to {high:g} | {unit} | {doc} |")
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="one JSON object instead of tables")
+    parser.add_argument("--parameters", action="store_true", help="the table of parameters instead of figures")
     options = parser.parse_args()
+    if options.parameters:
+        show_parameters()
+        return 0
     figures = measure()
     if options.json:
         print(json.dumps(figures))

@@ -92,6 +92,13 @@ class MockServoNode(Node):  # type: ignore[misc]
         with self._lock:
             return any(self._arm.torque_enabled)
 
+    def reboot(self) -> None:
+        """Clear hardware errors and switch torque off, as reboot_servos does."""
+        with self._lock:
+            self._plan = []
+            self._error = [0, 0, 0]
+            self._arm.torque_enabled = [False] * 3
+
     def _run(self) -> None:
         period = 1.0 / self._rate
         due = last = time.monotonic()
@@ -228,10 +235,7 @@ class MockServoNode(Node):  # type: ignore[misc]
         return response
 
     def _on_reboot(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        with self._lock:
-            self._plan = []
-            self._error = [0, 0, 0]
-            self._arm.torque_enabled = [False] * 3
+        self.reboot()
         response.success = True
         response.message = "three servos rebooted; torque is off"
         return response

@@ -8,7 +8,7 @@ while it runs:
 
 silence             tactile_frame stops
 zero_frames         all taxels read 0, as without contact
-unsure              both pads pressed evenly, which no ridge does
+unsure              the ridges seem to stand upright, which training never saw
 power_silence       charger_power stops
 tare_refusal        the tare is refused
 short, open_circuit, reverse_polarity    what the probe finds
@@ -68,8 +68,8 @@ class MockTactileNode(Node):  # type: ignore[misc]
         self._fault = FaultSwitch(self, FAULTS)
         node_support.reject_unknown(self)
         self._lock = threading.Lock()
-        self._parameters = TactileParameters()
-        self._source = ContactSource(self._parameters, rig_seed, seed)
+        self._model = TactileParameters()
+        self._source = ContactSource(self._model, rig_seed, seed)
         self._power = MockPower()
         self._delta = ScalarDelta()
         self._position = (math.nan,) * 3
@@ -144,14 +144,14 @@ class MockTactileNode(Node):  # type: ignore[misc]
         taxels = raw if self._tare is None else np.maximum(raw - self._tare, 0.0)
         if fault == "zero_frames":
             taxels = np.zeros_like(taxels)
-        elif fault == "unsure" and pose is not None:
-            taxels = np.where(np.isnan(raw), np.nan, force / raw.size)
+        elif fault == "unsure":
+            taxels = np.swapaxes(taxels, 1, 2)
         self._newest = taxels
         return self._frame_message(now, taxels)
 
     def _magnet_force(self, offset: float) -> float:
         """Return the magnets' pull (N) in contact at a lateral `offset` (m): the law of the generator's parameters."""
-        docking = self._parameters.docking
+        docking = self._model.docking
         share = max(docking.magnet_floor, 1.0 / (1.0 + (offset / docking.magnet_width) ** 2))
         return docking.magnet_force * self._source.rig.magnets * share
 
@@ -163,7 +163,7 @@ class MockTactileNode(Node):  # type: ignore[misc]
         message.sequence = self._sequence
         message.device_time_us = int((now - self._began) * 1e6)
         message.rows, message.columns = taxels.shape[1:]
-        message.pitch = self._parameters.contact.pad_side / message.columns
+        message.pitch = self._model.contact.pad_side / message.columns
         message.left = array.array("f", taxels[0].ravel())
         message.right = array.array("f", taxels[1].ravel())
         message.tared = self._tare is not None

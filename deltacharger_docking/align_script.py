@@ -12,6 +12,8 @@ from deltacharger_docking.context import Context, Script
 from deltacharger_docking.observation import Service
 
 _SAME_PLACE_MAX = 2  # dockings at one offset whose estimate stays unsure
+_UNSURE_MAX = 4  # unsure estimates in all
+_WORTH_MOVING = 0.002  # m; a smaller offset is no reason for a pad to lose its ridge
 _ESTIMATE_TIMEOUT = 3.0  # s
 
 
@@ -25,7 +27,7 @@ class Alignment:
         parameters = context.parameters
         self._filter = AlignmentFilter(parameters.docking_jitter, parameters.gain_error)
         self._angles: list[float] = []
-        self._unsure = 0
+        self._unsure = self._unsure_here = 0
         self._passed = 0
         self.aligned = False
 
@@ -41,9 +43,10 @@ class Alignment:
         context, parameters = self._context, self._context.parameters
         while True:
             estimate = yield from self._measure()
-            if estimate is None:
-                yield from self._dock_again(0.0, 0.0)
+            if not (estimate.sure and estimate.in_range and estimate.complete):
+                yield from self._dock_again(*self._look_elsewhere(estimate))
                 continue
+            self._unsure_here = 0
             place = context.position[0], context.position[1]
             self._filter.update(place, estimate)
             verdict = self._judge(estimate)
@@ -62,8 +65,13 @@ class Alignment:
             context.status.alignments += 1
             yield from self._dock_again(*((0.0, 0.0) if self.aligned else (x, y)))
 
-    def _measure(self) -> Script[Estimate | None]:
-        """Return a trustworthy estimate, or None where another docking must come first."""
+    def _measure(self) -> Script[Estimate]:
+        """Return what the pads feel, sure or not.
+
+        Raises:
+            NoTactileContact: they feel nothing.
+            TactileStale: no estimate came.
+        """
         context = self._context
         context.enter(State.MEASURE, context.parameters.measure_timeout)
         reply = yield from context.ask(
@@ -71,17 +79,29 @@ class Alignment:
         )
         if not reply.success or reply.estimate is None:
             raise TactileStale(f"no misalignment estimate: {reply.message}")
-        estimate = reply.estimate
-        context.status.estimate = estimate
-        if not estimate.contact:
+        context.status.estimate = reply.estimate
+        if not reply.estimate.contact:
             raise NoTactileContact("the pads lost contact before the misalignment was measured")
-        if estimate.sure and estimate.in_range and estimate.complete:
-            self._unsure = 0
-            return estimate
+        return reply.estimate
+
+    def _look_elsewhere(self, estimate: Estimate) -> tuple[float, float]:
+        """Return by how much (m) to move before measuring again: where an unsure estimate points, or nowhere.
+
+        A pad that has lost its ridge still tells the direction. It only moves the arm; energising needs a sure one.
+        """
+        self._unsure_here += 1
         self._unsure += 1
-        if self._unsure >= _SAME_PLACE_MAX:
+        place = self._context.position
+        x, y = estimate.horizontal, estimate.vertical
+        lost = estimate.complete and not estimate.in_range and math.hypot(x, y) > _WORTH_MOVING
+        reachable = lost and not self._context.planner.reachable((place[0] + x, place[1] + y, place[2]))
+        if reachable and self._unsure < _UNSURE_MAX:
+            self._unsure_here = 0
+            self._context.status.alignments += 1
+            return x, y
+        if self._unsure_here >= _SAME_PLACE_MAX or self._unsure >= _UNSURE_MAX:
             self._give_up(estimate)
-        return None
+        return 0.0, 0.0
 
     def _give_up(self, estimate: Estimate) -> None:
         limit = min(self._critical_angle, self._context.parameters.critical_angle)

@@ -188,7 +188,7 @@ class BoardLink:
         """
         self._receiver.hello = None
         for _ in range(2):  # the introduction may be lost while its acknowledgement arrives
-            self._ask(PacketType.HELLO, attempt_timeout=0.15)
+            self._ask(PacketType.HELLO, attempt_timeout=0.15, attempts=3)
             if self._receiver.hello is not None:
                 return self._receiver.hello
         raise NoAnswer(self.port, "HELLO (acknowledged without an introduction)", 0.3)
@@ -281,7 +281,7 @@ class BoardLink:
         type: PacketType,
         payload: bytes = b"",
         attempt_timeout: float = 0.1,
-        attempts: int = 3,
+        attempts: int = 5,
         advice: dict[int, str] | None = None,
     ) -> Request:
         if threading.current_thread() is self._reader:

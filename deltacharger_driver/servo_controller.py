@@ -11,6 +11,7 @@ import math
 import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 
 from .errors import DriverError, PortError, PortGone, TrajectoryRefused
@@ -22,7 +23,7 @@ from .trajectory import Trajectory
 STOP_TIME = 0.5  # s from "goal := present position" to torque off
 _BACKOFF_FIRST, _BACKOFF_LONGEST = 0.25, 2.0  # s between two attempts to open a port that vanished
 _REBOOT_TIME = 3.0  # s until rebooted servos must be back
-_REPEATED_TRIP = 1.0  # s; a second watchdog trip within it is a fault
+_TRIPS, _TRIPS_WITHIN = 3, 2.0  # so many watchdog trips within so many s are a fault
 
 
 class Request:
@@ -88,7 +89,7 @@ class ServoController:
         self._backoff = _BACKOFF_FIRST
         self._connection_fault = ""
         self._rebooting: tuple[Request, float, set[int]] | None = None  # outcome, deadline, servos still away
-        self._last_trip = -math.inf
+        self._trips: deque[float] = deque([-math.inf] * _TRIPS, maxlen=_TRIPS)
         self._complaint = ""
         self._snapshot: Snapshot | None = None
         self._memory = ServoMemory(len(settings.ids))
@@ -227,21 +228,28 @@ class ServoController:
             return
         if self._phase is Phase.ON:
             self.watchdog_trips += 1
-            self._running = None
-            self._hold_present()
             now = self._clock()
-            repeated, self._last_trip = now - self._last_trip < _REPEATED_TRIP, now
+            self._trips.append(now)
             sentence = f"the bus fell silent and servos {tripped} stopped by their watchdog"
-            if repeated:
-                self.stop(f"{sentence} again; this computer is overloaded")
+            if now - self._trips[0] < _TRIPS_WITHIN:
+                self.stop(f"{sentence} again and again; this computer is overloaded")
             else:
-                self._notify("warning", f"{sentence}; holding the present position")
+                self._hold_present()
+                self._resume_from_here(now)
+                self._notify("warning", f"{sentence}; going on from where they stopped")
         try:
             self.bus.restart_watchdogs()
         except PortGone:
             raise
         except DriverError as error:
             self.stop(f"a tripped watchdog cannot be cleared: {error}")
+
+    def _resume_from_here(self, now: float) -> None:
+        """Let the rest of the running trajectory start at the present goal, so that nothing jumps to catch up."""
+        if self._running is not None:
+            trajectory, _, since = self._running
+            rest = trajectory.remaining(now - since)
+            self._running = None if rest.is_hold else (rest, self._goal, now)
 
     def _faults(self) -> list[str]:
         """Return what stands in the way of moving, by the last snapshot."""

@@ -98,6 +98,18 @@ class Trajectory:
             since = time
         return bound
 
+    def remaining(self, elapsed: float) -> Trajectory:
+        """Return what is left of it after `elapsed` s, as a trajectory that starts then; nothing left means hold."""
+        left = [index for index, time in enumerate(self.times) if time > elapsed]
+        if not left:
+            return Trajectory((), (), ())
+        first = left[0]
+        return Trajectory(
+            tuple(time - elapsed for time in self.times[first:]),
+            self.angles[first:],
+            (self.torque_at(elapsed), *self.torques[first + 1 :]),
+        )
+
 
 def check(names: Sequence[str], points: Sequence[Waypoint], limits: JointLimits) -> Trajectory:
     """Return the trajectory of `points`, or refuse it as a whole.

@@ -39,6 +39,7 @@ class Mechanics:
         torques: of the motors, N·m, before gear friction.
         slack: how far play lets each encoder run ahead of its arm, rad.
         contact_force: normal force on the electrodes together, N.
+        imbalance: what the last step's solution left unbalanced, N; small unless the step is long and friction slips.
         gap: distance of the touched faces, m; negative = compression of the springs; inf without a target.
     """
 
@@ -56,6 +57,7 @@ class Mechanics:
         self.slack: Vector = (0.0, 0.0, 0.0)
         self.contact_force = 0.0
         self.magnet_force = 0.0
+        self.imbalance = 0.0
         self._gear = [0.0, 0.0, 0.0]
         self._rub = [0.0, 0.0]
 
@@ -109,6 +111,7 @@ class Mechanics:
         self._rub = balance.rub
         self.contact_force = balance.normal
         self.magnet_force = balance.magnet
+        self.imbalance = balance.imbalance
 
 
 class _Balance:
@@ -148,6 +151,7 @@ class _Balance:
         self.rub = list(state._rub)
         self.normal = 0.0
         self.magnet = 0.0
+        self.imbalance = 0.0
 
     def solve(self) -> list[float]:
         """Return the displacement (m) at which the forces balance, or the best found."""
@@ -170,6 +174,7 @@ class _Balance:
             damping = min(damping, _LONGEST / length) if length > 0.0 else damping
             guess = [g + damping * c for g, c in zip(guess, change, strict=True)]
         self._evaluate(best)
+        self.imbalance = best_force
         return best
 
     def slack(self, angles: Vector) -> Vector:

@@ -187,9 +187,9 @@ def test_a_close_whose_answer_was_lost_is_closed(rig: Rig, link: BoardLink) -> N
 def test_no_answer_has_a_deadline(rig: Rig, link: BoardLink) -> None:
     rig.board.faults.silent = True
     began = time.monotonic()
-    with pytest.raises(NoAnswer, match="START within 300 ms"):
+    with pytest.raises(NoAnswer, match="START within 500 ms"):
         link.start()
-    assert time.monotonic() - began < 0.8
+    assert time.monotonic() - began < 1.0
     assert isinstance(NoAnswer("", "", 0.0), TimeoutError)
 
 

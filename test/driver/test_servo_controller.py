@@ -264,19 +264,37 @@ def test_the_cable_may_be_pulled_and_put_back(rig):
     rig.torque_on()
 
 
-def test_after_a_silence_of_the_host_the_arm_holds_where_it_stopped(rig):
+def test_after_a_silence_of_the_host_the_arm_goes_on_from_where_it_stopped(rig):
     rig.torque_on()
-    rig.send((0.0, (0.3, 0.5, 1.2), (0.3, 0.3, 0.3)))
-    rig.cycle()
+    rig.send((2.0, (0.3, 0.5, 1.2)))
+    rig.until(lambda report: rig.references()[0] > -0.6)
     time.sleep(0.2)  # the host's thread starves
     rig.cycle()
     assert rig.controller.watchdog_trips == 1
+    stopped = rig.arm.angles
     rig.cycle()
-    assert rig.references() == pytest.approx(list(rig.arm.angles), abs=0.05)
+    assert rig.references() == pytest.approx(list(stopped), abs=0.05)
     assert rig.report.phase is Phase.ON
-    assert rig.references()[0] < 0.0
-    time.sleep(0.2)
+    rig.until(lambda report: report.angle == pytest.approx((0.3, 0.5, 1.2), abs=3 * TICK))
+
+
+def test_a_silence_after_the_end_leaves_the_arm_where_it_is(rig):
+    rig.torque_on()
+    rig.send((0.0, (0.3, 0.5, 1.2), (0.3, 0.3, 0.3)))
     rig.cycle()
+    time.sleep(0.2)
+    for _ in range(5):
+        rig.cycle()
+    assert rig.references() == pytest.approx(list(rig.arm.angles), abs=0.05)
+    assert rig.references()[0] < 0.0
+
+
+def test_a_host_that_falls_silent_again_and_again_stops_the_arm(rig):
+    rig.torque_on()
+    for _ in range(3):
+        assert rig.report.phase is Phase.ON
+        time.sleep(0.2)
+        rig.cycle()
     assert rig.report.phase is Phase.STOPPING
     assert any("overloaded" in sentence for _, sentence in rig.events)
 

@@ -57,6 +57,22 @@ def test_a_bound_holds_from_the_start_of_its_segment():
     assert trajectory.torque_at(9.0) == (0.0, 2.0, 4.0)
 
 
+def test_what_remains_goes_the_same_way():
+    trajectory = check(
+        NAMES,
+        points((1.0, (0.2, 0.2, 0.2), (1.0, 2.0, 3.0)), (2.0, (0.0, 0.4, 0.2)), (3.0, START, (0.0, 0.0, 0.0))),
+        LIMITS,
+    )
+    for cut in (0.0, 0.3, 1.0, 1.7, 2.5):
+        rest = trajectory.remaining(cut)
+        here = trajectory.goal_at(cut, START)
+        assert rest.duration == pytest.approx(3.0 - cut)
+        for later in (0.0, 0.1, 0.4, 1.3, 5.0):
+            assert rest.goal_at(later, here) == pytest.approx(trajectory.goal_at(cut + later, START))
+            assert rest.torque_at(later) == trajectory.torque_at(cut + later)
+    assert trajectory.remaining(3.0).is_hold
+
+
 def test_no_points_mean_hold():
     assert check((), [], LIMITS).is_hold
     assert check(NAMES, [], LIMITS).is_hold

@@ -1,4 +1,4 @@
-"""The power stage: pre-charge, ramp, constant current and voltage, contact resistance, openings, and what it detects."""
+"""The power stage: pre-charge, ramp, constant current and voltage, resistance, openings, and what it detects."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ def make(**changes: Any) -> Circuit:
     return Circuit(CircuitParameters(**changes))
 
 
-def run(circuit: Circuit, seconds: float, lies: Overlap | None = FULL, force: float = FORCE, step: float = 0.005) -> None:
+def run(
+    circuit: Circuit, seconds: float, lies: Overlap | None = FULL, force: float = FORCE, step: float = 0.005
+) -> None:
     for _ in range(round(seconds / step)):
         circuit.step(step, lies, force)
 
@@ -96,7 +98,12 @@ def test_contact_resistance_falls_with_overlap_and_with_force() -> None:
 
 
 def test_the_probe_tells_healthy_short_reversed_and_open_apart() -> None:
-    cases: list[tuple[dict[str, float], Overlap | None]] = [({}, FULL), ({}, BRIDGED), ({"target_voltage": -24.0}, FULL), ({}, None)]
+    cases: list[tuple[dict[str, float], Overlap | None]] = [
+        ({}, FULL),
+        ({}, BRIDGED),
+        ({"target_voltage": -24.0}, FULL),
+        ({}, None),
+    ]
     probes = []
     for changes, lies in cases:
         circuit = make(**changes)
@@ -180,11 +187,26 @@ def test_a_target_that_takes_nothing_is_reported() -> None:
     assert circuit.fault == NO_CHARGE_CURRENT
 
 
-def test_a_short_while_charging_opens_at_the_next_step() -> None:
+def test_a_short_while_charging_flows_for_a_step_and_opens() -> None:
     circuit = charging()
-    run(circuit, 0.01, BRIDGED)
+    circuit.step(0.005, BRIDGED, FORCE)
+    assert circuit.closed
+    assert circuit.current > 100.0  # for the time that the stage needs to notice
+    circuit.step(0.005, BRIDGED, FORCE)
     assert not circuit.closed
     assert circuit.fault == SHORT
+
+
+@pytest.mark.parametrize("charged", [0.2, 1.0, 5.0])
+def test_contact_lost_while_charging_opens_within_100_ms(charged: float) -> None:
+    circuit = make()
+    run(circuit, 0.02)
+    circuit.close()
+    run(circuit, charged)
+    assert circuit.current > 1.0
+    run(circuit, 0.1, None)
+    assert not circuit.closed
+    assert circuit.fault == NO_CHARGE_CURRENT
 
 
 def test_a_short_during_a_ramped_opening_still_opens() -> None:

@@ -1,4 +1,4 @@
-"""How the bars lie on each other: against brute force, and against the published critical angle."""
+"""The exact geometry of the bars, against brute force and against the formula that docking decides by."""
 
 from __future__ import annotations
 
@@ -6,63 +6,117 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from deltacharger_sim.clearance import overlap
 from deltacharger_sim.parameters import TerminalParameters
 
 TERMINAL = TerminalParameters()
+FULL = 2.0 * TERMINAL.length * TERMINAL.height
+HALF_GAP, HALF_LENGTH = 0.5 * TERMINAL.gap, 0.5 * TERMINAL.length
+PITCH = 1e-4
+
+shift = st.floats(-0.02, 0.02)
+angle = st.floats(-0.5, 0.5)
 
 
-def inside(points: np.ndarray, side: float) -> np.ndarray:
-    """Whether (n, 2) points lie in the upper (+1) or lower (−1) bar of a terminal at the origin."""
-    centre = side * 0.5 * (TERMINAL.gap + TERMINAL.height)
-    along, across = np.abs(points[:, 0]), np.abs(points[:, 1] - centre)
-    return (along <= 0.5 * TERMINAL.length) & (across <= 0.5 * TERMINAL.height)
+def formula(angle: float, y: float) -> float:
+    return HALF_GAP * (1.0 + math.cos(angle)) - HALF_LENGTH * abs(math.sin(angle)) - abs(y)
 
 
-def sampled(x: float, y: float, angle: float) -> tuple[float, bool]:
-    """Matched overlap (m²) and short, from a grid of 0.1 mm."""
-    axis = np.arange(-0.045, 0.045, 1e-4) + 5e-5
-    grid = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+def in_bar(x: np.ndarray, y: np.ndarray, side: int) -> np.ndarray:
+    return (np.abs(x) <= HALF_LENGTH) & (side * y >= HALF_GAP) & (side * y <= HALF_GAP + TERMINAL.height)
+
+
+def sampled(x: float, y: float, angle: float) -> np.ndarray:
+    """Overlap areas (m²) [our bar, their bar] by counting points of a grid over our terminal."""
+    half_x, half_y = HALF_LENGTH, HALF_GAP + TERMINAL.height
+    px, py = np.meshgrid(
+        np.arange(-half_x + PITCH / 2, half_x, PITCH), np.arange(-half_y + PITCH / 2, half_y, PITCH), indexing="ij"
+    )
     cosine, sine = math.cos(angle), math.sin(angle)
-    local = (grid - (x, y)) @ np.array([[cosine, -sine], [sine, cosine]])
-    touch = [[bool((inside(grid, i) & inside(local, j)).any()) for j in (1, -1)] for i in (1, -1)]
-    matched = sum((inside(grid, i) & inside(local, i)).sum() for i in (1, -1)) * 1e-8
-    short = all(touch[0]) or all(touch[1]) or (touch[0][0] and touch[1][0]) or (touch[0][1] and touch[1][1])
-    return matched, short
+    qx, qy = cosine * (px - x) + sine * (py - y), -sine * (px - x) + cosine * (py - y)
+    ours = [in_bar(px, py, side) for side in (1, -1)]
+    theirs = [in_bar(qx, qy, side) for side in (1, -1)]
+    return np.array([[np.count_nonzero(a & b) for b in theirs] for a in ours]) * PITCH**2
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_overlap_and_shorts_agree_with_brute_force(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    x, y, angle = random.uniform((-0.02, -0.012, -0.4), (0.02, 0.012, 0.4))
-    lies = overlap(TERMINAL, x, y, angle)
-    area, short = sampled(x, y, angle)
-    assert lies.area == pytest.approx(area, abs=8e-6)
-    if abs(lies.clearance) > 3e-4:
-        assert lies.short == short
-        assert lies.short == (lies.clearance < 0.0)
+@settings(max_examples=60, deadline=None)
+@given(shift, shift, angle)
+def test_area_and_shorts_are_those_of_brute_force(x: float, y: float, angle: float) -> None:
+    lies, counted = overlap(TERMINAL, x, y, angle), sampled(x, y, angle)
+    row = TERMINAL.length * PITCH  # a row of points along each bar is what the grid may get wrong
+    assert lies.area == pytest.approx(counted[0, 0] + counted[1, 1], abs=2.0 * row)
+    assert lies.fraction == pytest.approx(lies.area / FULL)
+    wrong = counted[0, 1] + counted[1, 0]
+    if wrong > row:
+        assert lies.clearance < 0.0
+    if wrong == 0.0:
+        assert lies.clearance > -2.0 * PITCH
+    touched = counted > row
+    if touched.all(axis=1).any() or touched.all(axis=0).any():
+        assert lies.short
+    if lies.short:
+        assert lies.clearance < 0.0
 
 
-def test_clearance_vanishes_at_the_published_critical_angle() -> None:
-    below, above = (overlap(TERMINAL, 0.0, 0.0, math.radians(value)) for value in (12.0, 12.15))
-    assert below.clearance > 0.0 > above.clearance
-    assert above.short
-    assert not below.short
+@settings(max_examples=200, deadline=None)
+@given(shift, shift, angle)
+def test_the_decision_formula_never_promises_more_than_there_is(x: float, y: float, angle: float) -> None:
+    assert overlap(TERMINAL, x, y, angle).clearance >= formula(angle, y) - 1e-12
 
 
-@pytest.mark.parametrize("angle", np.radians([0.0, 3.0, -7.0, 11.0]))
-@pytest.mark.parametrize("y", [0.0, 0.002, -0.004])
-def test_clearance_is_the_formula_that_docking_decides_by(angle: float, y: float) -> None:
-    expected = 0.0037 * (1 + math.cos(angle)) - 0.035 * abs(math.sin(angle)) - abs(y)
-    found = overlap(TERMINAL, 0.0, y, angle).clearance
-    if expected > -0.001:
-        assert found == pytest.approx(expected, abs=7e-5)
-    else:
-        assert found < 0.0
+@pytest.mark.parametrize("degrees", [0.0, 2.0, 5.0, -8.0, 11.9, 12.2, -16.0, 20.0])
+def test_without_a_vertical_error_formula_and_geometry_are_one(degrees: float) -> None:
+    turn = math.radians(degrees)
+    assert overlap(TERMINAL, 0.0, 0.0, turn).clearance == pytest.approx(formula(turn, 0.0), abs=1e-9)
 
 
-def test_aligned_bars_overlap_fully_and_are_a_gap_apart() -> None:
+@pytest.mark.parametrize("y_mm", [-6.0, -2.5, 1.0, 5.0])
+@pytest.mark.parametrize("degrees", [0.0, 3.0, -7.0, 10.0])
+def test_with_one_they_differ_by_the_cosine_only(y_mm: float, degrees: float) -> None:
+    turn, y = math.radians(degrees), 1e-3 * y_mm
+    difference = overlap(TERMINAL, 0.0, y, turn).clearance - formula(turn, y)
+    assert -1e-12 <= difference <= abs(y) * (1.0 - math.cos(turn)) + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("degrees", "short"), [(12.0, False), (12.06, False), (12.08, True), (-12.06, False), (-12.08, True)]
+)
+def test_the_critical_angle_is_12_07_degrees_when_centred(degrees: float, short: bool) -> None:
+    lies = overlap(TERMINAL, 0.0, 0.0, math.radians(degrees))
+    assert lies.short is short
+    assert (lies.clearance < 0.0) is short
+
+
+@pytest.mark.parametrize(("y_mm", "critical"), [(2.5, 8.0), (5.0, 3.9)])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_vertical_error_lowers_the_critical_angle(y_mm: float, critical: float, side: float) -> None:
+    assert overlap(TERMINAL, 0.0, side * 1e-3 * y_mm, math.radians(critical - 0.3)).clearance > 0.0
+    assert overlap(TERMINAL, 0.0, side * 1e-3 * y_mm, math.radians(critical + 0.3)).short
+
+
+def test_sitting_right_on_each_other_is_full_overlap() -> None:
     lies = overlap(TERMINAL, 0.0, 0.0, 0.0)
     assert lies.fraction == pytest.approx(1.0)
     assert lies.clearance == pytest.approx(TERMINAL.gap)
+    assert not lies.short
+
+
+def test_half_a_bar_aside_is_half_the_area() -> None:
+    assert overlap(TERMINAL, HALF_LENGTH, 0.0, 0.0).fraction == pytest.approx(0.5)
+
+
+def test_past_each_other_nothing_touches() -> None:
+    lies = overlap(TERMINAL, 0.2, 0.0, 0.1)
+    assert lies.area == 0.0
+    assert not lies.short
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_one_bar_too_high_crosses_the_poles_without_a_short(side: float) -> None:
+    lies = overlap(TERMINAL, 0.0, side * (TERMINAL.gap + TERMINAL.height), 0.0)
+    assert lies.clearance < -0.009
+    assert lies.area == 0.0
+    assert not lies.short  # each bar touches one bar of the other side, the wrong one

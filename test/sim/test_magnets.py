@@ -16,7 +16,14 @@ ArmFactory = Callable[..., Any]
 
 @pytest.mark.parametrize(
     ("gap", "offset", "force"),
-    [(0.0, 0.0, 60.0), (0.002, 0.0, 15.0), (0.006, 0.0, 3.75), (0.0, 0.008, 30.0), (0.0, 0.1, 12.0), (-0.001, 0.0, 60.0)],
+    [
+        (0.0, 0.0, 60.0),
+        (0.002, 0.0, 15.0),
+        (0.006, 0.0, 3.75),
+        (0.0, 0.008, 30.0),
+        (0.0, 0.1, 12.0),
+        (-0.001, 0.0, 60.0),
+    ],
 )
 def test_the_pull_follows_its_law(gap: float, offset: float, force: float) -> None:
     assert pull(MAGNETS, gap, offset)[0] == pytest.approx(force)

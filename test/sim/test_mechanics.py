@@ -64,9 +64,7 @@ class TestStatics:
 
     def test_twenty_newtons_at_the_dock_take_0_521_ampere_per_servo(self, arm: ArmFactory) -> None:
         pressing = arm(
-            WorldParameters(
-                servo=SLIPPERY, magnets=NO_MAGNETS, contact=ContactParameters(stiffness=1e9), gravity_y=0.0
-            )
+            WorldParameters(servo=SLIPPERY, magnets=NO_MAGNETS, contact=ContactParameters(stiffness=1e9), gravity_y=0.0)
         )
         pressing.go((0.0, 0.0, 0.08 + 20.0 / 3435.0), 2.0)  # 3435 N/m is what 15 N·m/rad are along z
         mechanics = pressing.world.mechanics
@@ -169,6 +167,24 @@ class TestContact:
             low, high = (z, high) if pushed > electrode_force(contact, z - 0.080) else (low, z)
         assert world.mechanics.contact_force == pytest.approx(electrode_force(contact, low - 0.080), rel=1e-3)
         assert size(world.mechanics.velocity) < 1e-6
+
+    @pytest.mark.parametrize("offset", [0.0, 0.004, 0.008])
+    def test_the_force_is_what_servos_and_magnets_press_together(self, arm: ArmFactory, offset: float) -> None:
+        pressing = arm(WorldParameters(target=TargetParameters(x=offset)))
+        pressing.go((0.0, 0.0, 0.07))
+        pressing.go((0.0, 0.0, 0.0865))
+        world, mechanics = pressing.world, pressing.world.mechanics
+        assert world.push() == pytest.approx(mechanics.contact_force - 60.0 / (1.0 + (offset / 0.008) ** 2), abs=0.2)
+        assert world.snapshot().push == world.push()
+        # The servos' own account of it differs by the friction of their gears, 1 to 2 N here.
+        by_current = pressing.contact_current * 38.4
+        assert by_current == pytest.approx(world.push(), abs=2.0)
+
+    def test_the_current_bound_caps_the_push(self, arm: ArmFactory) -> None:
+        pressing = arm(WorldParameters(servo=SLIPPERY, gravity_y=0.0))
+        pressing.dock()
+        pressing.go((0.0, 0.0, 0.105), 1.0, bound=0.6)
+        assert 20.0 < pressing.world.push() < 0.6 * 38.4 + 0.1
 
     def test_soft_electrodes_bottom_at_their_hard_stop(self, arm: ArmFactory) -> None:
         soft = arm(WorldParameters(contact=ContactParameters(stiffness=1e3)))

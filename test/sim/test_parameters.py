@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -80,6 +81,14 @@ def test_every_number_has_bounds_that_contain_its_default_and_a_description() ->
     assert set(numbers(WorldParameters())) == set(described)
 
 
+def test_the_documented_table_is_the_code() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "simulation.md").read_text(encoding="utf-8")
+    rows = {line for line in page.splitlines() if line.startswith("| ")}
+    for key, default, low, high, unit, doc in describe(WorldParameters):
+        row = f"| {key} | {default:.4g} | {low:g} to {high:g} | {unit} | {doc} |"
+        assert row in rows, "run python benchmarks/world.py --parameters and put its table into docs/simulation.md"
+
+
 def numbers(instance: Any, path: str = "") -> list[str]:
     found = []
     for item in fields(instance):
@@ -101,7 +110,9 @@ class Group:
 
 
 def test_any_dataclass_can_be_read() -> None:
-    group = from_mapping({"name": "a", "count": 2, "ports": ["x", "y"], "servo": {"friction": 0}, "extra": {"b": 1}}, Group)
+    group = from_mapping(
+        {"name": "a", "count": 2, "ports": ["x", "y"], "servo": {"friction": 0}, "extra": {"b": 1}}, Group
+    )
     assert group == Group("a", 2, ("x", "y"), ServoParameters(friction=0.0), {"b": 1})
     assert from_mapping({"servo": None}, Group).servo is None
 

@@ -10,7 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_sim.parameters import MagnetParameters, ServoParameters, TargetParameters, WorldParameters
+from deltacharger_sim.parameters import (
+    CircuitParameters,
+    MagnetParameters,
+    ServoParameters,
+    TargetParameters,
+    WorldParameters,
+)
 from deltacharger_sim.shared_world import SharedWorld
 from deltacharger_sim.world import World
 
@@ -95,6 +101,10 @@ class TestRecord:
         assert record["energised_shorts"] == 0
         assert record["energised_unsafe"] == 0.0
         assert record["energised"] > 0.5
+        assert record["parted_live"] == record["unpowered_live"] == 0
+        good.world.circuit.open(True)
+        good.run(0.1)
+        assert good.world.record.broken_current < 1.0
         assert record["contacts"] == 1
         assert 60.0 < record["peak_force"] < 130.0
 
@@ -117,13 +127,34 @@ class TestRecord:
         assert dead.world.record.energised_shorts == 0
         assert dead.world.record.energised_unsafe == 0.0
 
-    def test_tearing_off_while_charging_stops_the_current(self, arm: ArmFactory) -> None:
+    def test_tearing_off_while_charging_stops_the_current_and_is_recorded(self, arm: ArmFactory) -> None:
         torn = arm(WorldParameters(magnets=MagnetParameters(force=0.0)))
-        torn.charge(4.0)
+        torn.charge(0.5)
         torn.go((0.0, 0.0, 0.05), 0.5)
         assert torn.world.circuit.current == 0.0
         assert not torn.world.circuit.closed
         assert torn.world.circuit.fault == 1
+        assert torn.world.record.parted_live == 1
+
+    def test_a_closed_contactor_is_live_without_current(self, arm: ArmFactory) -> None:
+        refused = arm(WorldParameters(circuit=CircuitParameters(target_accepts=False)))
+        refused.charge(1.0)
+        assert refused.world.circuit.current == 0.0
+        assert refused.world.record.energised == pytest.approx(0.9, abs=0.02)
+
+    def test_torque_that_goes_before_the_current_is_recorded(self, arm: ArmFactory) -> None:
+        hasty = arm()
+        hasty.charge()
+        hasty.release()
+        hasty.run(0.2)
+        assert hasty.world.record.unpowered_live == 1
+
+    def test_an_emergency_opening_breaks_what_flowed(self, arm: ArmFactory) -> None:
+        broken = arm()
+        broken.charge()
+        broken.world.circuit.open(False)
+        broken.run(0.01)
+        assert broken.world.record.broken_current == pytest.approx(10.0)
 
 
 class TestServos:
@@ -135,7 +166,7 @@ class TestServos:
         assert readings.std() == pytest.approx(0.008, rel=0.1)
 
     def test_positive_torque_turns_toward_the_target(self, arm: ArmFactory) -> None:
-        moving = arm()
+        moving = arm(WorldParameters(gravity_y=0.0))
         moving.go((0.0, 0.0, 0.02))
         moving.aim((0.0, 0.0, 0.03))
         moving.run(0.02)
@@ -145,6 +176,21 @@ class TestServos:
             assert current > 0.0
             assert 11.5 < voltage <= 12.0
             assert temperature == pytest.approx(28.0, abs=1.0)
+
+    def test_play_lets_the_encoder_run_ahead_of_the_arm_by_half_at_most(self, arm: ArmFactory) -> None:
+        loose = arm(WorldParameters(servo=ServoParameters(friction=0.0, backlash=0.006)))
+        tight = arm(WorldParameters(servo=ServoParameters(friction=0.0)))
+        for each in (loose, tight):
+            each.go((0.0, 0.0, 0.05), 2.0)
+        mechanics = loose.world.mechanics
+        read = [loose.world.servo(index)[0] for index in range(3)]
+        ahead = [angle - true for angle, true in zip(read, mechanics.angles, strict=True)]
+        assert max(map(abs, ahead)) <= 0.003 + 1e-12
+        # Where the weight pulls one way the arm hangs at one end of the play; the motors carry the same.
+        assert ahead[1] == pytest.approx(-0.003)
+        assert ahead[2] == pytest.approx(0.003)
+        assert mechanics.torques == pytest.approx(tight.world.mechanics.torques, abs=2e-3)
+        assert [tight.world.servo(index)[0] for index in range(3)] == list(tight.world.mechanics.angles)
 
     def test_holding_hard_warms_and_resting_cools(self, arm: ArmFactory) -> None:
         hot = arm(WorldParameters(servo=ServoParameters(heating_time=10.0)), step=0.1)
