@@ -223,9 +223,12 @@ def test_without_torque_a_trajectory_is_refused(client, arm):
 def test_a_missing_servo_stops_all(client, arm, emulator):
     client.set_torque(True)
     emulator.faults.missing = {2}
-    until(lambda: not client.states[-1].valid[1] and math.isnan(client.states[-1].position[1]))
-    state = client.states[-1]
-    assert list(state.valid) == [True, False, True]
+
+    def only_that_one():
+        state = client.states[-1]
+        return list(state.valid) == [True, False, True] and math.isnan(state.position[1]) and state
+
+    state = until(only_that_one)
     assert math.isnan(state.temperature[1])
     assert state.torque_enabled[1]
     until(lambda: arm.torque_enabled()[0] is False)

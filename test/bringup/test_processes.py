@@ -1,0 +1,49 @@
+"""Every node as a process of its own, as `ros2 run` starts them: they find each other, dock, and end with 0."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from deltacharger_bringup.client import ChargerClient
+from deltacharger_bringup.node_table import NODES
+from deltacharger_bringup.outcomes import DockRequest, Pose
+from deltacharger_bringup.scene import Scene
+
+from .conftest import DEADLINE, Process
+
+
+def arguments(scene: Scene, name: str, namespace: str) -> list[str]:
+    """Return the command line of one node of a scene."""
+    words = [sys.executable, "-c", f"import sys; from {NODES[name].module} import main; sys.exit(main())"]
+    words += ["--ros-args", "-r", f"__ns:=/{namespace}"]
+    for key, value in scene.node_parameters(name, {}).items():
+        words += ["-p", f"{key}:={value}"]
+    return words
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+def test_nodes_in_processes_dock_and_end_with_0(
+    start: Callable[..., Process], quick_scene: Scene, context: Any, namespace: str, number: int
+) -> None:
+    processes = {name: start(*arguments(quick_scene, name, namespace)) for name in quick_scene.start_order()}
+    with ChargerClient(namespace, context) as client:
+        assert client.wait_until_ready(DEADLINE), {name: each.err for name, each in processes.items()}
+        if number == signal.SIGINT:
+            outcome = client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), deadline=DEADLINE)
+            assert outcome.success, (outcome, {name: each.err for name, each in processes.items()})
+    for name in reversed(quick_scene.start_order()):
+        assert processes[name].end(number) == 0, (name, processes[name].err)
+
+
+@pytest.mark.parametrize("name", ["mock_servo_node", "mock_tactile_node", "mock_detector_node", "kinematics_node"])
+def test_an_unknown_parameter_ends_a_node_with_2_and_its_name(
+    start: Callable[..., Process], quick_scene: Scene, namespace: str, name: str
+) -> None:
+    process = start(*arguments(quick_scene, name, namespace), "-p", "no_such_parameter:=1")
+    assert process.end() == 2
+    assert any("no_such_parameter" in line for line in process.err)

@@ -1,0 +1,95 @@
+"""`deltacharger up` and `deltacharger dock` as people run them: separate processes, signals and exit codes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from .conftest import Process
+
+
+def up(start: Callable[..., Process], deltacharger: tuple[str, ...], scene: Path, namespace: str) -> Process:
+    process = start(*deltacharger, "up", "--scene", str(scene), "--namespace", namespace)
+    process.wait_for_line("ready", process.err)
+    return process
+
+
+def test_up_is_ready_then_dock_and_undock_use_it_and_sigterm_ends_it_with_0(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str, tmp_path: Path
+) -> None:
+    charger = up(start, deltacharger, quick_file, namespace)
+    options = ("--scene", str(quick_file), "--namespace", namespace, "--json")
+    picture = tmp_path / "run.png"
+    dock = start(*deltacharger, "dock", *options, "--picture", str(picture), "--request-id", "r1")
+    assert dock.end() == 0, dock.err
+    result = json.loads("\n".join(dock.out))
+    assert (result["success"], result["charger"], result["error_name"]) == (True, "running", "NONE")
+    assert [phase["phase"] for phase in result["phases"]][0] == "approach"
+    assert result["picture"] is None or picture.is_file()
+    assert any("contact" in line for line in dock.err)
+    undock = start(*deltacharger, "undock", *options)
+    assert undock.end() == 0, undock.err
+    assert json.loads("\n".join(undock.out))["success"] is True
+    assert charger.end(signal.SIGTERM) == 0
+    assert charger.out == []
+
+
+def test_up_ends_with_130_on_sigint_and_with_2_where_a_node_refuses_its_parameters(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str, tmp_path: Path
+) -> None:
+    assert up(start, deltacharger, quick_file, namespace).end(signal.SIGINT) == 130
+    bad = tmp_path / "bad.yaml"
+    bad.write_text(quick_file.read_text(encoding="utf-8").replace("standoff", "standof"), encoding="utf-8")
+    refused = start(*deltacharger, "up", "--scene", str(bad), "--namespace", namespace)
+    assert refused.end() == 2
+    assert any("did you mean 'standoff'" in line for line in refused.err)
+
+
+def test_dock_starts_a_charger_of_its_own_and_sigint_cancels_it(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str
+) -> None:
+    dock = start(
+        *(*deltacharger, "dock", "--scene", str(quick_file), "--namespace", namespace, "--json", "--no-picture")
+    )
+    dock.wait_for_line("contact", dock.err)
+    assert dock.end(signal.SIGINT) == 130
+    result = json.loads("\n".join(dock.out))
+    assert (result["charger"], result["success"], result["error_name"]) == ("started", False, "CANCELED")
+
+
+def test_a_refused_docking_is_1_with_its_code(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str
+) -> None:
+    options = ("--scene", str(quick_file), "--namespace", namespace, "--json", "--no-picture")
+    dock = start(*deltacharger, "dock", "--x-mm", "200", *options)
+    assert dock.end() == 1
+    result = json.loads("\n".join(dock.out))
+    assert (result["error_name"], result["success"]) == ("UNREACHABLE", False)
+
+
+def test_undock_without_a_charger_is_1(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], namespace: str
+) -> None:
+    undock = start(*deltacharger, "undock", "--namespace", namespace)
+    assert undock.end() == 1
+    assert any("deltacharger up" in line for line in undock.err)
+
+
+@pytest.mark.skipif("COLCON_PREFIX_PATH" in os.environ, reason="a colcon workspace has no venv prefix to find")
+def test_the_command_finds_its_environment_by_itself(
+    start: Callable[..., Process],
+    deltacharger: tuple[str, ...],
+    monkeypatch: pytest.MonkeyPatch,
+    quick_file: Path,
+    namespace: str,
+) -> None:
+    for name in ("AMENT_PREFIX_PATH", "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        monkeypatch.delenv(name, raising=False)
+    charger = up(start, deltacharger, quick_file, namespace)
+    assert any("ROS domain 87" in line for line in charger.err)
+    assert charger.end(signal.SIGTERM) == 0
