@@ -1,6 +1,6 @@
 """What a simulated charger keeps up with: rates, gaps, CPU, docking time, memory. Run by `make bench`.
 
-    python benchmarks/charger.py [--seconds 30] [--json]
+python benchmarks/charger.py [--seconds 30] [--json]
 """
 
 from __future__ import annotations
@@ -23,10 +23,9 @@ environment.prepare()
 environment.isolate()
 
 import rclpy  # noqa: E402
+from deltacharger.msg import ServoState, TactileFrame  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 from rclpy.qos import QoSProfile, qos_profile_sensor_data  # noqa: E402
-
-from deltacharger.msg import ServoState, TactileFrame  # noqa: E402
 
 COMMAND = str(Path(sys.executable).with_name("deltacharger"))
 READY_LIMIT = 60.0  # s
@@ -137,7 +136,11 @@ def main() -> int:
         return 0
     rows = [
         ("ready after", f"{rates['ready_s']:.1f} s", ""),
-        ("tactile frames", f"{rates['tactile_hz']:.2f} Hz", f"{rates['tactile_gaps']} gaps in {arguments.seconds:.0f} s"),
+        (
+            "tactile frames",
+            f"{rates['tactile_hz']:.2f} Hz",
+            f"{rates['tactile_gaps']} gaps in {arguments.seconds:.0f} s",
+        ),
         ("servo state", f"{rates['servo_hz']:.2f} Hz", ""),
         ("CPU at rest, everything in one process", f"{rates['charger_cpu_percent']:.0f} %", "of one core"),
         ("memory of that process", f"{rates['charger_memory_mb']:.0f} MB", ""),

@@ -80,9 +80,7 @@ def print_accuracy(model: PoseEstimator, count: int) -> None:
         angle = HALF_LENGTH * (estimate.angle - actual[:, 2])[chosen]
         vertical = 1e3 * (estimate.vertical - actual[:, 1])[chosen]
         error = np.concatenate([angle + vertical, angle - vertical])
-        sigma = np.tile(
-            np.hypot(HALF_LENGTH * estimate.angle_stddev, 1e3 * estimate.vertical_stddev)[chosen], 2
-        )
+        sigma = np.tile(np.hypot(HALF_LENGTH * estimate.angle_stddev, 1e3 * estimate.vertical_stddev)[chosen], 2)
         z = np.abs(error / sigma)
         print(
             f"{low:3d}–{high:2d}° {chosen.sum():7d} {estimate.sure[chosen].mean():6.3f} {error.std():8.3f} "
@@ -91,9 +89,7 @@ def print_accuracy(model: PoseEstimator, count: int) -> None:
 
 
 def print_acts(model: PoseEstimator, count: int) -> None:
-    print(
-        "\nact rate (sure and c − 3σ ≥ 0.3 mm) by commanded |angle|, both signs; unsafe = true clearance < 0"
-    )
+    print("\nact rate (sure and c − 3σ ≥ 0.3 mm) by commanded |angle|, both signs; unsafe = true clearance < 0")
     for offset in (0.0005, 0.010):
         print(f" |x|, |y| ≤ {1e3 * offset:g} mm: angle, in range, sure, acts, unsafe")
         for degrees in (0, 3, 5, 7, 8, 9, 10, 11, 12, 14, 17, 20):
@@ -128,16 +124,10 @@ def print_shifts(model: PoseEstimator, count: int) -> None:
         "gain spread 25 %": dataclasses.replace(base, sensor=dataclasses.replace(sensor, gain_spread=0.25)),
         "offset ×3": dataclasses.replace(base, sensor=dataclasses.replace(sensor, docking_offset=0.15)),
         "six dead taxels": dataclasses.replace(base, sensor=dataclasses.replace(sensor, dead_taxels=6)),
-        "ridge 8 mm high": dataclasses.replace(
-            base, contact=dataclasses.replace(base.contact, ridge_height=0.008)
-        ),
-        "crown radius 30 mm": dataclasses.replace(
-            base, contact=dataclasses.replace(base.contact, crown_radius=0.03)
-        ),
+        "ridge 8 mm high": dataclasses.replace(base, contact=dataclasses.replace(base.contact, ridge_height=0.008)),
+        "crown radius 30 mm": dataclasses.replace(base, contact=dataclasses.replace(base.contact, crown_radius=0.03)),
     }
-    print(
-        "\nshift, |x|, |y| ≤ 10 mm, |angle| ≤ 16°: in range, sure, rms z of angle, vertical, max |z|, acts, unsafe"
-    )
+    print("\nshift, |x|, |y| ≤ 10 mm, |angle| ≤ 16°: in range, sure, rms z of angle, vertical, max |z|, acts, unsafe")
     for name, family in families.items():
         left, right, _, actual = dockings(count // 4, 0.010, 0.0, 16.0, 55, family)
         print_shift(name, model.predict(left, right), actual)

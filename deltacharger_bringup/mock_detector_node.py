@@ -32,7 +32,7 @@ _ROLL_INDEX = 35  # of the 6 × 6 covariance, row-major: rotation about z
 _UNSURE_ROLL = math.radians(10.0)
 
 
-class MockDetectorNode(Node):  # type: ignore[misc]
+class MockDetectorNode(Node):
     """See the module's docstring."""
 
     def __init__(self, **kwargs: Any) -> None:

@@ -41,7 +41,7 @@ _BROKEN = 1  # index of the servo that the faults concern
 _OLDEST_STAMP = 0.5  # s
 
 
-class MockServoNode(Node):  # type: ignore[misc]
+class MockServoNode(Node):
     """See the module's docstring."""
 
     def __init__(self, **kwargs: Any) -> None:

@@ -56,7 +56,7 @@ _POWER_RATE = 20.0  # Hz
 _PROBE_TIME = 0.05  # s
 
 
-class MockTactileNode(Node):  # type: ignore[misc]
+class MockTactileNode(Node):
     """See the module's docstring."""
 
     def __init__(self, **kwargs: Any) -> None:

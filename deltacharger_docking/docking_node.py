@@ -19,8 +19,7 @@ from typing import Any
 from deltacharger.action import Dock, Undock
 from deltacharger.msg import DockingState
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.action.server import ServerGoalHandle
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -33,6 +32,8 @@ from deltacharger_docking.codes import Code, DockingError, Rejected
 from deltacharger_docking.machine import DockingMachine, suggested_base
 from deltacharger_docking.observation import Command, DockGoal, Observation, Outcome, Request, Service
 from deltacharger_docking.parameters import DockingParameters
+
+GoalHandle = ServerGoalHandle[Any, Any, Any]
 
 _TICK = 0.02  # s; pace where servo_state does not come
 _FEEDBACK = 0.2  # s between feedbacks without a change
@@ -68,7 +69,7 @@ def declare_parameters(node: Node) -> DockingParameters:
 class _Goal:
     """A goal being served: its handle, and events for the thread that waits in its callback."""
 
-    def __init__(self, handle: ServerGoalHandle, feedback: Any) -> None:
+    def __init__(self, handle: GoalHandle, feedback: Any) -> None:
         self.handle = handle
         self.feedback = feedback
         self.done = threading.Event()
@@ -116,7 +117,7 @@ class DockingNode(Node):
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)
         self._thread.start()
 
-    def _serve(self, kind: Any, name: str, execute: Any, group: ReentrantCallbackGroup) -> ActionServer:
+    def _serve(self, kind: Any, name: str, execute: Any, group: ReentrantCallbackGroup) -> ActionServer[Any, Any, Any]:
         """Serve an action; every goal is accepted, because only a result can carry a code and a reason."""
         return ActionServer(
             self,
@@ -280,7 +281,7 @@ class DockingNode(Node):
         message.status = [DiagnosticStatus(level=level, name=name, message=text, hardware_id="", values=values)]
         self._diagnostics.publish(message)
 
-    def _execute_dock(self, handle: ServerGoalHandle) -> Dock.Result:
+    def _execute_dock(self, handle: GoalHandle) -> Dock.Result:
         request = handle.request
         outcome = self._serve_goal(
             _Goal(handle, Dock.Feedback),
@@ -288,7 +289,7 @@ class DockingNode(Node):
         )
         return self._dock_result(outcome)
 
-    def _execute_undock(self, handle: ServerGoalHandle) -> Undock.Result:
+    def _execute_undock(self, handle: GoalHandle) -> Undock.Result:
         request = handle.request
         outcome = self._serve_goal(
             _Goal(handle, Undock.Feedback),

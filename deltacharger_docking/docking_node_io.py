@@ -120,7 +120,7 @@ class Services:
         self._age = clock_age
         self._renewed = -math.inf
         self._wanted = False
-        self._clients = {
+        self._clients: dict[Service, Any] = {
             Service.TORQUE_ON: node.create_client(SetBool, "set_torque", callback_group=group),
             Service.TARE: node.create_client(Trigger, "tare", callback_group=group),
             Service.PROBE: node.create_client(Probe, "probe", callback_group=group),
@@ -128,7 +128,7 @@ class Services:
             Service.DETECT: node.create_client(DetectElectrodes, "detect_electrodes", callback_group=group),
         }
         self._clients[Service.TORQUE_OFF] = self._clients[Service.TORQUE_ON]
-        self._contactor = node.create_client(SetContactor, "set_contactor", callback_group=group)
+        self._contactor: Any = node.create_client(SetContactor, "set_contactor", callback_group=group)
 
     def call(self, request: Request) -> None:
         """Send a request; its reply appears in `take`."""

@@ -30,7 +30,7 @@ from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
 _DEFAULT_DEPTH = 10
 
 
-class KinematicsNode(Node):  # type: ignore[misc]
+class KinematicsNode(Node):
     """Pose, contact force and kinematics of the arm; see the module's docstring for its interface."""
 
     def __init__(self, **kwargs: Any) -> None:

@@ -102,9 +102,7 @@ class ContactModel:
             taxels[part], approach[part] = self._press(poses[part], forces[part], tilts[part], waviness)
         return Contact(taxels, approach, np.isfinite(approach))
 
-    def _press(
-        self, pose: Array, force: Array, tilt: Array, waviness: Waviness | None
-    ) -> tuple[Array, Array]:
+    def _press(self, pose: Array, force: Array, tilt: Array, waviness: Waviness | None) -> tuple[Array, Array]:
         count = len(pose)
         height = self._height(pose, tilt, waviness)
         highest = height.max(axis=1)

@@ -180,9 +180,7 @@ class PoseEstimator:
                 centre.astype(np.float32), spread.astype(np.float32), tuple(networks), np.ones(3)
             )
         usual = inputs[:, holds & _within(poses)]
-        felt = np.concatenate(
-            [self._experts["both"].predict(usual)[0] * sign for sign in features.MIRROR_SIGNS]
-        )
+        felt = np.concatenate([self._experts["both"].predict(usual)[0] * sign for sign in features.MIRROR_SIGNS])
         self._support = Support.learn(usual.reshape(-1, usual.shape[-1]), felt, self.epochs, random)
         self._calibrate(np.asarray(held_out[0], dtype=float), np.asarray(held_out[1], dtype=float))
         return self
@@ -310,9 +308,7 @@ class PoseEstimator:
 
 
 def _restore(header: dict[str, Any], arrays: dict[str, Any]) -> PoseEstimator:
-    model = PoseEstimator(
-        header["name"], header["threshold"], header["hidden"], header["members"], header["epochs"]
-    )
+    model = PoseEstimator(header["name"], header["threshold"], header["hidden"], header["members"], header["epochs"])
     model.describe(header["about"])
     model._support = Support(
         arrays["support_centre"],
@@ -348,9 +344,7 @@ def _within(pose: Array) -> NDArray[np.bool_]:
 def angle_classes(angle: Array, stddev: Array) -> Array:
     """Probabilities (N, 6) that |angle| rounds to 0, 1, … 5°; the last class takes everything above."""
     edges = np.append(np.radians(np.arange(ANGLE_CLASSES - 1) + 0.5), np.inf)
-    below = _normal((edges - angle[:, None]) / stddev[:, None]) - _normal(
-        (-edges - angle[:, None]) / stddev[:, None]
-    )
+    below = _normal((edges - angle[:, None]) / stddev[:, None]) - _normal((-edges - angle[:, None]) / stddev[:, None])
     return np.diff(below, axis=1, prepend=0.0)
 
 

@@ -64,9 +64,7 @@ def _shift(frames: Array, axis: int, step: int) -> Array:
     result = np.zeros_like(frames)
     source: list[slice] = [slice(None)] * frames.ndim
     target = list(source)
-    source[axis], target[axis] = (
-        (slice(None, -1), slice(1, None)) if step > 0 else (slice(1, None), slice(None, -1))
-    )
+    source[axis], target[axis] = (slice(None, -1), slice(1, None)) if step > 0 else (slice(1, None), slice(None, -1))
     result[tuple(target)] = frames[tuple(source)]
     return result
 

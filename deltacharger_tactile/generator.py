@@ -111,9 +111,7 @@ class Dataset:
 _ARRAYS = tuple(item.name for item in dataclasses.fields(Dataset) if item.name != "meta")
 
 
-def generate_paper(
-    parameters: TactileParameters | None = None, rigs: Sequence[int] = (0,), seed: int = 0
-) -> Dataset:
+def generate_paper(parameters: TactileParameters | None = None, rigs: Sequence[int] = (0,), seed: int = 0) -> Dataset:
     """Generate the paper's protocol on each rig: 600 pairs by angle and 500 pairs by position, one frame each.
 
     Angle set: 0, 1, … 5° × 100 dockings; the start varies over ±20 mm in 4 mm steps, of which vision leaves a tenth.
@@ -165,9 +163,7 @@ def generate_continuous(
     return _generate("continuous", parameters, rigs, poses, subset, seed, frames, threshold)
 
 
-def contact_force(
-    parameters: DockingParameters, offset: Array, current: Array, magnets: float = 1.0
-) -> Array:
+def contact_force(parameters: DockingParameters, offset: Array, current: Array, magnets: float = 1.0) -> Array:
     """Total contact force (N,), N: magnets, weaker with the lateral offset (N, 2) m, plus the servos' push."""
     squared = np.sum(offset * offset, axis=1) / parameters.magnet_width**2
     pull = parameters.magnet_force * magnets * np.maximum(parameters.magnet_floor, 1.0 / (1.0 + squared))

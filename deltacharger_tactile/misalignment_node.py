@@ -53,9 +53,7 @@ class MisalignmentNode(Node):
         self._default_frames = node_support.declare(
             self, "frames", 12, "Frames averaged where a request says 0.", 1, _FRAMES_MAX
         )
-        rate = node_support.declare(
-            self, "rate", 0.0, "Rate of the topic misalignment, Hz; 0 = off.", 0.0, 120.0
-        )
+        rate = node_support.declare(self, "rate", 0.0, "Rate of the topic misalignment, Hz; 0 = off.", 0.0, 120.0)
         self._max_age = node_support.declare(
             self, "max_age", 0.1, "Oldest sampling of the newest frame that still counts, s.", 0.01, 10.0
         )
@@ -88,9 +86,7 @@ class MisalignmentNode(Node):
         )
         self._thread: threading.Thread | None = None
         if rate > 0.0:
-            self._thread = threading.Thread(
-                target=self._publish, args=(1.0 / rate,), name="misalignment", daemon=True
-            )
+            self._thread = threading.Thread(target=self._publish, args=(1.0 / rate,), name="misalignment", daemon=True)
             self._thread.start()
 
     def close(self) -> None:
@@ -177,9 +173,7 @@ class MisalignmentNode(Node):
         """
         age = self._now() - frames[-1].sampled
         if age > self._max_age:
-            raise _Refused(
-                f"the newest tactile frame is {age:.3f} s old, more than max_age {self._max_age:g} s"
-            )
+            raise _Refused(f"the newest tactile frame is {age:.3f} s old, more than max_age {self._max_age:g} s")
         if not all(frame.tared for frame in frames):
             raise _Refused("the tactile frames are not tared; call the service tare out of contact")
         # A taxel that was dead in one of the frames is dead in the average.
@@ -193,9 +187,7 @@ class MisalignmentNode(Node):
         for name in ("angle", "vertical", "horizontal"):
             setattr(message, name, estimate.__dict__[name])
             setattr(message, f"{name}_stddev", estimate.__dict__[f"{name}_stddev"])
-            setattr(
-                message, f"{name}_probability", estimate.__dict__[f"{name}_probability"].astype(np.float32)
-            )
+            setattr(message, f"{name}_probability", estimate.__dict__[f"{name}_probability"].astype(np.float32))
         message.left_force, message.right_force = estimate.left_force, estimate.right_force
         message.model = self._model.name
         return message

@@ -49,9 +49,7 @@ class Network:
         return layers
 
 
-def fit(
-    inputs: Weights, targets: Weights, hidden: Sequence[int], epochs: int, random: np.random.Generator
-) -> Network:
+def fit(inputs: Weights, targets: Weights, hidden: Sequence[int], epochs: int, random: np.random.Generator) -> Network:
     """Fit by Adam with a cosine schedule.
 
     The likelihood's gradient is weighted by the predicted standard deviation (Seitzer et al. 2022, beta = 0.5),
@@ -88,8 +86,7 @@ def fit(
 def _initial(inputs: int, hidden: Sequence[int], outputs: int, random: np.random.Generator) -> Network:
     sizes = [inputs, *hidden, 2 * outputs]
     weights = [
-        (random.standard_normal((a, b)) * math.sqrt(2.0 / a)).astype(np.float32)
-        for a, b in itertools.pairwise(sizes)
+        (random.standard_normal((a, b)) * math.sqrt(2.0 / a)).astype(np.float32) for a, b in itertools.pairwise(sizes)
     ]
     weights[-1] *= np.float32(0.1)
     return Network(tuple(weights), tuple(np.zeros(size, np.float32) for size in sizes[1:]))

@@ -54,9 +54,7 @@ class ContactParameters(_Bounded):
     crown_radius: float = _value(0.060, 0.01, 10.0, "m", "radius of the ridge's crown across its height")
     waviness: float = _value(2e-5, 0.0, 2e-4, "m", "rms waviness along the ridge, drawn per rig")
     stiffness: float = _value(0.9e9, 1e7, 1e11, "Pa/m", "pressure per indentation of the elastomer")
-    hardening: float = _value(
-        1.5e-3, 1e-4, 1.0, "m", "indentation at which the pressure has doubled its slope's line"
-    )
+    hardening: float = _value(1.5e-3, 1e-4, 1.0, "m", "indentation at which the pressure has doubled its slope's line")
     spread_depth: float = _value(1.2e-3, 1e-4, 5e-3, "m", "depth of the taxels under the skin (Boussinesq)")
 
 
@@ -64,19 +62,11 @@ class ContactParameters(_Bounded):
 class DockingParameters(_Bounded):
     """What differs between rigs and between two dockings at one commanded pose, and the total force."""
 
-    tilt_per_x: float = _value(
-        10.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about y per horizontal offset"
-    )
-    tilt_per_y: float = _value(
-        7.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about x per vertical offset"
-    )
-    tilt_spread: float = _value(
-        0.006 * _DEGREE, 0.0, 1.0 * _DEGREE, "rad", "spread of both tilts, per docking"
-    )
+    tilt_per_x: float = _value(10.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about y per horizontal offset")
+    tilt_per_y: float = _value(7.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about x per vertical offset")
+    tilt_spread: float = _value(0.006 * _DEGREE, 0.0, 1.0 * _DEGREE, "rad", "spread of both tilts, per docking")
     tilt_bias: float = _value(0.003 * _DEGREE, 0.0, 1.0 * _DEGREE, "rad", "spread of both tilts, per rig")
-    position_jitter: float = _value(
-        0.95e-3, 0.0, 5e-3, "m", "standard deviation of x and y in contact, per docking"
-    )
+    position_jitter: float = _value(0.95e-3, 0.0, 5e-3, "m", "standard deviation of x and y in contact, per docking")
     angle_jitter: float = _value(
         0.15 * _DEGREE, 0.0, 2.0 * _DEGREE, "rad", "standard deviation of the angle, per docking"
     )
@@ -98,13 +88,9 @@ class SensorParameters(_Bounded):
     creep: float = _value(0.03, 0.0, 0.2, "1/decade", "relative growth per decade of time in contact")
     creep_time: float = _value(1.0, 0.01, 100.0, "s", "time constant in the logarithm of the creep")
     gain_spread: float = _value(0.15, 0.0, 0.5, "", "relative spread of the taxels' gains, per rig")
-    cross_talk: float = _value(
-        0.02, 0.0, 0.2, "", "share of its row's and its column's mean that a taxel picks up"
-    )
+    cross_talk: float = _value(0.02, 0.0, 0.2, "", "share of its row's and its column's mean that a taxel picks up")
     fixed_offset: float = _value(0.12, 0.0, 0.4, "N", "spread of the taxels' offsets, per rig")
-    docking_offset: float = _value(
-        0.05, 0.0, 0.4, "N", "spread of the taxels' offsets, drawn anew in each contact"
-    )
+    docking_offset: float = _value(0.05, 0.0, 0.4, "N", "spread of the taxels' offsets, drawn anew in each contact")
     noise: float = _value(0.08, 0.0, 1.0, "N", "noise floor of one sample")
     noise_gain: float = _value(0.02, 0.0, 0.2, "", "noise of one sample relative to its force")
     noise_memory: float = _value(0.3, 0.0, 1.0, "", "share of the noise variance that is AR(1)")

@@ -92,9 +92,7 @@ class Dockings:
 class Sensor:
     """The electronics of one rig for N dockings at once: deterministic part, then noise with memory."""
 
-    def __init__(
-        self, parameters: SensorParameters, rig: Rig, random: np.random.Generator, count: int = 1
-    ) -> None:
+    def __init__(self, parameters: SensorParameters, rig: Rig, random: np.random.Generator, count: int = 1) -> None:
         self._parameters = parameters
         self._rig = rig
         self._random = random
@@ -103,9 +101,7 @@ class Sensor:
         self._top = parameters.full_scale + parameters.pedestal
         self._share = (math.sqrt(1.0 - parameters.noise_memory), math.sqrt(parameters.noise_memory))
 
-    def read(
-        self, force: Array | None, docking: Dockings | None, contact_time: Array | float, step: float
-    ) -> Array:
+    def read(self, force: Array | None, docking: Dockings | None, contact_time: Array | float, step: float) -> Array:
         """Read both pads once.
 
         Args:

@@ -46,9 +46,7 @@ class ContactSource:
         x, y, angle = self._docking.jitter[0]
         return float(x), float(y), float(angle)
 
-    def sample(
-        self, time: float, pose: tuple[float, float, float] | None, force: float
-    ) -> tuple[Array, Array]:
+    def sample(self, time: float, pose: tuple[float, float, float] | None, force: float) -> tuple[Array, Array]:
         """Read both pads.
 
         Args:

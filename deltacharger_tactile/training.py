@@ -66,9 +66,7 @@ def varied(rig: int) -> TactileParameters:
         current_low=0.35,
         current_high=0.55,
     )
-    sensor: SensorParameters = dataclasses.replace(
-        base.sensor, dead_taxels=int(random.choice([0, 1, 1, 1, 2, 3]))
-    )
+    sensor: SensorParameters = dataclasses.replace(base.sensor, dead_taxels=int(random.choice([0, 1, 1, 1, 2, 3])))
     contact = dataclasses.replace(base.contact, stiffness=base.contact.stiffness * random.uniform(0.85, 1.15))
     return dataclasses.replace(base, docking=docking, sensor=sensor, contact=contact)
 
@@ -100,9 +98,7 @@ def record(rigs: Sequence[int], count: int, seed: int, vary: bool = True) -> Rec
         parameters = varied(rig_seed) if vary else TactileParameters()
         random = np.random.default_rng([0x7EC, seed, rig_seed])
         averaged = int(random.choice([1, 4, 12, 12])) if vary else 12
-        rows = measure(
-            parameters, Rig.draw(parameters, rig_seed), draw_poses(count, random), random, averaged, 0.0
-        )
+        rows = measure(parameters, Rig.draw(parameters, rig_seed), draw_poses(count, random), random, averaged, 0.0)
         felt = np.stack([rows["left"], rows["right"]], axis=1)
         felt[rows["dead"]] = np.nan
         frames.append(felt)

@@ -29,7 +29,7 @@ def test_up_is_ready_then_dock_and_undock_use_it_and_sigterm_ends_it_with_0(
     assert dock.end() == 0, dock.err
     result = json.loads("\n".join(dock.out))
     assert (result["success"], result["charger"], result["error_name"]) == (True, "running", "NONE")
-    assert [phase["phase"] for phase in result["phases"]][0] == "approach"
+    assert next(phase["phase"] for phase in result["phases"]) == "approach"
     assert result["picture"] is None or picture.is_file()
     assert any("contact" in line for line in dock.err)
     undock = start(*deltacharger, "undock", *options)

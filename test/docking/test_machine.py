@@ -70,7 +70,7 @@ def test_docks_charges_and_undocks() -> None:
     assert max(abs(value) for value in truth.misalignment[:2]) < 3.0 * MILLIMETRE
     assert run.undock().success
     assert_safe_at_home(run)
-    assert [State.ENERGISE, State.CHARGING, State.RETRACT, State.IDLE] == run.states[-4:]
+    assert run.states[-4:] == [State.ENERGISE, State.CHARGING, State.RETRACT, State.IDLE]
 
 
 @pytest.mark.parametrize(("x", "y"), [(8, 8), (-8, 8), (-8, -8), (8, -8)])

@@ -30,9 +30,7 @@ def test_the_pads_carry_the_whole_force() -> None:
     force = np.linspace(5.0, 120.0, 200)
     contact = MODEL.solve(poses(200), force, (0.001, 0.002))
     assert np.array_equal(contact.touching, contact.taxels.sum(axis=(1, 2, 3)) > 0)
-    assert np.allclose(
-        contact.taxels.sum(axis=(1, 2, 3))[contact.touching], force[contact.touching], rtol=1e-6
-    )
+    assert np.allclose(contact.taxels.sum(axis=(1, 2, 3))[contact.touching], force[contact.touching], rtol=1e-6)
     assert contact.touching.mean() > 0.8
     assert contact.taxels.min() >= 0.0
 
@@ -58,9 +56,7 @@ def test_mirroring_the_pose_mirrors_the_pads() -> None:
 def test_signs_follow_the_target() -> None:
     """Where the ridge's own points end up, by plain trigonometry, is where the pads feel them."""
     up = MODEL.solve((0.0, 0.005, 0.0), 60.0).taxels[0]
-    assert centre(up[0], 0) == pytest.approx(
-        0.005, abs=4e-4
-    )  # the target is higher: both pads feel it higher
+    assert centre(up[0], 0) == pytest.approx(0.005, abs=4e-4)  # the target is higher: both pads feel it higher
     assert centre(up[1], 0) == pytest.approx(0.005, abs=4e-4)
     angle = np.radians(6.0)
     turned = MODEL.solve((0.0, 0.0, angle), 60.0).taxels[0]

@@ -29,9 +29,7 @@ def test_the_papers_protocol() -> None:
     angles = np.round(np.degrees(data.angle[first & (data.subset == 0)]))
     assert {int(k): int((angles == k).sum()) for k in np.unique(angles)} == dict.fromkeys(range(6), 100)
     positions = data.subset == 1
-    pairs = np.unique(
-        np.round(1e3 * np.column_stack([data.horizontal, data.vertical])[first & positions]), axis=0
-    )
+    pairs = np.unique(np.round(1e3 * np.column_stack([data.horizontal, data.vertical])[first & positions]), axis=0)
     assert len(pairs) == 25
     assert (first & positions).sum() == 500
     assert not data.angle[positions].any()
