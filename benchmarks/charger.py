@@ -91,6 +91,7 @@ def measure_rates(seconds: float) -> dict[str, Any]:
     print(file=sys.stderr)
     result = {
         "ready_s": ready,
+        "seconds": seconds,
         "tactile_hz": rate([at for _, at in counter.tactile]),
         "tactile_gaps": sum(b[0] - a[0] - 1 for a, b in zip(counter.tactile, counter.tactile[1:], strict=False)),
         "tactile_frames": len(counter.tactile),
@@ -139,7 +140,7 @@ def main() -> int:
         (
             "tactile frames",
             f"{rates['tactile_hz']:.2f} Hz",
-            f"{rates['tactile_gaps']} gaps in {arguments.seconds:.0f} s",
+            f"{rates['tactile_gaps']} lost in {rates['seconds']:.0f} s",
         ),
         ("servo state", f"{rates['servo_hz']:.2f} Hz", ""),
         ("CPU at rest, everything in one process", f"{rates['charger_cpu_percent']:.0f} %", "of one core"),

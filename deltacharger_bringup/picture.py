@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -105,9 +106,8 @@ def _span(run: Run) -> tuple[float, float]:
 
 
 def _intervals(run: Run, span: tuple[float, float]) -> list[tuple[float, float, str]]:
-    ends = [time for time, _ in run.phases[1:]] + [span[1]]
-    stretches = zip(run.phases, ends, strict=True)
-    return [(max(begin, span[0]), end, phase) for (begin, phase), end in stretches if end > span[0]]
+    stretches = itertools.pairwise([*run.phases, (span[1], "")])
+    return [(max(begin, span[0]), end, phase) for (begin, phase), (end, _) in stretches if end > span[0]]
 
 
 def _shade(axes: Axes, run: Run, span: tuple[float, float]) -> None:
@@ -237,8 +237,7 @@ def _heat_colours() -> Any:
 
     deep = [matplotlib.colormaps["magma_r"](share) for share in np.linspace(0.08, 0.95, 12)]
     colours = LinearSegmentedColormap.from_list("pressure", ["#f6f7f8", *deep])
-    colours.set_bad("#b8c2cc")
-    return colours
+    return colours.with_extremes(bad="#b8c2cc")
 
 
 def _report(axes: Axes, run: Run) -> None:

@@ -52,7 +52,7 @@ def test_they_close_in_the_reverse_order_even_if_one_fails(
         monkeypatch.setattr(running.node, "close", noting(running.node.close, running.name, closed))
     with pytest.raises(RuntimeError, match="kinematics_node does not close"):
         composition.close()
-    assert closed == list(reversed(started))
+    assert list(dict.fromkeys(closed)) == list(reversed(started))
     assert closed[0] == "docking_node"
     assert composition.nodes == []
 
