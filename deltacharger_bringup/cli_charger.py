@@ -138,7 +138,7 @@ def undock(options: argparse.Namespace) -> int:
         from deltacharger_bringup.client import ChargerClient, ClientError
 
         with ChargerClient(options.namespace, context) as client:
-            if not client.wait_until_ready(DISCOVERY, interrupts.event):
+            if not client.wait_until_it_answers(DISCOVERY, interrupts.event):
                 if interrupts.event.is_set():
                     return INTERRUPTED
                 raise CommandError(

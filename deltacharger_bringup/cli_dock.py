@@ -38,7 +38,7 @@ def dock(options: argparse.Namespace) -> int:
 
         client = stack.enter_context(ChargerClient(options.namespace, context))
         composition: Composition | None = None
-        if not client.wait_until_ready(DISCOVERY, interrupts.event) and not interrupts.event.is_set():
+        if not client.wait_until_it_answers(DISCOVERY, interrupts.event) and not interrupts.event.is_set():
             say(f"no charger answers in ROS domain {environment.domain()}; starting that of scene '{scene.name}'")
             composition = stack.enter_context(start(scene, context, options.namespace))
             wait_for_actions(composition, client, interrupts)

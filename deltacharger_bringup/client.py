@@ -42,6 +42,7 @@ CODES: dict[int, str] = {getattr(Dock.Result, name): name for name in _CODE_NAME
 PHASES: dict[int, str] = {getattr(Dock.Feedback, f"STATE_{name}"): name.lower() for name in _STATE_NAMES.split()}
 """Names of the states, lower case."""
 
+_INPUTS = ("servo_state", "tactile_frame", "charger_power")
 _LOST_AFTER = 5.0  # s without an action server in the graph before a running goal counts as lost
 _CANCEL_GRACE = 60.0  # s that a cancelled goal may take to make itself safe and retract
 _POLL = 0.1  # s between looks at deadline, cancel wish and server while a goal runs
@@ -98,26 +99,29 @@ class ChargerClient:
     ) -> None:
         self.close()
 
-    def is_ready(self) -> bool:
+    def answers(self) -> bool:
         """Whether both actions answer now."""
         return bool(self._dock.server_is_ready() and self._undock.server_is_ready())
 
+    def is_ready(self) -> bool:
+        """Whether both actions answer now and somebody publishes what they work on."""
+        return self.answers() and all(self.node.count_publishers(topic) for topic in _INPUTS)
+
     def wait_until_ready(self, timeout: float, stop: threading.Event | None = None) -> bool:
-        """Wait until both actions answer.
+        """Wait until `is_ready`.
 
         Args:
             timeout: s; discovery alone takes up to 3 s.
             stop: ends the wait early when set.
 
         Returns:
-            Whether they answer.
+            Whether it is ready.
         """
-        deadline = time.monotonic() + timeout
-        while not self.is_ready():
-            if time.monotonic() >= deadline or (stop is not None and stop.is_set()):
-                return False
-            (stop or threading.Event()).wait(0.05)
-        return True
+        return _wait(self.is_ready, timeout, stop)
+
+    def wait_until_it_answers(self, timeout: float, stop: threading.Event | None = None) -> bool:
+        """Wait until `answers`; arguments and result as in `wait_until_ready`."""
+        return _wait(self.answers, timeout, stop)
 
     def dock(
         self,
@@ -170,7 +174,7 @@ class ChargerClient:
         deadline: float,
         give_up: threading.Event | None = None,
     ) -> Outcome:
-        if not client.server_is_ready() and not self.wait_until_ready(_LOST_AFTER, cancel):
+        if not client.server_is_ready() and not self.wait_until_it_answers(_LOST_AFTER, cancel):
             raise ClientError(f"no charger answers the action '{action}': start one with `deltacharger up`")
         started = time.monotonic()
 
@@ -204,6 +208,16 @@ class ChargerClient:
         if running.result is None:
             raise ClientError(f"the charger rejected the goal '{action}' without a reason")
         return _outcome(action, running.result)
+
+
+def _wait(condition: Callable[[], bool], timeout: float, stop: threading.Event | None) -> bool:
+    deadline = time.monotonic() + timeout
+    pause = stop or threading.Event()
+    while not condition():
+        if time.monotonic() >= deadline or pause.is_set():
+            return False
+        pause.wait(0.05)
+    return True
 
 
 class _Goal:

@@ -70,13 +70,13 @@ class Composition:
 
     def close(self) -> None:
         """Close the nodes in the reverse order of their start, then the simulated charger. Safe to call twice."""
+        nodes, self.nodes = self.nodes, []
+        charger, self.charger = self.charger, None
         with contextlib.ExitStack() as stack:  # one that fails to close never keeps the others open
-            if self.charger is not None:
-                stack.callback(self.charger.stop)
-            for running in self.nodes:
+            if charger is not None:
+                stack.callback(charger.stop)
+            for running in nodes:
                 stack.callback(running.spinner.close)
-        self.nodes = []
-        self.charger = None
 
     def __enter__(self) -> Composition:
         return self.start()

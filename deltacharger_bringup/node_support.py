@@ -252,12 +252,14 @@ class Spinner:
 
     def close(self) -> None:
         """Close the node while its callbacks still work, then stop serving and release it."""
-        closer = getattr(self.node, "close", None)
-        if closer is not None:
-            closer()
-        self._executor.shutdown(timeout_sec=5.0)
-        self._thread.join(5.0)
-        self.node.destroy_node()
+        try:
+            closer = getattr(self.node, "close", None)
+            if closer is not None:
+                closer()
+        finally:
+            self._executor.shutdown(timeout_sec=5.0)
+            self._thread.join(5.0)
+            self.node.destroy_node()
 
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):

@@ -7,7 +7,7 @@ import math
 from collections.abc import Generator
 from typing import TypeVar
 
-from deltacharger_docking.codes import DockingError, PhaseTimeout, State, Stuck
+from deltacharger_docking.codes import DockingError, PhaseTimeout, ServoFailure, State, Stuck
 from deltacharger_docking.contact_current import ContactCurrent
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, Observation, Reply, Request, Service, Status, Waypoint
@@ -128,11 +128,18 @@ class Context:
             yield from self.rest()
 
     def rest(self) -> Script[None]:
-        """Wait until the servos have settled and the contact current's window holds only readings at rest."""
+        """Wait until the servos have settled and the contact current's window holds only readings at rest.
+
+        Raises:
+            ServoFailure: no current was measured within the age allowed for servo_state.
+        """
         yield from self.wait(self.parameters.settle_time)
         self.contact.clear()
         yield from self.wait(0.13)
+        end = self.time + self.parameters.servo_age_max
         while not math.isfinite(self.contact.value) or self.observation.servo_age > self.parameters.press_age_max:
+            if self.time > end:
+                raise ServoFailure("the servos' currents are not measured; check the servo bus and servo_node")
             yield
 
     def release(self) -> Script[None]:

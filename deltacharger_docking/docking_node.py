@@ -32,6 +32,7 @@ from deltacharger_docking.codes import Code, DockingError, Rejected
 from deltacharger_docking.machine import DockingMachine, suggested_base
 from deltacharger_docking.observation import Command, DockGoal, Observation, Outcome, Request, Service
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.kinematics_node import declare_geometry
 
 GoalHandle = ServerGoalHandle[Any, Any, Any]
 
@@ -84,6 +85,7 @@ class DockingNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("docking_node", **kwargs)
         self._settings = declare_parameters(self)
+        geometry = declare_geometry(self)
         self._base_frame = node_support.declare(
             self, "base_frame", "base_link", "the robot's frame in which goals may be given besides charger_base"
         )
@@ -96,7 +98,7 @@ class DockingNode(Node):
         if len(self._base_pose) != 7:
             raise node_support.StartupError("docking_node: parameter 'base_pose' needs 7 numbers: x y z qx qy qz qw")
         node_support.reject_unknown(self)
-        self._machine = DockingMachine(self._settings)
+        self._machine = DockingMachine(self._settings, geometry)
         self._lock = threading.RLock()
         self._goal: _Goal | None = None
         self._wake = threading.Event()

@@ -338,7 +338,8 @@ class DockingMachine:
             yield from context.ask(Service.TORQUE_ON, ServoFailure, _SERVICE_TIMEOUT)
         if observation.torque_enabled or context.observation.tactile_contact:
             yield from self._lift_off()
-            yield from context.move(parameters.home, parameters.travel_speed)
+            yield from context.move(parameters.home, parameters.travel_speed, settle=False)
+            yield from context.wait(parameters.settle_time)
         context.status.docked = False
         yield from context.ask(Service.TORQUE_OFF, ServoFailure, _SERVICE_TIMEOUT)
 
@@ -350,7 +351,7 @@ class DockingMachine:
         context.status.docked = False
         x, y, z = context.commanded = context.position
         clear = min(max(z - parameters.lift, parameters.home_z), z)
-        yield from context.move((x, y, clear), parameters.travel_speed)
+        yield from context.move((x, y, clear), parameters.travel_speed, settle=False)
 
     def _success(self, message: str) -> Outcome:
         return self._outcome(True, Code.NONE, message, False)

@@ -24,24 +24,6 @@ environment.prepare()
 DEADLINE = 20.0  # s; far longer than anything takes, so that a loaded machine fails no test
 _numbers = itertools.count()
 
-# The real nodes on mocks; steps are large and waits short, and touch is taken as aligned after one docking.
-QUICK = """
-nodes: [mock_servo_node, mock_tactile_node, mock_detector_node, kinematics_node, misalignment_node, docking_node]
-goal: {x: 0.0, y: 0.0, z: 0.080}
-parameters:
-  mock_servo_node: {target_x: 0.001, target_y: -0.001, damping: 0.3}
-  mock_tactile_node: {target_x: 0.001, target_y: -0.001}
-  docking_node:
-    home_z: 0.06
-    standoff: 0.006
-    coarse_step: 0.005
-    contact_speed: 0.1
-    travel_speed: 0.5
-    servo_damping: 0.3
-    charge_stable_time: 0.1
-    alignment_tolerance: 0.01
-"""
-
 
 def wait_until(condition: Callable[[], Any], what: str, deadline: float = DEADLINE) -> Any:
     """Return the first true value of `condition`, or fail saying what was waited for."""
@@ -112,10 +94,8 @@ def deltacharger() -> tuple[str, ...]:
 
 
 @pytest.fixture(scope="session")
-def quick_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("scenes") / "quick.yaml"
-    path.write_text(QUICK, encoding="utf-8")
-    return path
+def quick_file() -> Path:
+    return Path(__file__).with_name("quick.yaml")
 
 
 @pytest.fixture(scope="session")

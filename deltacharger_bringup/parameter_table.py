@@ -1,0 +1,74 @@
+"""The page docs/parameters.md from the declarations: python -m deltacharger_bringup.parameter_table."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from typing import Any
+
+from rclpy.node import Node
+
+_OWN = ("use_sim_time", "start_type_description_service")  # every ROS node has them
+_PORT = "set per scene"
+_HEAD = """# Parameters
+
+Every parameter of every node, from their declarations. All are fixed once a node runs, unless said otherwise. A value outside
+its bounds and an unknown name stop the node at start with exit code 2 and the parameter's name.
+"""
+
+
+def table(node: Node) -> str:
+    """Return the parameters of a running node as a section of Markdown."""
+    lines = [f"## {node.get_name()}", "", "| parameter | default | allowed | meaning |", "|---|---|---|---|"]
+    for name in sorted(node._parameters):
+        if name in _OWN or name.startswith("qos_overrides."):
+            continue
+        descriptor = node.describe_parameter(name)
+        default = _PORT if name == "port" else _text(node.get_parameter(name).value)
+        lines.append(f"| {name} | {default} | {_allowed(descriptor)} | {descriptor.description} |")
+    return "\n".join([*lines, ""])
+
+
+def document(nodes: Iterable[Node]) -> str:
+    """Return the whole page for running nodes, in the order of their names."""
+    return "\n".join([_HEAD, *(table(node) for node in sorted(nodes, key=lambda node: node.get_name()))])
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, str):
+        return value or "(empty)"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, bool | int):
+        return str(value).lower()
+    return ", ".join(_text(item) for item in value)
+
+
+def _allowed(descriptor: Any) -> str:
+    for bounds in (*descriptor.floating_point_range, *descriptor.integer_range):
+        return f"{bounds.from_value:.6g} … {bounds.to_value:.6g}"
+    return str(descriptor.additional_constraints)
+
+
+def main() -> int:
+    """Start the nodes of the simulated scene and print their page."""
+    from deltacharger_bringup import environment
+
+    environment.prepare()
+    environment.isolate()
+    import rclpy
+    from rclpy.context import Context
+
+    from deltacharger_bringup.composition import Composition
+    from deltacharger_bringup.scene import load_scene
+
+    context = Context()
+    rclpy.init(context=context, args=[])
+    with Composition(load_scene("simulated"), context, "parameter_table") as composition:
+        sys.stdout.write(document(running.node for running in composition.nodes))
+    rclpy.try_shutdown(context=context)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
