@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from deltacharger_bringup.composition import Composition
 
-DISCOVERY = 3.0  # s; a charger that runs is found in 0.25…3 s
+DISCOVERY = 5.0  # s; a charger that runs is found in 0.25…3 s, and starting a second one beside it would be worse
 START_UP = 60.0  # s until the actions of a scene's own charger answer
 
 

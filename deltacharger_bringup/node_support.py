@@ -169,12 +169,12 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, threads:
 
 
 class PatientExecutor(MultiThreadedExecutor):
-    """rclpy's multi-threaded executor without its two busy loops, which filled a core per node at 100 Hz.
+    """rclpy's multi-threaded executor without its busy loop, which filled a core per node at 100 Hz.
 
-    - While a message waits for a worker thread, the subscription leaves the wait set but its QoS events stay, and with
-      Fast DDS an unread message wakes them too. Here they leave together.
-    - A callback is offered again and again until a worker has begun it, by a loop that holds the interpreter lock which
-      the worker waits for. Here it is handed over once, and comes back only if it awaits something.
+    While a message waits for a worker thread, its subscription leaves the wait set but its QoS events stay in it, and
+    with Fast DDS the next message wakes those for ever: nothing is ready, and the wait returns at once. Here they leave
+    together. Besides, a callback is handed to the workers once rather than at each wake-up, and one that ends because
+    the executor was shut down under it is no error.
     """
 
     def __init__(self, num_threads: int, *, context: Context) -> None:

@@ -44,6 +44,7 @@ class Alignment:
         while True:
             estimate = yield from self._measure()
             if not (estimate.sure and estimate.in_range and estimate.complete):
+                self._passed = 0
                 yield from self._dock_again(*self._look_elsewhere(estimate))
                 continue
             self._unsure_here = 0

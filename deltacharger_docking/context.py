@@ -21,7 +21,8 @@ T = TypeVar("T")
 # Algorithm 1 reads from top to bottom as in the paper and still never blocks.
 Script = Generator[None, None, T]
 
-_RELEASED = 0.001  # m of retreat that tells the magnets have let go
+_RELEASED = 0.001  # m of retreat that tells the magnets have let go, where the pads feel nothing any more
+_SPRING_TRAVEL = 0.004  # m of retreat that electrodes on springs cannot follow, whatever the pads say
 
 
 class Context:
@@ -35,6 +36,7 @@ class Context:
         self.status = Status()
         self.observation = Observation(time=0.0)
         self.energise = False
+        self.live = False  # the contactor was told to close and has not been seen open since
         self.energy = 0.0
         self.commanded: Vector = (math.nan, math.nan, math.nan)
         self.deadline = math.inf
@@ -142,6 +144,13 @@ class Context:
                 raise ServoFailure("the servos' currents are not measured; check the servo bus and servo_node")
             yield
 
+    def _is_released(self, z: float) -> bool:
+        """Return whether the platform, at `z` m before the pull, has come off; a soft electrode follows a little way."""
+        retreat = z - self.position[2]
+        observation = self.observation
+        held = observation.tactile_contact and observation.tactile_age <= self.parameters.tactile_age_max
+        return retreat >= (_SPRING_TRAVEL if held else _RELEASED)
+
     def release(self) -> Script[None]:
         """Pull the electrodes off the magnets.
 
@@ -152,6 +161,8 @@ class Context:
             Stuck: the platform did not move within the time allowed.
         """
         parameters, geometry = self.parameters, self.kinematics.geometry
+        while not all(map(math.isfinite, self.observation.angles)):
+            yield
         x, y, z = self.position
         lead = parameters.release_current * TORQUE_CONSTANT / parameters.servo_stiffness
         behind = tuple(max(angle - lead, geometry.joint_min) for angle in self.observation.angles)
@@ -160,12 +171,12 @@ class Context:
         pull = (parameters.release_current * TORQUE_CONSTANT,) * 3
         self._trajectory = (Waypoint(0.0, goal, push),)
         end = self.time + 0.05
-        while self.time < end and self.position[2] > z - _RELEASED:
+        while self.time < end and not self._is_released(z):
             yield
-        if self.position[2] > z - _RELEASED:
+        if not self._is_released(z):
             self._trajectory = (Waypoint(0.0, goal, pull),)
             end = self.time + parameters.release_time
-            while self.position[2] > z - _RELEASED:
+            while not self._is_released(z):
                 if self.time > end:
                     self.hold()
                     raise Stuck(

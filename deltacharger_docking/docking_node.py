@@ -40,6 +40,8 @@ _TICK = 0.02  # s; pace where servo_state does not come
 _FEEDBACK = 0.2  # s between feedbacks without a change
 _DIAGNOSTICS = 1.0  # s
 _OPEN_TIMEOUT = 0.6  # s to see the contactor open when the node closes
+_FIRST_INPUTS = 2.0  # s that the first goal waits for topics which have only just been discovered
+_TORQUE_DELAY = 0.5  # s from an opening after a defect to torque off
 _TORQUE_TIMEOUT = 1.0  # s to see the torque go off; servo_node waits 0.5 s before it switches it off
 
 
@@ -83,6 +85,8 @@ class DockingNode(Node):
     """Serves dock and undock; see the module for topics and services, docs/docking.md for the parameters."""
 
     def __init__(self, **kwargs: Any) -> None:
+        self._closed = True  # nothing to make safe before the node is complete
+        self._servers: list[ActionServer[Any, Any, Any]] = []
         super().__init__("docking_node", **kwargs)
         self._settings = declare_parameters(self)
         geometry = declare_geometry(self)
@@ -103,9 +107,9 @@ class DockingNode(Node):
         self._goal: _Goal | None = None
         self._wake = threading.Event()
         self._stopping = threading.Event()
-        self._closed = False
         self._state_shown: tuple[Any, ...] = ()
         self._diagnosed = -math.inf
+        self._torque_off_at = math.inf
         self._slowest_tick = 0.0
         group = ReentrantCallbackGroup()
         self._inputs = io.Inputs(self, group, self._wake.set)
@@ -114,8 +118,9 @@ class DockingNode(Node):
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._state = self.create_publisher(DockingState, "docking_state", latched)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._dock_server = self._serve(Dock, "dock", self._execute_dock, group)
-        self._undock_server = self._serve(Undock, "undock", self._execute_undock, group)
+        self._servers.append(self._serve(Dock, "dock", self._execute_dock, group))
+        self._servers.append(self._serve(Undock, "undock", self._execute_undock, group))
+        self._closed = False
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)
         self._thread.start()
 
@@ -146,10 +151,12 @@ class DockingNode(Node):
             self._calls.contactor(False, True)
             time.sleep(0.02)
         end = time.monotonic() + _TORQUE_TIMEOUT
-        if self._observe().torque_enabled:
+        if self._is_live(self._observe()):
+            self.get_logger().error("the contactor does not open; the torque stays on so that no arc is drawn")
+        elif self._observe().torque_enabled:
             self._calls.call(Request(0, Service.TORQUE_OFF))
-        while self._observe().torque_enabled and time.monotonic() < end:
-            time.sleep(0.02)
+            while self._observe().torque_enabled and time.monotonic() < end:
+                time.sleep(0.02)
         goal = self._goal
         if goal is not None:
             goal.outcome = Outcome(code=Code.CANCELED, message="the charger is shutting down", retriable=True)
@@ -159,8 +166,8 @@ class DockingNode(Node):
     def destroy_node(self) -> None:
         """Close, then release the ROS side."""
         self.close()
-        self._dock_server.destroy()
-        self._undock_server.destroy()
+        for server in self._servers:
+            server.destroy()
         super().destroy_node()
 
     def _age(self, stamp: Any) -> float:
@@ -180,15 +187,25 @@ class DockingNode(Node):
                     observation = self._observe()
                     self._carry_out(self._machine.step(observation), observation)
                     self._report()
+                    self._switch_off_when_due(observation)
             except Exception as error:  # a defect must open the contactor and end the goal, not the thread
                 self._defect(error)
             self._slowest_tick = max(self._slowest_tick, time.monotonic() - started)
+
+    def _switch_off_when_due(self, observation: Observation) -> None:
+        """After a defect, switch the torque off once the contactor is open: never before."""
+        if time.monotonic() >= self._torque_off_at and not self._is_live(observation):
+            self._torque_off_at = math.inf
+            self._calls.call(Request(0, Service.TORQUE_OFF))
+
+    def _is_live(self, observation: Observation) -> bool:
+        return observation.contactor_closed and observation.power_age <= self._settings.power_age_max
 
     def _defect(self, error: Exception) -> None:
         self.get_logger().error(f"docking stopped by a defect: {type(error).__name__}: {error}")
         with self._lock:
             self._carry_out(self._machine.emergency(), self._observe())
-            self._calls.call(Request(0, Service.TORQUE_OFF))
+            self._torque_off_at = min(self._torque_off_at, time.monotonic() + _TORQUE_DELAY)
             self._end_goal(Outcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log"))
 
     def _carry_out(self, command: Command, observation: Observation) -> None:
@@ -307,18 +324,24 @@ class DockingNode(Node):
 
     def _serve_goal(self, goal: _Goal, start: Any) -> Outcome:
         """Start a goal, wait for its end in this callback's own thread, and set the handle's final state."""
+        self._inputs.wait_until_heard(_FIRST_INPUTS)
         try:
             with self._lock:
                 if self._closed:
                     raise Rejected("the charger is shutting down")
-                start(self._observe())
+                start(self._inputs.observation())  # takes no reply that the running goal waits for
                 self._goal = goal
+                self._torque_off_at = math.inf
         except DockingError as error:
             outcome = Outcome(
                 code=error.code, message=str(error), retriable=error.retriable, suggested_base=suggested_base(error)
             )
             goal.handle.abort()
             return outcome
+        except Exception as error:  # rclpy would answer with an empty result, which looks like code 0
+            self.get_logger().error(f"a goal met a defect: {type(error).__name__}: {error}")
+            goal.handle.abort()
+            return Outcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log")
         goal.done.wait()
         assert goal.outcome is not None
         outcome = goal.outcome

@@ -77,6 +77,12 @@ class Inputs:
         self._power_time = time.monotonic() - self._age_at_arrival(message.header.stamp)
         self._power = message
 
+    def wait_until_heard(self, timeout: float) -> None:
+        """Wait at most `timeout` s for a first message on every topic; at once where all have spoken."""
+        end = time.monotonic() + timeout
+        while None in (self._servo, self._tactile, self._power) and time.monotonic() < end:
+            time.sleep(0.02)
+
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:
         """Return what is known now."""
         now = time.monotonic()
@@ -129,6 +135,7 @@ class Services:
         }
         self._clients[Service.TORQUE_OFF] = self._clients[Service.TORQUE_ON]
         self._contactor: Any = node.create_client(SetContactor, "set_contactor", callback_group=group)
+        self._clients[Service.OPEN] = self._contactor
 
     def call(self, request: Request) -> None:
         """Send a request; its reply appears in `take`."""
@@ -139,6 +146,8 @@ class Services:
         message: Any
         if request.service in (Service.TORQUE_ON, Service.TORQUE_OFF):
             message = SetBool.Request(data=request.service is Service.TORQUE_ON)
+        elif request.service is Service.OPEN:
+            message = SetContactor.Request(close=False, holder=_HOLDER)
         elif request.service is Service.ESTIMATE:
             message = PredictMisalignment.Request(frames=request.frames)
         elif request.service is Service.DETECT:
@@ -173,7 +182,10 @@ class Services:
         self._contactor.call_async(message).add_done_callback(lambda done: self._contactor_answer(wanted, done))
 
     def _contactor_answer(self, wanted: bool, done: Any) -> None:
-        answer = done.result()
+        try:
+            answer = done.result()
+        except Exception:  # as in `_answer`; a renewal that got no answer lapses by itself
+            return
         if wanted and self._wanted and answer is not None and not answer.success:
             with self._lock:
                 self._refusal = answer.message

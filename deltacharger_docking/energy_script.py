@@ -10,6 +10,7 @@ from deltacharger_docking.codes import (
     ContactorWelded,
     CriticalAngle,
     DockingError,
+    EstimateUnsure,
     NoChargeCurrent,
     NoContact,
     PowerStale,
@@ -18,6 +19,7 @@ from deltacharger_docking.codes import (
     ServoFailure,
     ShortCircuit,
     State,
+    TactileStale,
     VoltageOutOfRange,
 )
 from deltacharger_docking.context import Context, Script
@@ -25,10 +27,13 @@ from deltacharger_docking.observation import DockGoal, Reply, Service
 
 _PROBE_TIMEOUT = 2.0  # s; the board answers within 250 ms
 _OPEN_TIMEOUT = 1.0  # s until current must be gone after an opening
+_OPENING = 0.1  # s that an opening may take on its way; what was measured before says nothing about it
 _ZERO_CURRENT = 0.5  # A below which the contactor counts as open
-_CONTACT_LOST = 0.15  # A of contact current below which the electrodes no longer rest on the target
+CONTACT_LOST = 0.15  # A of contact current below which the electrodes no longer rest on the target
 _RETREAT_LOST = 0.0015  # m of retreat that means contact is lost whatever the current says
+_SERVO_SILENT = 0.2  # s without servo_state that opens: with lease and ramp the contactor is open within 0.35 s
 _UNSAFE_TWICE = 2  # successive estimates without clearance that end charging
+_BLIND_MAX = 3  # successive estimates that fail or stay unsure, after which nobody watches the clearance any more
 
 
 def energise(context: Context) -> Script[None]:
@@ -39,9 +44,11 @@ def energise(context: Context) -> Script[None]:
     """
     parameters = context.parameters
     context.enter(State.ENERGISE, parameters.energise_timeout)
+    if context.observation.power_fault:
+        yield from _clear_fault(context)
     reply = yield from context.ask(Service.PROBE, PowerStale, _PROBE_TIMEOUT)
     _check_probe(context, reply)
-    context.energise = True
+    context.energise = context.live = True
     watch = Watch(context)
     stable_since = math.inf
     while context.time - stable_since < parameters.charge_stable_time:
@@ -57,6 +64,14 @@ def energise(context: Context) -> Script[None]:
             stable_since = math.inf
         elif stable_since == math.inf:
             stable_since = context.time
+        yield
+
+
+def _clear_fault(context: Context) -> Script[None]:
+    """Open once, which clears a fault that the stage latched before this docking; one that comes back ends it."""
+    yield from context.ask(Service.OPEN, PowerStale, _PROBE_TIMEOUT)
+    end = context.time + _OPEN_TIMEOUT
+    while context.observation.power_fault and context.time < end:
         yield
 
 
@@ -92,22 +107,30 @@ def de_energise(context: Context) -> Script[None]:
     Raises:
         ContactorWelded: current still flows, or the power stage no longer says so.
     """
-    closed = context.energise or context.observation.contactor_closed
+    observation = context.observation
+    closed = context.live or observation.contactor_closed or abs(observation.charge_current) >= _ZERO_CURRENT
     context.energise = False
     context.status.charging = False
-    end = context.time + _OPEN_TIMEOUT
-    while closed and not _is_open(context):
+    begun, end = context.time, context.time + _OPEN_TIMEOUT
+    while closed and not _is_open(context, begun):
         if context.time > end:
-            raise ContactorWelded(
-                f"{context.observation.charge_current:.1f} A still flow after the contactor was told to open; switch "
-                "the charger's battery off and replace the contactor"
-            )
+            raise _welded(context)
         yield
+    context.live = False
 
 
-def _is_open(context: Context) -> bool:
+def _welded(context: Context) -> ContactorWelded:
+    if context.observation.power_age > context.parameters.power_age_max:
+        return ContactorWelded("charger_power is silent, so nothing shows that the contactor opened; the arm stays")
+    return ContactorWelded(
+        f"{context.observation.charge_current:.1f} A still flow after the contactor was told to open; switch the "
+        "charger's battery off and replace the contactor"
+    )
+
+
+def _is_open(context: Context, begun: float) -> bool:
     observation = context.observation
-    fresh = observation.power_age < context.parameters.power_age_max
+    fresh = context.time - observation.power_age >= begun + _OPENING
     current = observation.charge_current
     return fresh and not observation.contactor_closed and not abs(current) >= _ZERO_CURRENT
 
@@ -134,14 +157,20 @@ class Watch:
             return NoChargeCurrent(f"the contactor was not closed: {observation.contactor_refusal}")
         if self._was_closed and not observation.contactor_closed:
             return PowerStale("the contactor opened by itself: its lease or heartbeat was lost")
+        if self._was_closed and not math.isfinite(observation.charge_current):
+            return PowerStale("the charge current is not measured any more; check the power stage")
         if observation.charge_current < -_ZERO_CURRENT:
             return ReverseCurrent(f"{observation.charge_current:.1f} A flow out of the target")
         if observation.charge_current > parameters.charge_current_max:
             return ShortCircuit(
                 f"{observation.charge_current:.1f} A exceed the limit of {parameters.charge_current_max} A"
             )
+        if observation.servo_age > _SERVO_SILENT:
+            return ServoFailure("servo_state stopped while the electrodes were live; check the servo bus and servo_node")
+        if not math.isfinite(context.contact.value) or not math.isfinite(context.position[2]):
+            return ServoFailure("the servos' currents or angles are not measured any more; check the servo bus")
         if observation.servo_age <= parameters.press_age_max:
-            lost = context.contact.value < _CONTACT_LOST or context.position[2] < self._z - _RETREAT_LOST
+            lost = context.contact.value < CONTACT_LOST or context.position[2] < self._z - _RETREAT_LOST
             if lost:
                 return NoContact("contact was lost while the electrodes were live; the target moved")
         if not observation.torque_enabled:
@@ -152,15 +181,19 @@ class Watch:
 
 
 def _clearance_checks(context: Context, critical_angle: float) -> Script[None]:
-    """Feel the misalignment again every few seconds; end charging when clearance is gone twice in a row."""
+    """Feel the misalignment every few seconds; end charging when clearance is gone twice, or not felt thrice, in a row."""
     parameters = context.parameters
-    unsafe = 0
+    unsafe = blind = 0
     while True:
         yield from context.wait(parameters.clearance_period)
-        reply = yield from context.ask(Service.ESTIMATE, PowerStale, parameters.measure_timeout, 12)
+        reply = yield from context.ask(Service.ESTIMATE, TactileStale, parameters.measure_timeout, 12)
         estimate = reply.estimate
-        if not reply.success or estimate is None or not estimate.complete or not estimate.sure:
+        if estimate is None or not (estimate.complete and estimate.sure and estimate.in_range):
+            blind += 1
+            if blind >= _BLIND_MAX:
+                raise _blind(reply, blind)
             continue
+        blind = 0
         context.status.estimate = estimate
         lost = judge(estimate, parameters, critical_angle) in (Verdict.CRITICAL, Verdict.TOO_CLOSE)
         unsafe = unsafe + 1 if lost else 0
@@ -169,6 +202,12 @@ def _clearance_checks(context: Context, critical_angle: float) -> Script[None]:
                 f"the target moved while charging: {math.degrees(estimate.angle):.1f}°, "
                 f"{1000 * estimate.vertical:.1f} mm vertical leave no clearance"
             )
+
+
+def _blind(reply: Reply, count: int) -> DockingError:
+    if reply.estimate is None:
+        return TactileStale(f"no misalignment estimate while charging, {count} times in a row: {reply.message}")
+    return EstimateUnsure(f"the tactile estimate stayed unsure while charging, {count} times in a row")
 
 
 def _check_probe(context: Context, reply: Reply) -> None:

@@ -20,6 +20,7 @@ class Service(Enum):
     TORQUE_OFF = "set_torque false"
     TARE = "tare"
     PROBE = "probe"
+    OPEN = "set_contactor false"
     ESTIMATE = "predict_misalignment"
     DETECT = "detect_electrodes"
 

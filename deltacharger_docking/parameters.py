@@ -54,7 +54,9 @@ class DockingParameters:
     release_current: float = _number(2.8, 0.5, 4.1, "current bound of each servo while it pulls off the magnets, A")
     release_time: float = _number(1.0, 0.1, 2.0, "longest pull on the magnets, s")
     hard_current: float = _number(1.0, 0.5, 4.0, "contact current that ends any phase, A")
-    critical_angle: float = _number(math.radians(12.0), 0.01, math.radians(12.05), "angle from which the electrodes would short, rad")
+    critical_angle: float = _number(
+        math.radians(12.0), 0.01, math.radians(12.05), "angle from which the electrodes would short, rad"
+    )
     electrode_half_gap: float = _number(0.0037, 0.0005, 0.02, "half the gap between the two bars, m")
     electrode_half_length: float = _number(0.035, 0.005, 0.1, "half the length of a bar, m")
     clearance_min: float = _number(0.0003, 0.0, 0.005, "clearance that must remain at three standard deviations, m")

@@ -43,11 +43,12 @@ class Charger:
     def dock(self, request: DockRequest | None = None, **options: Any) -> Outcome:
         return self.client.dock(request or DockRequest(PLACE), deadline=DEADLINE, **options)
 
-    def heal(self) -> None:
+    def heal(self) -> bool:
+        """Return whether it is ready for the next scenario."""
         for node in MOCKS:
             self.set_fault(node, "none")
         self.composition.node("mock_servo_node").reboot()
-        self.client.undock(deadline=DEADLINE)
+        return self.client.undock(deadline=DEADLINE).success
 
     def close(self) -> None:
         self.composition.close()
@@ -55,16 +56,21 @@ class Charger:
 
 
 @pytest.fixture(scope="module")
-def shared(quick_scene: Scene, context: Any) -> Iterator[Charger]:
-    charger = Charger(quick_scene, context)
-    yield charger
-    charger.close()
+def shared(quick_scene: Scene, context: Any) -> Iterator[list[Charger]]:
+    """The charger of all scenarios; empty after one that broke it, so that the next starts afresh."""
+    chargers: list[Charger] = []
+    yield chargers
+    for charger in chargers:
+        charger.close()
 
 
 @pytest.fixture
-def charger(shared: Charger) -> Iterator[Charger]:
-    yield shared
-    shared.heal()
+def charger(shared: list[Charger], quick_scene: Scene, context: Any) -> Iterator[Charger]:
+    if not shared:
+        shared.append(Charger(quick_scene, context))
+    yield shared[0]
+    if not shared[0].heal():
+        shared.pop().close()
 
 
 def open_contactor(charger: Charger) -> bool:

@@ -16,7 +16,7 @@ from std_msgs.msg import Empty
 from deltacharger_bringup import node_support
 from deltacharger_bringup.node_support import Spinner, StartupError
 
-from .conftest import wait_until
+from .conftest import DEADLINE, wait_until
 
 
 @pytest.fixture
@@ -26,23 +26,27 @@ def node(context: Any, namespace: str) -> Iterator[Node]:
     node.destroy_node()
 
 
-def test_an_executor_rests_while_a_callback_works_and_messages_wait(node: Node) -> None:
-    began, release = threading.Event(), threading.Event()
+def test_an_executor_rests_while_a_message_waits_for_a_busy_worker(node: Node) -> None:
+    busy, release = threading.Semaphore(0), threading.Event()
 
     def slow(message: Empty) -> None:
-        began.set()
-        release.wait(10.0)
+        busy.release()
+        release.wait(DEADLINE)
 
-    node.create_subscription(Empty, "topic", slow, 1)  # in the node's mutually exclusive group
-    publisher = node.create_publisher(Empty, "topic", 1)
+    workers = 2
+    node.create_subscription(Empty, "topic", slow, 10, callback_group=ReentrantCallbackGroup())
+    publisher = node.create_publisher(Empty, "topic", 10)
     wait_until(lambda: publisher.get_subscription_count() == 1, "the subscription")
-    spinner = Spinner(node)
+    spinner = Spinner(node, workers)
     try:
-        wait_until(lambda: publisher.publish(Empty()) or began.wait(0.02), "the first message")
-        publisher.publish(Empty())
-        busy, wall = time.process_time(), time.monotonic()
+        for _ in range(workers + 1):
+            publisher.publish(Empty())
+        for _ in range(workers):
+            assert busy.acquire(timeout=DEADLINE)
+        publisher.publish(Empty())  # arrives while the one before it waits, and is what woke the original for ever
+        spent, wall = time.process_time(), time.monotonic()
         threading.Event().wait(0.5)
-        share = (time.process_time() - busy) / (time.monotonic() - wall)
+        share = (time.process_time() - spent) / (time.monotonic() - wall)
     finally:
         release.set()
         spinner.close()

@@ -34,7 +34,10 @@ def test_nodes_in_processes_dock_and_end_with_0(
     with ChargerClient(namespace, context) as client:
         assert client.wait_until_ready(DEADLINE), {name: each.err for name, each in processes.items()}
         if number == signal.SIGINT:
-            outcome = client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), deadline=DEADLINE)
+            request = DockRequest(Pose(0.0, 0.0, 0.080))
+            outcome = client.dock(request, deadline=DEADLINE)
+            if outcome.retriable:  # a process that starts late can make the first goal fail
+                outcome = client.dock(request, deadline=DEADLINE)
             assert outcome.success, (outcome, {name: each.err for name, each in processes.items()})
     for name in reversed(quick_scene.start_order()):
         assert processes[name].end(number) == 0, (name, processes[name].err)

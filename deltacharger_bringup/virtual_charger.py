@@ -1,0 +1,223 @@
+"""A charger in virtual time: the real state machine, the simulated world, no ROS, no ports and no waiting.
+
+Between them stands what the nodes do: the servo goal at 100 Hz, services that take their time, the contactor's lease.
+The machine gets only what the robot's topics carry.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.codes import State
+from deltacharger_docking.machine import DockingMachine
+from deltacharger_docking.observation import (
+    Detection,
+    DockGoal,
+    Observation,
+    Outcome,
+    Reply,
+    Request,
+    Service,
+    Waypoint,
+)
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.statics import TORQUE_CONSTANT
+from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.shared_world import SharedWorld
+from deltacharger_sim.world import World
+from deltacharger_tactile import default_model
+from deltacharger_tactile.source import ContactSource
+
+TICK = 0.01
+FRAME = 1.0 / 120.0
+GOAL = Detection((0.0, 0.0, 0.080), 0.0)
+
+
+@dataclass
+class _Pending:
+    request: Request
+    due: float
+    frames: list[np.ndarray]
+
+
+class VirtualCharger:
+    """Steps everything by 10 ms; `distort` may change each observation to stage a fault."""
+
+    def __init__(
+        self,
+        world: WorldParameters | None = None,
+        parameters: DockingParameters | None = None,
+        seed: int = 1,
+        rig_seed: int = 900,
+    ) -> None:
+        self.now = 0.0
+        world = world or WorldParameters()
+        self.parameters = parameters or DockingParameters(servo_stiffness=world.servo.stiffness)
+        self.world = World(world, ContactSource(None, rig_seed, seed), seed)
+        self.plant = SharedWorld(self.world, clock=lambda: self.now)
+        self.machine = DockingMachine(self.parameters)
+        self.distort: Callable[[Observation], Observation] = lambda observation: observation
+        self.answer: dict[Service, Callable[[Reply], Reply | None]] = {}
+        self.states: list[State] = []
+        self.outcome: Outcome | None = None
+        self._model = default_model()
+        self._tare = np.zeros((2, 10, 10))
+        self._tared = False
+        self._torque = False
+        self._trajectory: tuple[Waypoint, ...] = ()
+        self._started = 0.0
+        self._goal = [0.0, 0.0, 0.0]
+        self._from = [0.0, 0.0, 0.0]
+        self._bound = [0.83] * 3
+        self._pending: list[_Pending] = []
+        self._replies: list[Reply] = []
+        self._energised = False
+        self._frame = np.zeros((2, 10, 10))
+        self._frame_at = -math.inf
+
+    def dock(self, goal: DockGoal | None = None, limit: float = 240.0) -> Outcome:
+        """Serve a Dock goal to its end."""
+        self.begin(goal or DockGoal(GOAL))
+        return self.finish(limit)
+
+    def begin(self, goal: DockGoal) -> None:
+        """Start a Dock goal; raises what the machine refuses."""
+        self.outcome = None
+        self.machine.start_dock(goal, self.observe())
+
+    def undock(self, limit: float = 60.0) -> Outcome:
+        """Serve an Undock goal to its end."""
+        self.outcome = None
+        self.machine.start_undock("", self.observe())
+        return self.finish(limit)
+
+    def finish(self, limit: float) -> Outcome:
+        """Step until the goal has an outcome."""
+        self.until(lambda: self.outcome is not None, limit)
+        assert self.outcome is not None
+        return self.outcome
+
+    def until(self, condition: Callable[[], bool], limit: float) -> None:
+        """Step until `condition` holds; fail after `limit` simulated seconds."""
+        end = self.now + limit
+        while not condition():
+            assert self.now < end, f"not reached within {limit} s; state {self.machine.status.state.name}"
+            self.tick()
+
+    def run(self, seconds: float) -> None:
+        """Step for a while."""
+        end = self.now + seconds
+        while self.now < end:
+            self.tick()
+
+    def tick(self) -> None:
+        """Advance by 10 ms."""
+        self.now += TICK
+        self._servos()
+        self._sample()
+        self._serve()
+        command = self.machine.step(self.distort(self.observe()))
+        self._replies = []
+        if command.trajectory is not None:
+            self._trajectory = command.trajectory
+            self._started = self.now
+            self._from = list(self._goal)
+            if not command.trajectory:
+                self._goal = self._angles()
+        for request in command.requests:
+            self._accept(request)
+        if command.energise != self._energised:
+            self._energised = command.energise
+            if command.energise:
+                self.plant.close_contactor()
+            else:
+                self.plant.open_contactor(True)
+        if not self.states or self.states[-1] is not self.machine.status.state:
+            self.states.append(self.machine.status.state)
+        if self.machine.outcome is not None:
+            self.outcome, self.machine.outcome = self.machine.outcome, None
+
+    def observe(self) -> Observation:
+        """Return what the topics would tell."""
+        readings = [self.plant.read_servo(index) for index in range(3)]
+        _, target, current, closed, fault = self.plant.read_power()
+        return Observation(
+            time=self.now,
+            angles=tuple(reading[0] for reading in readings),
+            currents=tuple(round(reading[2] / 0.00336) * 0.00336 for reading in readings),
+            servo_age=0.0,
+            servos_valid=True,
+            torque_enabled=self._torque,
+            tactile_age=0.0,
+            tactile_contact=bool(np.nanmax(self._frame) >= 1.0),
+            tared=self._tared,
+            power_age=0.0,
+            contactor_closed=closed,
+            charge_current=current,
+            target_voltage=target,
+            power_fault=fault,
+            replies=tuple(self._replies),
+        )
+
+    def _angles(self) -> list[float]:
+        return [self.plant.read_servo(index)[0] for index in range(3)]
+
+    def _servos(self) -> None:
+        elapsed, previous, since = self.now - self._started, self._from, 0.0
+        for point in self._trajectory:
+            self._bound = [torque / TORQUE_CONSTANT for torque in point.torque_bound]
+            if elapsed < point.time:
+                share = (elapsed - since) / (point.time - since)
+                self._goal = [a + share * (b - a) for a, b in zip(previous, point.angles, strict=True)]
+                break
+            self._goal, previous, since = list(point.angles), list(point.angles), point.time
+        for index in range(3):
+            self.plant.command_servo(index, self._torque, self._goal[index], self._bound[index])
+
+    def _sample(self) -> None:
+        if self.now - self._frame_at < FRAME:
+            return
+        self._frame_at = self.now
+        raw = np.stack(self.plant.read_taxels())
+        self._frame = np.maximum(raw - self._tare, 0.0)
+        for pending in self._pending:
+            pending.frames.append(raw if pending.request.service is Service.TARE else self._frame)
+
+    def _accept(self, request: Request) -> None:
+        delay = {Service.TARE: 0.2, Service.PROBE: 0.2, Service.ESTIMATE: (request.frames + 1) * FRAME}
+        self._pending.append(_Pending(request, self.now + delay.get(request.service, 0.02), []))
+
+    def _serve(self) -> None:
+        for pending in [pending for pending in self._pending if self.now >= pending.due]:
+            self._pending.remove(pending)
+            reply: Reply | None = self._reply(pending)
+            if pending.request.service in self.answer:
+                reply = self.answer[pending.request.service](reply)
+            if reply is not None:
+                self._replies.append(reply)
+
+    def _reply(self, pending: _Pending) -> Reply:
+        number, service = pending.request.number, pending.request.service
+        if service in (Service.TORQUE_ON, Service.TORQUE_OFF):
+            self._torque = service is Service.TORQUE_ON
+            self._trajectory, self._goal = (), self._angles()
+        elif service is Service.TARE:
+            self._tare, self._tared = np.mean(pending.frames, axis=0), True
+        elif service is Service.PROBE:
+            ohm, volt = self.plant.probe()
+            return Reply(number, True, resistance=ohm, target_voltage=volt)
+        elif service is Service.ESTIMATE:
+            left, right = np.mean(pending.frames, axis=0)
+            felt = self._model.predict(left, right)
+            names = ("angle", "angle_stddev", "vertical", "vertical_stddev", "horizontal", "horizontal_stddev")
+            values = [float(getattr(felt, name)) for name in names]
+            estimate = Estimate(*values, bool(felt.contact), bool(felt.sure), bool(felt.in_range))
+            return Reply(number, True, estimate=estimate)
+        elif service is Service.DETECT:
+            return Reply(number, True, detection=GOAL)
+        return Reply(number, True)

@@ -1,0 +1,244 @@
+"""What attacks on docking found, in virtual time: each of these once left current on, an arm stuck or a goal hanging."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from deltacharger_docking.codes import Busy, Code, State
+from deltacharger_docking.machine import DockingMachine
+from deltacharger_docking.observation import DockGoal, Observation, Reply, Service
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_sim.parameters import CircuitParameters, ContactParameters, TargetParameters, WorldParameters
+
+_spec = importlib.util.spec_from_file_location("virtual_charger", Path(__file__).with_name("virtual_charger.py"))
+assert _spec is not None
+assert _spec.loader is not None
+_module = importlib.util.module_from_spec(_spec)
+sys.modules["virtual_charger"] = _module
+_spec.loader.exec_module(_module)
+VirtualCharger, GOAL = _module.VirtualCharger, _module.GOAL
+
+NAN = math.nan
+
+
+def charger(parameters: DockingParameters | None = None, **world: object) -> VirtualCharger:
+    """A charger whose target stands a little beside the goal."""
+    target = TargetParameters(x=0.003, y=-0.002, roll=math.radians(2.0))
+    return VirtualCharger(WorldParameters(target=target, **world), parameters)
+
+
+def charging(**kwargs: object) -> VirtualCharger:
+    run = charger(**kwargs)
+    assert run.dock().success
+    assert run.world.snapshot().contactor_closed
+    return run
+
+
+def until_open(run: VirtualCharger, limit: float = 30.0) -> float:
+    """Return how long (s) the contactor stayed closed from now on."""
+    start = run.now
+    run.until(lambda: not run.world.snapshot().contactor_closed, limit)
+    return float(run.now - start)
+
+
+def until_idle(run: VirtualCharger) -> None:
+    run.until(lambda: run.machine.status.state is State.IDLE, 40.0)
+
+
+def test_a_servo_node_that_falls_silent_opens_before_a_third_of_a_second() -> None:
+    run = charging()
+    start = run.now
+    run.distort = lambda observation: replace(observation, servo_age=run.now - start)
+    assert until_open(run) <= 0.3
+    run.run(2.0)
+    assert run.machine.status.code is Code.SERVO_FAULT
+
+
+@pytest.mark.parametrize(
+    ("values", "code"),
+    [
+        ({"charge_current": NAN}, Code.POWER_STALE),
+        ({"currents": (NAN, NAN, NAN)}, Code.SERVO_FAULT),
+    ],
+)
+def test_what_is_not_measured_any_more_ends_charging(values: dict[str, object], code: Code) -> None:
+    run = charging()
+    run.distort = lambda observation: replace(observation, **values)
+    assert until_open(run, 1.0) <= 0.3
+    assert run.machine.status.code is code
+
+
+@pytest.mark.parametrize(
+    ("answer", "code"),
+    [
+        (lambda reply: Reply(reply.number, False, "no node serves predict_misalignment"), Code.TACTILE_STALE),
+        (lambda reply: None, Code.TACTILE_STALE),
+        (lambda reply: replace(reply, estimate=replace(reply.estimate, sure=False)), Code.ESTIMATE_UNSURE),
+        (lambda reply: replace(reply, estimate=replace(reply.estimate, in_range=False)), Code.ESTIMATE_UNSURE),
+    ],
+)
+def test_charging_ends_when_nobody_feels_the_clearance(
+    answer: Callable[[Reply], Reply | None], code: Code
+) -> None:
+    run = charging()
+    run.answer[Service.ESTIMATE] = answer
+    until_open(run, 15.0)
+    assert run.machine.status.code is code
+
+
+def test_one_unsure_estimate_does_not_end_charging() -> None:
+    run = charging()
+    left = [2]
+
+    def doubt(reply: Reply) -> Reply:
+        left[0] -= 1
+        assert reply.estimate is not None
+        return replace(reply, estimate=replace(reply.estimate, sure=left[0] < 0))
+
+    run.answer[Service.ESTIMATE] = doubt
+    run.run(12.0)
+    assert run.machine.status.charging
+
+
+def test_electrodes_on_a_welded_contactor_are_not_pulled_apart_by_the_next_goal() -> None:
+    run = charging(circuit=CircuitParameters(welded=True))
+    assert run.undock().code is Code.CONTACTOR_WELDED
+    assert run.dock().code is Code.CONTACTOR_WELDED
+    run.run(1.0)
+    assert run.world.record.parted_live == 0
+    assert run.observe().torque_enabled
+
+
+def test_a_failure_right_after_the_close_waits_until_the_contactor_is_open() -> None:
+    """The close takes its way and charger_power comes late, so the first messages still tell of an open contactor."""
+    run = charger()
+    late: list[tuple[float, Callable[[], None]]] = []
+    plant, close, open_ = run.plant, run.plant.close_contactor, run.plant.open_contactor
+    plant.close_contactor = lambda: late.append((run.now + 0.04, close))
+    plant.open_contactor = lambda ramp: late.append((run.now + 0.04, lambda: open_(ramp)))
+    seen: list[Observation] = []
+
+    def delay(observation: Observation) -> Observation:
+        for item in [item for item in late if item[0] <= run.now]:
+            late.remove(item)
+            item[1]()
+        seen.append(observation)
+        old = seen[max(len(seen) - 8, 0)]
+        power = {name: getattr(old, name) for name in ("contactor_closed", "charge_current", "power_fault")}
+        return replace(observation, power_age=observation.time - old.time, **power)
+
+    run.distort = delay
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.machine._context.energise, 120.0)
+    run.machine.cancel()
+    assert run.finish(30.0).code is Code.CANCELED
+    assert run.world.record.parted_live == 0
+    assert run.world.record.unpowered_live == 0
+
+
+def test_a_goal_while_the_arm_goes_back_by_itself_is_refused() -> None:
+    run = charging()
+    run.distort = lambda observation: replace(observation, charge_current=0.0)
+    run.run(0.03)
+    run.distort = lambda observation: observation
+    assert run.machine.status.state is State.RETRACT
+    for start_charging in (True, False):
+        with pytest.raises(Busy):
+            run.machine.start_dock(DockGoal(GOAL, start_charging=start_charging), run.observe())
+    until_idle(run)
+    assert not run.observe().torque_enabled
+    assert run.dock().success
+
+
+@pytest.mark.parametrize("fault", [{"servo_age": 0.2}, {"angles": (NAN, NAN, NAN), "servos_valid": False}])
+def test_the_way_back_ends_whatever_the_servos_say(fault: dict[str, object]) -> None:
+    run = charger(DockingParameters(retract_timeout=3.0))
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.machine.status.state is State.MEASURE, 60.0)
+    run.machine.cancel()
+    run.distort = lambda observation: replace(observation, **fault)
+    assert run.finish(8.0).code is Code.CANCELED
+    run.run(0.1)
+    assert not run.observe().torque_enabled
+
+
+def test_soft_electrodes_are_pulled_off_before_the_arm_goes_home() -> None:
+    run = charger(contact=ContactParameters(stiffness=4e3))
+    assert run.dock(DockGoal(GOAL, start_charging=False)).success
+    outcome = run.undock()
+    away = math.dist(run.world.snapshot().position, run.parameters.home)
+    assert outcome.success == (away < 0.004), "success only at home"
+    assert outcome.success
+
+
+def test_holding_a_goal_is_not_limited_by_the_time_to_dock() -> None:
+    run = charger(DockingParameters(goal_timeout=30.0))
+    assert run.dock(DockGoal(GOAL, hold=True, stop_after=25.0)).success
+
+
+def test_torque_lost_while_pressing_ends_the_goal_at_once() -> None:
+    """Else the command would run on to the arm's limit, and pressing would resume from there."""
+    run = charger()
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.machine.status.state is State.CONTACT, 60.0)
+    run.distort = lambda observation: replace(observation, torque_enabled=False)
+    assert run.finish(2.0).code is Code.SERVO_FAULT
+
+
+def test_undocking_with_the_torque_left_on_is_no_success() -> None:
+    run = charging()
+    serve = run._reply
+    run._reply = lambda pending: (
+        Reply(pending.request.number, False, "out of order")
+        if pending.request.service is Service.TORQUE_OFF
+        else serve(pending)
+    )
+    assert run.undock().code is Code.SERVO_FAULT
+
+
+def test_a_docking_node_that_was_restarted_lifts_off_before_it_tares() -> None:
+    run = charging()
+    run.machine = DockingMachine(run.parameters)
+    run.run(0.2)
+    contacts, touching = run.world.record.contacts, []
+
+    def tare(reply: Reply) -> Reply:
+        touching.append(run.world.snapshot().contact_force > 0.0)
+        return reply
+
+    run.answer[Service.TARE] = tare
+    assert run.dock().success
+    assert touching == [False]
+    assert run.world.record.contacts > contacts
+
+
+def test_a_fault_latched_before_docking_is_cleared_once() -> None:
+    run = charger()
+    latched = [True]
+
+    def clear(reply: Reply) -> Reply:
+        latched[0] = False
+        return reply
+
+    run.answer[Service.OPEN] = clear
+    run.distort = lambda observation: replace(observation, power_fault=8) if latched[0] else observation
+    assert run.dock().success
+
+
+def test_docked_without_charging_is_watched_over() -> None:
+    run = charger()
+    assert run.dock(DockGoal(GOAL, start_charging=False)).success
+    contacts = run.world.record.contacts
+    assert run.dock(DockGoal(GOAL, start_charging=False)).success
+    assert run.world.record.contacts == contacts, "docking when docked moves nothing"
+    run.distort = lambda observation: replace(observation, hardware_error=32)
+    run.until(lambda: run.machine.status.code is Code.SERVO_FAULT, 1.0)
+    run.run(0.5)
+    assert not run.observe().torque_enabled
