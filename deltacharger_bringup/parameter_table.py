@@ -12,8 +12,8 @@ _OWN = ("use_sim_time", "start_type_description_service")  # every ROS node has 
 _PORT = "set per scene"
 _HEAD = """# Parameters
 
-Every parameter of every node, from their declarations. All are fixed once a node runs, unless said otherwise. A value outside
-its bounds and an unknown name stop the node at start with exit code 2 and the parameter's name.
+Every parameter of every node, from their declarations. All are fixed once a node runs, unless said otherwise. A value
+outside its bounds and an unknown name stop the node at start with exit code 2 and the parameter's name.
 """
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -36,6 +36,11 @@ from deltacharger_tactile.source import ContactSource
 TICK = 0.01
 FRAME = 1.0 / 120.0
 GOAL = Detection((0.0, 0.0, 0.080), 0.0)
+
+
+def _counts(current: float) -> float:
+    """Return a current (A) as the servo's register resolves it: counts of 3.36 mA."""
+    return round(current / 0.00336) * 0.00336
 
 
 @dataclass
@@ -148,8 +153,8 @@ class VirtualCharger:
         _, target, current, closed, fault = self.plant.read_power()
         return Observation(
             time=self.now,
-            angles=tuple(reading[0] for reading in readings),
-            currents=tuple(round(reading[2] / 0.00336) * 0.00336 for reading in readings),
+            angles=(readings[0][0], readings[1][0], readings[2][0]),
+            currents=(_counts(readings[0][2]), _counts(readings[1][2]), _counts(readings[2][2])),
             servo_age=0.0,
             servos_valid=True,
             torque_enabled=self._torque,
@@ -195,11 +200,11 @@ class VirtualCharger:
     def _serve(self) -> None:
         for pending in [pending for pending in self._pending if self.now >= pending.due]:
             self._pending.remove(pending)
-            reply: Reply | None = self._reply(pending)
-            if pending.request.service in self.answer:
-                reply = self.answer[pending.request.service](reply)
-            if reply is not None:
-                self._replies.append(reply)
+            answer: Reply | None = self._reply(pending)
+            if pending.request.service in self.answer and answer is not None:
+                answer = self.answer[pending.request.service](answer)
+            if answer is not None:
+                self._replies.append(answer)
 
     def _reply(self, pending: _Pending) -> Reply:
         number, service = pending.request.number, pending.request.service
@@ -214,9 +219,7 @@ class VirtualCharger:
         elif service is Service.ESTIMATE:
             left, right = np.mean(pending.frames, axis=0)
             felt = self._model.predict(left, right)
-            names = ("angle", "angle_stddev", "vertical", "vertical_stddev", "horizontal", "horizontal_stddev")
-            values = [float(getattr(felt, name)) for name in names]
-            estimate = Estimate(*values, bool(felt.contact), bool(felt.sure), bool(felt.in_range))
+            estimate = Estimate(**{item.name: getattr(felt, item.name) for item in fields(Estimate)})
             return Reply(number, True, estimate=estimate)
         elif service is Service.DETECT:
             return Reply(number, True, detection=GOAL)

@@ -145,7 +145,7 @@ class Context:
             yield
 
     def _is_released(self, z: float) -> bool:
-        """Return whether the platform, at `z` m before the pull, has come off; a soft electrode follows a little way."""
+        """Return whether the platform, at `z` m before the pull, has come off; soft electrodes follow a little."""
         retreat = z - self.position[2]
         observation = self.observation
         held = observation.tactile_contact and observation.tactile_age <= self.parameters.tactile_age_max

@@ -40,7 +40,6 @@ _TICK = 0.02  # s; pace where servo_state does not come
 _FEEDBACK = 0.2  # s between feedbacks without a change
 _DIAGNOSTICS = 1.0  # s
 _OPEN_TIMEOUT = 0.6  # s to see the contactor open when the node closes
-_FIRST_INPUTS = 2.0  # s that the first goal waits for topics which have only just been discovered
 _TORQUE_DELAY = 0.5  # s from an opening after a defect to torque off
 _TORQUE_TIMEOUT = 1.0  # s to see the torque go off; servo_node waits 0.5 s before it switches it off
 
@@ -324,7 +323,6 @@ class DockingNode(Node):
 
     def _serve_goal(self, goal: _Goal, start: Any) -> Outcome:
         """Start a goal, wait for its end in this callback's own thread, and set the handle's final state."""
-        self._inputs.wait_until_heard(_FIRST_INPUTS)
         try:
             with self._lock:
                 if self._closed:

@@ -77,12 +77,6 @@ class Inputs:
         self._power_time = time.monotonic() - self._age_at_arrival(message.header.stamp)
         self._power = message
 
-    def wait_until_heard(self, timeout: float) -> None:
-        """Wait at most `timeout` s for a first message on every topic; at once where all have spoken."""
-        end = time.monotonic() + timeout
-        while None in (self._servo, self._tactile, self._power) and time.monotonic() < end:
-            time.sleep(0.02)
-
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:
         """Return what is known now."""
         now = time.monotonic()

@@ -166,7 +166,9 @@ class Watch:
                 f"{observation.charge_current:.1f} A exceed the limit of {parameters.charge_current_max} A"
             )
         if observation.servo_age > _SERVO_SILENT:
-            return ServoFailure("servo_state stopped while the electrodes were live; check the servo bus and servo_node")
+            return ServoFailure(
+                "servo_state stopped while the electrodes were live; check the servo bus and servo_node"
+            )
         if not math.isfinite(context.contact.value) or not math.isfinite(context.position[2]):
             return ServoFailure("the servos' currents or angles are not measured any more; check the servo bus")
         if observation.servo_age <= parameters.press_age_max:
@@ -181,7 +183,7 @@ class Watch:
 
 
 def _clearance_checks(context: Context, critical_angle: float) -> Script[None]:
-    """Feel the misalignment every few seconds; end charging when clearance is gone twice, or not felt thrice, in a row."""
+    """Feel the misalignment every few seconds; end charging when clearance is gone twice or unknown thrice in a row."""
     parameters = context.parameters
     unsafe = blind = 0
     while True:

@@ -1,0 +1,424 @@
+"""The docking state machine: Algorithm 1 of the paper and its reverse.
+
+`step` takes an observation and returns a command; it reads no clock, opens no port and never blocks. The node around it
+calls it at the servo state's rate and carries the commands out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+from dataclasses import replace
+
+from deltacharger_docking.align_script import Alignment
+from deltacharger_docking.codes import (
+    Busy,
+    Canceled,
+    Code,
+    ContactorWelded,
+    CriticalAngle,
+    DetectionStale,
+    DockingError,
+    ElectrodesNotFound,
+    NoContact,
+    Overcurrent,
+    PhaseTimeout,
+    Rejected,
+    ServoFailure,
+    State,
+    Stuck,
+    TactileStale,
+    Unreachable,
+)
+from deltacharger_docking.contact_script import approach, contact, first_push
+from deltacharger_docking.context import Context, Script
+from deltacharger_docking.energy_script import CONTACT_LOST, charge, de_energise, energise
+from deltacharger_docking.observation import Command, Detection, DockGoal, Observation, Outcome, Service, Status
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+
+_FIRST_DATA = 3.0  # s that nodes which have just started may take to be heard
+_SERVICE_TIMEOUT = 3.0  # s for services that answer at once
+_FREE_CURRENT = 0.06  # A of contact current either way that tells contact or magnets from free air
+_NEEDS_TORQUE = (State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
+_DOCK_DISTANCE = 0.080  # m; where the electrodes should stand before the robot (paper: (0, 0, 80) mm)
+
+
+class DockingMachine:
+    """Serves one goal at a time; `status` and `outcome` tell the shell how it stands.
+
+    Args:
+        parameters: what it decides by.
+        geometry: the delta's dimensions.
+    """
+
+    def __init__(self, parameters: DockingParameters, geometry: DeltaGeometry | None = None) -> None:
+        self.parameters = parameters
+        self._context = Context(parameters, geometry or DeltaGeometry())
+        self._script: Generator[None, None, None] | None = None
+        self._cancel = False
+        self._interruptible = False
+        self._supervising = False
+        self._started = 0.0
+        self._goal_deadline = math.inf
+        self._alignment: Alignment | None = None
+        self.outcome: Outcome | None = None
+
+    @property
+    def status(self) -> Status:
+        """Present state, for feedback and docking_state."""
+        return self._context.status
+
+    @property
+    def busy(self) -> bool:
+        """Whether a goal is being served; supervision after success leaves the machine free for the next goal."""
+        return self._script is not None and not self._supervising
+
+    def start_dock(self, goal: DockGoal, observation: Observation) -> None:
+        """Begin to dock.
+
+        Raises:
+            Rejected: the goal cannot be served; nothing moved.
+            Unreachable: the electrodes lie outside the workspace.
+        """
+        self._refuse_bad_goal(goal)
+        self._begin(goal.request_id, observation)
+        if self._supervising and self.status.docked and (self.status.charging or not goal.start_charging):
+            self._finish(self._success("already docked"))
+            return
+        self._leave_supervision()
+        self._script = self._guarded(self._dock(goal))
+
+    def start_undock(self, request_id: str, observation: Observation) -> None:
+        """Begin to stop charging and take the arm back.
+
+        Raises:
+            Busy: another goal is being served.
+        """
+        if self.busy:
+            raise Busy("another goal is being served; cancel it or wait for its result")
+        self._begin(request_id, observation)
+        self._leave_supervision()
+        self._script = self._guarded(self._undock())
+
+    def cancel(self) -> None:
+        """Let the goal end with CANCELED as soon as it can; the arm still retracts."""
+        self._cancel = True
+
+    def step(self, observation: Observation) -> Command:
+        """Advance by one tick and return what to do."""
+        context = self._context
+        context.observe(observation)
+        context.status.elapsed = observation.time - self._started
+        if self._script is not None:
+            self._advance()
+        return context.command()
+
+    def emergency(self) -> Command:
+        """Return the command that leaves everything safe at once, and forget the goal: for a shell that must end."""
+        self._script = None
+        self._supervising = False
+        self._context.energise = False
+        self._context.status.charging = False
+        self._context.status.state = State.IDLE
+        if self._context.observation.torque_enabled:
+            self._context.hold()
+        return self._context.command()
+
+    def _advance(self) -> None:
+        assert self._script is not None
+        try:
+            problem = self._problem()
+            if problem is None:
+                next(self._script)
+            else:
+                self._script.throw(problem)
+        except StopIteration:
+            self._script = None
+            self._supervising = False
+
+    def _problem(self) -> DockingError | None:
+        """Return what must interrupt the script now."""
+        if not self._interruptible:
+            return self._context.expired()  # even the way back ends
+        context, observation, parameters = self._context, self._context.observation, self.parameters
+        if self._cancel:
+            self._cancel = False
+            return Canceled("cancelled by the client")
+        starting = observation.servo_age == math.inf and observation.time - self._started < _FIRST_DATA
+        if observation.servo_age > parameters.servo_age_max and not starting:
+            return ServoFailure(f"servo_state is {observation.servo_age:.1f} s old; check the servo bus and servo_node")
+        if observation.hardware_error:
+            return ServoFailure(
+                f"a servo reports hardware error {observation.hardware_error:#04x}; remove the cause, then call "
+                "reboot_servos"
+            )
+        if context.contact.value > parameters.hard_current:
+            return Overcurrent(f"contact current is {context.contact.value:.2f} A, above {parameters.hard_current} A")
+        if (
+            context.status.state in (State.CONTACT, State.MEASURE)
+            and observation.tactile_age > parameters.tactile_age_max
+        ):
+            return TactileStale("tactile frames stopped; check the board's cable and tactile_node")
+        if context.status.state in _NEEDS_TORQUE and not observation.torque_enabled:
+            return ServoFailure("the servos lost their torque; look at the diagnostics of servo_node")
+        if not self._supervising and observation.time > self._goal_deadline:
+            return PhaseTimeout(f"docking took longer than goal_timeout, {parameters.goal_timeout:.0f} s")
+        return context.expired()
+
+    def _refuse_bad_goal(self, goal: DockGoal) -> None:
+        if self.busy:
+            raise Busy("another goal is being served; cancel it or wait for its result")
+        limit = self.parameters.critical_angle
+        if not math.isfinite(goal.critical_angle) or goal.critical_angle < 0.0:
+            raise Rejected(f"critical_angle is {goal.critical_angle}: give rad ≥ 0 (0 = the parameter)")
+        if goal.critical_angle > limit:
+            raise Rejected(
+                f"critical_angle may only be lowered; the limit is {limit:.4f} rad, not {goal.critical_angle}"
+            )
+        for name in ("stop_energy", "stop_after"):
+            value = getattr(goal, name)
+            if not math.isfinite(value) or value < 0.0:
+                raise Rejected(f"{name} is {value}: give a finite number ≥ 0 (0 = none)")
+        if goal.electrodes is not None:
+            self._check_place(goal.electrodes)
+
+    def _check_place(self, electrodes: Detection) -> None:
+        x, y, z = electrodes.position
+        if not all(math.isfinite(value) for value in (x, y, z, electrodes.roll)):
+            raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
+        wrong = self._context.planner.reachable((x, y, z), (x, y, z - self.parameters.standoff))
+        if wrong:
+            raise Unreachable(
+                f"the electrodes are out of the arm's reach, {wrong}; move the robot to suggested_base_pose", (x, y, z)
+            )
+
+    def _begin(self, request_id: str, observation: Observation) -> None:
+        context = self._context
+        context.observe(observation)
+        self._started = observation.time
+        self._goal_deadline = observation.time + self.parameters.goal_timeout
+        self._cancel = False
+        self.outcome = None
+        context.deadline = math.inf
+        context.status.request_id = request_id
+        context.status.code = Code.NONE
+        context.status.message = ""
+
+    def _leave_supervision(self) -> None:
+        """End watching over a charging target; the contactor stays as it is for the script that follows."""
+        if self._script is not None:
+            self._script.close()
+            self._script = None
+        self._supervising = False
+
+    def _guarded(self, script: Script[None]) -> Generator[None, None, None]:
+        """Run a goal's script; whatever ends it, open the contactor and take the arm back, keeping the first error."""
+        context = self._context
+        self._interruptible = True
+        try:
+            yield from script
+            return
+        except DockingError as error:
+            first = error
+        finally:
+            self._interruptible = False
+        context.status.code, context.status.message = first.code, str(first)
+        # From here on the machine is busy: a goal that came now would cut the way back short.
+        supervising, self._supervising = self._supervising, False
+        try:
+            yield from self._retract()
+            context.status.docked = False
+        except ContactorWelded as error:
+            # Torque stays on: pulling or letting go of live electrodes would draw an arc.
+            if not isinstance(first, ContactorWelded):
+                context.status.message = f"{first}; then {error}"
+            context.hold()
+        except DockingError as error:
+            context.status.message = f"{first}; then {error}"
+            context.status.docked = False
+            context.hold()
+            context.tell(Service.TORQUE_OFF)
+        context.status.charging = False
+        context.enter(State.IDLE, math.inf)
+        if not supervising:
+            self._finish(self._failure(first))
+
+    def _dock(self, goal: DockGoal) -> Script[None]:
+        """Algorithm 1."""
+        context, parameters = self._context, self.parameters
+        context.status.alignments = 0
+        context.status.estimate = None
+        context.energy = 0.0
+        limit = goal.critical_angle or parameters.critical_angle
+        electrodes = goal.electrodes if goal.electrodes is not None else (yield from self._locate())
+        if abs(electrodes.roll) + 2.0 * electrodes.roll_stddev >= limit:
+            raise CriticalAngle(
+                f"the electrodes are rolled by {math.degrees(electrodes.roll):.1f}° already in the given pose; "
+                "level the target or the charger"
+            )
+        yield from self._prepare()
+        target, depth = electrodes.position, electrodes.position[2] + parameters.search_depth
+        yield from approach(context, target)
+        if parameters.approach == "paper":
+            yield from first_push(context, target)
+        yield from contact(context, depth)
+        self._alignment = Alignment(context, limit, depth)
+        yield from self._alignment.run()
+        context.status.docked = True
+        if not goal.start_charging:
+            self._finish(self._success("aligned contact; charging was not asked for"))
+            yield from self._supervise_contact()
+            return
+        yield from energise(context)
+        yield from self._charge(goal, limit)
+
+    def _charge(self, goal: DockGoal, limit: float) -> Script[None]:
+        """Report success, or hold the goal, and watch over charging."""
+        context = self._context
+        context.status.charging = True
+        self._goal_deadline = math.inf
+        if not goal.hold:
+            context.status.state = State.CHARGING
+            self._finish(self._success("charging"))
+            self._supervising = True
+        yield from charge(context, goal, limit)
+        yield from de_energise(context)
+        if goal.hold:
+            self._finish(self._success("the stop condition was met"))
+        yield from self._supervise_contact()
+
+    def _supervise_contact(self) -> Script[None]:
+        """Stay docked without current until the next goal; go back when the target leaves."""
+        context = self._context
+        self._supervising = True
+        context.enter(State.IDLE, math.inf)
+        while context.observation.torque_enabled:
+            if context.contact.value < CONTACT_LOST:
+                raise NoContact("contact was lost after docking; the target moved")
+            yield
+
+    def _undock(self) -> Script[None]:
+        context = self._context
+        yield from self._retract()
+        context.status.docked = False
+        context.enter(State.IDLE, math.inf)
+        self._finish(Outcome(True, Code.NONE, "undocked"))
+
+    def _locate(self) -> Script[Detection]:
+        """Ask the camera where the electrodes are."""
+        context, parameters = self._context, self.parameters
+        context.enter(State.LOCATE, parameters.locate_timeout + 1.0)
+        reply = yield from context.ask(Service.DETECT, ElectrodesNotFound, parameters.locate_timeout)
+        if not reply.success or reply.detection is None:
+            raise ElectrodesNotFound(f"no electrodes were found: {reply.message}")
+        if reply.detection.age > parameters.detection_age_max:
+            raise DetectionStale(
+                f"the detection is {reply.detection.age:.1f} s old, more than {parameters.detection_age_max:.1f} s"
+            )
+        self._check_place(reply.detection)
+        return reply.detection
+
+    def _prepare(self) -> Script[None]:
+        """Switch the torque on and tare the pads, both in free air."""
+        context = self._context
+        context.enter(State.APPROACH, self.parameters.approach_timeout)
+        while math.inf in (context.observation.servo_age, context.observation.tactile_age):
+            if context.time - self._started > _FIRST_DATA:
+                break
+            yield
+        if context.observation.servo_age > self.parameters.servo_age_max:
+            raise ServoFailure("servo_state is missing or stale; is servo_node running and its bus connected?")
+        if context.observation.tactile_age > self.parameters.tactile_age_max:
+            raise TactileStale("no tactile frames; check the board's cable and tactile_node")
+        yield from de_energise(context)  # nothing is pulled off a contactor that welded in an earlier goal
+        context.commanded = context.position
+        if not context.observation.torque_enabled:
+            yield from self._torque_on()
+            while not context.observation.torque_enabled:
+                yield
+        context.commanded = context.position
+        # After a restart nobody remembers having docked; the pads do.
+        if context.status.docked or (context.observation.tared and context.observation.tactile_contact):
+            yield from self._lift_off()
+        reply = yield from context.ask(Service.TARE, TactileStale, _SERVICE_TIMEOUT)
+        if not reply.success:
+            raise TactileStale(f"the pads were not tared: {reply.message}; they must be free before docking")
+
+    def _torque_on(self) -> Script[None]:
+        reply = yield from self._context.ask(Service.TORQUE_ON, ServoFailure, _SERVICE_TIMEOUT)
+        if not reply.success:
+            raise ServoFailure(f"the servos were not enabled: {reply.message}")
+
+    def _retract(self) -> Script[None]:
+        """Open, confirm, release the magnets, go home and switch the torque off."""
+        context, parameters = self._context, self.parameters
+        context.enter(State.RETRACT, parameters.retract_timeout)
+        yield from de_energise(context)
+        while parameters.press_age_max < context.observation.servo_age <= parameters.servo_age_max:
+            yield
+        observation = context.observation
+        if observation.servo_age > parameters.servo_age_max or observation.hardware_error:
+            context.hold()
+            context.tell(Service.TORQUE_OFF)
+            return
+        if not math.isfinite(context.position[2]):
+            raise ServoFailure("the arm's position is unknown, so it was not moved")
+        if not observation.torque_enabled and context.observation.tactile_contact:
+            yield from self._torque_on()
+        if observation.torque_enabled or context.observation.tactile_contact:
+            yield from self._lift_off()
+            yield from context.move(parameters.home, parameters.travel_speed, settle=False)
+            yield from context.wait(parameters.settle_time)
+            away = math.dist(context.position, parameters.home)
+            if away > parameters.lift:
+                raise Stuck(f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand")
+        context.status.docked = False
+        reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, _SERVICE_TIMEOUT)
+        if not reply.success:
+            raise ServoFailure(f"the servos' torque was not switched off: {reply.message}")
+
+    def _lift_off(self) -> Script[None]:
+        """Pull off the magnets where there is contact, and go straight back far enough to move sideways."""
+        context, parameters = self._context, self.parameters
+        if context.observation.tactile_contact or abs(context.contact.value) > _FREE_CURRENT:
+            yield from context.release()
+        context.status.docked = False
+        x, y, z = context.commanded = context.position
+        clear = min(max(z - parameters.lift, parameters.home_z), z)
+        yield from context.move((x, y, clear), parameters.travel_speed, settle=False)
+
+    def _success(self, message: str) -> Outcome:
+        return self._outcome(True, Code.NONE, message, False)
+
+    def _failure(self, error: DockingError) -> Outcome:
+        outcome = self._outcome(False, error.code, self._context.status.message, error.retriable)
+        return replace(outcome, suggested_base=suggested_base(error))
+
+    def _outcome(self, success: bool, code: Code, message: str, retriable: bool) -> Outcome:
+        context = self._context
+        return Outcome(
+            success=success,
+            code=code,
+            message=message,
+            retriable=retriable,
+            aligned=self._alignment.aligned if self._alignment is not None else False,
+            alignments=context.status.alignments,
+            estimate=context.status.estimate,
+            contact_current=context.contact.value,
+            contact_force=context.contact.force,
+            charge_current=context.observation.charge_current,
+            energy=context.energy,
+        )
+
+    def _finish(self, outcome: Outcome) -> None:
+        elapsed = self._context.time - self._started
+        self.outcome = replace(outcome, elapsed=elapsed)
+
+
+def suggested_base(error: DockingError) -> Vector | None:
+    """Return where charger_base should stand (m, in the present one) to face electrodes that are out of reach."""
+    if not isinstance(error, Unreachable) or error.electrodes is None:
+        return None
+    x, y, z = error.electrodes
+    return x, y, z - _DOCK_DISTANCE

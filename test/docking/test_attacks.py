@@ -1,4 +1,4 @@
-"""What attacks on docking found, in virtual time: each of these once left current on, an arm stuck or a goal hanging."""
+"""What attacks on docking found, in virtual time: each once left current on, an arm stuck or a goal without an end."""
 
 from __future__ import annotations
 
@@ -84,9 +84,7 @@ def test_what_is_not_measured_any_more_ends_charging(values: dict[str, object], 
         (lambda reply: replace(reply, estimate=replace(reply.estimate, in_range=False)), Code.ESTIMATE_UNSURE),
     ],
 )
-def test_charging_ends_when_nobody_feels_the_clearance(
-    answer: Callable[[Reply], Reply | None], code: Code
-) -> None:
+def test_charging_ends_when_nobody_feels_the_clearance(answer: Callable[[Reply], Reply | None], code: Code) -> None:
     run = charging()
     run.answer[Service.ESTIMATE] = answer
     until_open(run, 15.0)
@@ -229,6 +227,15 @@ def test_a_fault_latched_before_docking_is_cleared_once() -> None:
 
     run.answer[Service.OPEN] = clear
     run.distort = lambda observation: replace(observation, power_fault=8) if latched[0] else observation
+    assert run.dock().success
+
+
+def test_after_an_emergency_the_next_goal_is_served_however_late() -> None:
+    run = charger()
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.machine.status.state is State.CONTACT, 60.0)
+    run.machine.emergency()
+    run.run(60.0)
     assert run.dock().success
 
 
