@@ -264,7 +264,7 @@ class DockingNode(Node):
         if isinstance(message, Dock.Feedback):
             message.alignments = status.alignments
             message.contact_current = status.contact_current
-            message.misalignment = io.misalignment(status.estimate)
+            message.misalignment = self._calls.misalignment(status.estimate)
             message.elapsed = io.duration(status.elapsed)
         else:
             message.charge_current = self._observe_charge_current()
@@ -370,7 +370,7 @@ class DockingNode(Node):
             retriable=outcome.retriable,
             aligned=outcome.aligned,
             alignments=outcome.alignments,
-            misalignment=io.misalignment(outcome.estimate),
+            misalignment=self._calls.misalignment(outcome.estimate),
             contact_current=outcome.contact_current,
             contact_force=outcome.contact_force,
             charge_current=outcome.charge_current,

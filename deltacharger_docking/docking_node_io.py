@@ -117,6 +117,7 @@ class Services:
         self._lock = threading.Lock()
         self._replies: list[Reply] = []
         self._refusal = ""
+        self._felt: tuple[Estimate | None, Misalignment] = None, _unknown()
         self._age = clock_age
         self._renewed = -math.inf
         self._wanted = False
@@ -157,6 +158,11 @@ class Services:
             replies, self._replies = tuple(self._replies), []
             return replies, self._refusal
 
+    def misalignment(self, value: Estimate | None) -> Misalignment:
+        """Return the message that the machine's last estimate came from; NaN where there is none."""
+        felt, message = self._felt
+        return message if value is not None and value is felt else _unknown()
+
     def contactor(self, wanted: bool, closed: bool) -> None:
         """Renew the lease while `wanted`, ten times a second; open at once when it no longer is."""
         now = time.monotonic()
@@ -192,7 +198,9 @@ class Services:
             return
         reply = Reply(request.number, answer.success, answer.message)
         if answer.success and request.service is Service.ESTIMATE:
-            reply = Reply(request.number, True, answer.message, estimate=estimate(answer.misalignment))
+            felt = estimate(answer.misalignment)
+            self._felt = felt, answer.misalignment
+            reply = Reply(request.number, True, answer.message, estimate=felt)
         elif answer.success and request.service is Service.PROBE:
             reply = Reply(
                 request.number,
@@ -229,15 +237,13 @@ def estimate(message: Misalignment) -> Estimate:
     )
 
 
-def misalignment(value: Estimate | None) -> Misalignment:
-    """Return an estimate as a message; NaN where there is none."""
+def _unknown() -> Misalignment:
+    """Return a message that says nothing was felt."""
     message = Misalignment()
     message.header.frame_id = "end_effector"
-    names = ("angle", "vertical", "horizontal")
-    for name in [*names, *(f"{name}_stddev" for name in names)]:
-        setattr(message, name, math.nan if value is None else float(getattr(value, name)))
-    if value is not None:
-        message.contact, message.sure, message.in_range = value.contact, value.sure, value.in_range
+    for name in ("angle", "vertical", "horizontal"):
+        setattr(message, name, math.nan)
+        setattr(message, f"{name}_stddev", math.nan)
     message.left_force = message.right_force = math.nan
     return message
 

@@ -38,6 +38,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 
 _FIRST_DATA = 3.0  # s that nodes which have just started may take to be heard
+_OFF_TIME = 0.1  # s that servo_node needs to switch the torque off
 _SERVICE_TIMEOUT = 3.0  # s for services that answer at once
 _FREE_CURRENT = 0.06  # A of contact current either way that tells contact or magnets from free air
 _NEEDS_TORQUE = (State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
@@ -237,8 +238,8 @@ class DockingMachine:
         except DockingError as error:
             context.status.message = f"{first}; then {error}"
             context.status.docked = False
-            context.hold()
-            context.tell(Service.TORQUE_OFF)
+            context.deadline = math.inf
+            yield from self._let_go()
         context.status.charging = False
         context.enter(State.IDLE, math.inf)
         if not supervising:
@@ -300,7 +301,7 @@ class DockingMachine:
 
     def _undock(self) -> Script[None]:
         context = self._context
-        yield from self._retract()
+        yield from self._retract(wanted=True)
         context.status.docked = False
         context.enter(State.IDLE, math.inf)
         self._finish(Outcome(True, Code.NONE, "undocked"))
@@ -350,24 +351,30 @@ class DockingMachine:
         if not reply.success:
             raise ServoFailure(f"the servos were not enabled: {reply.message}")
 
-    def _retract(self) -> Script[None]:
-        """Open, confirm, release the magnets, go home and switch the torque off."""
+    def _retract(self, wanted: bool = False) -> Script[None]:
+        """Open, confirm, release the magnets, go home and switch the torque off.
+
+        Args:
+            wanted: whether a client asked for it; then a limp arm away from home is switched on too.
+        """
         context, parameters = self._context, self.parameters
-        context.enter(State.RETRACT, parameters.retract_timeout)
-        yield from de_energise(context)
+        context.enter(State.RETRACT, math.inf)
+        yield from de_energise(context)  # has its own limit: no time runs out while electrodes may be live
+        context.deadline = context.time + parameters.retract_timeout
         while parameters.press_age_max < context.observation.servo_age <= parameters.servo_age_max:
             yield
         observation = context.observation
         if observation.servo_age > parameters.servo_age_max or observation.hardware_error:
-            context.hold()
-            context.tell(Service.TORQUE_OFF)
+            yield from self._let_go()
             return
         if not math.isfinite(context.position[2]):
             raise ServoFailure("the arm's position is unknown, so it was not moved")
-        if not observation.torque_enabled and context.observation.tactile_contact:
+        strayed = wanted and math.dist(context.position, parameters.home) > parameters.lift
+        needed = strayed or observation.tactile_contact
+        if needed and not observation.torque_enabled:
             yield from self._torque_on()
-        if observation.torque_enabled or context.observation.tactile_contact:
-            yield from self._lift_off()
+        if needed or observation.torque_enabled:
+            yield from self._lift_off(pull=strayed and not observation.torque_enabled)
             yield from context.move(parameters.home, parameters.travel_speed, settle=False)
             yield from context.wait(parameters.settle_time)
             away = math.dist(context.position, parameters.home)
@@ -378,10 +385,17 @@ class DockingMachine:
         if not reply.success:
             raise ServoFailure(f"the servos' torque was not switched off: {reply.message}")
 
-    def _lift_off(self) -> Script[None]:
-        """Pull off the magnets where there is contact, and go straight back far enough to move sideways."""
+    def _let_go(self) -> Script[None]:
+        """Stop, and switch the torque off without insisting on an answer; IDLE follows when it should be off."""
+        context = self._context
+        context.hold()
+        context.tell(Service.TORQUE_OFF)
+        yield from context.wait(_OFF_TIME)
+
+    def _lift_off(self, pull: bool = False) -> Script[None]:
+        """Pull off the magnets where there is contact or `pull` says so, then go straight back, to move sideways."""
         context, parameters = self._context, self.parameters
-        if context.observation.tactile_contact or abs(context.contact.value) > _FREE_CURRENT:
+        if pull or context.observation.tactile_contact or abs(context.contact.value) > _FREE_CURRENT:
             yield from context.release()
         context.status.docked = False
         x, y, z = context.commanded = context.position

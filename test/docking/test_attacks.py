@@ -176,6 +176,16 @@ def test_soft_electrodes_are_pulled_off_before_the_arm_goes_home() -> None:
     assert outcome.success
 
 
+def test_undocking_takes_a_limp_arm_home_even_where_the_pads_feel_nothing() -> None:
+    run = charger()
+    assert run.dock(DockGoal(GOAL, start_charging=False)).success
+    run._torque = False
+    run.run(0.5)
+    run.distort = lambda observation: replace(observation, tactile_contact=False)
+    assert run.undock().success
+    assert math.dist(run.world.snapshot().position, run.parameters.home) < 0.004
+
+
 def test_holding_a_goal_is_not_limited_by_the_time_to_dock() -> None:
     run = charger(DockingParameters(goal_timeout=30.0))
     assert run.dock(DockGoal(GOAL, hold=True, stop_after=25.0)).success
