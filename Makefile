@@ -44,7 +44,8 @@ $(INSTALLED): $(SOURCES)
 	$(BIN)/python -c 'from pip._vendor import tomli; print(*tomli.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")' \
 	  > $(VENV)/build-requirements.txt
 	$(BIN)/python -m pip install --quiet -r $(VENV)/build-requirements.txt
-	$(BIN)/python -m pip install --quiet --no-build-isolation -e '.[dev,report]'
+	@echo 'building deltacharger and its ROS interfaces into $(VENV); about two minutes'
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-build-isolation -e '.[dev,report]'
 	$(BIN)/python -c 'from deltacharger.msg import TactileFrame'
 	touch $@
 
