@@ -22,6 +22,7 @@ T = TypeVar("T")
 Script = Generator[None, None, T]
 
 _RELEASED = 0.001  # m of retreat that tells the magnets have let go, where the pads feel nothing any more
+_PULL_AGAIN = 0.2  # s; servos whose watchdog has tripped forget what they were told
 _SPRING_TRAVEL = 0.004  # m of retreat that electrodes on springs cannot follow, whatever the pads say
 
 
@@ -174,9 +175,11 @@ class Context:
         while self.time < end and not self._is_released(z):
             yield
         if not self._is_released(z):
-            self._trajectory = (Waypoint(0.0, goal, pull),)
-            end = self.time + parameters.release_time
+            end, again = self.time + parameters.release_time, self.time
             while not self._is_released(z):
+                if self.time >= again:
+                    self._trajectory = (Waypoint(0.0, goal, pull),)
+                    again = self.time + _PULL_AGAIN
                 if self.time > end:
                     self.hold()
                     raise Stuck(

@@ -186,6 +186,16 @@ def test_undocking_takes_a_limp_arm_home_even_where_the_pads_feel_nothing() -> N
     assert math.dist(run.world.snapshot().position, run.parameters.home) < 0.004
 
 
+def test_a_pull_that_the_servos_forgot_is_repeated() -> None:
+    run = charger()
+    assert run.dock(DockGoal(GOAL, start_charging=False)).success
+    run.outcome = None
+    run.machine.start_undock("", run.observe())
+    run.run(0.06)
+    run._trajectory, run._goal = (), run._angles()
+    assert run.finish(30.0).success
+
+
 def test_holding_a_goal_is_not_limited_by_the_time_to_dock() -> None:
     run = charger(DockingParameters(goal_timeout=30.0))
     assert run.dock(DockGoal(GOAL, hold=True, stop_after=25.0)).success
