@@ -82,7 +82,9 @@ def staged_files() -> list[tuple[str, list[str]]]:
     """Return the staged tree in the form of setuptools' data_files, relative to the prefix."""
     folders: dict[str, list[str]] = {}
     for path in sorted(STAGE.rglob("*")):
-        if path.is_file() and "__pycache__" not in path.parts:
+        # The interfaces' own egg-info would be a second distribution of the same name.
+        skipped = "__pycache__" in path.parts or any(part.endswith(".egg-info") for part in path.parts)
+        if path.is_file() and not skipped:
             folders.setdefault(str(path.relative_to(STAGE).parent), []).append(os.path.relpath(path, ROOT))
     return list(folders.items())
 

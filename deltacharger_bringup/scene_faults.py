@@ -109,12 +109,12 @@ def _begin(fault: Fault, hardware: Hardware, clock: Callable[[], float]) -> None
         "servo_overload": lambda: servos.raise_hardware_error(fault.servo, _OVERLOAD),
         "servo_reboot": lambda: servos.reboot(fault.servo, clock()),
         "servo_delay": lambda: setattr(servos.faults, "delay", fault.amount),
-        "servo_unplugged": hardware.servo_terminal.stop,
+        "servo_unplugged": hardware.servo_terminal.unplug,
         "board_reboot": board.reboot,
         "board_silent": lambda: setattr(board.faults, "silent", True),
         "board_deaf": lambda: setattr(board.faults, "deaf", True),
         "board_trip": lambda: board.trip(round(fault.amount)),
-        "board_unplugged": hardware.board_terminal.stop,
+        "board_unplugged": hardware.board_terminal.unplug,
     }
     if fault.kind in actions:
         actions[fault.kind]()
@@ -130,10 +130,10 @@ def _end(fault: Fault, hardware: Hardware, clock: Callable[[], float]) -> None:
     actions: dict[str, Callable[[], Any]] = {
         "servo_missing": lambda: servos.faults.missing.discard(fault.servo),
         "servo_delay": lambda: setattr(servos.faults, "delay", 0.0),
-        "servo_unplugged": hardware.servo_terminal.start,
+        "servo_unplugged": hardware.servo_terminal.replug,
         "board_silent": lambda: setattr(board.faults, "silent", False),
         "board_deaf": lambda: setattr(board.faults, "deaf", False),
-        "board_unplugged": hardware.board_terminal.start,
+        "board_unplugged": hardware.board_terminal.replug,
     }
     if fault.kind in actions:
         actions[fault.kind]()

@@ -230,10 +230,11 @@ class DockingNode(Node):
             self._diagnose()
 
     def _end_goal(self, outcome: Outcome) -> None:
-        goal, self._goal = self._goal, None
+        goal = self._goal
         if goal is not None:
             goal.outcome = outcome
             goal.done.set()
+        self._goal = None
 
     def _publish_state(self, force: bool = False) -> None:
         status = self._machine.status
@@ -340,7 +341,10 @@ class DockingNode(Node):
             self.get_logger().error(f"a goal met a defect: {type(error).__name__}: {error}")
             goal.handle.abort()
             return Outcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log")
-        goal.done.wait()
+        while not goal.done.wait(1.0):
+            if self._goal is not goal and not goal.done.is_set():  # a goal that nobody serves must not wait for ever
+                goal.outcome = Outcome(message="the goal was lost; see the log")
+                break
         assert goal.outcome is not None
         outcome = goal.outcome
         if outcome.success:

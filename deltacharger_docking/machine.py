@@ -190,8 +190,11 @@ class DockingMachine:
             raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
         wrong = self._context.planner.reachable((x, y, z), (x, y, z - self.parameters.standoff))
         if wrong:
+            dx, dy, dz = (f"{1000 * value:+.0f}" for value in (x, y, z - _DOCK_DISTANCE))
             raise Unreachable(
-                f"the electrodes are out of the arm's reach, {wrong}; move the robot to suggested_base_pose", (x, y, z)
+                f"the electrodes are out of the arm's reach, {wrong}; move the robot by ({dx}, {dy}, {dz}) mm of "
+                "charger_base, to suggested_base_pose",
+                (x, y, z),
             )
 
     def _begin(self, request_id: str, observation: Observation) -> None:

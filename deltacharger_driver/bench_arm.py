@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from .mx64 import TORQUE_CONSTANT
+from deltacharger_driver.mx64 import TORQUE_CONSTANT
 
 STIFFNESS = 15.0  # N·m/rad of the position loop
 DAMPING = 0.91  # N·m·s/rad

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from .board_protocol import COLUMNS, ROWS, Fault
+from deltacharger_driver.board_protocol import COLUMNS, ROWS, Fault
 
 PRECHARGE_TIME = 0.060  # s from the command to the contactor
 RAMP = 100.0  # A/s

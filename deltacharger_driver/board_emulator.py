@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from .board_payloads import (
+from deltacharger_driver.board_payloads import (
     Ack,
     Hello,
     decode_rate,
@@ -23,7 +23,7 @@ from .board_payloads import (
     encode_probe,
     encode_samples,
 )
-from .board_protocol import (
+from deltacharger_driver.board_protocol import (
     COLUMNS,
     DEFAULT_RATE,
     FLAG_OVERRUN,
@@ -42,9 +42,9 @@ from .board_protocol import (
     SampleFormat,
     encode_packet,
 )
-from .emulated_pads import EmulatedPads, PadPlant
-from .emulated_power import EmulatedPower, PowerPlant
-from .wire_faults import WireFaults
+from deltacharger_driver.emulated_pads import EmulatedPads, PadPlant
+from deltacharger_driver.emulated_power import EmulatedPower, PowerPlant
+from deltacharger_driver.wire_faults import WireFaults
 
 SLOWEST, FASTEST = 0.1, 1000.0  # Hz that RATE accepts
 _BACKLOG = 16  # samplings the board can hold back while nobody polls it

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from .board_protocol import VERSION, AckError, type_name
-from .errors import DriverError
+from deltacharger_driver.board_protocol import VERSION, AckError, type_name
+from deltacharger_driver.errors import DriverError
 
 _EXPLANATIONS = {
     AckError.BAD_PAYLOAD: "it did not understand the value",

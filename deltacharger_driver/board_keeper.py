@@ -7,10 +7,10 @@ import threading
 import time
 from collections.abc import Callable
 
-from .board_link import BoardLink
-from .board_samples import PowerSample, TactileSample
-from .contactor_guard import ContactorGuard
-from .errors import DriverError, NoAnswer, PortGone
+from deltacharger_driver.board_link import BoardLink
+from deltacharger_driver.board_samples import PowerSample, TactileSample
+from deltacharger_driver.contactor_guard import ContactorGuard
+from deltacharger_driver.errors import DriverError, NoAnswer, PortGone
 
 _SHORTEST_BACKOFF, _LONGEST_BACKOFF = 0.1, 2.0  # s
 _SILENCE = 1.0  # s without any packet: the cable is cut or the board hangs

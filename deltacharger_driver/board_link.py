@@ -13,14 +13,14 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from .board_errors import BoardMismatch, CommandRefused
-from .board_payloads import (
+from deltacharger_driver.board_errors import BoardMismatch, CommandRefused
+from deltacharger_driver.board_payloads import (
     Hello,
     decode_probe,
     encode_rate,
 )
-from .board_port import BoardPort
-from .board_protocol import (
+from deltacharger_driver.board_port import BoardPort
+from deltacharger_driver.board_protocol import (
     COLUMNS,
     LONGEST_PING,
     ROWS,
@@ -32,11 +32,11 @@ from .board_protocol import (
     PacketType,
     encode_packet,
 )
-from .board_receiver import BoardReceiver
-from .board_requests import Request, Requests
-from .board_samples import LinkCounters, PowerSample, ProbeResult, TactileSample
-from .errors import NoAnswer, PortGone
-from .heartbeat import Heartbeat
+from deltacharger_driver.board_receiver import BoardReceiver
+from deltacharger_driver.board_requests import Request, Requests
+from deltacharger_driver.board_samples import LinkCounters, PowerSample, ProbeResult, TactileSample
+from deltacharger_driver.errors import NoAnswer, PortGone
+from deltacharger_driver.heartbeat import Heartbeat
 
 
 class BoardLink:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .board_protocol import (
+from deltacharger_driver.board_protocol import (
     COLUMNS,
     FULL_SCALE,
     ROWS,

@@ -10,7 +10,7 @@ import termios
 
 import serial
 
-from .errors import PortBusy, PortDenied, PortError, PortGone, PortMissing
+from deltacharger_driver.errors import PortBusy, PortDenied, PortError, PortGone, PortMissing
 
 _WRITE_TIMEOUT = 0.2  # s; a port that takes nothing for so long is as good as unplugged
 _HANG_UPS = (serial.SerialException, OSError, termios.error, ValueError, TypeError)

@@ -13,8 +13,8 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from . import cobs
-from .errors import DriverError
+from deltacharger_driver import cobs
+from deltacharger_driver.errors import DriverError
 
 VERSION = 1
 MINOR = 0

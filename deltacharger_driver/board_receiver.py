@@ -6,11 +6,11 @@ import logging
 from collections.abc import Callable
 from dataclasses import replace
 
-from .board_payloads import Hello, decode_ack, decode_hello, decode_power, decode_samples
-from .board_protocol import FLAG_OVERRUN, FLAG_TARED, Packet, PacketError, PacketType
-from .board_requests import Requests
-from .board_samples import LinkCounters, PowerSample, TactileSample
-from .device_clock import DeviceClock, SequenceUnwrapper
+from deltacharger_driver.board_payloads import Hello, decode_ack, decode_hello, decode_power, decode_samples
+from deltacharger_driver.board_protocol import FLAG_OVERRUN, FLAG_TARED, Packet, PacketError, PacketType
+from deltacharger_driver.board_requests import Requests
+from deltacharger_driver.board_samples import LinkCounters, PowerSample, TactileSample
+from deltacharger_driver.device_clock import DeviceClock, SequenceUnwrapper
 
 _log = logging.getLogger(__name__)
 _CLOCK_STEP_BACK = 0.5  # s; a device clock that falls further has restarted

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from .board_errors import BoardRebooted
-from .board_payloads import Ack
-from .board_protocol import PacketType
+from deltacharger_driver.board_errors import BoardRebooted
+from deltacharger_driver.board_payloads import Ack
+from deltacharger_driver.board_protocol import PacketType
 
 
 @dataclass

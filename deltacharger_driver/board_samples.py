@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .board_payloads import Power, Taxels
+from deltacharger_driver.board_payloads import Power, Taxels
 
 
 @dataclass(frozen=True)

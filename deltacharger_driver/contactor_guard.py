@@ -12,12 +12,12 @@ import threading
 import time
 from collections.abc import Callable
 
-from .board_errors import CommandRefused
-from .board_link import BoardLink
-from .board_protocol import CONTACT_FORCE, fault_name
-from .board_samples import PowerSample, ProbeResult, TactileSample
-from .contactor_lease import ContactorLease, LeaseRefused
-from .errors import DriverError, NoAnswer
+from deltacharger_driver.board_errors import CommandRefused
+from deltacharger_driver.board_link import BoardLink
+from deltacharger_driver.board_protocol import CONTACT_FORCE, fault_name
+from deltacharger_driver.board_samples import PowerSample, ProbeResult, TactileSample
+from deltacharger_driver.contactor_lease import ContactorLease, LeaseRefused
+from deltacharger_driver.errors import DriverError, NoAnswer
 
 STALE_FRAME = 0.1  # s; a frame sampled longer ago says nothing about contact now
 STALE_POWER = 0.5  # s

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 
-from .board_payloads import probe_problem
-from .board_protocol import PROBE_LIFETIME
-from .errors import DriverError
+from deltacharger_driver.board_payloads import probe_problem
+from deltacharger_driver.board_protocol import PROBE_LIFETIME
+from deltacharger_driver.errors import DriverError
 
 LONGEST_LEASE = 0.25  # s
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from .mx64 import INDIRECT_COUNT, REGISTERS, Register, indirect_address, indirect_data
+from deltacharger_driver.mx64 import INDIRECT_COUNT, REGISTERS, Register, indirect_address, indirect_data
 
 SIZE = 662
 

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from .board_protocol import COLUMNS, CONTACT_FORCE, ROWS, AckError
+from deltacharger_driver.board_protocol import COLUMNS, CONTACT_FORCE, ROWS, AckError
 
 TARE_SAMPLES = 8
 TARE_PERIOD = 0.004  # s between the samples of a tare: 28 ms in all
@@ -52,13 +52,11 @@ class EmulatedPads:
 
     def sample(self) -> Forces:
         """Return (2, 10, 10) N: left and right after the tare, not below 0; NaN = dead."""
-        raw: Forces = np.array(self._plant.read_taxels(), float)
-        raw[self._dead] = np.nan
-        return np.maximum(raw - self._baseline, 0.0)
+        return np.maximum(self._read() - self._baseline, 0.0)
 
     def start_tare(self, now: float) -> AckError:
         """Begin a tare; DONE means that `poll_tare` will say how it ended."""
-        if self.tare_due < math.inf or _touched(self.sample()):
+        if self.tare_due < math.inf or self._loaded(self._read()):
             return AckError.NOT_NOW
         self._tare_sum[:] = 0.0
         self._tare_count = 0
@@ -68,9 +66,8 @@ class EmulatedPads:
     def poll_tare(self, now: float) -> AckError | None:
         """Take the samples that are due and return how the tare ended, None while it runs."""
         while now >= self.tare_due:
-            raw: Forces = np.array(self._plant.read_taxels(), float)
-            raw[self._dead] = np.nan
-            if _touched(raw - self._baseline):
+            raw = self._read()
+            if self._loaded(raw):
                 self.tare_due = math.inf
                 return AckError.NOT_NOW
             self._tare_sum += np.nan_to_num(raw)
@@ -83,7 +80,22 @@ class EmulatedPads:
             self.tare_due += TARE_PERIOD
         return None
 
+    def _read(self) -> Forces:
+        raw: Forces = np.array(self._plant.read_taxels(), float)
+        raw[self._dead] = np.nan
+        return raw
 
-def _touched(forces: Forces) -> bool:
-    """Whether any live taxel reads contact; NaN compares false."""
-    return bool((forces >= CONTACT_FORCE).any())
+    def _loaded(self, raw: Forces) -> bool:
+        """Whether any live taxel carries a load after the present tare.
+
+        Before the first tare a taxel's resting value is unknown, and may come near a newton by itself; each pad's own
+        median stands in for it, since contact covers a quarter of a pad.
+        """
+        baseline = self._baseline if self.tared else _medians(raw)
+        return bool((raw - baseline >= CONTACT_FORCE).any())  # NaN compares false
+
+
+def _medians(raw: Forces) -> Forces:
+    """Return the median of each pad's live taxels (2, 1, 1) N; 0 for a pad without any."""
+    medians = [float(np.median(live)) if (live := pad[~np.isnan(pad)]).size else 0.0 for pad in raw]
+    return np.array(medians).reshape(2, 1, 1)

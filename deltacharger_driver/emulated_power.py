@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from .board_payloads import Power, probe_problem
-from .board_protocol import HEARTBEAT_TIMEOUT, PROBE_LIFETIME, AckError, Fault
+from deltacharger_driver.board_payloads import Power, probe_problem
+from deltacharger_driver.board_protocol import HEARTBEAT_TIMEOUT, PROBE_LIFETIME, AckError, Fault
 
 CHECK_PERIOD = 0.010  # s between looks at the power stage's own detectors while closed
 

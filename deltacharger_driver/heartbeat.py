@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from .board_protocol import HEARTBEAT_PERIOD
-from .errors import PortGone
+from deltacharger_driver.board_protocol import HEARTBEAT_PERIOD
+from deltacharger_driver.errors import PortGone
 
 _NEVER = float("-inf")
 

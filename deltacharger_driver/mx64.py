@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from .errors import RangeError
+from deltacharger_driver.errors import RangeError
 
 MODEL = 311
 """Model number of an MX-64 whose firmware speaks Protocol 2.0."""

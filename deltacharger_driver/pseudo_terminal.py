@@ -45,23 +45,20 @@ class PseudoTerminal:
         self._thread: threading.Thread | None = None
         self._master = self._slave = -1
         self._wake_reader = self._wake_writer = -1
-        self.path = ""
+        self._stopping = False
+        self._wanted = True
+        self._plugged = threading.Event()
+        self._unplugged = threading.Event()
+        self.path = self._terminal = ""
         self.error: BaseException | None = None
 
     def start(self) -> PseudoTerminal:
         """Open the terminal, create the link and begin to serve."""
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
         self._wake_reader, self._wake_writer = os.pipe()
-        terminal = os.ttyname(self._slave)
-        self.path = terminal
-        if self._link is not None:
-            self._link.parent.mkdir(parents=True, exist_ok=True)
-            self._remove_link()
-            self._link.symlink_to(terminal)
-            self.path = str(self._link)
-        self._thread = threading.Thread(target=self._serve, name=f"pty {terminal}", daemon=True)
+        self._stopping = False
+        self._wanted = True
+        self._connect()
+        self._thread = threading.Thread(target=self._serve, name=f"pty {os.ttyname(self._slave)}", daemon=True)
         self._thread.start()
         return self
 
@@ -69,13 +66,52 @@ class PseudoTerminal:
         """Stop serving and close both ends; the host sees the cable pulled. Safe to call twice."""
         if self._thread is None:
             return
+        self._stopping = True
         os.write(self._wake_writer, b"x")
         self._thread.join()
         self._thread = None
-        for descriptor in (self._master, self._slave, self._wake_reader, self._wake_writer):
-            os.close(descriptor)
+        self._disconnect()
+        os.close(self._wake_reader)
+        os.close(self._wake_writer)
+
+    def unplug(self) -> None:
+        """Pull the cable: the host loses its port while the device, which keeps its power, goes on without a host."""
+        self._switch(False, self._unplugged)
+
+    def replug(self) -> None:
+        """Put the cable back; `path` is the same where there is a link."""
+        self._switch(True, self._plugged)
+
+    def _switch(self, wanted: bool, done: threading.Event) -> None:
+        if self._thread is None:
+            return
+        self._wanted = wanted
+        os.write(self._wake_writer, b"x")
+        done.wait(_LONGEST_WAIT * 4)
+
+    def _connect(self) -> None:
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        terminal = os.ttyname(self._slave)
+        self.path = self._terminal = terminal
         if self._link is not None:
-            self._remove_link()
+            self._link.parent.mkdir(parents=True, exist_ok=True)
+            if self._link.is_symlink():
+                self._link.unlink()
+            self._link.symlink_to(terminal)
+            self.path = str(self._link)
+        self._unplugged.clear()
+        self._plugged.set()
+
+    def _disconnect(self) -> None:
+        if self._master >= 0:
+            os.close(self._master)
+            os.close(self._slave)
+            self._master = self._slave = -1
+        self._remove_link()
+        self._plugged.clear()
+        self._unplugged.set()
 
     def __enter__(self) -> PseudoTerminal:
         return self.start()
@@ -89,29 +125,39 @@ class PseudoTerminal:
         self.stop()
 
     def _remove_link(self) -> None:
-        if self._link is not None and self._link.is_symlink():
+        """Remove the link, unless another terminal has taken it over."""
+        if self._link is not None and self._link.is_symlink() and os.readlink(self._link) == self._terminal:
             self._link.unlink()
 
     def _serve(self) -> None:
-        poller = select.poll()
-        poller.register(self._master, select.POLLIN)
-        poller.register(self._wake_reader, select.POLLIN)
         try:
-            while True:
-                wait = min(max(self._device.next_event(time.monotonic()), 0.0), _LONGEST_WAIT)
-                ready = dict(poller.poll(wait * 1000.0))
-                if self._wake_reader in ready:
-                    return
-                if self._master in ready:
-                    data = os.read(self._master, 4096)
-                    self._send(self._device.receive(data, time.monotonic()))
-                self._send(self._device.poll(time.monotonic()))
+            while not self._stopping:
+                if self._wanted and self._master < 0:
+                    self._connect()
+                elif not self._wanted and self._master >= 0:
+                    self._disconnect()
+                self._exchange()
         except BaseException as error:
             self.error = error
             raise
 
+    def _exchange(self) -> None:
+        """Wait for bytes, the device's next event or a wake-up, and pass on what there is."""
+        wait = min(max(self._device.next_event(time.monotonic()), 0.0), _LONGEST_WAIT)
+        poller = select.poll()
+        poller.register(self._wake_reader, select.POLLIN)
+        if self._master >= 0:
+            poller.register(self._master, select.POLLIN)
+        ready = dict(poller.poll(wait * 1000.0))
+        if self._wake_reader in ready:
+            os.read(self._wake_reader, 64)
+        if self._master in ready:
+            data = os.read(self._master, 4096)
+            self._send(self._device.receive(data, time.monotonic()))
+        self._send(self._device.poll(time.monotonic()))
+
     def _send(self, data: bytes) -> None:
-        while data:
+        while data and self._master >= 0:
             try:
                 written = os.write(self._master, data)
             except BlockingIOError:

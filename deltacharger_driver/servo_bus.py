@@ -8,8 +8,8 @@ import struct
 import time
 from collections.abc import Sequence
 
-from .errors import CorruptReply, DriverError, NoAnswer, RangeError, ServoFault
-from .mx64 import (
+from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, RangeError, ServoFault
+from deltacharger_driver.mx64 import (
     CURRENT_UNIT,
     REGISTERS,
     VELOCITY_UNIT,
@@ -20,9 +20,9 @@ from .mx64 import (
     describe_hardware_error,
     ticks_to_angle,
 )
-from .servo_link import ServoLink
-from .servo_protocol import LinkCounters
-from .servo_setup import (
+from deltacharger_driver.servo_link import ServoLink
+from deltacharger_driver.servo_protocol import LinkCounters
+from deltacharger_driver.servo_setup import (
     READ_ADDRESS,
     READ_LENGTH,
     WRITE_ADDRESS,
@@ -32,7 +32,7 @@ from .servo_setup import (
     restart_watchdog,
     watchdog_tripped,
 )
-from .servo_snapshot import BusSettings, Snapshot
+from deltacharger_driver.servo_snapshot import BusSettings, Snapshot
 
 UNKNOWN_AFTER = 3
 """Cycles without a good reply after which a servo's last values are no longer worth anything."""

@@ -14,11 +14,11 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from .errors import DriverError, PortError, PortGone, TrajectoryRefused
-from .servo_bus import ServoBus
-from .servo_report import Phase, ServoMemory, ServoReport, find_faults
-from .servo_snapshot import BusSettings, Snapshot
-from .trajectory import Trajectory
+from deltacharger_driver.errors import DriverError, PortError, PortGone, TrajectoryRefused
+from deltacharger_driver.servo_bus import ServoBus
+from deltacharger_driver.servo_report import Phase, ServoMemory, ServoReport, find_faults
+from deltacharger_driver.servo_snapshot import BusSettings, Snapshot
+from deltacharger_driver.trajectory import Trajectory
 
 STOP_TIME = 0.5  # s from "goal := present position" to torque off
 _BACKOFF_FIRST, _BACKOFF_LONGEST = 0.25, 2.0  # s between two attempts to open a port that vanished

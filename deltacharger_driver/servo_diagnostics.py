@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 
-from .mx64 import describe_hardware_error
-from .servo_controller import ServoController
-from .servo_report import Phase, ServoReport
+from deltacharger_driver.mx64 import describe_hardware_error
+from deltacharger_driver.servo_controller import ServoController
+from deltacharger_driver.servo_report import Phase, ServoReport
 
 OK, WARN, ERROR = 0, 1, 2
 """Levels of diagnostic_msgs/DiagnosticStatus."""

@@ -12,11 +12,11 @@ import termios
 import threading
 from collections.abc import Callable, Sequence
 
-from .control_table import CHECKSUM, INSTRUCTION, LENGTH, OK
-from .errors import DriverError
-from .servo_faults import FAULTS, ServoFaults
-from .servo_firmware import ServoFirmware, ServoPlant
-from .servo_packets import (
+from deltacharger_driver.control_table import CHECKSUM, INSTRUCTION, LENGTH, OK
+from deltacharger_driver.errors import DriverError
+from deltacharger_driver.servo_faults import FAULTS, ServoFaults
+from deltacharger_driver.servo_firmware import ServoFirmware, ServoPlant
+from deltacharger_driver.servo_packets import (
     ACTION,
     BROADCAST,
     BULK_READ,

@@ -6,7 +6,7 @@ import random
 from collections import Counter
 from dataclasses import dataclass, field
 
-from .errors import DriverError
+from deltacharger_driver.errors import DriverError
 
 FAULTS = ("drop", "corrupt", "truncate", "duplicate", "garbage")
 """What can befall a reply: lost, a byte changed, cut short, sent twice, preceded by noise."""

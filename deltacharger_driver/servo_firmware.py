@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
-from .control_table import ACCESS, OK, RESULT_FAIL, ControlTable
-from .mx64 import (
+from deltacharger_driver.control_table import ACCESS, OK, RESULT_FAIL, ControlTable
+from deltacharger_driver.mx64 import (
     ACCELERATION_UNIT,
     ALERT,
     CURRENT_UNIT,
@@ -20,7 +20,7 @@ from .mx64 import (
     WATCHDOG_TRIPPED,
     WATCHDOG_UNIT,
 )
-from .servo_profile import Profile
+from deltacharger_driver.servo_profile import Profile
 
 ZERO_TICKS = 2048
 """Encoder count of an emulated servo at angle 0 of its plant; counts rise with the angle."""

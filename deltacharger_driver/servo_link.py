@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
 from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS
 
-from .errors import CorruptReply, DriverError, NoAnswer, PortGone, ServoFault, WrongThread
-from .mx64 import ALERT, REGISTERS, describe_status_error
-from .servo_port import PATIENCE, REPLY_MARGIN, ServoPort
-from .servo_protocol import LinkCounters, ServoProtocol
+from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortGone, ServoFault, WrongThread
+from deltacharger_driver.mx64 import ALERT, REGISTERS, describe_status_error
+from deltacharger_driver.servo_port import PATIENCE, REPLY_MARGIN, ServoPort
+from deltacharger_driver.servo_protocol import LinkCounters, ServoProtocol
 
 ATTEMPTS = 3
 """How often a read or write is tried before it fails; reads and writes of registers may be repeated without harm."""

@@ -32,15 +32,14 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_bringup import node_support
-
-from .errors import DriverError, TrajectoryRefused
-from .mx64 import TORQUE_CONSTANT
-from .servo_controller import ServoController
-from .servo_diagnostics import DiagnosticEntry, bus_entry, servo_entry
-from .servo_port import REPLY_MARGIN
-from .servo_report import Phase, ServoReport
-from .servo_snapshot import BusSettings
-from .trajectory import JointLimits, Waypoint, check, check_age
+from deltacharger_driver.errors import DriverError, TrajectoryRefused
+from deltacharger_driver.mx64 import TORQUE_CONSTANT
+from deltacharger_driver.servo_controller import ServoController
+from deltacharger_driver.servo_diagnostics import DiagnosticEntry, bus_entry, servo_entry
+from deltacharger_driver.servo_port import REPLY_MARGIN
+from deltacharger_driver.servo_report import Phase, ServoReport
+from deltacharger_driver.servo_snapshot import BusSettings
+from deltacharger_driver.trajectory import JointLimits, Waypoint, check, check_age
 
 JOINTS = ("limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint")
 _FRAME = "charger_base"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .servo_protocol import crc16
+from deltacharger_driver.servo_protocol import crc16
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 254

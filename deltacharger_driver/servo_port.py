@@ -17,7 +17,7 @@ from pathlib import Path
 import serial
 from dynamixel_sdk.port_handler import PortHandler
 
-from .errors import PortBusy, PortDenied, PortError, PortGone, PortMissing
+from deltacharger_driver.errors import PortBusy, PortDenied, PortError, PortGone, PortMissing
 
 REPLY_MARGIN = 0.02
 """s beyond wire time and USB latency until a reply in the cycle counts as lost. A healthy servo answers in 1 ms, so

@@ -18,7 +18,7 @@ from dynamixel_sdk.robotis_def import (
     INST_READ,
 )
 
-from .servo_port import ServoPort
+from deltacharger_driver.servo_port import ServoPort
 
 _ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
 

@@ -6,10 +6,10 @@ import enum
 import math
 from dataclasses import dataclass
 
-from .mx64 import describe_hardware_error
-from .servo_bus import UNKNOWN_AFTER
-from .servo_snapshot import Snapshot
-from .thermal import ThermalModel
+from deltacharger_driver.mx64 import describe_hardware_error
+from deltacharger_driver.servo_bus import UNKNOWN_AFTER
+from deltacharger_driver.servo_snapshot import Snapshot
+from deltacharger_driver.thermal import ThermalModel
 
 _UNKNOWN = (math.nan,) * 5
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
-from .errors import CorruptReply, DriverError, HandshakeError, NoAnswer, PortGone
-from .mx64 import (
+from deltacharger_driver.errors import CorruptReply, DriverError, HandshakeError, NoAnswer, PortGone
+from deltacharger_driver.mx64 import (
     MODE_CURRENT_POSITION,
     MODEL,
     MODEL_PROTOCOL_1,
@@ -15,7 +15,7 @@ from .mx64 import (
     indirect_address,
     indirect_data,
 )
-from .servo_link import ServoLink
+from deltacharger_driver.servo_link import ServoLink
 
 WATCHDOG = 6
 """Bus watchdog, units of 20 ms: a servo that hears nothing for 120 ms stops by itself."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .errors import DriverError, RangeError
-from .servo_port import REPLY_MARGIN
-from .servo_setup import WATCHDOG
+from deltacharger_driver.errors import DriverError, RangeError
+from deltacharger_driver.servo_port import REPLY_MARGIN
+from deltacharger_driver.servo_setup import WATCHDOG
 
 
 @dataclass(frozen=True)

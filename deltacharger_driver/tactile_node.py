@@ -13,7 +13,6 @@ lease ends, the topics fall silent, and the node reopens the port by itself.
 from __future__ import annotations
 
 import math
-import threading
 import time
 from array import array
 from collections.abc import Callable, Sequence
@@ -30,13 +29,13 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from deltacharger_bringup import node_support
-
-from .board_keeper import BoardKeeper
-from .board_payloads import Taxels
-from .board_protocol import COLUMNS, ROWS, fault_name
-from .board_samples import PowerSample, TactileSample
-from .contactor_guard import STALE_FRAME, STALE_POWER
-from .errors import DriverError
+from deltacharger_driver.board_keeper import BoardKeeper
+from deltacharger_driver.board_payloads import Taxels
+from deltacharger_driver.board_port import BoardPort
+from deltacharger_driver.board_protocol import COLUMNS, ROWS, fault_name
+from deltacharger_driver.board_samples import PowerSample, TactileSample
+from deltacharger_driver.contactor_guard import STALE_FRAME, STALE_POWER
+from deltacharger_driver.errors import DriverError
 
 _FRAME = "end_effector"
 _RELIABLE_LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
@@ -61,7 +60,10 @@ class TactileNode(Node):
             self, "pitch", 0.0024, "distance between neighbouring taxels (m)", 0.0001, 0.1
         )
         node_support.reject_unknown(self)
-        self._lock = threading.Lock()
+        try:  # a port that cannot be opened now is a wrong set-up; one that vanishes later is waited for
+            BoardPort(port, baud_rate).close()
+        except DriverError as error:
+            raise node_support.StartupError(f"tactile_node: {error}") from error
         self._frame: TactileSample | None = None
         self._power: PowerSample | None = None
         self._frames = self.create_publisher(TactileFrame, "tactile_frame", qos_profile_sensor_data)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from .errors import TrajectoryRefused
+from deltacharger_driver.errors import TrajectoryRefused
 
 STALE_AFTER = 0.5  # s, age of a stamp beyond which a trajectory is refused
 

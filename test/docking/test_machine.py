@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
+from deltacharger_bringup.virtual_charger import GOAL, VirtualCharger
 from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
 from deltacharger_docking.observation import Detection, DockGoal, Observation, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
@@ -19,14 +17,6 @@ from deltacharger_sim.parameters import (
     TargetParameters,
     WorldParameters,
 )
-
-_spec = importlib.util.spec_from_file_location("virtual_charger", Path(__file__).with_name("virtual_charger.py"))
-assert _spec is not None
-assert _spec.loader is not None
-_module = importlib.util.module_from_spec(_spec)
-sys.modules["virtual_charger"] = _module
-_spec.loader.exec_module(_module)
-VirtualCharger, GOAL = _module.VirtualCharger, _module.GOAL
 
 MILLIMETRE = 1e-3
 PHASES = [
