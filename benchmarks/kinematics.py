@@ -1,6 +1,6 @@
 """What one point costs: arrays against the one-point path, in one run.
 
-    python benchmarks/kinematics.py
+python benchmarks/kinematics.py
 """
 
 from __future__ import annotations

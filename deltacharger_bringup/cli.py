@@ -9,12 +9,16 @@ from __future__ import annotations
 import argparse
 import importlib
 import math
+import signal
 import sys
 from collections.abc import Sequence
+from types import FrameType
+from typing import NoReturn
 
-from deltacharger_bringup.cli_output import FAILED, WRONG_INPUT, CommandError, say, write_json
+from deltacharger_bringup.cli_output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
 
 DEFAULT_SCENE = "simulated"
+_LARGEST = 2e9  # what a Duration's seconds hold
 
 _LATER: dict[str, tuple[str, ...]] = {
     "doctor": (),
@@ -32,9 +36,12 @@ _LATER: dict[str, tuple[str, ...]] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; the entry point."""
+    if arguments is None:
+        signal.signal(signal.SIGINT, _leave)  # until the command takes signals over
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words and words[0] in _LATER:
         return _refuse_later(words)
+    _Parser.wants_json = "--json" in words
     parser = build_parser()
     options = parser.parse_args(words)
     if not hasattr(options, "run"):
@@ -44,15 +51,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return int(getattr(importlib.import_module(module), function)(options))
     except CommandError as error:
-        say(str(error))
-        if options.json:
-            write_json({"success": False, "error": str(error), **error.details})
-        return error.exit_code
+        failure = error
+    except OSError as error:
+        failure = CommandError(str(error), WRONG_INPUT)
+    except Exception as error:
+        if not type(error).__module__.startswith(("rclpy", "_rclpy")):
+            raise
+        first = str(error).strip().splitlines()[0]
+        failure = CommandError(f"ROS cannot start: {first}; check ROS_DOMAIN_ID, ROS_LOG_DIR and HOME", WRONG_INPUT)
+    say(str(failure))
+    if options.json:
+        write_json({"success": False, "error": str(failure), **failure.details})
+    return failure.exit_code
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    raise SystemExit(INTERRUPTED)
+
+
+class _Parser(argparse.ArgumentParser):
+    """Tells a wrong usage as the one JSON object too, where the words ask for one."""
+
+    wants_json = False
+
+    def error(self, message: str) -> NoReturn:
+        if _Parser.wants_json:
+            write_json({"success": False, "error": message})
+        super().error(message)
 
 
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of the whole command."""
-    parser = argparse.ArgumentParser(
+    parser: argparse.ArgumentParser = _Parser(
         prog="deltacharger",
         description="Run, try and inspect DeltaCharger, a robot's arm that docks to other robots and charges them.",
         epilog="Exit codes: 0 done, 1 the job failed, 2 wrong usage or input, 130 interrupted. "
@@ -88,7 +118,9 @@ def _add_scene_option(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_namespace(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--namespace", default="", metavar="NAME", help="of the charger (default: none)")
+    parser.add_argument(
+        "--namespace", type=_namespace, default="", metavar="NAME", help="of the charger (default: none)"
+    )
 
 
 def _add_up(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -113,7 +145,7 @@ def _add_dock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     _add_namespace(parser)
     for axis in "xyz":
         parser.add_argument(f"--{axis}-mm", type=_number, metavar="MM", help=f"electrodes along {axis} of charger_base")
-    parser.add_argument("--roll-deg", type=_number, metavar="DEG", help="of the electrodes about z")
+    parser.add_argument("--roll-deg", type=_roll, metavar="DEG", help="of the electrodes about z, -90 to 90")
     parser.add_argument("--camera", action="store_true", help="ask the camera even where the scene has coordinates")
     parser.add_argument(
         "--critical-angle-deg", type=_positive, default=0.0, metavar="DEG", help="refuse earlier than the charger would"
@@ -122,7 +154,7 @@ def _add_dock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     parser.add_argument("--hold", action="store_true", help="go on charging until a stop condition or Ctrl-C")
     parser.add_argument("--stop-after-s", type=_positive, default=0.0, metavar="S", help="of charging")
     parser.add_argument("--stop-energy-j", type=_positive, default=0.0, metavar="J", help="delivered")
-    parser.add_argument("--deadline-s", type=_positive, default=math.inf, metavar="S", help="cancel after this long")
+    parser.add_argument("--deadline-s", type=_deadline, default=math.inf, metavar="S", help="cancel after this long")
     parser.add_argument("--request-id", default="", metavar="ID", help="returned in docking_state")
     parser.add_argument("--picture", default="dock.png", metavar="FILE", help="of the run (default: dock.png)")
     parser.add_argument("--no-picture", action="store_true", help="write none")
@@ -137,7 +169,7 @@ def _add_undock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     _add_scene_option(parser)
     _add_namespace(parser)
-    parser.add_argument("--deadline-s", type=_positive, default=math.inf, metavar="S", help="cancel after this long")
+    parser.add_argument("--deadline-s", type=_deadline, default=math.inf, metavar="S", help="cancel after this long")
     parser.add_argument("--request-id", default="", metavar="ID", help="returned in docking_state")
 
 
@@ -179,9 +211,27 @@ def _number(text: str) -> float:
 
 def _positive(text: str) -> float:
     value = _number(text)
-    if value < 0.0:
-        raise argparse.ArgumentTypeError(f"'{text}' is negative")
+    if not 0.0 <= value <= _LARGEST:
+        raise argparse.ArgumentTypeError(f"'{text}' is outside 0 to {_LARGEST:g}")
     return value
+
+
+def _roll(text: str) -> float:
+    value = _number(text)
+    if abs(value) > 90.0:
+        raise argparse.ArgumentTypeError(f"'{text}' is outside -90 to 90")
+    return value
+
+
+def _deadline(text: str) -> float:
+    return _positive(text) or math.inf  # 0 = none, as for the other limits
+
+
+def _namespace(text: str) -> str:
+    name = text.strip("/")
+    if name and not all(part.isidentifier() and part.isascii() for part in name.split("/")):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a ROS namespace; use letters, digits and _")
+    return name
 
 
 def _refuse_later(words: Sequence[str]) -> int:

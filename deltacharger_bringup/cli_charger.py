@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
@@ -29,16 +30,34 @@ if TYPE_CHECKING:
     from deltacharger_bringup.composition import Composition
 
 DISCOVERY = 5.0  # s; a charger that runs is found in 0.25…3 s, and starting a second one beside it would be worse
+_DEFAULT_DOMAIN = 3.0  # s to notice a charger in the default domain
+_NEIGHBOUR = 1.5  # s to notice a charger that runs already
 START_UP = 60.0  # s until the actions of a scene's own charger answer
 
 
-def prepare(options: argparse.Namespace) -> Scene:
-    """Load the scene of a command and set the environment that it needs, before anything imports rclpy."""
+def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
+    """Load the scene of a command and set the environment that it needs, before anything imports rclpy.
+
+    Args:
+        options: of the command.
+        look_around: where neither a scene nor a domain was given, use a charger that answers in the default domain, as
+            one on hardware does, rather than the domain of simulated ones.
+    """
     scene = load_for_command(options.scene or DEFAULT_SCENE)
     environment.prepare()
-    if not scene.touches_hardware:
-        environment.isolate()
+    unsaid = options.scene is None and "ROS_DOMAIN_ID" not in os.environ
+    if scene.touches_hardware or (look_around and unsaid and _answers_by_default(options.namespace)):
+        return scene
+    environment.isolate()
     return scene
+
+
+def _answers_by_default(namespace: str) -> bool:
+    """Whether a charger answers in the ROS domain that this process would join by itself."""
+    from deltacharger_bringup.client import ChargerClient
+
+    with ChargerClient(namespace) as client:
+        return client.wait_until_ready(_DEFAULT_DOMAIN)
 
 
 @contextlib.contextmanager
@@ -114,6 +133,13 @@ def up(options: argparse.Namespace) -> int:
         from deltacharger_bringup.client import ChargerClient
         from deltacharger_bringup.composition import describe
 
+        with ChargerClient(options.namespace, context) as other:
+            if "docking_node" in scene.nodes and other.wait_until_ready(_NEIGHBOUR, interrupts.event):
+                raise CommandError(
+                    f"a charger already answers in ROS domain {environment.domain()}: stop it, or choose another "
+                    "ROS_DOMAIN_ID or --namespace",
+                    WRONG_INPUT,
+                )
         with start(scene, context, options.namespace) as composition:
             say(f"{describe(composition)}; ROS domain {environment.domain()}")
             if "docking_node" in scene.nodes:
@@ -133,14 +159,14 @@ def up(options: argparse.Namespace) -> int:
 
 def undock(options: argparse.Namespace) -> int:
     """Undock the running charger."""
-    prepare(options)
+    prepare(options, look_around=True)
     with Interrupts() as interrupts, ros_context() as context:
         from deltacharger_bringup.client import ChargerClient, ClientError
 
         with ChargerClient(options.namespace, context) as client:
             if not client.wait_until_it_answers(DISCOVERY, interrupts.event):
                 if interrupts.event.is_set():
-                    return INTERRUPTED
+                    raise CommandError("interrupted before the goal was sent", INTERRUPTED)
                 raise CommandError(
                     f"no charger answers in ROS domain {environment.domain()}: start one with `deltacharger up`"
                 )
@@ -148,7 +174,7 @@ def undock(options: argparse.Namespace) -> int:
             try:
                 outcome = client.undock(options.request_id, printer, interrupts.event, options.deadline_s)
             except ClientError as error:
-                raise CommandError(str(error)) from error
+                raise CommandError(str(error), INTERRUPTED if interrupts.event.is_set() else FAILED) from error
         report(outcome, options.json, {"phases": printer.phases})
         if interrupts.event.is_set():
             return INTERRUPTED

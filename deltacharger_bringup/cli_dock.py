@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 def dock(options: argparse.Namespace) -> int:
     """Dock with the running charger, or else with the scene's own in this process."""
-    scene = prepare(options)
+    scene = prepare(options, look_around=True)
     request = dock_request(options, scene)
     with Interrupts() as interrupts, ros_context() as context, contextlib.ExitStack() as stack:
         from deltacharger_bringup.client import ChargerClient
@@ -43,7 +43,7 @@ def dock(options: argparse.Namespace) -> int:
             composition = stack.enter_context(start(scene, context, options.namespace))
             wait_for_actions(composition, client, interrupts)
         if interrupts.event.is_set():
-            return INTERRUPTED
+            raise CommandError("interrupted before the goal was sent", INTERRUPTED)
         recorder = stack.enter_context(Recorder(context, options.namespace))
         return _Run(options, scene, request, client, recorder, composition, interrupts).carry_out()
 
@@ -163,7 +163,7 @@ class _Run:
                 self._request, on_progress, self._interrupts.event, self._options.deadline_s, self._interrupts.impatient
             )
         except ClientError as error:
-            raise CommandError(str(error)) from error
+            raise CommandError(str(error), INTERRUPTED if self._interrupts.event.is_set() else FAILED) from error
 
     def _undock(self) -> dict[str, Any]:
         from deltacharger_bringup.client import ClientError

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import sys
 import threading
@@ -36,11 +37,17 @@ def say(text: str) -> None:
 
 def write_json(value: dict[str, Any]) -> None:
     """Write the command's one JSON object to stdout; NaN and infinity become null."""
-    print(json.dumps(json_ready(value), ensure_ascii=False), flush=True)
+    text = json.dumps(json_ready(value), ensure_ascii=False)
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:  # nobody reads any more; a charger must not stop for that
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
 
 
 class Interrupts:
-    """SIGINT and SIGTERM as an event, so that a command ends in its own order. A second signal ends its waits at once.
+    """SIGINT, SIGTERM and SIGHUP as an event, so that a command ends in its own order.
+
+    A second signal ends its waits at once. A closed terminal (SIGHUP) ends a command as SIGTERM does.
 
     Attributes:
         event: set by the first signal.
@@ -55,7 +62,7 @@ class Interrupts:
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Interrupts:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             self._before[number] = signal.signal(number, self._on_signal)
         return self
 
@@ -63,13 +70,14 @@ class Interrupts:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for number, handler in self._before.items():
-            signal.signal(number, handler)
+            # Once interrupted the process is on its way out; an impatient third signal must not break that off.
+            signal.signal(number, signal.SIG_IGN if self.event.is_set() else handler)
 
     def exit_code(self, otherwise: int) -> int:
-        """Return the exit code of a server that was asked to end: 130 after SIGINT, 0 after SIGTERM."""
+        """Return the exit code of a server that was asked to end: 130 after SIGINT, 0 after others."""
         if self.number == signal.SIGINT:
             return INTERRUPTED
-        return DONE if self.number == signal.SIGTERM else otherwise
+        return DONE if self.number else otherwise
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         if self.event.is_set():

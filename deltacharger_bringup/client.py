@@ -192,6 +192,8 @@ class ChargerClient:
             if stop.is_set() or now - started > deadline:
                 canceled_at = min(canceled_at, now)
                 running.cancel()
+            if not running.answered and (stop.is_set() or now - started > _LOST_AFTER):
+                raise ClientError(f"the charger did not answer the goal '{action}' in {now - started:.1f} s")
             if now - canceled_at > _CANCEL_GRACE:
                 raise ClientError(f"the charger did not end '{action}' within {_CANCEL_GRACE:.0f} s of the cancel")
             if client.server_is_ready():
@@ -230,6 +232,11 @@ class _Goal:
         self._handle: Any = None
         self._cancel_sent = False
         client.send_goal_async(goal, feedback_callback=on_feedback).add_done_callback(self._on_response)
+
+    @property
+    def answered(self) -> bool:
+        """Whether the server has taken the goal, or the exchange is over."""
+        return self._handle is not None or self.finished.is_set()
 
     def cancel(self) -> None:
         """Ask for cancellation, once, as soon as the goal is known to the server."""

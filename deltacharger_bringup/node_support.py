@@ -133,7 +133,7 @@ def reject_unknown(node: Node) -> None:
 
 
 def run(factory: Callable[[], Node], args: Sequence[str] | None = None, threads: int = 4) -> int:
-    """Run one node until SIGINT or SIGTERM, then close it; the main of every executable.
+    """Run one node until SIGINT, SIGTERM or SIGHUP, then close it; the main of every executable.
 
     Args:
         factory: builds the node (its class).
@@ -148,15 +148,19 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, threads:
     def request_stop(number: int, frame: FrameType | None) -> None:
         stop.set()
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, request_stop)
-    rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # rclpy raises its own kinds for arguments, log folder and domain
+        print(f"cannot start: {str(error).strip().splitlines()[0]}", file=sys.stderr)
+        return 2
     try:
         try:
             node = factory()
         except StartupError as error:
             print(error, file=sys.stderr)
-            return 2
+            return 0 if stop.is_set() else 2
         spinner = Spinner(node, threads)
         try:
             while not stop.wait(0.5) and spinner.is_alive():

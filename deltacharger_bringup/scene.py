@@ -247,7 +247,7 @@ class _Level:
 
 def _read_nodes(top: _Level) -> tuple[str, ...]:
     names = top.raw("nodes", list(STANDARD_NODES))
-    if not isinstance(names, list):
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise top.refuse("nodes", f"is {names!r}; give a list of executables")
     for index, name in enumerate(names):
         if name not in NODES:

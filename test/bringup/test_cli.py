@@ -61,6 +61,9 @@ def test_a_command_to_come_refuses_with_1(capsys: pytest.CaptureFixture[str], wo
         ("dock", "--x-mm", "nan"),
         ("dock", "--critical-angle-deg", "-1"),
         ("dock", "--x-mm", "1", "--camera"),
+        ("dock", "--roll-deg", "91"),
+        ("dock", "--stop-after-s", "1e12"),
+        ("dock", "--namespace", "bad name"),
         ("simulate",),
         ("simulate", "--directory", "/tmp/never", "--scene", "bench"),
     ],
@@ -69,6 +72,10 @@ def test_wrong_usage_is_2_with_a_reason_on_stderr(capsys: pytest.CaptureFixture[
     code, out, err = run(capsys, *words)
     assert (code, out) == (2, "")
     assert err
+    code, out, _ = run(capsys, *words, "--json")
+    assert code == 2
+    if words:
+        assert one_object(out)["success"] is False
 
 
 @pytest.mark.parametrize("command", ["up", "dock", "undock", "simulate"])

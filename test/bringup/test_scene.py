@@ -46,7 +46,7 @@ def write(folder: Path, text: str) -> Path:
         ),
         ("nodes: [docking_node]\nparameters: {docking_node: 3}", "parameters.docking_node", "parameters and values"),
         ("nodes: [servo_node]", "ports.servo", "/dev/ttyUSB0"),
-        ("name: 3\nnodes: []", "name", "give text"),
+        ("name: 3\nnodes: [docking_node]", "name", "give text"),
         ("", "", "is empty"),
         ("- 1", "", "is a list"),
         ("a: [", "", "not valid YAML: line 1"),

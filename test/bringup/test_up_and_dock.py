@@ -50,6 +50,16 @@ def test_up_ends_with_130_on_sigint_and_with_2_where_a_node_refuses_its_paramete
     assert any("did you mean 'standoff'" in line for line in refused.err)
 
 
+def test_a_closed_terminal_ends_up_in_order_and_a_second_charger_beside_it_is_refused(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str
+) -> None:
+    charger = up(start, deltacharger, quick_file, namespace)
+    second = start(*deltacharger, "up", "--scene", str(quick_file), "--namespace", namespace)
+    assert second.end() == 2
+    assert any("already answers" in line for line in second.err)
+    assert charger.end(signal.SIGHUP) == 0
+
+
 def test_dock_starts_a_charger_of_its_own_and_sigint_cancels_it(
     start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str
 ) -> None:
