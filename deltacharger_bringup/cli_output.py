@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import signal
 import sys
 import threading
 from types import FrameType, TracebackType
-from typing import Any
+from typing import Any, TextIO
 
 from deltacharger_bringup.outcomes import json_ready
 
@@ -32,16 +33,34 @@ class CommandError(Exception):
 
 def say(text: str) -> None:
     """Write a line for people, to stderr."""
-    print(text, file=sys.stderr, flush=True)
+    _write(text, sys.stderr)
+
+
+def tell(text: str) -> None:
+    """Write lines of a command's answer for people, to stdout."""
+    _write(text, sys.stdout)
+
+
+def answer(options: argparse.Namespace, value: dict[str, Any]) -> None:
+    """Write the one JSON object of a command early; what goes wrong later is told on stderr only."""
+    write_json(value)
+    options.json = False
+
+
+def _write(text: str, stream: TextIO | None) -> None:
+    if stream is None:  # closed by the shell; print would turn to stdout
+        return
+    try:
+        print(text, file=stream, flush=True)
+    except BrokenPipeError:  # nobody reads any more; a charger must not stop for that
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())  # below the stream, whose buffer is written once more at exit
+        os.close(nowhere)
 
 
 def write_json(value: dict[str, Any]) -> None:
     """Write the command's one JSON object to stdout; NaN and infinity become null."""
-    text = json.dumps(json_ready(value), ensure_ascii=False)
-    try:
-        print(text, flush=True)
-    except BrokenPipeError:  # nobody reads any more; a charger must not stop for that
-        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    tell(json.dumps(json_ready(value), ensure_ascii=False))
 
 
 class Interrupts:
@@ -63,7 +82,8 @@ class Interrupts:
 
     def __enter__(self) -> Interrupts:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            self._before[number] = signal.signal(number, self._on_signal)
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # ignored = started by nohup
+                self._before[number] = signal.signal(number, self._on_signal)
         return self
 
     def __exit__(

@@ -45,6 +45,7 @@ PHASES: dict[int, str] = {getattr(Dock.Feedback, f"STATE_{name}"): name.lower() 
 _INPUTS = ("servo_state", "tactile_frame", "charger_power")
 _LOST_AFTER = 5.0  # s without an action server in the graph before a running goal counts as lost
 _CANCEL_GRACE = 60.0  # s that a cancelled goal may take to make itself safe and retract
+_LAST_ANSWER = 0.5  # s for a goal's response once it is to be cancelled; one taken unseen would dock on its own
 _POLL = 0.1  # s between looks at deadline, cancel wish and server while a goal runs
 
 ProgressCallback = Callable[[Progress], None]
@@ -192,7 +193,7 @@ class ChargerClient:
             if stop.is_set() or now - started > deadline:
                 canceled_at = min(canceled_at, now)
                 running.cancel()
-            if not running.answered and (stop.is_set() or now - started > _LOST_AFTER):
+            if not running.answered and (now - canceled_at > _LAST_ANSWER or now - started > _LOST_AFTER):
                 raise ClientError(f"the charger did not answer the goal '{action}' in {now - started:.1f} s")
             if now - canceled_at > _CANCEL_GRACE:
                 raise ClientError(f"the charger did not end '{action}' within {_CANCEL_GRACE:.0f} s of the cancel")
@@ -230,7 +231,7 @@ class _Goal:
         self.result: Any = None
         self.error: BaseException | None = None
         self._handle: Any = None
-        self._cancel_sent = False
+        self._cancel_wanted = self._cancel_sent = False
         client.send_goal_async(goal, feedback_callback=on_feedback).add_done_callback(self._on_response)
 
     @property
@@ -240,6 +241,7 @@ class _Goal:
 
     def cancel(self) -> None:
         """Ask for cancellation, once, as soon as the goal is known to the server."""
+        self._cancel_wanted = True
         if self._handle is not None and not self._cancel_sent:
             self._cancel_sent = True
             self._handle.cancel_goal_async()
@@ -253,6 +255,8 @@ class _Goal:
             return
         handle.get_result_async().add_done_callback(self._on_result)
         self._handle = handle
+        if self._cancel_wanted:
+            self.cancel()
 
     def _on_result(self, future: Any) -> None:
         reply = self._value(future)

@@ -31,6 +31,8 @@ from rclpy.executors import (
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from deltacharger_bringup import environment
+
 _OWN_PARAMETERS = {"use_sim_time", "start_type_description_service"}
 
 
@@ -132,6 +134,16 @@ def reject_unknown(node: Node) -> None:
         raise StartupError(f"{node.get_name()}: unknown parameter '{name}'{hint}")
 
 
+def ros_problem(error: Exception) -> str:
+    """Return in one line what rclpy refused, or '' where `error` is not one of its own."""
+    kind = type(error)
+    if not kind.__module__.startswith(("rclpy", "_rclpy")):
+        return ""
+    lines = str(error).strip().splitlines() or [kind.__name__]
+    what = f"unknown ROS arguments {lines[0]}" if kind.__name__ == "UnknownROSArgsError" else lines[0]
+    return f"ROS refuses: {what}; check names, --ros-args, ROS_DOMAIN_ID and ROS_LOG_DIR"
+
+
 def run(factory: Callable[[], Node], args: Sequence[str] | None = None, threads: int = 4) -> int:
     """Run one node until SIGINT, SIGTERM or SIGHUP, then close it; the main of every executable.
 
@@ -149,17 +161,24 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, threads:
         stop.set()
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, request_stop)
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # ignored = started by nohup
+            signal.signal(number, request_stop)
     try:
+        problem = environment.domain_problem()
+        if problem:
+            raise StartupError(problem)
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy raises its own kinds for arguments, log folder and domain
-        print(f"cannot start: {str(error).strip().splitlines()[0]}", file=sys.stderr)
+        print(f"cannot start: {ros_problem(error) or error}", file=sys.stderr)
         return 2
     try:
         try:
             node = factory()
-        except StartupError as error:
-            print(error, file=sys.stderr)
+        except Exception as error:
+            problem = str(error) if isinstance(error, StartupError | OSError) else ros_problem(error)
+            if not problem:
+                raise
+            print(problem, file=sys.stderr)
             return 0 if stop.is_set() else 2
         spinner = Spinner(node, threads)
         try:

@@ -299,8 +299,16 @@ def _is_parameter(value: Any) -> bool:
 
 
 def _check_ports(scene: Scene) -> None:
+    if scene.simulation is not None and scene.ports != Ports():
+        raise SceneError(scene.file, "ports", "excludes 'simulation', which brings its own ports; keep one of them")
     for name in scene.nodes:
         port = NODES[name].port
+        if port and scene.simulation is not None and "port" in scene.parameters.get(name, {}):
+            raise SceneError(
+                scene.file,
+                f"parameters.{name}.port",
+                "a simulated scene must not open a port of real hardware; remove it, or the key 'simulation'",
+            )
         if (
             port
             and scene.touches_hardware

@@ -29,7 +29,8 @@ from trajectory_msgs.msg import JointTrajectory
 from deltacharger_bringup import node_support
 from deltacharger_docking import docking_node_io as io
 from deltacharger_docking.codes import Code, DockingError, Rejected
-from deltacharger_docking.machine import DockingMachine, suggested_base
+from deltacharger_docking.goal_check import suggested_base
+from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Command, DockGoal, Observation, Outcome, Request, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.kinematics_node import declare_geometry

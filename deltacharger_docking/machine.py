@@ -11,6 +11,7 @@ from collections.abc import Generator
 from dataclasses import replace
 
 from deltacharger_docking.align_script import Alignment
+from deltacharger_docking.arm_script import FIRST_DATA, let_go, prepare, retract
 from deltacharger_docking.codes import (
     Busy,
     Canceled,
@@ -23,26 +24,19 @@ from deltacharger_docking.codes import (
     NoContact,
     Overcurrent,
     PhaseTimeout,
-    Rejected,
     ServoFailure,
     State,
-    Stuck,
     TactileStale,
-    Unreachable,
 )
 from deltacharger_docking.contact_script import approach, contact, first_push
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.energy_script import CONTACT_LOST, charge, de_energise, energise
+from deltacharger_docking.goal_check import check_goal, check_place, suggested_base
 from deltacharger_docking.observation import Command, Detection, DockGoal, Observation, Outcome, Service, Status
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_kinematics.geometry import DeltaGeometry
 
-_FIRST_DATA = 3.0  # s that nodes which have just started may take to be heard
-_OFF_TIME = 0.1  # s that servo_node needs to switch the torque off
-_SERVICE_TIMEOUT = 3.0  # s for services that answer at once
-_FREE_CURRENT = 0.06  # A of contact current either way that tells contact or magnets from free air
 _NEEDS_TORQUE = (State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
-_DOCK_DISTANCE = 0.080  # m; where the electrodes should stand before the robot (paper: (0, 0, 80) mm)
 
 
 class DockingMachine:
@@ -82,7 +76,9 @@ class DockingMachine:
             Rejected: the goal cannot be served; nothing moved.
             Unreachable: the electrodes lie outside the workspace.
         """
-        self._refuse_bad_goal(goal)
+        if self.busy:
+            raise Busy("another goal is being served; cancel it or wait for its result")
+        check_goal(goal, self._context.planner, self.parameters)
         self._begin(goal.request_id, observation)
         if self._supervising and self.status.docked and (self.status.charging or not goal.start_charging):
             self._finish(self._success("already docked"))
@@ -146,7 +142,7 @@ class DockingMachine:
         if self._cancel:
             self._cancel = False
             return Canceled("cancelled by the client")
-        starting = observation.servo_age == math.inf and observation.time - self._started < _FIRST_DATA
+        starting = observation.servo_age == math.inf and observation.time - self._started < FIRST_DATA
         if observation.servo_age > parameters.servo_age_max and not starting:
             return ServoFailure(f"servo_state is {observation.servo_age:.1f} s old; check the servo bus and servo_node")
         if observation.hardware_error:
@@ -166,36 +162,6 @@ class DockingMachine:
         if not self._supervising and observation.time > self._goal_deadline:
             return PhaseTimeout(f"docking took longer than goal_timeout, {parameters.goal_timeout:.0f} s")
         return context.expired()
-
-    def _refuse_bad_goal(self, goal: DockGoal) -> None:
-        if self.busy:
-            raise Busy("another goal is being served; cancel it or wait for its result")
-        limit = self.parameters.critical_angle
-        if not math.isfinite(goal.critical_angle) or goal.critical_angle < 0.0:
-            raise Rejected(f"critical_angle is {goal.critical_angle}: give rad ≥ 0 (0 = the parameter)")
-        if goal.critical_angle > limit:
-            raise Rejected(
-                f"critical_angle may only be lowered; the limit is {limit:.4f} rad, not {goal.critical_angle}"
-            )
-        for name in ("stop_energy", "stop_after"):
-            value = getattr(goal, name)
-            if not math.isfinite(value) or value < 0.0:
-                raise Rejected(f"{name} is {value}: give a finite number ≥ 0 (0 = none)")
-        if goal.electrodes is not None:
-            self._check_place(goal.electrodes)
-
-    def _check_place(self, electrodes: Detection) -> None:
-        x, y, z = electrodes.position
-        if not all(math.isfinite(value) for value in (x, y, z, electrodes.roll)):
-            raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
-        wrong = self._context.planner.reachable((x, y, z), (x, y, z - self.parameters.standoff))
-        if wrong:
-            dx, dy, dz = (f"{1000 * value:+.0f}" for value in (x, y, z - _DOCK_DISTANCE))
-            raise Unreachable(
-                f"the electrodes are out of the arm's reach, {wrong}; move the robot by ({dx}, {dy}, {dz}) mm of "
-                "charger_base, to suggested_base_pose",
-                (x, y, z),
-            )
 
     def _begin(self, request_id: str, observation: Observation) -> None:
         context = self._context
@@ -231,7 +197,7 @@ class DockingMachine:
         # From here on the machine is busy: a goal that came now would cut the way back short.
         supervising, self._supervising = self._supervising, False
         try:
-            yield from self._retract()
+            yield from retract(context)
             context.status.docked = False
         except ContactorWelded as error:
             # Torque stays on: pulling or letting go of live electrodes would draw an arc.
@@ -242,7 +208,7 @@ class DockingMachine:
             context.status.message = f"{first}; then {error}"
             context.status.docked = False
             context.deadline = math.inf
-            yield from self._let_go()
+            yield from let_go(context)
         context.status.charging = False
         context.enter(State.IDLE, math.inf)
         if not supervising:
@@ -261,7 +227,7 @@ class DockingMachine:
                 f"the electrodes are rolled by {math.degrees(electrodes.roll):.1f}° already in the given pose; "
                 "level the target or the charger"
             )
-        yield from self._prepare()
+        yield from prepare(context, self._started)
         target, depth = electrodes.position, electrodes.position[2] + parameters.search_depth
         yield from approach(context, target)
         if parameters.approach == "paper":
@@ -304,7 +270,7 @@ class DockingMachine:
 
     def _undock(self) -> Script[None]:
         context = self._context
-        yield from self._retract(wanted=True)
+        yield from retract(context, wanted=True)
         context.status.docked = False
         context.enter(State.IDLE, math.inf)
         self._finish(Outcome(True, Code.NONE, "undocked"))
@@ -320,90 +286,8 @@ class DockingMachine:
             raise DetectionStale(
                 f"the detection is {reply.detection.age:.1f} s old, more than {parameters.detection_age_max:.1f} s"
             )
-        self._check_place(reply.detection)
+        check_place(reply.detection, context.planner, parameters)
         return reply.detection
-
-    def _prepare(self) -> Script[None]:
-        """Switch the torque on and tare the pads, both in free air."""
-        context = self._context
-        context.enter(State.APPROACH, self.parameters.approach_timeout)
-        while math.inf in (context.observation.servo_age, context.observation.tactile_age):
-            if context.time - self._started > _FIRST_DATA:
-                break
-            yield
-        if context.observation.servo_age > self.parameters.servo_age_max:
-            raise ServoFailure("servo_state is missing or stale; is servo_node running and its bus connected?")
-        if context.observation.tactile_age > self.parameters.tactile_age_max:
-            raise TactileStale("no tactile frames; check the board's cable and tactile_node")
-        yield from de_energise(context)  # nothing is pulled off a contactor that welded in an earlier goal
-        context.commanded = context.position
-        if not context.observation.torque_enabled:
-            yield from self._torque_on()
-            while not context.observation.torque_enabled:
-                yield
-        context.commanded = context.position
-        # After a restart nobody remembers having docked; the pads do.
-        if context.status.docked or (context.observation.tared and context.observation.tactile_contact):
-            yield from self._lift_off()
-        reply = yield from context.ask(Service.TARE, TactileStale, _SERVICE_TIMEOUT)
-        if not reply.success:
-            raise TactileStale(f"the pads were not tared: {reply.message}; they must be free before docking")
-
-    def _torque_on(self) -> Script[None]:
-        reply = yield from self._context.ask(Service.TORQUE_ON, ServoFailure, _SERVICE_TIMEOUT)
-        if not reply.success:
-            raise ServoFailure(f"the servos were not enabled: {reply.message}")
-
-    def _retract(self, wanted: bool = False) -> Script[None]:
-        """Open, confirm, release the magnets, go home and switch the torque off.
-
-        Args:
-            wanted: whether a client asked for it; then a limp arm away from home is switched on too.
-        """
-        context, parameters = self._context, self.parameters
-        context.enter(State.RETRACT, math.inf)
-        yield from de_energise(context)  # has its own limit: no time runs out while electrodes may be live
-        context.deadline = context.time + parameters.retract_timeout
-        while parameters.press_age_max < context.observation.servo_age <= parameters.servo_age_max:
-            yield
-        observation = context.observation
-        if observation.servo_age > parameters.servo_age_max or observation.hardware_error:
-            yield from self._let_go()
-            return
-        if not math.isfinite(context.position[2]):
-            raise ServoFailure("the arm's position is unknown, so it was not moved")
-        strayed = wanted and math.dist(context.position, parameters.home) > parameters.lift
-        needed = strayed or observation.tactile_contact
-        if needed and not observation.torque_enabled:
-            yield from self._torque_on()
-        if needed or observation.torque_enabled:
-            yield from self._lift_off(pull=strayed and not observation.torque_enabled)
-            yield from context.move(parameters.home, parameters.travel_speed, settle=False)
-            yield from context.wait(parameters.settle_time)
-            away = math.dist(context.position, parameters.home)
-            if away > parameters.lift:
-                raise Stuck(f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand")
-        context.status.docked = False
-        reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, _SERVICE_TIMEOUT)
-        if not reply.success:
-            raise ServoFailure(f"the servos' torque was not switched off: {reply.message}")
-
-    def _let_go(self) -> Script[None]:
-        """Stop, and switch the torque off without insisting on an answer; IDLE follows when it should be off."""
-        context = self._context
-        context.hold()
-        context.tell(Service.TORQUE_OFF)
-        yield from context.wait(_OFF_TIME)
-
-    def _lift_off(self, pull: bool = False) -> Script[None]:
-        """Pull off the magnets where there is contact or `pull` says so, then go straight back, to move sideways."""
-        context, parameters = self._context, self.parameters
-        if pull or context.observation.tactile_contact or abs(context.contact.value) > _FREE_CURRENT:
-            yield from context.release()
-        context.status.docked = False
-        x, y, z = context.commanded = context.position
-        clear = min(max(z - parameters.lift, parameters.home_z), z)
-        yield from context.move((x, y, clear), parameters.travel_speed, settle=False)
 
     def _success(self, message: str) -> Outcome:
         return self._outcome(True, Code.NONE, message, False)
@@ -431,11 +315,3 @@ class DockingMachine:
     def _finish(self, outcome: Outcome) -> None:
         elapsed = self._context.time - self._started
         self.outcome = replace(outcome, elapsed=elapsed)
-
-
-def suggested_base(error: DockingError) -> Vector | None:
-    """Return where charger_base should stand (m, in the present one) to face electrodes that are out of reach."""
-    if not isinstance(error, Unreachable) or error.electrodes is None:
-        return None
-    x, y, z = error.electrodes
-    return x, y, z - _DOCK_DISTANCE

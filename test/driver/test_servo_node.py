@@ -11,26 +11,22 @@ import time
 from array import array
 
 import pytest
+from deltacharger.msg import ServoState
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-rclpy = pytest.importorskip("rclpy")
-pytest.importorskip("deltacharger.msg")
-
-from deltacharger.msg import ServoState  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
-from rclpy.context import Context  # noqa: E402
-from rclpy.node import Node  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import QoSProfile, ReliabilityPolicy  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
-from std_srvs.srv import SetBool, Trigger  # noqa: E402
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402
-
-from deltacharger_bringup.node_support import Spinner, StartupError  # noqa: E402
-from deltacharger_driver.bench_arm import BenchArm  # noqa: E402
-from deltacharger_driver.mx64 import CURRENT_UNIT, TICK, TORQUE_CONSTANT  # noqa: E402
-from deltacharger_driver.pseudo_terminal import PseudoTerminal  # noqa: E402
-from deltacharger_driver.servo_emulator import ServoBusEmulator, terminal_speed  # noqa: E402
-from deltacharger_driver.servo_node import JOINTS, ServoNode  # noqa: E402
+from deltacharger_bringup.node_support import Spinner, StartupError
+from deltacharger_driver.bench_arm import BenchArm
+from deltacharger_driver.mx64 import CURRENT_UNIT, TICK, TORQUE_CONSTANT
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.servo_emulator import ServoBusEmulator, terminal_speed
+from deltacharger_driver.servo_node import JOINTS, ServoNode
 
 START = (-0.7, -0.5, 0.2)
 OVERLOAD = 1 << 5
