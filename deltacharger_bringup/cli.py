@@ -9,16 +9,19 @@ from __future__ import annotations
 import argparse
 import importlib
 import math
+import re
 import signal
 import sys
 from collections.abc import Sequence
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
-from deltacharger_bringup.cli_output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
+from deltacharger_bringup.cli_output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, tell, write_json
 
 DEFAULT_SCENE = "simulated"
+DEFAULT_PICTURE = "dock.png"
 _LARGEST = 2e9  # what a Duration's seconds hold
+_FARTHEST = 10_000.0  # mm; beyond it a number is a slip of the unit, not a place for electrodes
 
 _LATER: dict[str, tuple[str, ...]] = {
     "doctor": (),
@@ -36,9 +39,28 @@ _LATER: dict[str, tuple[str, ...]] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; the entry point."""
-    if arguments is None:
-        signal.signal(signal.SIGINT, _leave)  # until the command takes signals over
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments is not None:
+        return _run(words)
+    try:
+        signal.signal(signal.SIGINT, _interrupt)  # until the command, imported later, takes signals over
+        return _run(words)
+    except KeyboardInterrupt:
+        say("interrupted")
+        if "--json" in words:
+            write_json({"success": False, "error": "interrupted"})
+        return INTERRUPTED
+    finally:
+        if signal.getsignal(signal.SIGINT) is _interrupt:  # nobody catches it while the interpreter ends
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second one must not break off what the first one started
+    raise KeyboardInterrupt
+
+
+def _run(words: list[str]) -> int:
     if words and words[0] in _LATER:
         return _refuse_later(words)
     _Parser.wants_json = "--json" in words
@@ -55,29 +77,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         failure = CommandError(str(error), WRONG_INPUT)
     except Exception as error:
-        if not type(error).__module__.startswith(("rclpy", "_rclpy")):
+        problem = _ros_problem(error)
+        if not problem:
             raise
-        first = str(error).strip().splitlines()[0]
-        failure = CommandError(f"ROS cannot start: {first}; check ROS_DOMAIN_ID, ROS_LOG_DIR and HOME", WRONG_INPUT)
+        failure = CommandError(problem, WRONG_INPUT)
     say(str(failure))
     if options.json:
         write_json({"success": False, "error": str(failure), **failure.details})
     return failure.exit_code
 
 
-def _leave(number: int, frame: FrameType | None) -> None:
-    raise SystemExit(INTERRUPTED)
+def _ros_problem(error: Exception) -> str:
+    if "rclpy" not in sys.modules:  # many commands need no ROS, and must not need it to fail
+        return ""
+    from deltacharger_bringup.node_support import ros_problem
+
+    return ros_problem(error)
 
 
 class _Parser(argparse.ArgumentParser):
-    """Tells a wrong usage as the one JSON object too, where the words ask for one."""
+    """Tells a wrong usage as the one JSON object too, where the words ask for one, and reads `-8e1` as a number."""
 
     wants_json = False
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
 
     def error(self, message: str) -> NoReturn:
         if _Parser.wants_json:
             write_json({"success": False, "error": message})
         super().error(message)
+
+
+class _Version(argparse.Action):
+    """Print the installed version, looked up only where it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            text = version("deltacharger")
+        except PackageNotFoundError:  # a colcon workspace
+            text = "unknown, not installed with pip"
+        tell(f"deltacharger {text}")
+        parser.exit()
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -89,6 +133,7 @@ def build_parser() -> argparse.ArgumentParser:
         "Simulated scenes use ROS_DOMAIN_ID=87 on this machine only, unless ROS_DOMAIN_ID and "
         "ROS_AUTOMATIC_DISCOVERY_RANGE are set.",
     )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     _add_up(commands)
     _add_dock(commands)
@@ -144,7 +189,9 @@ def _add_dock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     _add_scene_option(parser)
     _add_namespace(parser)
     for axis in "xyz":
-        parser.add_argument(f"--{axis}-mm", type=_number, metavar="MM", help=f"electrodes along {axis} of charger_base")
+        parser.add_argument(
+            f"--{axis}-mm", type=_millimetres, metavar="MM", help=f"electrodes along {axis} of charger_base"
+        )
     parser.add_argument("--roll-deg", type=_roll, metavar="DEG", help="of the electrodes about z, -90 to 90")
     parser.add_argument("--camera", action="store_true", help="ask the camera even where the scene has coordinates")
     parser.add_argument(
@@ -156,7 +203,9 @@ def _add_dock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     parser.add_argument("--stop-energy-j", type=_positive, default=0.0, metavar="J", help="delivered")
     parser.add_argument("--deadline-s", type=_deadline, default=math.inf, metavar="S", help="cancel after this long")
     parser.add_argument("--request-id", default="", metavar="ID", help="returned in docking_state")
-    parser.add_argument("--picture", default="dock.png", metavar="FILE", help="of the run (default: dock.png)")
+    parser.add_argument(
+        "--picture", default=DEFAULT_PICTURE, metavar="FILE", help=f"of the run (default: {DEFAULT_PICTURE})"
+    )
     parser.add_argument("--no-picture", action="store_true", help="write none")
 
 
@@ -213,6 +262,13 @@ def _positive(text: str) -> float:
     value = _number(text)
     if not 0.0 <= value <= _LARGEST:
         raise argparse.ArgumentTypeError(f"'{text}' is outside 0 to {_LARGEST:g}")
+    return value
+
+
+def _millimetres(text: str) -> float:
+    value = _number(text)
+    if abs(value) > _FARTHEST:
+        raise argparse.ArgumentTypeError(f"'{text}' is outside -{_FARTHEST:g} to {_FARTHEST:g}")
     return value
 
 

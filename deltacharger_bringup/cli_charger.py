@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
 import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,9 @@ from deltacharger_bringup.cli_output import (
     WRONG_INPUT,
     CommandError,
     Interrupts,
+    answer,
     say,
+    tell,
     write_json,
 )
 from deltacharger_bringup.cli_scene import load_for_command
@@ -30,7 +33,7 @@ if TYPE_CHECKING:
     from deltacharger_bringup.composition import Composition
 
 DISCOVERY = 5.0  # s; a charger that runs is found in 0.25…3 s, and starting a second one beside it would be worse
-_DEFAULT_DOMAIN = 3.0  # s to notice a charger in the default domain
+_LOOK = 3.3  # s in each of two domains where a charger may be; who misses the first announcement waits 3 s for the next
 _NEIGHBOUR = 1.5  # s to notice a charger that runs already
 START_UP = 60.0  # s until the actions of a scene's own charger answer
 
@@ -41,23 +44,38 @@ def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
     Args:
         options: of the command.
         look_around: where neither a scene nor a domain was given, use a charger that answers in the default domain, as
-            one on hardware does, rather than the domain of simulated ones.
+            one on hardware does, rather than the domain of simulated ones. Sets `discovery` (s to look for a running
+            charger) and `must_run` (start no other one) of the options.
+
+    Raises:
+        CommandError: the scene or ROS_DOMAIN_ID is refused; exit code 2.
     """
     scene = load_for_command(options.scene or DEFAULT_SCENE)
     environment.prepare()
-    unsaid = options.scene is None and "ROS_DOMAIN_ID" not in os.environ
-    if scene.touches_hardware or (look_around and unsaid and _answers_by_default(options.namespace)):
+    problem = environment.domain_problem()
+    if problem:
+        raise CommandError(problem, WRONG_INPUT)
+    options.discovery, options.must_run = DISCOVERY, False
+    if scene.touches_hardware:
         return scene
+    if look_around and options.scene is None and not os.environ.get("ROS_DOMAIN_ID"):
+        options.discovery = _LOOK
+        if _answers_by_default(options.namespace):
+            say("using the charger that answers in ROS domain 0")
+            options.discovery = DISCOVERY
+            options.must_run = True
+            return dataclasses.replace(scene, goal=None)  # a simulated target's place is no real one's
     environment.isolate()
     return scene
 
 
 def _answers_by_default(namespace: str) -> bool:
     """Whether a charger answers in the ROS domain that this process would join by itself."""
-    from deltacharger_bringup.client import ChargerClient
+    with ros_context() as context:
+        from deltacharger_bringup.client import ChargerClient
 
-    with ChargerClient(namespace) as client:
-        return client.wait_until_ready(_DEFAULT_DOMAIN)
+        with ChargerClient(namespace, context) as client:
+            return client.wait_until_it_answers(_LOOK)
 
 
 @contextlib.contextmanager
@@ -134,7 +152,7 @@ def up(options: argparse.Namespace) -> int:
         from deltacharger_bringup.composition import describe
 
         with ChargerClient(options.namespace, context) as other:
-            if "docking_node" in scene.nodes and other.wait_until_ready(_NEIGHBOUR, interrupts.event):
+            if "docking_node" in scene.nodes and other.wait_until_it_answers(_NEIGHBOUR, interrupts.event):
                 raise CommandError(
                     f"a charger already answers in ROS domain {environment.domain()}: stop it, or choose another "
                     "ROS_DOMAIN_ID or --namespace",
@@ -147,11 +165,12 @@ def up(options: argparse.Namespace) -> int:
                     answered = wait_for_actions(composition, client, interrupts)
             else:
                 answered = True
-            if answered:
-                say("ready")
-                if options.json:
-                    ports = composition.ports()
-                    write_json({"ready": True, "scene": scene.name, "domain": environment.domain(), **ports})
+            if not answered:
+                raise CommandError("interrupted before it was ready", interrupts.exit_code(DONE))
+            say("ready")
+            if options.json:
+                ports = composition.ports()
+                answer(options, {"ready": True, "scene": scene.name, "domain": environment.domain(), **ports})
             while not interrupts.event.wait(0.5):
                 raise_if_failed(composition)
         return interrupts.exit_code(DONE)
@@ -164,11 +183,12 @@ def undock(options: argparse.Namespace) -> int:
         from deltacharger_bringup.client import ChargerClient, ClientError
 
         with ChargerClient(options.namespace, context) as client:
-            if not client.wait_until_it_answers(DISCOVERY, interrupts.event):
+            if not client.wait_until_it_answers(options.discovery, interrupts.event):
                 if interrupts.event.is_set():
-                    raise CommandError("interrupted before the goal was sent", INTERRUPTED)
+                    raise CommandError("interrupted", INTERRUPTED)
+                where = "0 or " if options.discovery == _LOOK else ""
                 raise CommandError(
-                    f"no charger answers in ROS domain {environment.domain()}: start one with `deltacharger up`"
+                    f"no charger answers in ROS domain {where}{environment.domain()}: start one with `deltacharger up`"
                 )
             printer = PhasePrinter()
             try:
@@ -187,10 +207,14 @@ def report(outcome: Outcome, as_json: bool, more: dict[str, Any]) -> None:
         write_json({**outcome.as_dict(), **more})
         return
     if outcome.success:
-        print(f"{outcome.action}: done in {outcome.elapsed:.1f} s")
+        tell(f"{outcome.action}: done in {outcome.elapsed:.1f} s")
     else:
         retry = "; the same goal may succeed if sent again" if outcome.retriable else ""
-        print(f"{outcome.action}: failed, {outcome.error_code} {outcome.error_name}: {outcome.error_message}{retry}")
+        tell(f"{outcome.action}: failed, {outcome.error_code} {outcome.error_name}: {outcome.error_message}{retry}")
+        suggested = outcome.details.get("suggested_base_pose")
+        if suggested:
+            place = ", ".join(f"{1e3 * value:.1f}" for value in suggested["position"])
+            tell(f"  it could with charger_base at ({place}) mm of {suggested['frame_id']}")
 
 
 class PhasePrinter:

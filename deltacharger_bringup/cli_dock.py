@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deltacharger_bringup import environment
+from deltacharger_bringup.cli import DEFAULT_PICTURE
 from deltacharger_bringup.cli_charger import (
-    DISCOVERY,
     PhasePrinter,
     prepare,
     report,
@@ -27,9 +28,12 @@ if TYPE_CHECKING:
     from deltacharger_bringup.composition import Composition
     from deltacharger_bringup.recorder import Recorder
 
+_PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
+
 
 def dock(options: argparse.Namespace) -> int:
     """Dock with the running charger, or else with the scene's own in this process."""
+    _check_picture(options)
     scene = prepare(options, look_around=True)
     request = dock_request(options, scene)
     with Interrupts() as interrupts, ros_context() as context, contextlib.ExitStack() as stack:
@@ -38,14 +42,27 @@ def dock(options: argparse.Namespace) -> int:
 
         client = stack.enter_context(ChargerClient(options.namespace, context))
         composition: Composition | None = None
-        if not client.wait_until_it_answers(DISCOVERY, interrupts.event) and not interrupts.event.is_set():
+        if not client.wait_until_it_answers(options.discovery, interrupts.event) and not interrupts.event.is_set():
+            if options.must_run:
+                raise CommandError(f"the charger in ROS domain {environment.domain()} no longer answers")
             say(f"no charger answers in ROS domain {environment.domain()}; starting that of scene '{scene.name}'")
             composition = stack.enter_context(start(scene, context, options.namespace))
             wait_for_actions(composition, client, interrupts)
         if interrupts.event.is_set():
-            raise CommandError("interrupted before the goal was sent", INTERRUPTED)
+            raise CommandError("interrupted", INTERRUPTED)
         recorder = stack.enter_context(Recorder(context, options.namespace))
         return _Run(options, scene, request, client, recorder, composition, interrupts).carry_out()
+
+
+def _check_picture(options: argparse.Namespace) -> None:
+    """Refuse, before anything moves, a picture that could not be written at the end."""
+    if options.no_picture or options.picture == DEFAULT_PICTURE:  # whoever asked for none needs no writable folder
+        return
+    path = Path(options.picture)
+    if path.suffix.lower() not in _PICTURES:
+        raise CommandError(f"--picture '{options.picture}': end it in {', '.join(_PICTURES)}", WRONG_INPUT)
+    if path.is_dir() or not path.parent.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise CommandError(f"--picture {path}: cannot be written; give a file in a folder that exists", WRONG_INPUT)
 
 
 def dock_request(options: argparse.Namespace, scene: Scene) -> DockRequest:

@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
-from deltacharger_bringup.cli_output import DONE, WRONG_INPUT, CommandError, say, write_json
+from deltacharger_bringup.cli_output import DONE, WRONG_INPUT, CommandError, say, tell, write_json
 from deltacharger_bringup.scene import Scene, SceneError, load_scene, packaged_scenes
 
 
@@ -37,7 +37,7 @@ def list_scenes(options: argparse.Namespace) -> int:
         return DONE
     width = max((len(entry["name"]) for entry in scenes), default=0)
     for entry in scenes:
-        print(f"{entry['name']:<{width}}  {entry['kind']:<9}  {entry['description']}")
+        tell(f"{entry['name']:<{width}}  {entry['kind']:<9}  {entry['description']}")
     return DONE
 
 
@@ -55,7 +55,7 @@ def check(options: argparse.Namespace) -> int:
         write_json({"ok": all(report["ok"] for report in reports), "scenes": reports})
     else:
         for report in reports:
-            print(f"{report['scene']}: {'ok' if report['ok'] else 'refused'}")
+            tell(f"{report['scene']}: {'ok' if report['ok'] else 'refused'}")
     return DONE if all(report["ok"] for report in reports) else WRONG_INPUT
 
 
@@ -67,14 +67,14 @@ def explain(options: argparse.Namespace) -> int:
     if options.json:
         write_json({"scene": scene.name, "description": scene.description, "file": scene.file, "keys": shown})
         return DONE
-    print(f"{scene.name} ({_kind(scene)}): {scene.description}\n{scene.file}\n")
+    tell(f"{scene.name} ({_kind(scene)}): {scene.description}\n{scene.file}\n")
     for key in shown:
-        print(f"{key['key']} = {_plain(key['value'])}{_unit(key)}")
+        tell(f"{key['key']} = {_plain(key['value'])}{_unit(key)}")
         about = [text for text in (key["doc"], _range(key), "" if key["set"] else "default") if text]
         if about:
-            print(f"    {'; '.join(about)}")
+            tell(f"    {'; '.join(about)}")
     if not options.all:
-        print(f"\n{len(keys) - len(shown)} more keys stand at their default; --all shows them.")
+        tell(f"\n{len(keys) - len(shown)} more keys stand at their default; --all shows them.")
     return DONE
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from pathlib import Path
 
 from deltacharger_bringup.cli import DEFAULT_SCENE
-from deltacharger_bringup.cli_output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, say, write_json
+from deltacharger_bringup.cli_output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, answer, say, tell
 from deltacharger_bringup.cli_scene import load_for_command
 from deltacharger_bringup.outcomes import json_ready
 from deltacharger_bringup.simulated_charger import SimulatedCharger
@@ -24,11 +25,14 @@ def simulate(options: argparse.Namespace) -> int:
             f"scene '{scene.name}' has no key 'simulation': there is nothing to simulate; choose a simulated scene",
             WRONG_INPUT,
         )
+    if options.record:
+        _check_record(Path(options.record))
     with Interrupts() as interrupts, SimulatedCharger(scene, Path(options.directory)) as charger:
         if options.json:
-            write_json({"ready": True, "servo": charger.servo_port, "board": charger.board_port, "scene": scene.name})
+            ports = {"servo": charger.servo_port, "board": charger.board_port}
+            answer(options, {"ready": True, **ports, "scene": scene.name})
         else:
-            print(f"servo {charger.servo_port}\nboard {charger.board_port}\nready", flush=True)
+            tell(f"servo {charger.servo_port}\nboard {charger.board_port}\nready")
         while not interrupts.event.wait(0.2):
             broken = charger.errors()
             if broken:
@@ -40,3 +44,9 @@ def simulate(options: argparse.Namespace) -> int:
             Path(options.record).write_text(json.dumps(json_ready(record), indent=2) + "\n", encoding="utf-8")
         say("in the simulated world: " + ", ".join(f"{key} {value}" for key, value in record.items()))
         return interrupts.exit_code(DONE)
+
+
+def _check_record(path: Path) -> None:
+    """Refuse at the start a record that could not be written at the end."""
+    if path.is_dir() or not path.parent.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise CommandError(f"--record {path}: cannot be written; give a file in a folder that exists", WRONG_INPUT)

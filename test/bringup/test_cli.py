@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import json
+import math
+import shlex
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from deltacharger_bringup.cli import main
+from deltacharger_bringup.cli import build_parser, main
+
+from .conftest import Process
 
 COMMANDS = (
     *("up", "dock", "undock", "scene", "simulate", "doctor", "tactile", "vision", "calibrate"),
@@ -63,7 +71,12 @@ def test_a_command_to_come_refuses_with_1(capsys: pytest.CaptureFixture[str], wo
         ("dock", "--x-mm", "1", "--camera"),
         ("dock", "--roll-deg", "91"),
         ("dock", "--stop-after-s", "1e12"),
+        ("dock", "--x-mm", "20000"),
         ("dock", "--namespace", "bad name"),
+        ("dock", "--picture", ""),
+        ("dock", "--picture", "run.docx"),
+        ("dock", "--picture", "/no/such/folder/run.png"),
+        ("simulate", "--directory", "/tmp/never", "--record", "/no/such/folder/record.json"),
         ("simulate",),
         ("simulate", "--directory", "/tmp/never", "--scene", "bench"),
     ],
@@ -90,6 +103,53 @@ def test_a_refused_scene_is_2_and_names_file_and_key(
     assert one_object(out)["key"] == "simulation.sed"
     assert one_object(out)["file"] == str(path)
     assert "did you mean 'seed'" in err
+
+
+@pytest.mark.parametrize("domain", ["abc", "-1", "233", "99999999999"])
+def test_a_domain_that_ros_cannot_use_is_2(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, domain: str
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    code, out, err = run(capsys, "undock", "--json")
+    assert code == 2
+    assert "0 to 232" in one_object(out)["error"]
+    assert err.count("\n") == 1
+
+
+def test_numbers_and_namespaces_as_people_write_them() -> None:
+    words = ["dock", "--z-mm", "-8e1", "--x-mm", "-.5", "--deadline-s", "0", "--namespace", "/robot/arm/"]
+    options = build_parser().parse_args(words)
+    assert (options.z_mm, options.x_mm, options.deadline_s) == (-80.0, -0.5, math.inf)
+    assert options.namespace == "robot/arm"
+
+
+def test_version_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "--version")
+    assert (code, out.split()[0], len(out.splitlines())) == (0, "deltacharger", 1)
+
+
+def test_a_reader_that_leaves_is_no_error(deltacharger: tuple[str, ...]) -> None:
+    words = shlex.join((*deltacharger, "scene", "explain", "simulated", "--all"))
+    ended = subprocess.run(
+        ["bash", "-c", f"{words} | true; exit ${{PIPESTATUS[0]}}"], capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_ctrl_c_before_anything_runs_is_130_with_one_object(
+    start: Callable[..., Process], tmp_path: Path, times: int
+) -> None:
+    (tmp_path / "yaml.py").write_text("import time\nprint('reading', flush=True)\ntime.sleep(30)\n", encoding="utf-8")
+    source = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); "
+    source += "from deltacharger_bringup.cli import main; sys.exit(main())"
+    process = start(sys.executable, "-c", source, "dock", "--json")
+    process.wait_for_line("reading", process.out)
+    for _ in range(times):
+        process.process.send_signal(signal.SIGINT)
+    assert process.end() == 130
+    assert json.loads(process.out[-1]) == {"success": False, "error": "interrupted"}
+    assert process.err == ["interrupted"]
 
 
 def test_missing_coordinates_are_named(capsys: pytest.CaptureFixture[str]) -> None:

@@ -50,3 +50,30 @@ def test_an_unknown_parameter_ends_a_node_with_2_and_its_name(
     process = start(*arguments(quick_scene, name, namespace), "-p", "no_such_parameter:=1")
     assert process.end() == 2
     assert any("no_such_parameter" in line for line in process.err)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("-r", "__ns:=/bad name"), "ROS refuses"),
+        (("--no-such-flag",), "no-such-flag"),
+        (("-r", "__node:=bad-name"), "ROS refuses"),
+    ],
+)
+def test_ros_arguments_that_ros_refuses_end_a_node_with_2_and_one_line(
+    start: Callable[..., Process], quick_scene: Scene, words: tuple[str, ...], told: str
+) -> None:
+    process = start(*arguments(quick_scene, "kinematics_node", "x"), *words)
+    assert process.end() == 2
+    assert any(told in line for line in process.err), process.err
+    assert not any("Traceback" in line for line in process.err)
+
+
+def test_a_domain_that_ros_cannot_use_ends_a_node_with_2(
+    start: Callable[..., Process], quick_scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "233")
+    process = start(*arguments(quick_scene, "kinematics_node", "x"))
+    assert process.end() == 2
+    assert len(process.err) == 1
+    assert "0 to 232" in process.err[0]

@@ -46,6 +46,13 @@ def write(folder: Path, text: str) -> Path:
         ),
         ("nodes: [docking_node]\nparameters: {docking_node: 3}", "parameters.docking_node", "parameters and values"),
         ("nodes: [servo_node]", "ports.servo", "/dev/ttyUSB0"),
+        ("nodes: [[servo_node]]", "nodes", "list of executables"),
+        ("simulation: {}\nports: {servo: /dev/ttyUSB0}", "ports", "excludes 'simulation'"),
+        (
+            "simulation: {}\nparameters: {servo_node: {port: /dev/ttyUSB0}}",
+            "parameters.servo_node.port",
+            "must not open a port of real hardware",
+        ),
         ("name: 3\nnodes: [docking_node]", "name", "give text"),
         ("", "", "is empty"),
         ("- 1", "", "is a list"),

@@ -80,6 +80,7 @@ def test_a_refused_docking_is_1_with_its_code(
     assert dock.end() == 1
     result = json.loads("\n".join(dock.out))
     assert (result["error_name"], result["success"]) == ("UNREACHABLE", False)
+    assert result["suggested_base_pose"]
 
 
 def test_undock_without_a_charger_is_1(
@@ -88,6 +89,44 @@ def test_undock_without_a_charger_is_1(
     undock = start(*deltacharger, "undock", "--namespace", namespace)
     assert undock.end() == 1
     assert any("deltacharger up" in line for line in undock.err)
+
+
+def test_without_scene_and_domain_a_charger_is_looked_for_in_both_domains(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], namespace: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    undock = start(*deltacharger, "undock", "--namespace", namespace)
+    assert undock.end() == 1
+    assert any("domain 0 or 87" in line for line in undock.err)
+
+
+def test_without_scene_and_domain_a_charger_in_the_default_domain_is_used(
+    start: Callable[..., Process],
+    deltacharger: tuple[str, ...],
+    quick_file: Path,
+    namespace: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "0")
+    charger = up(start, deltacharger, quick_file, namespace)
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+    undock = start(*deltacharger, "undock", "--namespace", namespace, "--json")
+    assert undock.end() == 0, undock.err
+    assert any("ROS domain 0" in line for line in undock.err)
+    assert charger.end(signal.SIGTERM) == 0
+
+
+def test_two_quick_ctrl_c_end_dock_with_130_and_one_object(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str
+) -> None:
+    options = ("--scene", str(quick_file), "--namespace", namespace, "--json", "--no-picture")
+    dock = start(*deltacharger, "dock", *options)
+    dock.wait_for_line("contact", dock.err)
+    dock.process.send_signal(signal.SIGINT)
+    dock.process.send_signal(signal.SIGINT)
+    assert dock.end() == 130
+    assert json.loads("\n".join(dock.out))["success"] is False
+    assert not any("Traceback" in line for line in dock.err), dock.err
 
 
 @pytest.mark.skipif("COLCON_PREFIX_PATH" in os.environ, reason="a colcon workspace has no venv prefix to find")
