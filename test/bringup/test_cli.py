@@ -76,9 +76,9 @@ def test_a_command_to_come_refuses_with_1(capsys: pytest.CaptureFixture[str], wo
         ("dock", "--picture", ""),
         ("dock", "--picture", "run.docx"),
         ("dock", "--picture", "/no/such/folder/run.png"),
-        ("simulate", "--directory", "/tmp/never", "--record", "/no/such/folder/record.json"),
+        ("simulate", "--directory", "never", "--record", "/no/such/folder/record.json"),
         ("simulate",),
-        ("simulate", "--directory", "/tmp/never", "--scene", "bench"),
+        ("simulate", "--directory", "never", "--scene", "bench"),
     ],
 )
 def test_wrong_usage_is_2_with_a_reason_on_stderr(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:

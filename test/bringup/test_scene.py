@@ -120,8 +120,8 @@ def test_who_commands_starts_last_and_so_closes_first() -> None:
 def test_a_node_gets_its_port_from_the_simulated_charger_or_else_from_the_scene() -> None:
     bench = load_scene("bench")
     assert bench.node_parameters("servo_node", {}) == {"port": bench.ports.servo}
-    assert bench.node_parameters("tactile_node", {"board": "/tmp/b"}) == {"port": "/tmp/b"}
-    assert bench.node_parameters("docking_node", {"board": "/tmp/b"}) == {}
+    assert bench.node_parameters("tactile_node", {"board": "board-port"}) == {"port": "board-port"}
+    assert bench.node_parameters("docking_node", {"board": "board-port"}) == {}
 
 
 def test_explain_shows_every_key_of_the_world_with_its_unit_and_range() -> None:

@@ -17,25 +17,23 @@ import pytest
 
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
-rclpy = pytest.importorskip("rclpy")
-pytest.importorskip("deltacharger.msg")
+import rclpy
+from builtin_interfaces.msg import Duration
+from deltacharger.msg import ChargerPower, TactileFrame
+from deltacharger.srv import Probe, SetContactor
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from std_srvs.srv import Trigger
 
-from builtin_interfaces.msg import Duration  # noqa: E402
-from deltacharger.msg import ChargerPower, TactileFrame  # noqa: E402
-from deltacharger.srv import Probe, SetContactor  # noqa: E402
-from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from rclpy.callback_groups import ReentrantCallbackGroup  # noqa: E402
-from rclpy.node import Node  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import QoSProfile, qos_profile_sensor_data  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
-
-from deltacharger_bringup.node_support import Spinner, StartupError  # noqa: E402
-from deltacharger_driver.bench_plant import BenchPlant  # noqa: E402
-from deltacharger_driver.board_emulator import BoardEmulator  # noqa: E402
-from deltacharger_driver.board_protocol import Fault, PacketType  # noqa: E402
-from deltacharger_driver.pseudo_terminal import PseudoTerminal  # noqa: E402
-from deltacharger_driver.tactile_node import TactileNode  # noqa: E402
+from deltacharger_bringup.node_support import Spinner, StartupError
+from deltacharger_driver.bench_plant import BenchPlant
+from deltacharger_driver.board_emulator import BoardEmulator
+from deltacharger_driver.board_protocol import Fault, PacketType
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.tactile_node import TactileNode
 
 _domains = itertools.count(os.getpid() % 50 * 4)
 
