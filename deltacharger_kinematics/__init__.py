@@ -4,7 +4,21 @@
 """
 
 from deltacharger_kinematics.delta import Delta, Forward, Inverse, Jacobian
-from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
+from deltacharger_kinematics.modes import AHEAD, BEHIND, KNEE_OUT, WORKING_MODES
 from deltacharger_kinematics.status import KinematicsError, Status
 
-__all__ = ["Delta", "DeltaGeometry", "Forward", "Inverse", "Jacobian", "KinematicsError", "Status"]
+__all__ = [
+    "AHEAD",
+    "BEHIND",
+    "KNEE_OUT",
+    "WORKING_MODES",
+    "Delta",
+    "DeltaGeometry",
+    "Forward",
+    "Inverse",
+    "Jacobian",
+    "KinematicsError",
+    "LimbAdjustment",
+    "Status",
+]

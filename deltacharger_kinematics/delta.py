@@ -1,271 +1,225 @@
-"""Inverse and forward kinematics, Jacobian and statics of the inverted delta over arrays of points.
+"""Inverse and forward kinematics, Jacobian and statics of the inverted delta.
 
 Formulas, with θ from radially outward toward +z and per limb at azimuth φ (frame ``charger_base``; w is measured from
 the motor plane): u = x cosφ + y sinφ − D, v = y cosφ − x sinφ, w = z + z_offset, K = u² + w² + v² + a² − L²,
-Q = 4a²(u² + w²) − K². A limb reaches the point where Q ≥ 0, and θ = atan2(Kw − √Q·u, Ku + √Q·w) is its knee-out
-angle: one root, one arc tangent, no division. The velocity relation follows from r·(p − c(θ)) = const with rod
-vectors r: J = R⁻¹ diag(b). Statics is its transpose, τ = Jᵀ f.
+Q = 4a²(u² + w²) − K². A limb reaches the point where Q ≥ 0, and θ = atan2(Kw + σ√Q·u, Ku − σ√Q·w) is its angle, σ = −1
+for a knee turned outward: one root, one arc tangent, no division. The velocity relation follows from
+r·(p − c(θ)) = const with unit rod vectors r and levers b = −σ√Q/(2L): J = R⁻¹ diag(b). Statics is its transpose,
+τ = Jᵀ f. A limb's adjustment shifts D, v and w, replaces a and L, and offsets the true angle from the commanded one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, DeltaGeometry
+from deltacharger_kinematics.arguments import as_point, as_vectors, broadcast
+from deltacharger_kinematics.forward import ForwardSolver
+from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.inverse import InverseSolver
+from deltacharger_kinematics.limb_arrays import LimbArrays
+from deltacharger_kinematics.modes import AHEAD, KNEE_OUT, WorkingMode, check_modes
+from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
 from deltacharger_kinematics.status import KinematicsError, Status
+from deltacharger_kinematics.vectors import cross, dot
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-_COSINE = np.array([direction[0] for direction in LIMB_DIRECTIONS])
-_SINE = np.array([direction[1] for direction in LIMB_DIRECTIONS])
-_LIMB_BITS = np.array([Status.LIMB_0, Status.LIMB_1, Status.LIMB_2], dtype=np.uint32)
-_LARGEST = 1e6  # m; squares of larger coordinates lose every digit that matters, far beyond that they overflow
-_NEAR_TYPE_1 = 0.02  # of the arm: lever |b| below which a limb is nearly stretched or folded
-_NEAR_TYPE_2 = 0.02  # |det| of the unit rod vectors below which the platform is nearly unheld
 
 
-@dataclass(frozen=True)
-class Inverse:
-    """Arm angles (..., 3) rad, status (...) of Status bits, margin (...) to the edge of reach."""
+class Inverse(NamedTuple):
+    """Arm angles (..., 3) rad, status (...) of Status bits, margin (...) to the edge of reach.
+
+    The margin is the least Q/(4a²(u² + w²)) of the limbs: 1 farthest from the edge, 0 on it, negative outside; NaN
+    where the input is invalid or a limb's angle indeterminate. For one point status is a `Status`, margin a float.
+    """
 
     angles: Array
     status: NDArray[np.uint32] | Status
-    margin: Array
+    margin: Array | float
 
 
-@dataclass(frozen=True)
-class Forward:
+class Forward(NamedTuple):
     """Positions (..., 3) m in charger_base, status (...), determinant (...) of the unit rod vectors."""
 
     position: Array
     status: NDArray[np.uint32] | Status
-    determinant: Array
+    determinant: Array | float
 
 
-@dataclass(frozen=True)
-class Jacobian:
-    """dp/dangle (..., 3, 3) m/rad, determinant (...) of the unit rod vectors, condition number (...)."""
+class Jacobian(NamedTuple):
+    """dp/dangle (..., 3, 3) m/rad, determinant (...) of the unit rod vectors, condition number (...).
+
+    NaN where the point is out of reach; where the rods lie in a plane the matrix is NaN and the condition infinite.
+    """
 
     matrix: Array
-    determinant: Array
-    condition: Array
+    determinant: Array | float
+    condition: Array | float
 
 
 class Delta:
-    """The delta of one geometry. Arrays are (..., 3) in and float64 out; a bad point never fails the others."""
+    """The delta of one geometry. Arrays are (..., 3) in and float64 out; a bad point never fails the others.
 
-    def __init__(self, geometry: DeltaGeometry | None = None) -> None:
-        self.geometry = geometry or DeltaGeometry()
+    Args:
+        geometry: dimensions; None = the defaults.
+        working_mode: side of each knee, −1 out, +1 in; `modes.WORKING_MODES` lists all eight.
+        assembly: +1 with the platform ahead of the elbows, −1 the mirror assembly.
 
-    def inverse(self, position: ArrayLike, *, strict: bool = False) -> Inverse:
+    Raises:
+        ValueError: names the argument.
+    """
+
+    def __init__(
+        self, geometry: DeltaGeometry | None = None, *, working_mode: WorkingMode = KNEE_OUT, assembly: int = AHEAD
+    ) -> None:
+        check_modes(working_mode, assembly)
+        self.geometry = geometry = geometry or DeltaGeometry()
+        self._scalar = ScalarDelta(geometry, working_mode=working_mode, assembly=assembly)
+        self._inverse = InverseSolver(geometry, working_mode, assembly)
+        self._forward = ForwardSolver(geometry, working_mode, assembly)
+        self._arrays = LimbArrays(geometry, working_mode)
+
+    def inverse(self, position: ArrayLike, *, strict: bool = False, precise: bool = False) -> Inverse:
         """Return the arm angles that put the platform at `position` (..., 3) m.
 
+        Angles are good to 8e-16 rad in the workspace and to 4e-16 rad near the edge of reach; whether a point is
+        reachable is decided exactly.
+
+        Args:
+            position: (..., 3) m in charger_base.
+            strict: raise where any status is not OK.
+            precise: solve every point in double-double: 4e-16 rad everywhere, at about ten times the cost.
+
         Raises:
-            ValueError: the last axis is not 3.
-            KinematicsError: only with `strict`, where any status is not OK.
+            ValueError: `position` is not an array (..., 3) of numbers.
+            KinematicsError: only with `strict`.
         """
-        points, shape = _flat(position)
-        geometry = self.geometry
-        status = np.zeros(len(points), dtype=np.uint32)
-        finite: Mask = np.asarray(np.isfinite(points).all(axis=1))
-        far: Mask = finite & np.asarray((np.abs(np.where(finite[:, None], points, 0.0)) > _LARGEST).any(axis=1))
-        status[~finite] |= np.uint32(Status.INVALID_INPUT)
-        status[far] |= np.uint32(Status.UNREACHABLE_FAR | Status.LIMB_0 | Status.LIMB_1 | Status.LIMB_2)
-        safe = np.where((finite & ~far)[..., None], points, 0.0)
-        u, v, w, k, q = self._limb_terms(safe)
-        reach = u * u + w * w
-        scale = 4.0 * geometry.arm**2 * reach
-        with np.errstate(divide="ignore", invalid="ignore"):
-            margin = np.where(scale > 0.0, q / scale, np.nan).min(-1)
-        indeterminate = (reach == 0.0) & (q == 0.0)
-        reachable = (q >= 0.0) & ~indeterminate
-        root = np.sqrt(np.where(reachable, q, 0.0))
-        angles = np.where(reachable, np.arctan2(k * w - root * u, k * u + root * w), np.nan)
-        usable = finite & ~far
-        angles[~usable] = np.nan
-        margin = np.where(usable, margin, np.where(finite, -np.inf, np.nan))
-        self._flag_reach(status, usable, reachable, indeterminate, v, reach)
-        solved = usable & reachable.all(-1)
-        status[solved] |= self._flags(safe[solved], angles[solved], root[solved], v[solved])
+        if not precise and (point := as_point(position)):
+            solved = self._scalar.solve(*point)
+            if solved and not (strict and solved[1]):
+                return Inverse(np.array(solved[0]), _STATUS.get(solved[1]) or Status(solved[1]), solved[2])
+        points = as_vectors(position, "position")
+        angles, status, margin = self._inverse.solve(points.reshape(-1, 3), precise)
         _raise_if(strict, status)
-        return Inverse(angles.reshape(*shape, 3), _shaped(status, shape), margin.reshape(shape))
+        if points.ndim == 1:
+            return Inverse(angles[0], Status(int(status[0])), float(margin[0]))
+        shape = points.shape[:-1]
+        return Inverse(angles.reshape(points.shape), status.reshape(shape), margin.reshape(shape))
 
     def forward(self, angles: ArrayLike, *, strict: bool = False) -> Forward:
-        """Return the platform position for arm `angles` (..., 3) rad, on the side ahead of the elbows.
+        """Return the platform position for arm `angles` (..., 3) rad.
 
         Raises:
-            ValueError: the last axis is not 3.
+            ValueError: `angles` is not an array (..., 3) of numbers.
             KinematicsError: only with `strict`, where any status is not OK.
         """
-        arms, shape = _flat(angles)
-        geometry = self.geometry
-        status = np.zeros(len(arms), dtype=np.uint32)
-        finite: Mask = np.asarray(np.isfinite(arms).all(axis=1))
-        status[~finite] |= np.uint32(Status.INVALID_INPUT)
-        arms = np.where(finite[..., None], arms, 0.0)
-        elbows = self._elbows(arms)
-        a, b = elbows[..., 1, :] - elbows[..., 0, :], elbows[..., 2, :] - elbows[..., 0, :]
-        normal = np.cross(a, b)
-        square = (normal * normal).sum(-1)
-        extent = np.maximum((a * a).sum(-1), (b * b).sum(-1))
-        degenerate = finite & (square <= (1e-12 * extent) ** 2)
-        half = np.where(degenerate | (square == 0.0), np.nan, 0.5 / np.where(square == 0.0, 1.0, square))[..., None]
-        centre = half * (
-            (b * b).sum(-1, keepdims=True) * np.cross(normal, a) + (a * a).sum(-1, keepdims=True) * np.cross(b, normal)
-        )
-        height = geometry.rod**2 - (centre * centre).sum(-1)
-        apart = finite & ~degenerate & (height < 0.0)
-        status[degenerate] |= np.uint32(Status.DEGENERATE)
-        status[apart] |= np.uint32(Status.NOT_ASSEMBLABLE)
-        solved = finite & ~degenerate & ~apart
-        with np.errstate(invalid="ignore", divide="ignore"):
-            along = np.sqrt(np.where(solved, height / square, np.nan))[..., None]
-        position = elbows[..., 0, :] + centre + along * normal
-        position[..., 2] -= geometry.z_offset
-        determinant = np.full(len(arms), np.nan)
-        if solved.any():
-            rods = (self._motor_frame(position[solved])[:, None, :] - elbows[solved]) / geometry.rod
-            determinant[solved] = np.linalg.det(rods)
-            _, v, _, _, q = self._limb_terms(position[solved])
-            status[solved] |= self._flags(position[solved], arms[solved], np.sqrt(np.maximum(q, 0.0)), v)
+        if point := as_point(angles):
+            met = self._scalar.solve_forward(*point)
+            if met and not (strict and met[1]):
+                return Forward(np.array(met[0]), _STATUS.get(met[1]) or Status(met[1]), met[2])
+        arms = as_vectors(angles, "angles")
+        position, status, determinant = self._forward.solve(arms.reshape(-1, 3))
         _raise_if(strict, status)
-        return Forward(position.reshape(*shape, 3), _shaped(status, shape), determinant.reshape(shape))
+        if arms.ndim == 1:
+            return Forward(position[0], Status(int(status[0])), float(determinant[0]))
+        shape = arms.shape[:-1]
+        return Forward(position.reshape(arms.shape), status.reshape(shape), determinant.reshape(shape))
 
     def jacobian(self, position: ArrayLike) -> Jacobian:
-        """Return the Jacobian at `position` (..., 3) m; NaN where out of reach or where the rods lie in a plane."""
-        points, shape = _flat(position)
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        """Return the Jacobian at `position` (..., 3) m.
+
+        Raises:
+            ValueError: `position` is not an array (..., 3) of numbers.
+        """
+        points = as_vectors(position, "position")
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore", under="ignore"):
             rods, lever = self._rods(points)
-            r0, r1, r2 = rods[..., 0, :], rods[..., 1, :], rods[..., 2, :]
-            columns = np.stack([np.cross(r1, r2), np.cross(r2, r0), np.cross(r0, r1)], axis=-1)
-            determinant = (r0 * columns[..., 0]).sum(-1)
-            matrix = columns * (lever / np.where(determinant == 0.0, np.nan, determinant)[..., None])[..., None, :]
-        condition = np.full(len(points), np.inf)
+            # The inverse by cross products: numpy's solver lets one singular point fail the whole batch.
+            r0, r1, r2 = rods[:, 0], rods[:, 1], rods[:, 2]
+            columns = np.stack([cross(r1, r2), cross(r2, r0), cross(r0, r1)], axis=1)
+            determinant = dot(r0, columns[:, 0])
+            matrix = np.moveaxis(
+                columns * (lever / np.where(determinant == 0.0, np.nan, determinant)), (0, 1), (-2, -1)
+            )
+        condition = np.where(np.isnan(determinant), np.nan, np.inf)
         usable = np.isfinite(matrix).all((-2, -1))
         condition[usable] = np.linalg.cond(matrix[usable])
-        return Jacobian(matrix.reshape(*shape, 3, 3), determinant.reshape(shape), condition.reshape(shape))
+        if points.ndim == 1:
+            return Jacobian(matrix, float(determinant), float(condition))
+        return Jacobian(matrix, determinant, condition)
 
     def torque(self, position: ArrayLike, force: ArrayLike) -> Array:
-        """Return the arm torques (..., 3) N·m with which the platform exerts `force` (..., 3) N at `position`."""
-        matrix = self.jacobian(position).matrix
-        return np.asarray(np.einsum("...ji,...j->...i", matrix, np.asarray(force, dtype=np.float64)), dtype=np.float64)
+        """Return the arm torques (..., 3) N·m with which the platform exerts `force` (..., 3) N at `position`.
+
+        Raises:
+            ValueError: names the argument that is not an array (..., 3) of numbers or does not fit the other.
+        """
+        points, pushes = _pair(position, force, "force")
+        with np.errstate(invalid="ignore", over="ignore", under="ignore"):
+            return np.asarray((self.jacobian(points).matrix * pushes[..., :, None]).sum(-2))
 
     def force(self, position: ArrayLike, torque: ArrayLike) -> Array:
-        """Return the force (..., 3) N that the platform exerts for arm `torque` (..., 3) N·m; NaN where singular."""
-        rods, lever = self._rods(np.asarray(position, dtype=np.float64))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            along = np.asarray(torque, dtype=np.float64) / lever
-        # f = J⁻ᵀ τ = Rᵀ diag(b)⁻¹ τ: the rods' own directions, so no matrix is inverted.
-        return np.asarray((rods * along[..., None]).sum(-2), dtype=np.float64)
+        """Return the force (..., 3) N that the platform exerts for arm `torque` (..., 3) N·m.
+
+        NaN where the point is out of reach or a limb at its edge, where any force along its rod costs no torque.
+
+        Raises:
+            ValueError: names the argument that is not an array (..., 3) of numbers or does not fit the other.
+        """
+        points, torques = _pair(position, torque, "torque")
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore", under="ignore"):
+            rods, lever = self._rods(points)
+            # f = J⁻ᵀ τ = Rᵀ diag(b)⁻¹ τ: the rods' own directions, so no matrix is inverted.
+            along = np.moveaxis(torques, -1, 0) / np.where(lever == 0.0, np.nan, lever)
+            return np.moveaxis((rods * along).sum(axis=1), 0, -1)
 
     def holding_torque(self, position: ArrayLike, gravity: ArrayLike = GRAVITY) -> Array:
-        """Return the arm torques (..., 3) N·m that carry platform and rods at rest against `gravity` (3,) m/s²."""
-        points = np.asarray(position, dtype=np.float64)
-        geometry = self.geometry
-        pull = np.asarray(gravity, dtype=np.float64)
-        carried = self.torque(points, -(geometry.platform_mass + 1.5 * geometry.rod_mass) * pull)
-        angles = self.inverse(points).angles
-        outward = pull[0] * _COSINE + pull[1] * _SINE
-        rise = pull[2] * np.cos(angles) - outward * np.sin(angles)
-        return np.asarray(carried - 0.5 * geometry.rod_mass * geometry.arm * rise, dtype=np.float64)
+        """Return the arm torques (..., 3) N·m that carry platform and rods at rest.
+
+        Half of each rod pair counts with the platform and half with its elbow: a uniform link weighs on its ends alike.
+
+        Args:
+            position: (..., 3) m in charger_base.
+            gravity: (3,) or (..., 3) m/s² in charger_base.
+
+        Raises:
+            ValueError: names the argument that is not an array (..., 3) of numbers or does not fit the other.
+        """
+        points, pull = _pair(position, gravity, "gravity")
+        geometry, arrays = self.geometry, self._arrays
+        with np.errstate(invalid="ignore", over="ignore", under="ignore"):
+            carried = self.torque(points, -(geometry.platform_mass + 1.5 * geometry.rod_mass) * pull)
+            true = self.inverse(points).angles + arrays.angle_offset[:, 0]
+            outward = pull[..., 0:1] * arrays.cosine[:, 0] + pull[..., 1:2] * arrays.sine[:, 0]
+            rise = pull[..., 2:3] * np.cos(true) - outward * np.sin(true)
+            return np.asarray(carried - 0.5 * geometry.rod_mass * arrays.arm[:, 0] * rise)
 
     def contact_force(self, position: ArrayLike, current: ArrayLike, gravity: ArrayLike = GRAVITY) -> Array:
-        """Return the force (..., 3) N on the target for servo `current` (..., 3) A, the weight of the arm removed."""
-        torque = np.asarray(current, dtype=np.float64) * TORQUE_CONSTANT
-        return self.force(position, torque - self.holding_torque(position, gravity))
+        """Return the force (..., 3) N on the target for servo `current` (..., 3) A, signed, the arm's weight removed.
 
-    def _motor_frame(self, points: Array) -> Array:
-        return np.asarray(points + np.array([0.0, 0.0, self.geometry.z_offset]), dtype=np.float64)
-
-    def _limb_terms(self, points: Array) -> tuple[Array, Array, Array, Array, Array]:
-        geometry = self.geometry
-        x, y, z = points[..., 0:1], points[..., 1:2], points[..., 2:3]
-        u = x * _COSINE + y * _SINE - geometry.radius_difference
-        v = y * _COSINE - x * _SINE
-        w = np.broadcast_to(z + geometry.z_offset, u.shape)
-        reach = u * u + w * w
-        k = reach + v * v + geometry.arm**2 - geometry.rod**2
-        return u, v, w, k, 4.0 * geometry.arm**2 * reach - k * k
-
-    def _elbows(self, angles: Array) -> Array:
-        """Return the elbows (..., 3 limbs, 3) in delta_motor, shifted inward by the platform's radius."""
-        geometry = self.geometry
-        radius = geometry.radius_difference + geometry.arm * np.cos(angles)
-        height = geometry.arm * np.sin(angles)
-        return np.asarray(np.stack([radius * _COSINE, radius * _SINE, height], axis=-1), dtype=np.float64)
+        Raises:
+            ValueError: names the argument that is not an array (..., 3) of numbers or does not fit the others.
+        """
+        points, currents = _pair(position, current, "current")
+        with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+            return self.force(points, currents * TORQUE_CONSTANT - self.holding_torque(points, gravity))
 
     def _rods(self, points: Array) -> tuple[Array, Array]:
-        """Return unit rod vectors (..., 3 limbs, 3) and levers (..., 3) m at `points`."""
-        _, _, _, _, q = self._limb_terms(points)
-        elbows = self._elbows(self.inverse(points).angles)
-        rods = (self._motor_frame(points)[..., None, :] - elbows) / self.geometry.rod
-        with np.errstate(invalid="ignore"):
-            lever = np.sqrt(q) / (2.0 * self.geometry.rod)
-        return rods, lever
-
-    def _flag_reach(
-        self,
-        status: NDArray[np.uint32],
-        usable: Mask,
-        reachable: Mask,
-        indeterminate: Mask,
-        v: Array,
-        reach: Array,
-    ) -> None:
-        geometry = self.geometry
-        missed = ~reachable & ~indeterminate & usable[..., None]
-        lateral = missed & (np.abs(v) > geometry.rod)
-        radius = np.sqrt(np.maximum(geometry.rod**2 - v * v, 0.0))
-        near = missed & ~lateral & (np.sqrt(reach) < np.abs(geometry.arm - radius))
-        far = missed & ~lateral & ~near
-        for mask, bit in (
-            (lateral, Status.UNREACHABLE_LATERAL),
-            (near, Status.UNREACHABLE_NEAR),
-            (far, Status.UNREACHABLE_FAR),
-            (indeterminate & usable[..., None], Status.INDETERMINATE),
-        ):
-            status |= np.where(mask.any(-1), np.uint32(bit), np.uint32(0))
-            status |= (mask * _LIMB_BITS).sum(-1).astype(np.uint32)
-
-    def _flags(self, points: Array, angles: Array, root: Array, v: Array) -> NDArray[np.uint32]:
-        """Return the warnings (n,) of solved points (n, 3)."""
-        geometry = self.geometry
-        rods = (self._motor_frame(points)[:, None, :] - self._elbows(angles)) / geometry.rod
-        determinant = np.linalg.det(rods)
-        limb_checks = (
-            (root / (2.0 * geometry.rod) < _NEAR_TYPE_1 * geometry.arm, Status.NEAR_TYPE_1),
-            ((angles < geometry.joint_min) | (angles > geometry.joint_max), Status.JOINT_LIMIT),
-            (np.abs(v) > geometry.rod * np.sin(geometry.swing_max), Status.SWING_LIMIT),
-        )
-        box = (points < np.array(geometry.workspace_min)) | (points > np.array(geometry.workspace_max))
-        point_checks = (
-            (determinant < 0.0, Status.WRONG_ASSEMBLY),
-            (np.abs(determinant) < _NEAR_TYPE_2, Status.NEAR_TYPE_2),
-            (box.any(-1), Status.OUTSIDE_WORKSPACE),
-        )
-        status = np.zeros(len(points), dtype=np.uint32)
-        for mask, bit in limb_checks:
-            status |= np.where(mask.any(-1), np.uint32(bit), np.uint32(0))
-            status |= (mask * _LIMB_BITS).sum(-1).astype(np.uint32)
-        for mask, bit in point_checks:
-            status |= np.where(mask, np.uint32(bit), np.uint32(0))
-        return status
+        """Return unit rod vectors (3 axes, 3 limbs, ...) and levers (3 limbs, ...) m at `points` (..., 3)."""
+        rods, lever = self._inverse.rods(points.reshape(-1, 3))
+        shape = points.shape[:-1]
+        return (rods / self._arrays.rod).reshape(3, 3, *shape), (lever / self._arrays.rod).reshape(3, *shape)
 
 
-def _flat(values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
-    """Return a copy as (n, 3) and the leading shape to give back."""
-    points = np.array(values, dtype=np.float64)
-    if points.ndim == 0 or points.shape[-1] != 3:
-        raise ValueError(f"give an array (..., 3), not of shape {points.shape}")
-    return points.reshape(-1, 3), points.shape[:-1]
+# The common answers of the one-point path; making a Status costs as much as solving a limb.
+_STATUS = {int(status): status for status in (Status.OK, Status.OUTSIDE_WORKSPACE)}
 
 
-def _shaped(status: NDArray[np.uint32], shape: tuple[int, ...]) -> NDArray[np.uint32] | Status:
-    return status.reshape(shape) if shape else Status(int(status[0]))
+def _pair(position: ArrayLike, other: ArrayLike, name: str) -> tuple[Array, Array]:
+    return broadcast(as_vectors(position, "position"), as_vectors(other, name), name)
 
 
 def _raise_if(strict: bool, status: NDArray[np.uint32]) -> None:

@@ -1,103 +1,168 @@
 """One point at a time in plain Python floats: what a simulator or a control loop calls thousands of times a second.
 
-numpy costs 30–60 µs for a single point whatever it computes; these forms cost a few. The formulas are those of
+numpy costs 30–100 µs for a single point whatever it computes; these forms cost a few. The formulas are those of
 `deltacharger_kinematics.delta`, and a test holds the two against each other.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from math import atan2, cos, sin, sqrt
 
-from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, DeltaGeometry, Vector
+from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry, Limb, Vector
+from deltacharger_kinematics.modes import AHEAD, KNEE_OUT, WorkingMode, check_modes
+from deltacharger_kinematics.precise import DOUBTFUL_ROOT, HOPELESS, solve_limb_at
+from deltacharger_kinematics.status import NEAR_TYPE_1, NEAR_TYPE_2, Status
 
-_NAN3: Vector = (math.nan, math.nan, math.nan)
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
+# Of one limb at a point: angle, σ√Q, v, u, w, 2a(u² + w²)·(sin θ, cos θ), u² + w².
+_Reached = tuple[float, float, float, float, float, float, float, float]
+
+_SINE_120 = LIMB_DIRECTIONS[1][1]
+_NAN3: Vector = (math.nan, math.nan, math.nan)
 _NAN9: Matrix = (math.nan,) * 9
+_LIMB_BITS = (int(Status.LIMB_0), int(Status.LIMB_1), int(Status.LIMB_2))
+_TYPE_1, _JOINT, _SWING = int(Status.NEAR_TYPE_1), int(Status.JOINT_LIMIT), int(Status.SWING_LIMIT)
+_TYPE_2, _WRONG, _OUTSIDE = int(Status.NEAR_TYPE_2), int(Status.WRONG_ASSEMBLY), int(Status.OUTSIDE_WORKSPACE)
 
 
 class ScalarDelta:
-    """Inverse and forward kinematics and the Jacobian of one point, in ``charger_base`` (m, rad)."""
+    """Kinematics and statics of one point, in ``charger_base`` (m, rad)."""
 
-    def __init__(self, geometry: DeltaGeometry | None = None) -> None:
-        self.geometry = geometry or DeltaGeometry()
-        self._arm = self.geometry.arm
-        self._rod = self.geometry.rod
-        self._difference = self.geometry.radius_difference
-        self._z_offset = self.geometry.z_offset
+    def __init__(
+        self, geometry: DeltaGeometry | None = None, *, working_mode: WorkingMode = KNEE_OUT, assembly: int = AHEAD
+    ) -> None:
+        check_modes(working_mode, assembly)
+        self.geometry = geometry = geometry or DeltaGeometry()
+        self._limbs = tuple(geometry.limb(index) for index in range(LIMB_COUNT))
+        self._inverse_numbers = tuple(
+            _inverse_numbers(limb, knee) for limb, knee in zip(self._limbs, working_mode, strict=True)
+        )
+        self._limits = tuple(
+            (2.0 * limb.rod * NEAR_TYPE_1 * limb.arm, limb.rod * sin(geometry.swing_max), bit)
+            for limb, bit in zip(self._limbs, _LIMB_BITS, strict=True)
+        )
+        self._joint_min, self._joint_max = geometry.joint_min, geometry.joint_max
+        self._box = geometry.workspace_min, geometry.workspace_max
+        self._directions = tuple((limb.cosine, limb.sine) for limb in self._limbs)
+        self._elbow_numbers = tuple(_elbow_numbers(limb) for limb in self._limbs)
+        self._rods_squared = tuple(limb.rod * limb.rod for limb in self._limbs)
+        self._z_offset = geometry.z_offset
+        self._assembly = float(assembly)
+        self._scale = math.prod(limb.rod for limb in self._limbs)
+        self._near_determinant = NEAR_TYPE_2 * self._scale
+        self._four_arms_squared = tuple(4.0 * limb.arm**2 for limb in self._limbs)
 
     def inverse(self, x: float, y: float, z: float) -> Vector:
-        """Return the three arm angles (rad) that put the platform at (x, y, z); NaN where it is out of reach."""
-        arm, rod, difference = self._arm, self._rod, self._difference
+        """Return the three arm angles (rad) that put the platform at (x, y, z); NaN where any is out of reach."""
+        limbs = self._reach(x, y, z)
+        return (limbs[0][0], limbs[1][0], limbs[2][0]) if limbs else _NAN3
+
+    def solve(self, x: float, y: float, z: float) -> tuple[Vector, int, float] | None:
+        """Return angles (rad), Status bits and margin, or None where a limb has no answer."""
+        limbs = self._reach(x, y, z)
+        if not limbs:
+            return None
+        first, second, third = limbs
+        four_0, four_1, four_2 = self._four_arms_squared
+        margin = min(
+            first[1] * first[1] / (four_0 * first[7]),
+            second[1] * second[1] / (four_1 * second[7]),
+            third[1] * third[1] / (four_2 * third[7]),
+        )
+        bits = self._warnings((x, y, z), limbs, _determinant_of(limbs))
+        return (first[0], second[0], third[0]), bits, margin
+
+    def solve_forward(self, a0: float, a1: float, a2: float) -> tuple[Vector, int, float] | None:
+        """Return position (m), Status bits and determinant of the unit rod vectors, or None without an answer."""
+        elbows = self._elbows((a0, a1, a2))
+        position = self._meet(elbows)
+        x, y, z = position
+        if math.isnan(x):
+            return None
         w = z + self._z_offset
-        angles = []
-        for cosine, sine in LIMB_DIRECTIONS:
-            u = x * cosine + y * sine - difference
-            v = y * cosine - x * sine
-            reach = u * u + w * w
-            k = reach + v * v + arm * arm - rod * rod
-            q = 4.0 * arm * arm * reach - k * k
-            if not q >= 0.0:
-                return _NAN3
-            root = math.sqrt(q)
-            angles.append(math.atan2(k * w - root * u, k * u + root * w))
-        return angles[0], angles[1], angles[2]
+        rods = [(x - elbow_x, y - elbow_y, w - elbow_z) for elbow_x, elbow_y, elbow_z in elbows]
+        states = []
+        for angle, (rx, ry, rz), (zero, arm, _, cosine, sine, _, _, _) in zip(
+            (a0, a1, a2), rods, self._elbow_numbers, strict=True
+        ):
+            lever = arm * (rz * cos(angle + zero) - (rx * cosine + ry * sine) * sin(angle + zero))
+            states.append((angle, 2.0 * lever, ry * cosine - rx * sine, rz))
+        determinant = _determinant(rods)
+        return position, self._warnings(position, states, determinant), determinant / self._scale
+
+    def _warnings(self, point: Vector, limbs: Sequence[tuple[float, ...]], determinant: float) -> int:
+        """Return the warnings about a point whose limbs begin with angle, 2·rod·lever and the rod's part across."""
+        low, high = self._joint_min, self._joint_max
+        bits = 0
+        for limb, (near, swing, bit) in zip(limbs, self._limits):  # noqa: B905 strict costs a tenth of the solve
+            angle, root, across = limb[:3]
+            if low <= angle <= high and (root <= -near or root >= near) and -swing <= across <= swing:
+                continue
+            if not low <= angle <= high:
+                bits |= _JOINT | bit
+            if -near < root < near:
+                bits |= _TYPE_1 | bit
+            if not -swing <= across <= swing:
+                bits |= _SWING | bit
+        determinant *= self._assembly
+        if determinant < self._near_determinant:
+            bits |= _WRONG if determinant < 0.0 else 0
+            bits |= _TYPE_2 if determinant > -self._near_determinant else 0
+        x, y, z = point
+        (x0, y0, z0), (x1, y1, z1) = self._box
+        if not (x0 <= x <= x1 and y0 <= y <= y1 and z0 <= z <= z1):
+            bits |= _OUTSIDE
+        return bits
 
     def forward(self, a0: float, a1: float, a2: float) -> Vector:
-        """Return the platform position (m) ahead of the elbows; NaN where the rods do not meet."""
-        arm, difference = self._arm, self._difference
-        centres = []
-        for angle, (cosine, sine) in zip((a0, a1, a2), LIMB_DIRECTIONS, strict=True):
-            radius = difference + arm * math.cos(angle)
-            centres.append((radius * cosine, radius * sine, arm * math.sin(angle)))
-        (x0, y0, z0), (x1, y1, z1), (x2, y2, z2) = centres
+        """Return the platform position (m) for commanded angles; NaN where the rods do not meet."""
+        return self._meet(self._elbows((a0, a1, a2)))
+
+    def _meet(self, elbows: list[Vector]) -> Vector:
+        (x0, y0, z0), (x1, y1, z1), (x2, y2, z2) = elbows
         ax, ay, az = x1 - x0, y1 - y0, z1 - z0
         bx, by, bz = x2 - x0, y2 - y0, z2 - z0
         nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
         normal = nx * nx + ny * ny + nz * nz
         if not normal > 0.0:
             return _NAN3
-        aa, bb = (ax * ax + ay * ay + az * az) / (2.0 * normal), (bx * bx + by * by + bz * bz) / (2.0 * normal)
-        # Centre of the circle through the three elbows, relative to the first.
-        ox = bb * (ny * az - nz * ay) + aa * (by * nz - bz * ny)
-        oy = bb * (nz * ax - nx * az) + aa * (bz * nx - bx * nz)
-        oz = bb * (nx * ay - ny * ax) + aa * (bx * ny - by * nx)
-        height = self._rod * self._rod - (ox * ox + oy * oy + oz * oz)
+        r0, r1, r2 = self._rods_squared
+        along_a = (ax * ax + ay * ay + az * az + (r0 - r1)) / (2.0 * normal)
+        along_b = (bx * bx + by * by + bz * bz + (r0 - r2)) / (2.0 * normal)
+        # Foot of the platform on the elbows' plane, relative to the first elbow.
+        ox = along_b * (ny * az - nz * ay) + along_a * (by * nz - bz * ny)
+        oy = along_b * (nz * ax - nx * az) + along_a * (bz * nx - bx * nz)
+        oz = along_b * (nx * ay - ny * ax) + along_a * (bx * ny - by * nx)
+        height = r0 - (ox * ox + oy * oy + oz * oz)
         if not height >= 0.0:
             return _NAN3
-        scale = math.sqrt(height / normal)
+        scale = self._assembly * sqrt(height / normal)
         return x0 + ox + scale * nx, y0 + oy + scale * ny, z0 + oz + scale * nz - self._z_offset
 
     def jacobian(self, x: float, y: float, z: float) -> Matrix:
         """Return dp/dangle (m/rad), nine floats row by row; NaN where the point is out of reach or singular."""
-        arm, difference = self._arm, self._difference
-        w = z + self._z_offset
-        rods = []
-        lever = []
-        for cosine, sine in LIMB_DIRECTIONS:
-            u = x * cosine + y * sine - difference
-            v = y * cosine - x * sine
-            reach = u * u + w * w
-            k = reach + v * v + arm * arm - self._rod * self._rod
-            q = 4.0 * arm * arm * reach - k * k
-            if not q >= 0.0 or not reach > 0.0:
-                return _NAN9
-            root = math.sqrt(q)
-            # Elbow in the limb's plane: a·cosθ and a·sinθ, from the same atan2 arguments, normalised.
-            scale = 1.0 / (2.0 * reach)
-            elbow_u = (k * u + root * w) * scale
-            elbow_w = (k * w - root * u) * scale
-            du, dw = u - elbow_u, w - elbow_w
-            rods.append((du * cosine - v * sine, du * sine + v * cosine, dw))
-            lever.append(0.5 * root)
-        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rods
-        c0x, c0y, c0z = r11 * r22 - r12 * r21, r12 * r20 - r10 * r22, r10 * r21 - r11 * r20
-        determinant = r00 * c0x + r01 * c0y + r02 * c0z
+        limbs = self._reach(x, y, z)
+        if not limbs:
+            return _NAN9
+        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rods = self._rods(limbs)
+        determinant = _determinant(rods)
         if determinant == 0.0:
             return _NAN9
-        c1x, c1y, c1z = r21 * r02 - r22 * r01, r22 * r00 - r20 * r02, r20 * r01 - r21 * r00
-        c2x, c2y, c2z = r01 * r12 - r02 * r11, r02 * r10 - r00 * r12, r00 * r11 - r01 * r10
-        g0, g1, g2 = lever[0] / determinant, lever[1] / determinant, lever[2] / determinant
-        return c0x * g0, c1x * g1, c2x * g2, c0y * g0, c1y * g1, c2y * g2, c0z * g0, c1z * g1, c2z * g2
+        scale = -0.5 / determinant
+        g0, g1, g2 = limbs[0][1] * scale, limbs[1][1] * scale, limbs[2][1] * scale
+        return (
+            (r11 * r22 - r12 * r21) * g0,
+            (r21 * r02 - r22 * r01) * g1,
+            (r01 * r12 - r02 * r11) * g2,
+            (r12 * r20 - r10 * r22) * g0,
+            (r22 * r00 - r20 * r02) * g1,
+            (r02 * r10 - r00 * r12) * g2,
+            (r10 * r21 - r11 * r20) * g0,
+            (r20 * r01 - r21 * r00) * g1,
+            (r00 * r11 - r01 * r10) * g2,
+        )
 
     def torque(self, x: float, y: float, z: float, force: Vector) -> Vector:
         """Return the arm torques (N·m) that press with `force` (N, what the platform exerts), τ = Jᵀ f."""
@@ -110,17 +175,14 @@ class ScalarDelta:
         )
 
     def force(self, x: float, y: float, z: float, torque: Vector) -> Vector:
-        """Return the force (N) that the platform exerts for arm torques (N·m), f = J⁻ᵀ τ; NaN where singular."""
-        a, b, c, d, e, f, g, h, i = self.jacobian(x, y, z)
-        t0, t1, t2 = torque
-        determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-        if determinant == 0.0 or determinant != determinant:
+        """Return the force (N) that the platform exerts for arm torques (N·m); NaN where a limb is at its edge."""
+        limbs = self._reach(x, y, z)
+        if not limbs or 0.0 in (limbs[0][1], limbs[1][1], limbs[2][1]):
             return _NAN3
-        return (
-            (t0 * (e * i - f * h) - t1 * (d * i - f * g) + t2 * (d * h - e * g)) / determinant,
-            (-t0 * (b * i - c * h) + t1 * (a * i - c * g) - t2 * (a * h - b * g)) / determinant,
-            (t0 * (b * f - c * e) - t1 * (a * f - c * d) + t2 * (a * e - b * d)) / determinant,
-        )
+        # f = J⁻ᵀ τ = Rᵀ diag(b)⁻¹ τ: along the rods, so no matrix is inverted.
+        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = self._rods(limbs)
+        t0, t1, t2 = (-2.0 * share / limb[1] for share, limb in zip(torque, limbs, strict=True))
+        return r00 * t0 + r10 * t1 + r20 * t2, r01 * t0 + r11 * t1 + r21 * t2, r02 * t0 + r12 * t1 + r22 * t2
 
     def holding_torque(self, x: float, y: float, z: float, gravity: Vector) -> Vector:
         """Return the arm torques (N·m) that carry platform and rods at rest against `gravity` (m/s²).
@@ -131,9 +193,108 @@ class ScalarDelta:
         carried = geometry.platform_mass + 1.5 * geometry.rod_mass
         gx, gy, gz = gravity
         platform = self.torque(x, y, z, (-carried * gx, -carried * gy, -carried * gz))
-        half_rod = 0.5 * geometry.rod_mass * geometry.arm
+        half_rod = 0.5 * geometry.rod_mass
         held = []
-        for share, angle, (cosine, sine) in zip(platform, self.inverse(x, y, z), LIMB_DIRECTIONS, strict=True):
-            outward = gx * cosine + gy * sine
-            held.append(share - half_rod * (gz * math.cos(angle) - outward * math.sin(angle)))
+        for share, angle, (zero, arm, _, cosine, sine, _, _, _) in zip(
+            platform, self.inverse(x, y, z), self._elbow_numbers, strict=True
+        ):
+            angle += zero
+            held.append(share - half_rod * arm * (gz * cos(angle) - (gx * cosine + gy * sine) * sin(angle)))
         return held[0], held[1], held[2]
+
+    def _reach(self, x: float, y: float, z: float) -> list[_Reached]:
+        """Return each limb at the point; empty where one does not reach it or has no unique angle."""
+        limbs: list[_Reached] = []
+        for cosine, sine, difference, tangential, height, four, constant, size, knee, zero in self._inverse_numbers:
+            u = x * cosine + y * sine - difference
+            v = y * cosine - x * sine - tangential
+            w = z + height
+            reach = u * u + w * w
+            k = reach + v * v + constant
+            q = four * reach - k * k
+            size += k
+            root = sqrt(q) if q > 0.0 else 0.0
+            doubtful = not root >= DOUBTFUL_ROOT * size
+            if doubtful:
+                # Also where q is NaN: the point is not finite, or beyond what squares can hold.
+                if not q > -HOPELESS * size * size or reach == 0.0:
+                    return []
+                angle, q = solve_limb_at(x, y, z, self._limbs[len(limbs)], int(knee))
+                if not q >= 0.0:
+                    return []
+                root = sqrt(q)
+            root *= knee
+            sine_part = k * w + root * u
+            cosine_part = k * u - root * w
+            if not doubtful:
+                angle = atan2(sine_part, cosine_part) - zero
+            limbs.append((angle, root, v, u, w, sine_part, cosine_part, reach))
+        return limbs
+
+    def _rods(self, limbs: list[_Reached]) -> list[Vector]:
+        """Return the rod vectors (m)."""
+        rods = []
+        for (_, _, v, u, w, sine_part, cosine_part, reach), (cosine, sine) in zip(limbs, self._directions, strict=True):
+            # The elbow, a·cosθ and a·sinθ, from the arguments of the arc tangent, normalised.
+            half = 0.5 / reach
+            outward = u - cosine_part * half
+            rods.append((outward * cosine - v * sine, outward * sine + v * cosine, w - sine_part * half))
+        return rods
+
+    def _elbows(self, commanded: Vector) -> list[Vector]:
+        """Return the elbows (m) in delta_motor, less the platform radius."""
+        elbows = []
+        for angle, (zero, arm, difference, cosine, sine, tangent_x, tangent_y, height) in zip(
+            commanded, self._elbow_numbers, strict=True
+        ):
+            angle += zero
+            radius = difference + arm * cos(angle)
+            elbows.append((radius * cosine + tangent_x, radius * sine + tangent_y, arm * sin(angle) + height))
+        return elbows
+
+
+def _inverse_numbers(limb: Limb, knee: int) -> tuple[float, ...]:
+    """Return a limb's constants in the order in which the solve unpacks them."""
+    return (
+        limb.cosine,
+        limb.sine,
+        limb.difference,
+        limb.tangential_offset,
+        limb.motor_height,
+        4.0 * limb.arm**2,
+        limb.arm**2 - limb.rod**2,
+        2.0 * limb.rod**2,
+        float(knee),
+        limb.angle_offset,
+    )
+
+
+def _elbow_numbers(limb: Limb) -> tuple[float, float, float, float, float, float, float, float]:
+    """Return a limb's constants in the order in which the elbows unpack them."""
+    return (
+        limb.angle_offset,
+        limb.arm,
+        limb.difference,
+        limb.cosine,
+        limb.sine,
+        -limb.tangential_offset * limb.sine,
+        limb.tangential_offset * limb.cosine,
+        limb.height_offset,
+    )
+
+
+def _determinant_of(limbs: list[_Reached]) -> float:
+    """Return the determinant (m³) of the rod vectors from their parts in the limbs' planes, 120° apart."""
+    (_, _, v0, u0, w0, s0, c0, d0), (_, _, v1, u1, w1, s1, c1, d1), (_, _, v2, u2, w2, s2, c2, d2) = limbs
+    h0, h1, h2 = 0.5 / d0, 0.5 / d1, 0.5 / d2
+    o0, o1, o2 = u0 - c0 * h0, u1 - c1 * h1, u2 - c2 * h2
+    return (
+        (w0 - s0 * h0) * (_SINE_120 * (o1 * o2 + v1 * v2) - 0.5 * (o1 * v2 - v1 * o2))
+        + (w1 - s1 * h1) * (_SINE_120 * (o2 * o0 + v2 * v0) - 0.5 * (o2 * v0 - v2 * o0))
+        + (w2 - s2 * h2) * (_SINE_120 * (o0 * o1 + v0 * v1) - 0.5 * (o0 * v1 - v0 * o1))
+    )
+
+
+def _determinant(rods: list[Vector]) -> float:
+    (a, b, c), (d, e, f), (g, h, i) = rods
+    return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)

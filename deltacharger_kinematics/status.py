@@ -35,6 +35,9 @@ class Status(IntFlag):
 UNREACHABLE = Status.UNREACHABLE_FAR | Status.UNREACHABLE_NEAR | Status.UNREACHABLE_LATERAL
 NO_ANSWER = UNREACHABLE | Status.INVALID_INPUT | Status.INDETERMINATE | Status.NOT_ASSEMBLABLE | Status.DEGENERATE
 
+NEAR_TYPE_1 = 0.02  # of the arm: lever |b| below which a limb counts as nearly stretched or folded
+NEAR_TYPE_2 = 0.02  # |det| of the unit rod vectors below which the platform counts as nearly unheld
+
 
 class KinematicsError(ValueError):
     """A strict solve met points that have no good answer.

@@ -18,6 +18,8 @@ SCALAR = ScalarDelta()
 DOCK = (0.0, 0.0, 0.080)
 MILLIMETRE = 1e-3
 
+AZIMUTHS = np.radians((0.0, 120.0, 240.0))
+
 lateral = st.floats(-0.060, 0.060)
 forward = st.floats(0.0, 0.110)
 
@@ -83,9 +85,14 @@ def test_twenty_newtons_at_the_dock_cost_half_an_ampere() -> None:
 def test_holding_torque_is_the_slope_of_potential_energy() -> None:
     geometry, gravity = DELTA.geometry, np.array((1.0, -9.0, 2.0))
 
+    def arms(angles: np.ndarray) -> np.ndarray:
+        return geometry.arm * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
     def energy(angles: np.ndarray) -> float:
         platform = DELTA.forward(angles).position
-        elbows = DELTA._elbows(angles)
+        elbows = np.stack(
+            [(np.cos(azimuth) * arm[0], np.sin(azimuth) * arm[0], arm[1]) for azimuth, arm in zip(AZIMUTHS, arms(angles))]
+        )
         carried = (geometry.platform_mass + 1.5 * geometry.rod_mass) * platform
         return -float(gravity @ (carried + 0.5 * geometry.rod_mass * elbows.sum(0)))
 

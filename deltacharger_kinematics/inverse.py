@@ -1,0 +1,178 @@
+"""Inverse kinematics of many points: plain doubles, and double-double where they would not do.
+
+The formulas stand in `deltacharger_kinematics.delta`. A limb is solved again by `deltacharger_kinematics.precise` where
+√Q is small beside the terms that it is the difference of: there the plain angle loses digits, and nearer to the edge of
+reach the sign of Q, which decides whether the point is reachable at all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_kinematics.flags import ALL_LIMBS, WarningFlags, limb_flag
+from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.limb_arrays import LimbArrays
+from deltacharger_kinematics.precise import DOUBTFUL_ROOT, HOPELESS, solve_limb
+from deltacharger_kinematics.status import Status
+from deltacharger_kinematics.vectors import determinant
+
+Array = NDArray[np.float64]
+Bits = NDArray[np.uint32]
+Mask = NDArray[np.bool_]
+
+CHUNK = 8192  # points; larger chunks fall out of the caches, smaller ones pay more for calls
+LARGEST = 1e6  # in units of the robot's size; beyond it a point is out of reach whatever rounding does
+
+
+@dataclass
+class _Limbs:
+    """What the formulas give for the limbs (3, n) of a chunk; sine and cosine times 2a(u² + w²)."""
+
+    u: Array
+    v: Array
+    w: Array
+    k: Array
+    q: Array
+    reach: Array
+    root: Array
+    sine: Array
+    cosine: Array
+    angle: Array
+
+
+class InverseSolver:
+    """Angles, status and margin of points, in chunks."""
+
+    def __init__(self, geometry: DeltaGeometry, working_mode: tuple[int, int, int], assembly: int) -> None:
+        self._arrays = arrays = LimbArrays(geometry, working_mode)
+        self._warnings = WarningFlags(geometry, arrays, assembly)
+        self._knees = working_mode
+        self._size = float(max(arrays.arm.max(), arrays.rod.max()))
+        self._four_arm_squared = 4.0 * arrays.arm**2
+        self._constant = arrays.arm**2 - arrays.rod**2
+        self._two_rod_squared = 2.0 * arrays.rod**2
+
+    def solve(self, points: Array, precise: bool) -> tuple[Array, Bits, Array]:
+        """Return angles (n, 3), status (n,) and margin (n,) of `points` (n, 3)."""
+        angles = np.empty(points.shape)
+        status = np.empty(len(points), dtype=np.uint32)
+        margin = np.empty(len(points))
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
+            for start in range(0, len(points), CHUNK):
+                part = slice(start, start + CHUNK)
+                angles[part], status[part], margin[part] = self._chunk(np.ascontiguousarray(points[part].T), precise)
+        return angles, status, margin
+
+    def rods(self, points: Array) -> tuple[Array, Array]:
+        """Return rod vectors (3 axes, 3 limbs, n) m and rod times lever (3, n) m² at `points` (n, 3).
+
+        NaN where the limb does not reach the point.
+        """
+        rods = np.empty((3, 3, len(points)))
+        lever = np.empty((3, len(points)))
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
+            for start in range(0, len(points), CHUNK):
+                part = slice(start, start + CHUNK)
+                given = np.ascontiguousarray(points[part].T)
+                limbs = self._limbs(np.where(self._hopeless(given), np.nan, given), precise=False)
+                rods[..., part] = self._rods(limbs)
+                lever[:, part] = np.where(limbs.q >= 0.0, -0.5 * self._arrays.knee * limbs.root, np.nan)
+        return rods + 0.0 * lever, lever
+
+    def _hopeless(self, points: Array) -> Mask:
+        """Return which `points` (3, n) are not finite, or so far that their squares mean nothing; (n,)."""
+        largest = LARGEST * self._size
+        if points.max() <= largest and points.min() >= -largest:  # false also where there is a NaN
+            return np.zeros(points.shape[1], dtype=np.bool_)
+        return np.asarray(~(np.abs(points) <= largest).all(axis=0))
+
+    def _chunk(self, points: Array, precise: bool) -> tuple[Array, Bits, Array]:
+        """Return angles (n, 3), status (n,) and margin (n,) of `points` (3, n)."""
+        hopeless = self._hopeless(points)
+        invalid = ~np.asarray(np.isfinite(points[:, hopeless]).all(axis=0))
+        if len(invalid):
+            points = np.where(hopeless, 0.0, points)
+        limbs = self._limbs(points, precise)
+        margin = (limbs.q / (self._four_arm_squared * limbs.reach)).min(axis=0)
+        bits = self._reach_flags(limbs)
+        rods = self._rods(limbs)
+        warnings = self._warnings.check(points, limbs.angle, limbs.root, limbs.v, determinant(rods))
+        bits |= np.where(bits == 0, warnings, np.uint32(0))
+        if len(invalid):
+            limbs.angle[:, hopeless] = np.nan
+            margin[hopeless] = np.where(invalid, np.nan, -np.inf)
+            bits[hopeless] = np.where(invalid, np.uint32(Status.INVALID_INPUT), Status.UNREACHABLE_FAR | ALL_LIMBS)
+        return limbs.angle.T, bits, margin
+
+    def _limbs(self, points: Array, precise: bool) -> _Limbs:
+        limbs = self._plain(points)
+        self._resolve(points, limbs, precise)
+        return limbs
+
+    def _plain(self, points: Array) -> _Limbs:
+        u, v, w = self._arrays.local(*points)
+        reach = u * u
+        reach += w * w
+        k = v * v
+        k += reach
+        k += self._constant
+        q = self._four_arm_squared * reach
+        q -= k * k
+        root = np.sqrt(np.maximum(q, 0.0))
+        turn = self._arrays.knee * root
+        sine = k * w
+        sine += turn * u
+        cosine = k * u
+        cosine -= turn * w
+        angle = np.arctan2(sine, cosine)
+        angle -= self._arrays.angle_offset
+        return _Limbs(u, v, w, k, q, reach, root, sine, cosine, angle)
+
+    def _resolve(self, points: Array, limbs: _Limbs, precise: bool) -> None:
+        """Solve again, in double-double, the limbs for which plain doubles are not good enough."""
+        size = limbs.k + self._two_rod_squared
+        doubtful = limbs.root < DOUBTFUL_ROOT * size
+        if precise:
+            doubtful = np.isfinite(limbs.q)
+        elif doubtful.any():
+            doubtful &= limbs.q > -HOPELESS * size * size
+        for limb, knee, row in zip(self._arrays.limbs, self._knees, range(len(doubtful)), strict=True):
+            chosen = np.flatnonzero(doubtful[row])
+            if len(chosen):
+                x, y, z = points[:, chosen]
+                angle, q = solve_limb(x, y, z, limb, knee)
+                limbs.angle[row, chosen], limbs.q[row, chosen] = angle, q
+                limbs.root[row, chosen] = np.sqrt(np.maximum(q, 0.0))
+                turned, length = angle + limb.angle_offset, 2.0 * limb.arm * limbs.reach[row, chosen]
+                limbs.sine[row, chosen], limbs.cosine[row, chosen] = length * np.sin(turned), length * np.cos(turned)
+
+    def _reach_flags(self, limbs: _Limbs) -> Bits:
+        """Return what keeps each point out of reach, and make the angles concerned NaN."""
+        missed = limbs.q < 0.0
+        indeterminate = (limbs.reach == 0.0) & (limbs.q == 0.0)
+        if not (missed.any() or indeterminate.any()):
+            return np.zeros(limbs.q.shape[1], dtype=np.uint32)
+        limbs.angle[missed | indeterminate] = np.nan
+        lateral = missed & (np.abs(limbs.v) > self._arrays.rod)
+        # d < |a − ρ| has K < 0 or d < a, and d > a + ρ has neither; no root is needed to tell them apart.
+        near = missed & ~lateral & ((limbs.k < 0.0) | (limbs.reach < self._arrays.arm**2))
+        bits = limb_flag(lateral, Status.UNREACHABLE_LATERAL) | limb_flag(near, Status.UNREACHABLE_NEAR)
+        bits |= limb_flag(missed & ~lateral & ~near, Status.UNREACHABLE_FAR)
+        bits |= limb_flag(indeterminate, Status.INDETERMINATE)
+        return np.asarray(bits)
+
+    def _rods(self, limbs: _Limbs) -> Array:
+        """Return the rod vectors (3 axes, 3 limbs, n) m; the elbows come without sine and cosine of the angle."""
+        arrays = self._arrays
+        half = 0.5 / limbs.reach
+        outward = limbs.u - limbs.cosine * half
+        rods = np.empty((3, *outward.shape))
+        rods[0] = arrays.cosine * outward
+        rods[0] -= arrays.sine * limbs.v
+        rods[1] = arrays.sine * outward
+        rods[1] += arrays.cosine * limbs.v
+        rods[2] = limbs.w - limbs.sine * half
+        return rods

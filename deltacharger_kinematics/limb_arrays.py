@@ -1,0 +1,53 @@
+"""The three limbs' numbers as columns (3, 1), to be broadcast against rows (n,) of points."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry
+
+Array = NDArray[np.float64]
+
+
+class LimbArrays:
+    """Columns of one geometry; names as in `deltacharger_kinematics.delta` (m, rad).
+
+    Attributes:
+        knee: −1 (knee out) or +1 per limb, the σ of the formulas.
+    """
+
+    def __init__(self, geometry: DeltaGeometry, working_mode: tuple[int, int, int]) -> None:
+        self.limbs = tuple(geometry.limb(index) for index in range(LIMB_COUNT))
+
+        def column(name: str) -> Array:
+            return np.array([[getattr(limb, name)] for limb in self.limbs])
+
+        self.cosine, self.sine = column("cosine"), column("sine")
+        self.difference, self.tangential = column("difference"), column("tangential_offset")
+        self.motor_height, self.height_offset = column("motor_height"), column("height_offset")
+        self.arm, self.rod = column("arm"), column("rod")
+        self.angle_offset = column("angle_offset")
+        self.knee = np.array([[float(side)] for side in working_mode])
+
+    def local(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+        """Return u, v, w (3, n): the platform joint seen from the motor axis, outward, tangential and ahead."""
+        u = self.cosine * x
+        u += self.sine * y
+        u -= self.difference
+        v = self.cosine * y
+        v -= self.sine * x
+        v -= self.tangential
+        return u, v, z + self.motor_height
+
+    def elbows(self, cosine: Array, sine: Array) -> tuple[Array, Array, Array]:
+        """Return x, y, z (3, n) of the elbows in delta_motor, less the platform radius.
+
+        Args:
+            cosine: of the true arm angles (3, n).
+            sine: of the true arm angles (3, n).
+        """
+        radius = self.difference + self.arm * cosine
+        x = radius * self.cosine - self.tangential * self.sine
+        y = radius * self.sine + self.tangential * self.cosine
+        return x, y, self.arm * sine + self.height_offset

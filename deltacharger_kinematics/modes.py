@@ -1,0 +1,32 @@
+"""Which of the solutions is meant: the side of each knee, and the side of the elbows on which the platform is."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+WorkingMode = tuple[int, int, int]
+
+KNEE_OUT: WorkingMode = (-1, -1, -1)
+"""Every elbow turned outward, the σ of the formulas; +1 turns that limb's elbow inward."""
+
+WORKING_MODES: tuple[WorkingMode, ...] = tuple(itertools.product((-1, 1), repeat=3))  # type: ignore[arg-type]
+"""All eight solutions of the inverse problem, KNEE_OUT first."""
+
+AHEAD = 1
+"""The platform on the side of the elbows' plane toward which (c₁ − c₀) × (c₂ − c₀) points: +z in the workspace."""
+
+BEHIND = -1
+"""The mirror assembly."""
+
+
+def check_modes(working_mode: Any, assembly: Any) -> None:
+    """Refuse what is no working mode or assembly.
+
+    Raises:
+        ValueError: names the argument.
+    """
+    if working_mode not in WORKING_MODES:
+        raise ValueError(f"working_mode is {working_mode!r}: give a tuple of three, each -1 (knee out) or +1 (knee in)")
+    if assembly not in (AHEAD, BEHIND):
+        raise ValueError(f"assembly is {assembly!r}: give +1 (ahead of the elbows) or -1 (behind)")
