@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
@@ -25,14 +25,14 @@ def as_point(value: Any) -> Sequence[float] | None:
     return None
 
 
-def as_vectors(value: ArrayLike, name: str) -> Array:
+def as_vectors(value: Any, name: str) -> Array:
     """Return `value` as float64 (..., 3).
 
     Raises:
         ValueError: names the argument; not numbers, ragged, or the last axis is not 3.
     """
     try:
-        array = np.asarray(value)
+        array = np.asarray(np.ma.filled(value.astype(float), np.nan) if np.ma.isMaskedArray(value) else value)
     except ValueError as error:
         raise ValueError(f"{name}: rows of different lengths; give numbers (..., 3)") from error
     if array.dtype.kind not in "fiu" or array.dtype.itemsize > 8:
@@ -53,7 +53,7 @@ def _converted(array: NDArray[np.generic], name: str) -> Array:
 
 
 def _all_numbers(array: NDArray[np.generic]) -> bool:
-    return all(isinstance(item, int | float | np.number) and not isinstance(item, complex) for item in array.flat)
+    return all(isinstance(item, int | float | np.integer | np.floating) for item in array.flat)
 
 
 def broadcast(first: Array, second: Array, name: str) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ from deltacharger_kinematics.forward import ForwardSolver
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.inverse import InverseSolver
 from deltacharger_kinematics.limb_arrays import LimbArrays
-from deltacharger_kinematics.modes import AHEAD, KNEE_OUT, WorkingMode, check_modes
+from deltacharger_kinematics.modes import AHEAD, KNEE_OUT, WorkingMode
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
 from deltacharger_kinematics.status import KinematicsError, Status
@@ -75,9 +75,8 @@ class Delta:
     def __init__(
         self, geometry: DeltaGeometry | None = None, *, working_mode: WorkingMode = KNEE_OUT, assembly: int = AHEAD
     ) -> None:
-        check_modes(working_mode, assembly)
-        self.geometry = geometry = geometry or DeltaGeometry()
         self._scalar = ScalarDelta(geometry, working_mode=working_mode, assembly=assembly)
+        self.geometry = geometry = self._scalar.geometry
         self._inverse = InverseSolver(geometry, working_mode, assembly)
         self._forward = ForwardSolver(geometry, working_mode, assembly)
         self._arrays = LimbArrays(geometry, working_mode)

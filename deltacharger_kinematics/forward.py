@@ -9,13 +9,12 @@ from deltacharger_kinematics.flags import WarningFlags, point_flag
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.inverse import CHUNK
 from deltacharger_kinematics.limb_arrays import LimbArrays
-from deltacharger_kinematics.status import Status
+from deltacharger_kinematics.status import COLLINEAR, Status
 from deltacharger_kinematics.vectors import cross, determinant, dot
 
 Array = NDArray[np.float64]
 Bits = NDArray[np.uint32]
 Mask = NDArray[np.bool_]
-_COLLINEAR = 1e-12  # of the elbows' distances: height of their triangle below which it is a line
 
 
 class ForwardSolver:
@@ -77,8 +76,9 @@ class ForwardSolver:
         a, b = apart[:, 1], apart[:, 2]
         normal = cross(a, b)
         aa, bb, square = dot(a, a), dot(b, b), dot(normal, normal)
-        collinear = square <= (_COLLINEAR * np.maximum(aa, bb)) ** 2
         r0, r1, r2 = self._rods_squared
+        extent = np.maximum(aa, bb)
+        collinear = square <= COLLINEAR**2 * extent * np.maximum(extent, r0)
         along_a, along_b = 0.5 * (aa + (r0 - r1)) / square, 0.5 * (bb + (r0 - r2)) / square
         foot = along_a * cross(b, normal) + along_b * cross(normal, a)
         height = r0 - dot(foot, foot)

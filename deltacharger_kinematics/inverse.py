@@ -1,8 +1,8 @@
 """Inverse kinematics of many points: plain doubles, and double-double where they would not do.
 
-The formulas stand in `deltacharger_kinematics.delta`. A limb is solved again by `deltacharger_kinematics.precise` where
-√Q is small beside the terms that it is the difference of: there the plain angle loses digits, and nearer to the edge of
-reach the sign of Q, which decides whether the point is reachable at all.
+The formulas stand in `deltacharger_kinematics.delta`. A point is solved again by `deltacharger_kinematics.precise`
+where some limb's √Q is small beside the terms that it is the difference of: there the plain angle loses digits, and
+nearer to the edge of reach the sign of Q, which decides whether the point is reachable at all.
 """
 
 from __future__ import annotations
@@ -132,22 +132,22 @@ class InverseSolver:
         return _Limbs(u, v, w, k, q, reach, root, sine, cosine, angle)
 
     def _resolve(self, points: Array, limbs: _Limbs, precise: bool) -> None:
-        """Solve again, in double-double, the limbs for which plain doubles are not good enough."""
-        size = limbs.k + self._two_rod_squared
-        doubtful = limbs.root < DOUBTFUL_ROOT * size
-        if precise:
-            doubtful = np.isfinite(limbs.q)
-        elif doubtful.any():
-            doubtful &= limbs.q > -HOPELESS * size * size
-        for limb, knee, row in zip(self._arrays.limbs, self._knees, range(len(doubtful)), strict=True):
-            chosen = np.flatnonzero(doubtful[row])
-            if len(chosen):
-                x, y, z = points[:, chosen]
-                angle, q = solve_limb(x, y, z, limb, knee)
-                limbs.angle[row, chosen], limbs.q[row, chosen] = angle, q
-                limbs.root[row, chosen] = np.sqrt(np.maximum(q, 0.0))
-                turned, length = angle + limb.angle_offset, 2.0 * limb.arm * limbs.reach[row, chosen]
-                limbs.sine[row, chosen], limbs.cosine[row, chosen] = length * np.sin(turned), length * np.cos(turned)
+        """Solve again, in double-double, the points for which plain doubles are not good enough."""
+        doubtful = np.ones(points.shape[1], dtype=np.bool_)
+        if not precise:
+            size = limbs.k + self._two_rod_squared
+            small = limbs.root < DOUBTFUL_ROOT * size
+            if not small.any():
+                return
+            doubtful = np.asarray((small & (limbs.q > -HOPELESS * size * size)).any(axis=0))
+        chosen = np.flatnonzero(doubtful)
+        x, y, z = points[:, chosen]
+        for row, (limb, knee) in enumerate(zip(self._arrays.limbs, self._knees, strict=True)):
+            angle, q = solve_limb(x, y, z, limb, knee)
+            limbs.angle[row, chosen], limbs.q[row, chosen] = angle, q
+            limbs.root[row, chosen] = np.sqrt(np.maximum(q, 0.0))
+            length, true = 2.0 * limb.arm * limbs.reach[row, chosen], angle + limb.angle_offset
+            limbs.sine[row, chosen], limbs.cosine[row, chosen] = length * np.sin(true), length * np.cos(true)
 
     def _reach_flags(self, limbs: _Limbs) -> Bits:
         """Return what keeps each point out of reach, and make the angles concerned NaN."""

@@ -13,7 +13,7 @@ from math import atan2, cos, sin, sqrt
 from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry, Limb, Vector
 from deltacharger_kinematics.modes import AHEAD, KNEE_OUT, WorkingMode, check_modes
 from deltacharger_kinematics.precise import DOUBTFUL_ROOT, HOPELESS, solve_limb_at
-from deltacharger_kinematics.status import NEAR_TYPE_1, NEAR_TYPE_2, Status
+from deltacharger_kinematics.status import COLLINEAR, NEAR_TYPE_1, NEAR_TYPE_2, Status
 
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
 # Of one limb at a point: angle, σ√Q, v, u, w, 2a(u² + w²)·(sin θ, cos θ), u² + w².
@@ -34,8 +34,11 @@ class ScalarDelta:
         self, geometry: DeltaGeometry | None = None, *, working_mode: WorkingMode = KNEE_OUT, assembly: int = AHEAD
     ) -> None:
         check_modes(working_mode, assembly)
+        if not isinstance(geometry, DeltaGeometry | None):
+            raise ValueError(f"geometry is {geometry!r}: give a DeltaGeometry")
         self.geometry = geometry = geometry or DeltaGeometry()
         self._limbs = tuple(geometry.limb(index) for index in range(LIMB_COUNT))
+        self._working_mode = working_mode
         self._inverse_numbers = tuple(
             _inverse_numbers(limb, knee) for limb, knee in zip(self._limbs, working_mode, strict=True)
         )
@@ -126,11 +129,12 @@ class ScalarDelta:
         bx, by, bz = x2 - x0, y2 - y0, z2 - z0
         nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
         normal = nx * nx + ny * ny + nz * nz
-        if not normal > 0.0:
-            return _NAN3
         r0, r1, r2 = self._rods_squared
-        along_a = (ax * ax + ay * ay + az * az + (r0 - r1)) / (2.0 * normal)
-        along_b = (bx * bx + by * by + bz * bz + (r0 - r2)) / (2.0 * normal)
+        aa, bb = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
+        extent = max(aa, bb)
+        if not normal > COLLINEAR**2 * extent * max(extent, r0):
+            return _NAN3
+        along_a, along_b = (aa + (r0 - r1)) / (2.0 * normal), (bb + (r0 - r2)) / (2.0 * normal)
         # Foot of the platform on the elbows' plane, relative to the first elbow.
         ox = along_b * (ny * az - nz * ay) + along_a * (by * nz - bz * ny)
         oy = along_b * (nz * ax - nx * az) + along_a * (bz * nx - bx * nz)
@@ -214,21 +218,30 @@ class ScalarDelta:
             q = four * reach - k * k
             size += k
             root = sqrt(q) if q > 0.0 else 0.0
-            doubtful = not root >= DOUBTFUL_ROOT * size
-            if doubtful:
-                # Also where q is NaN: the point is not finite, or beyond what squares can hold.
-                if not q > -HOPELESS * size * size or reach == 0.0:
-                    return []
-                angle, q = solve_limb_at(x, y, z, self._limbs[len(limbs)], int(knee))
-                if not q >= 0.0:
-                    return []
-                root = sqrt(q)
+            if not root >= DOUBTFUL_ROOT * size:
+                # NaN where the point is not finite, or beyond what squares can hold.
+                return self._reach_edge(x, y, z) if q > -HOPELESS * size * size else []
             root *= knee
             sine_part = k * w + root * u
             cosine_part = k * u - root * w
-            if not doubtful:
-                angle = atan2(sine_part, cosine_part) - zero
-            limbs.append((angle, root, v, u, w, sine_part, cosine_part, reach))
+            limbs.append((atan2(sine_part, cosine_part) - zero, root, v, u, w, sine_part, cosine_part, reach))
+        return limbs
+
+    def _reach_edge(self, x: float, y: float, z: float) -> list[_Reached]:
+        """Return what `_reach` does, for a point near the edge of some limb's reach."""
+        limbs: list[_Reached] = []
+        for limb, knee in zip(self._limbs, self._working_mode, strict=True):
+            u = x * limb.cosine + y * limb.sine - limb.difference
+            v = y * limb.cosine - x * limb.sine - limb.tangential_offset
+            w = z + limb.motor_height
+            reach = u * u + w * w
+            if reach == 0.0:
+                return []
+            angle, q = solve_limb_at(x, y, z, limb, knee)
+            if q < 0.0:
+                return []
+            length, true = 2.0 * limb.arm * reach, angle + limb.angle_offset
+            limbs.append((angle, knee * sqrt(q), v, u, w, length * sin(true), length * cos(true), reach))
         return limbs
 
     def _rods(self, limbs: list[_Reached]) -> list[Vector]:
@@ -243,6 +256,8 @@ class ScalarDelta:
 
     def _elbows(self, commanded: Vector) -> list[Vector]:
         """Return the elbows (m) in delta_motor, less the platform radius."""
+        if math.inf in commanded or -math.inf in commanded:  # whose cosine raises
+            commanded = _NAN3
         elbows = []
         for angle, (zero, arm, difference, cosine, sine, tangent_x, tangent_y, height) in zip(
             commanded, self._elbow_numbers, strict=True

@@ -37,6 +37,7 @@ NO_ANSWER = UNREACHABLE | Status.INVALID_INPUT | Status.INDETERMINATE | Status.N
 
 NEAR_TYPE_1 = 0.02  # of the arm: lever |b| below which a limb counts as nearly stretched or folded
 NEAR_TYPE_2 = 0.02  # |det| of the unit rod vectors below which the platform counts as nearly unheld
+COLLINEAR = 1e-12  # of rod or elbow distance: height of the elbows' triangle below which it counts as a line
 
 
 class KinematicsError(ValueError):
@@ -51,7 +52,7 @@ class KinematicsError(ValueError):
         self.indices = list(indices)
         self.statuses = list(statuses)
         shown = ", ".join(
-            f"point {index}: {status.name or status!r}"
+            f"point {index}: {status.name or repr(status)}"
             for index, status in list(zip(self.indices, self.statuses, strict=True))[:5]
         )
         more = f" and {len(self.indices) - 5} more" if len(self.indices) > 5 else ""

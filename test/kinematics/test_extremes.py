@@ -1,0 +1,292 @@
+"""Stiff and extreme inputs: what each returns, without a warning, alone and in the middle of a batch."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_kinematics import Delta, DeltaGeometry, Inverse, KinematicsError, Status
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.status import NO_ANSWER
+
+DELTA = Delta()
+DOCK = (0.0, 0.0, 0.080)
+LIMBS = Status.LIMB_0 | Status.LIMB_1 | Status.LIMB_2
+# Powers of two, so that the edge of reach is a double: motor axis 0.125 outward of the joint, arm 0.25, rod 0.5.
+BINARY = DeltaGeometry(base_radius=0.25, platform_radius=0.125, arm=0.25, rod=0.5, z_offset=0.5)
+SQUARE = DeltaGeometry(base_radius=0.25, platform_radius=0.125, arm=0.25, rod=0.25, z_offset=0.5)
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+
+@pytest.fixture(autouse=True)
+def floating_point_traps() -> Any:
+    with np.errstate(all="raise"):
+        yield
+
+
+def alone_and_in_a_batch(delta: Delta, point: tuple[float, float, float]) -> Inverse:
+    alone = delta.inverse(point)
+    batch = delta.inverse([DOCK, point, DOCK])
+    assert np.allclose(batch.angles[1], alone.angles, rtol=0.0, atol=4e-16, equal_nan=True)
+    assert np.asarray(batch.status)[1] == alone.status
+    assert np.array_equal(np.asarray(batch.margin)[1], alone.margin, equal_nan=True)
+    expected = delta.inverse(DOCK)
+    for row in (0, 2):
+        assert np.allclose(batch.angles[row], expected.angles, rtol=0.0, atol=4e-16, equal_nan=True)
+        assert np.asarray(batch.status)[row] == expected.status
+    return alone
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("axis", range(3))
+def test_what_is_not_finite_is_invalid(value: float, axis: int) -> None:
+    point = [*DOCK]
+    point[axis] = value
+    solved = alone_and_in_a_batch(DELTA, (point[0], point[1], point[2]))
+    assert solved.status == Status.INVALID_INPUT
+    assert np.isnan(solved.angles).all()
+    assert math.isnan(solved.margin)
+    assert np.isnan(ScalarDelta().inverse(*point)).all()
+
+
+@pytest.mark.parametrize("value", [1e200, -1e200, 1e308, -1.7976931348623157e308])
+@pytest.mark.parametrize("axis", range(3))
+def test_what_overflows_is_far(value: float, axis: int) -> None:
+    point = [*DOCK]
+    point[axis] = value
+    solved = alone_and_in_a_batch(DELTA, (point[0], point[1], point[2]))
+    assert solved.status == Status.UNREACHABLE_FAR | LIMBS
+    assert np.isnan(solved.angles).all()
+    assert solved.margin == -math.inf
+    assert np.isnan(ScalarDelta().inverse(*point)).all()
+
+
+@pytest.mark.parametrize("tiny", [5e-324, -5e-324, 2.2e-308, -0.0, 1e-200])
+def test_denormals_and_negative_zero_are_exact(tiny: float) -> None:
+    for precise in (False, True):
+        solved = DELTA.inverse((tiny, tiny, 0.08), precise=precise)
+        assert solved.status == Status.OK
+        assert np.array_equal(solved.angles, DELTA.inverse((0.0, 0.0, 0.08), precise=precise).angles)
+    assert np.isfinite(alone_and_in_a_batch(DELTA, (tiny, tiny, 0.08)).angles).all()
+
+
+@pytest.mark.parametrize(
+    ("point", "reason"),
+    [
+        ((0.0, 0.0, 0.5), Status.UNREACHABLE_FAR),
+        ((0.0, 0.3, 0.0), Status.UNREACHABLE_LATERAL),
+        ((0.0, 0.0, -0.095), Status.UNREACHABLE_NEAR),
+        ((0.0, 0.0, 1e5), Status.UNREACHABLE_FAR),
+    ],
+)
+def test_out_of_reach_says_why_and_on_which_limb(point: tuple[float, float, float], reason: Status) -> None:
+    solved = alone_and_in_a_batch(DELTA, point)
+    limbs = [bool(solved.status & bit) for bit in (Status.LIMB_0, Status.LIMB_1, Status.LIMB_2)]
+    assert reason in solved.status
+    assert np.isnan(solved.angles).tolist() == limbs
+    assert solved.margin < 0.0
+
+
+def test_an_arm_longer_than_the_rod_has_a_near_edge_too() -> None:
+    delta = Delta(DeltaGeometry(arm=0.25, rod=0.125, base_radius=0.25, platform_radius=0.25, z_offset=0.0))
+    assert Status.UNREACHABLE_NEAR in delta.inverse((0.0, 0.0, 0.1)).status
+    assert Status.UNREACHABLE_FAR in delta.inverse((0.0, 0.0, 0.4)).status
+    assert np.isfinite(delta.inverse((0.0, 0.0, 0.3)).angles).all()
+
+
+@pytest.mark.parametrize(("x", "angle"), [(0.125 + 0.75, 0.0), (0.125 + 0.25, math.pi)])
+def test_exactly_at_the_edge_is_an_angle_without_margin(x: float, angle: float) -> None:
+    solved = alone_and_in_a_batch(Delta(BINARY), (x, 0.0, -0.5))
+    assert solved.angles[0] == angle
+    assert np.isnan(solved.angles[1:]).all() or solved.margin == 0.0
+    if solved.margin == 0.0:
+        assert Status.NEAR_TYPE_1 | Status.LIMB_0 in solved.status
+
+
+def test_a_platform_joint_on_its_motor_axis_turns_freely() -> None:
+    solved = alone_and_in_a_batch(Delta(SQUARE), (0.125, 0.0, -0.5))
+    assert solved.status == Status.INDETERMINATE | Status.LIMB_0
+    assert math.isnan(solved.angles[0])
+    assert math.isnan(solved.margin)
+    assert np.isnan(ScalarDelta(SQUARE).inverse(0.125, 0.0, -0.5)).all()
+    assert np.isnan(Delta(SQUARE).jacobian((0.125, 0.0, -0.5)).matrix).all()
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float16, np.int64, np.uint8, ">f8", np.longdouble, object])
+def test_other_numbers_are_computed_in_doubles(kind: Any) -> None:
+    points = np.array([[0, 0, 0], [0, 0, 0]]).astype(kind)
+    solved = DELTA.inverse(points)
+    assert solved.angles.dtype == np.float64
+    assert np.array_equal(solved.angles, DELTA.inverse(np.zeros((2, 3))).angles)
+    single = np.array([0.01, -0.02, 0.08], dtype=np.float32)
+    assert np.array_equal(DELTA.inverse(single).angles, DELTA.inverse(single.astype(float)).angles)
+
+
+def test_memory_layout_does_not_matter() -> None:
+    points = np.random.default_rng(1).uniform(-0.05, 0.05, (4, 5, 3))
+    expected = DELTA.inverse(points.reshape(-1, 3)).angles.reshape(points.shape)
+    wide = np.zeros((4, 5, 6))
+    wide[..., ::2] = points
+    frozen = points.copy()
+    frozen.flags.writeable = False
+    for layout in (np.asfortranarray(points), wide[..., ::2], points[::-1][::-1], frozen, points.tolist()):
+        assert np.array_equal(DELTA.inverse(layout).angles, expected, equal_nan=True)
+    assert np.array_equal(points.reshape(-1, 3), np.random.default_rng(1).uniform(-0.05, 0.05, (20, 3)))
+
+
+def test_empty_batches_stay_empty() -> None:
+    for shape in ((0, 3), (2, 0, 3)):
+        empty = np.empty(shape)
+        solved, met = DELTA.inverse(empty), DELTA.forward(empty)
+        assert solved.angles.shape == met.position.shape == shape
+        assert np.shape(solved.status) == np.shape(solved.margin) == np.shape(met.determinant) == shape[:-1]
+        assert DELTA.jacobian(empty).matrix.shape == (*shape, 3)
+        assert DELTA.contact_force(empty, empty).shape == shape
+
+
+def test_masked_numbers_are_unknown() -> None:
+    points = np.ma.masked_array([[0.0, 0.0, 0.08], [0.0, 0.0, 0.08]], mask=[[0, 0, 0], [0, 1, 0]])
+    assert np.asarray(DELTA.inverse(points).status).tolist() == [0, Status.INVALID_INPUT]
+
+
+BAD = {
+    "text": ["1", "2", "3"],
+    "a word": "abc",
+    "none": None,
+    "none among numbers": [None, 0.0, 0.0],
+    "complex": [1j, 0.0, 0.0],
+    "true": [True, False, False],
+    "dates": np.zeros(3, dtype="datetime64[s]"),
+    "too large for a double": [10**400, 0, 0],
+    "two numbers": [1.0, 2.0],
+    "four numbers": np.zeros((5, 4)),
+    "one number": 0.1,
+    "nothing": [],
+    "ragged": [[1.0, 2.0, 3.0], [1.0, 2.0]],
+    "a mapping": {"x": 0.0},
+}
+
+
+@pytest.mark.parametrize("bad", BAD.values(), ids=list(BAD))
+def test_what_is_no_array_of_points_is_refused_by_name(bad: Any) -> None:
+    calls = {
+        "position": [DELTA.inverse, DELTA.jacobian, lambda value: DELTA.torque(value, DOCK)],
+        "angles": [DELTA.forward],
+        "force": [lambda value: DELTA.torque(DOCK, value)],
+        "torque": [lambda value: DELTA.force(DOCK, value)],
+        "gravity": [lambda value: DELTA.holding_torque(DOCK, value)],
+        "current": [lambda value: DELTA.contact_force(DOCK, value)],
+    }
+    for name, functions in calls.items():
+        for function in functions:
+            with pytest.raises(ValueError, match=f"^{name}: "):
+                function(bad)
+
+
+def test_shapes_that_do_not_fit_are_refused_by_name() -> None:
+    with pytest.raises(ValueError, match=r"^force: shape \(5, 3\) does not fit \(4, 3\)"):
+        DELTA.torque(np.zeros((4, 3)), np.zeros((5, 3)))
+    assert DELTA.torque(np.zeros((4, 1, 3)), np.zeros((5, 3))).shape == (4, 5, 3)
+
+
+def test_statics_pass_on_what_is_unknown() -> None:
+    assert np.isnan(DELTA.torque(DOCK, (math.nan, 0.0, 0.0))).any()
+    assert np.isnan(DELTA.torque((0.0, 0.0, 0.8), (0.0, 0.0, 1.0))).all()
+    assert np.isnan(DELTA.force((0.0, 0.0, 0.8), (0.1, 0.1, 0.1))).all()
+    assert np.isnan(DELTA.contact_force((math.nan, 0.0, 0.0), (0.1, 0.1, 0.1))).all()
+    assert np.isfinite(DELTA.torque(DOCK, (1e300, 0.0, 0.0))).all()
+
+
+def test_elbows_in_a_line_or_too_far_apart() -> None:
+    level = Delta(DeltaGeometry(base_radius=0.05, platform_radius=0.05))
+    straight_up = (math.pi / 2,) * 3  # the three elbows meet in one place
+    apart = Delta(DeltaGeometry(base_radius=0.4, rod=0.11))
+    for delta, arms, status in (
+        (level, straight_up, Status.DEGENERATE),
+        (apart, (0.0, 0.0, 0.0), Status.NOT_ASSEMBLABLE),
+        (DELTA, (math.nan, 0.0, 0.0), Status.INVALID_INPUT),
+        (DELTA, (math.inf, 0.0, 0.0), Status.INVALID_INPUT),
+    ):
+        batch = delta.forward([arms, (0.1, 0.2, 0.3)])
+        for met in (delta.forward(arms), batch):
+            assert np.ravel(met.status)[0] == status
+            assert np.isnan(met.position.reshape(-1, 3)[0]).all()
+            assert math.isnan(np.ravel(met.determinant)[0])
+        assert np.ravel(batch.status)[1] == delta.forward((0.1, 0.2, 0.3)).status
+    assert np.isnan(ScalarDelta(level.geometry).forward(*straight_up)).all()
+    assert np.isnan(ScalarDelta(apart.geometry).forward(0.0, 0.0, 0.0)).all()
+
+
+@pytest.mark.parametrize("turn", [1e3, 1e15, 1e308])
+def test_arms_turned_many_times_stand_where_their_angle_says(turn: float) -> None:
+    wound = DELTA.forward((turn, 0.1, 0.1))
+    plain = DELTA.forward((math.atan2(math.sin(turn), math.cos(turn)), 0.1, 0.1))
+    assert np.allclose(wound.position, plain.position, atol=1e-15, equal_nan=True)
+    assert wound.status & ~(Status.JOINT_LIMIT | LIMBS) == plain.status & ~(Status.JOINT_LIMIT | LIMBS)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize(("arm", "rod"), [(0.1, 0.1001), (0.1, 0.18), (0.01, 1.0), (0.001, 1.0), (0.18, 0.17)])
+def test_round_trips_of_robots_large_and_small(scale: float, arm: float, rod: float) -> None:
+    """The round trip is as good as the pose lets rounded angles be: the error grows with 1/|det| only."""
+    geometry = DeltaGeometry(base_radius=0.055, platform_radius=0.05, arm=arm, rod=rod, z_offset=0.1)
+    delta = Delta(scaled(geometry, scale))
+    arms = np.random.default_rng(6).uniform(-1.2, 1.2, (4000, 3))
+    points = delta.forward(arms).position
+    solved = delta.inverse(points)
+    good = (np.asarray(solved.status) & (NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_1)) == 0
+    assert good.sum() > 100
+    points = points[good]
+    error = np.linalg.norm(delta.forward(solved.angles[good]).position - points, axis=1)
+    determinant = np.abs(delta.jacobian(points).determinant)
+    assert (error <= 1e-15 * (arm + rod) * scale / determinant).all()
+
+
+def scaled(geometry: DeltaGeometry, scale: float) -> DeltaGeometry:
+    lengths = ("base_radius", "platform_radius", "arm", "rod", "z_offset")
+    return geometry.with_values(**{name: scale * getattr(geometry, name) for name in lengths})
+
+
+def test_a_singular_pose_is_flagged_and_does_not_hurt_its_neighbours() -> None:
+    """All rods in one plane: the platform at the height of the elbows, in the middle."""
+    geometry = DeltaGeometry(base_radius=0.125, platform_radius=0.0625, arm=0.125, rod=0.1875, z_offset=0.0)
+    delta = Delta(geometry)
+    point = (0.0, 0.0, 0.0)
+    solved = delta.inverse([point, (0.0, 0.0, 0.1)])
+    assert Status.NEAR_TYPE_2 in Status(int(np.asarray(solved.status)[0]))
+    jacobian = delta.jacobian([point, (0.0, 0.0, 0.1)])
+    assert np.asarray(jacobian.condition)[0] > 1e12
+    assert np.isfinite(jacobian.matrix[1]).all()
+
+
+def test_strict_raises_for_the_indices_concerned_and_for_no_others() -> None:
+    points = [DOCK, (0.0, 0.0, 9.0), (math.nan, 0.0, 0.0), DOCK]
+    with pytest.raises(KinematicsError, match=r"point 1: .*FAR.*point 2: INVALID_INPUT") as caught:
+        DELTA.inverse(points, strict=True)
+    assert caught.value.indices == [1, 2]
+    with pytest.raises(KinematicsError, match="point 0: OUTSIDE_WORKSPACE"):
+        DELTA.inverse((0.0, 0.0, 0.115), strict=True)
+    with pytest.raises(KinematicsError, match="JOINT_LIMIT"):
+        DELTA.forward((1.5, 0.0, 0.0), strict=True)
+    assert DELTA.inverse(DOCK, strict=True).status == Status.OK
+
+
+@pytest.mark.parametrize("mode", [(1, 1), [-1, -1, -1], (0, 1, 1), "out", None])
+def test_unknown_modes_are_refused(mode: Any) -> None:
+    with pytest.raises(ValueError, match="working_mode"):
+        Delta(working_mode=mode)
+
+
+@pytest.mark.parametrize("assembly", [0, 2, None, "ahead"])
+def test_unknown_assemblies_are_refused(assembly: Any) -> None:
+    with pytest.raises(ValueError, match="assembly"):
+        Delta(assembly=assembly)
+
+
+def test_something_else_than_a_geometry_is_refused() -> None:
+    with pytest.raises(ValueError, match="geometry"):
+        Delta({"arm": 0.1})  # type: ignore[arg-type]

@@ -1,0 +1,119 @@
+"""Geometries, as values and as files: what is impossible is refused by name."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deltacharger_kinematics import DeltaGeometry, LimbAdjustment
+from deltacharger_kinematics.geometry_file import load_geometry, save_geometry
+
+CALIBRATED = DeltaGeometry(
+    arm=0.1002,
+    z_offset=0.0951,
+    limbs=(LimbAdjustment(angle_offset=0.012, rod=0.1801), LimbAdjustment(), LimbAdjustment(tangential_offset=-3.1e-4)),
+)
+
+
+@pytest.mark.parametrize("field", ["base_radius", "arm", "rod", "platform_radius"])
+@pytest.mark.parametrize("value", [0.0, -0.1, math.nan, math.inf, 1e-300, 1e300, "0.1", None, True])
+def test_impossible_lengths_are_refused(field: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=rf"DeltaGeometry\.{field}"):
+        DeltaGeometry().with_values(**{field: value})
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"joint_min": 1.0, "joint_max": 0.5}, "joint_min"),
+        ({"joint_max": 4.0}, "joint_max"),
+        ({"swing_max": 0.0}, "swing_max"),
+        ({"swing_max": 2.0}, "swing_max"),
+        ({"platform_mass": -0.1}, "platform_mass"),
+        ({"rod_mass": math.nan}, "rod_mass"),
+        ({"z_offset": math.inf}, "z_offset"),
+        ({"workspace_min": (0.0, 0.0, 0.2)}, "workspace_min"),
+        ({"workspace_max": (0.0, 0.0)}, "workspace_max"),
+        ({"workspace_max": (0.1, 0.1, math.nan)}, "workspace_max"),
+        ({"limbs": (LimbAdjustment(),) * 2}, "limbs"),
+        ({"limbs": ({},) * 3}, "limbs"),
+        ({"arms": 0.1}, "arms"),
+    ],
+)
+def test_impossible_values_are_refused_by_name(changes: dict[str, Any], named: str) -> None:
+    with pytest.raises(ValueError, match=named):
+        DeltaGeometry().with_values(**changes)
+
+
+@pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(LimbAdjustment)])
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e7, "0"])
+def test_impossible_adjustments_are_refused_by_name(field: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=rf"LimbAdjustment\.{field}"):
+        LimbAdjustment(**{field: value})
+
+
+def test_an_adjustment_reaches_its_limb() -> None:
+    limbs = [CALIBRATED.limb(index) for index in range(3)]
+    assert [limb.rod for limb in limbs] == [0.1801, 0.180, 0.180]
+    assert [limb.arm for limb in limbs] == [0.1002] * 3
+    assert [limb.angle_offset for limb in limbs] == [0.012, 0.0, 0.0]
+    assert limbs[2].tangential_offset == -3.1e-4
+
+
+def test_a_file_gives_back_every_digit(tmp_path: Path) -> None:
+    path = tmp_path / "geometry.yaml"
+    save_geometry(CALIBRATED, path, "made by a test\nsecond line")
+    assert load_geometry(path) == CALIBRATED
+    assert path.read_text().startswith("# made by a test\n# second line\n")
+
+
+def test_keys_left_out_keep_their_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "geometry.yaml"
+    path.write_text("arm: 0.11\nlimbs: [{}, {rod: 0.181}, {}]\n")
+    assert load_geometry(path) == DeltaGeometry(
+        arm=0.11, limbs=(LimbAdjustment(), LimbAdjustment(rod=0.181), LimbAdjustment())
+    )
+    path.write_text("")
+    assert load_geometry(path) == DeltaGeometry()
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        ("armm: 0.1", "armm: unknown key; did you mean 'arm'"),
+        ("arm: -0.1", "arm is -0.1"),
+        ("arm: long", "arm is 'long'"),
+        ("arm: 1e-1", "arm is '1e-1'"),
+        ("arm: .nan", "arm is nan"),
+        ("arm: true", "arm is True"),
+        ("arm:", "arm is None"),
+        ("limbs: [{}, {}]", "limbs"),
+        ("limbs: [{}, {}, {rodd: 0.18}]", r"limbs\[2\]\.rodd: unknown key; did you mean 'rod'"),
+        ("limbs: [{}, {rod: 0}, {}]", r"limbs\[1\]: LimbAdjustment\.rod is 0"),
+        ("limbs: [1, 2, 3]", r"limbs\[0\]"),
+        ("workspace_min: 3", "workspace_min"),
+        ("workspace_min: [a, b, c]", "workspace_min"),
+        ("- 1", "the file is"),
+        ("arm: [", "not readable as YAML"),
+        ("1: 2", "1: unknown key"),
+        ("\x00", "not readable as YAML"),
+    ],
+)
+def test_a_bad_file_is_refused_with_its_name_and_the_key(tmp_path: Path, content: str, named: str) -> None:
+    path = tmp_path / "geometry.yaml"
+    path.write_text(content)
+    with pytest.raises(ValueError, match=rf"geometry\.yaml: (?s:.*){named}"):
+        load_geometry(path)
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "geometry.yaml"
+    path.write_bytes(b"\xff\xfe\x00arm")
+    with pytest.raises(ValueError, match=r"geometry\.yaml"):
+        load_geometry(path)
+    with pytest.raises(OSError, match="none"):
+        load_geometry(tmp_path / "none.yaml")
