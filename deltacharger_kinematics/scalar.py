@@ -48,7 +48,6 @@ class ScalarDelta:
         )
         self._joint_min, self._joint_max = geometry.joint_min, geometry.joint_max
         self._box = geometry.workspace_min, geometry.workspace_max
-        self._directions = tuple((limb.cosine, limb.sine) for limb in self._limbs)
         self._elbow_numbers = tuple(_elbow_numbers(limb) for limb in self._limbs)
         self._rods_squared = tuple(limb.rod * limb.rod for limb in self._limbs)
         self._z_offset = geometry.z_offset
@@ -74,7 +73,7 @@ class ScalarDelta:
             second[1] * second[1] / (four_1 * second[7]),
             third[1] * third[1] / (four_2 * third[7]),
         )
-        bits = self._warnings((x, y, z), limbs, _determinant_of(limbs))
+        bits = self._warnings((x, y, z), limbs, _determinant(_rods_of(limbs)))
         return (first[0], second[0], third[0]), bits, margin
 
     def solve_forward(self, a0: float, a1: float, a2: float) -> tuple[Vector, int, float] | None:
@@ -150,7 +149,7 @@ class ScalarDelta:
         limbs = self._reach(x, y, z)
         if not limbs:
             return _NAN9
-        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rods = self._rods(limbs)
+        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = rods = _rods_of(limbs)
         determinant = _determinant(rods)
         if determinant == 0.0:
             return _NAN9
@@ -184,7 +183,7 @@ class ScalarDelta:
         if not limbs or 0.0 in (limbs[0][1], limbs[1][1], limbs[2][1]):
             return _NAN3
         # f = J⁻ᵀ τ = Rᵀ diag(b)⁻¹ τ: along the rods, so no matrix is inverted.
-        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = self._rods(limbs)
+        (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = _rods_of(limbs)
         t0, t1, t2 = (-2.0 * share / limb[1] for share, limb in zip(torque, limbs, strict=True))
         return r00 * t0 + r10 * t1 + r20 * t2, r01 * t0 + r11 * t1 + r21 * t2, r02 * t0 + r12 * t1 + r22 * t2
 
@@ -244,27 +243,18 @@ class ScalarDelta:
             limbs.append((angle, knee * sqrt(q), v, u, w, length * sin(true), length * cos(true), reach))
         return limbs
 
-    def _rods(self, limbs: list[_Reached]) -> list[Vector]:
-        """Return the rod vectors (m)."""
-        rods = []
-        for (_, _, v, u, w, sine_part, cosine_part, reach), (cosine, sine) in zip(limbs, self._directions, strict=True):
-            # The elbow, a·cosθ and a·sinθ, from the arguments of the arc tangent, normalised.
-            half = 0.5 / reach
-            outward = u - cosine_part * half
-            rods.append((outward * cosine - v * sine, outward * sine + v * cosine, w - sine_part * half))
-        return rods
-
     def _elbows(self, commanded: Vector) -> list[Vector]:
         """Return the elbows (m) in delta_motor, less the platform radius."""
-        if math.inf in commanded or -math.inf in commanded:  # whose cosine raises
-            commanded = _NAN3
         elbows = []
-        for angle, (zero, arm, difference, cosine, sine, tangent_x, tangent_y, height) in zip(
-            commanded, self._elbow_numbers, strict=True
-        ):
-            angle += zero
-            radius = difference + arm * cos(angle)
-            elbows.append((radius * cosine + tangent_x, radius * sine + tangent_y, arm * sin(angle) + height))
+        try:
+            for angle, (zero, arm, difference, cosine, sine, tangent_x, tangent_y, height) in zip(
+                commanded, self._elbow_numbers, strict=True
+            ):
+                angle += zero
+                radius = difference + arm * cos(angle)
+                elbows.append((radius * cosine + tangent_x, radius * sine + tangent_y, arm * sin(angle) + height))
+        except ValueError:  # an infinite angle has no cosine
+            return [_NAN3] * LIMB_COUNT
         return elbows
 
 
@@ -298,18 +288,19 @@ def _elbow_numbers(limb: Limb) -> tuple[float, float, float, float, float, float
     )
 
 
-def _determinant_of(limbs: list[_Reached]) -> float:
-    """Return the determinant (m³) of the rod vectors from their parts in the limbs' planes, 120° apart."""
+def _rods_of(limbs: list[_Reached]) -> tuple[Vector, Vector, Vector]:
+    """Return the rod vectors (m), turned from the limbs' planes, 120° apart."""
     (_, _, v0, u0, w0, s0, c0, d0), (_, _, v1, u1, w1, s1, c1, d1), (_, _, v2, u2, w2, s2, c2, d2) = limbs
+    # The elbow, a·cosθ and a·sinθ, from the arguments of the arc tangent, normalised.
     h0, h1, h2 = 0.5 / d0, 0.5 / d1, 0.5 / d2
     o0, o1, o2 = u0 - c0 * h0, u1 - c1 * h1, u2 - c2 * h2
     return (
-        (w0 - s0 * h0) * (_SINE_120 * (o1 * o2 + v1 * v2) - 0.5 * (o1 * v2 - v1 * o2))
-        + (w1 - s1 * h1) * (_SINE_120 * (o2 * o0 + v2 * v0) - 0.5 * (o2 * v0 - v2 * o0))
-        + (w2 - s2 * h2) * (_SINE_120 * (o0 * o1 + v0 * v1) - 0.5 * (o0 * v1 - v0 * o1))
+        (o0, v0, w0 - s0 * h0),
+        (-0.5 * o1 - _SINE_120 * v1, _SINE_120 * o1 - 0.5 * v1, w1 - s1 * h1),
+        (_SINE_120 * v2 - 0.5 * o2, -_SINE_120 * o2 - 0.5 * v2, w2 - s2 * h2),
     )
 
 
-def _determinant(rods: list[Vector]) -> float:
+def _determinant(rods: Sequence[Vector]) -> float:
     (a, b, c), (d, e, f), (g, h, i) = rods
     return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
