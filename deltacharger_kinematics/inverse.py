@@ -152,7 +152,7 @@ class InverseSolver:
     def _reach_flags(self, limbs: _Limbs) -> Bits:
         """Return what keeps each point out of reach, and make the angles concerned NaN."""
         missed = limbs.q < 0.0
-        indeterminate = (limbs.reach == 0.0) & (limbs.q == 0.0)
+        indeterminate = (limbs.reach == 0.0) & ~missed  # or closer to its axis than the squares of doubles tell
         if not (missed.any() or indeterminate.any()):
             return np.zeros(limbs.q.shape[1], dtype=np.uint32)
         limbs.angle[missed | indeterminate] = np.nan

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_kinematics import Delta, DeltaGeometry, Inverse, KinematicsError, Status
+from deltacharger_kinematics import Delta, DeltaGeometry, Inverse, KinematicsError, LimbAdjustment, Status
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.status import NO_ANSWER
 
@@ -114,6 +114,14 @@ def test_a_platform_joint_on_its_motor_axis_turns_freely() -> None:
     assert math.isnan(solved.margin)
     assert np.isnan(ScalarDelta(SQUARE).inverse(0.125, 0.0, -0.5)).all()
     assert np.isnan(Delta(SQUARE).jacobian((0.125, 0.0, -0.5)).matrix).all()
+
+
+@pytest.mark.parametrize("distance", [5e-324, 1e-170, 1e-30, 1e-20])
+def test_a_platform_joint_as_good_as_on_its_motor_axis(distance: float) -> None:
+    limbs = (LimbAdjustment(radius_offset=distance), LimbAdjustment(), LimbAdjustment())
+    solved = alone_and_in_a_batch(Delta(SQUARE.with_values(limbs=limbs)), (0.125, 0.0, -0.5))
+    assert solved.status == Status.INDETERMINATE | Status.LIMB_0
+    assert math.isnan(solved.angles[0])
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float16, np.int64, np.uint8, ">f8", np.longdouble, object])
