@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from deltacharger_kinematics.geometry import Vector
 
 Array = NDArray[np.float64]
 
@@ -14,14 +15,14 @@ Array = NDArray[np.float64]
 _DOUBLE = np.dtype(np.float64)
 
 
-def as_point(value: Any) -> Sequence[float] | None:
+def as_point(value: Any) -> Vector | None:
     """Return the three floats of what is plainly one point, without numpy's cost; None leaves it to `as_vectors`."""
     kind = type(value)
     if kind is np.ndarray:
-        return value.tolist() if value.shape == (3,) and value.dtype is _DOUBLE else None
+        return tuple(value.tolist()) if value.shape == (3,) and value.dtype is _DOUBLE else None
     if (kind is tuple or kind is list) and len(value) == 3:
         x, y, z = value
-        return value if type(x) is type(y) is type(z) is float else None
+        return (x, y, z) if type(x) is type(y) is type(z) is float else None
     return None
 
 

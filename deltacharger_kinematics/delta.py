@@ -96,8 +96,8 @@ class Delta:
             ValueError: `position` is not an array (..., 3) of numbers.
             KinematicsError: only with `strict`.
         """
-        if not precise and (point := as_point(position)):
-            solved = self._scalar.solve(*point)
+        if point := as_point(position):
+            solved = self._scalar.solve(*point, precise)
             if solved and not (strict and solved[1]):
                 return Inverse(np.array(solved[0]), _STATUS.get(solved[1]) or Status(solved[1]), solved[2])
         points = as_vectors(position, "position")
@@ -156,6 +156,8 @@ class Delta:
         Raises:
             ValueError: names the argument that is not an array (..., 3) of numbers or does not fit the other.
         """
+        if (point := as_point(position)) and (push := as_point(force)):
+            return np.array(self._scalar.torque(*point, push))
         points, pushes = _pair(position, force, "force")
         with np.errstate(invalid="ignore", over="ignore", under="ignore"):
             return np.asarray((self.jacobian(points).matrix * pushes[..., :, None]).sum(-2))
@@ -168,6 +170,8 @@ class Delta:
         Raises:
             ValueError: names the argument that is not an array (..., 3) of numbers or does not fit the other.
         """
+        if (point := as_point(position)) and (share := as_point(torque)):
+            return np.array(self._scalar.force(*point, share))
         points, torques = _pair(position, torque, "torque")
         with np.errstate(invalid="ignore", divide="ignore", over="ignore", under="ignore"):
             rods, lever = self._rods(points)
@@ -187,6 +191,8 @@ class Delta:
         Raises:
             ValueError: names the argument that is not an array (..., 3) of numbers or does not fit the other.
         """
+        if (point := as_point(position)) and (weight := as_point(gravity)):
+            return np.array(self._scalar.holding_torque(*point, weight))
         points, pull = _pair(position, gravity, "gravity")
         geometry, arrays = self.geometry, self._arrays
         with np.errstate(invalid="ignore", over="ignore", under="ignore"):
@@ -204,7 +210,8 @@ class Delta:
         """
         points, currents = _pair(position, current, "current")
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-            return self.force(points, currents * TORQUE_CONSTANT - self.holding_torque(points, gravity))
+            spare = currents * TORQUE_CONSTANT - self.holding_torque(points, gravity)
+        return self.force(points, spare)
 
     def _rods(self, points: Array) -> tuple[Array, Array]:
         """Return unit rod vectors (3 axes, 3 limbs, ...) and levers (3 limbs, ...) m at `points` (..., 3)."""

@@ -7,7 +7,8 @@ nearer to the edge of reach the sign of Q, which decides whether the point is re
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import threading
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +28,7 @@ CHUNK = 8192  # points; larger chunks fall out of the caches, smaller ones pay m
 LARGEST = 1e6  # in units of the robot's size; beyond it a point is out of reach whatever rounding does
 
 
-@dataclass
-class _Limbs:
+class _Limbs(NamedTuple):
     """What the formulas give for the limbs (3, n) of a chunk; sine and cosine times 2a(u² + w²)."""
 
     u: Array
@@ -41,6 +41,30 @@ class _Limbs:
     sine: Array
     cosine: Array
     angle: Array
+    spare: Array
+
+
+class _Scratch(threading.local):
+    """Room for one chunk, kept by each thread.
+
+    Arrays of this size, made anew for each step, go back to the system in between and cost more in page faults than in
+    arithmetic: up to four times as much in all, depending on what else the process has allocated.
+    """
+
+    def __init__(self) -> None:
+        self._limbs = np.empty((len(_Limbs._fields), 3, CHUNK))
+        self._rods = np.empty((3, 3, CHUNK))
+
+    def limbs(self, count: int) -> _Limbs:
+        """Return arrays (3, count)."""
+        return _Limbs(*self._limbs[..., :count])
+
+    def rods(self, count: int) -> Array:
+        """Return an array (3, 3, count)."""
+        return self._rods[..., :count]
+
+
+_SCRATCH = _Scratch()
 
 
 class InverseSolver:
@@ -96,8 +120,9 @@ class InverseSolver:
         if len(invalid):
             points = np.where(hopeless, 0.0, points)
         limbs = self._limbs(points, precise)
-        margin = (limbs.q / (self._four_arm_squared * limbs.reach)).min(axis=0)
         bits = self._reach_flags(limbs)
+        scale = np.multiply(self._four_arm_squared, limbs.reach, out=limbs.spare)
+        margin = np.divide(limbs.q, scale, out=scale).min(axis=0)
         rods = self._rods(limbs)
         warnings = self._warnings.check(points, limbs.angle, limbs.root, limbs.v, determinant(rods))
         bits |= np.where(bits == 0, warnings, np.uint32(0))
@@ -113,29 +138,40 @@ class InverseSolver:
         return limbs
 
     def _plain(self, points: Array) -> _Limbs:
-        u, v, w = self._arrays.local(*points)
-        reach = u * u
-        reach += w * w
-        k = v * v
+        """Solve in plain doubles; the arrays belong to this thread's scratch room."""
+        arrays = self._arrays
+        x, y, z = points
+        limbs = _SCRATCH.limbs(len(x))
+        u, v, w, k, q, reach, root, sine, cosine, angle, spare = limbs
+        np.multiply(arrays.cosine, x, out=u)
+        u += np.multiply(arrays.sine, y, out=spare)
+        u -= arrays.difference
+        np.multiply(arrays.cosine, y, out=v)
+        v -= np.multiply(arrays.sine, x, out=spare)
+        v -= arrays.tangential
+        np.add(z, arrays.motor_height, out=w)
+        np.multiply(u, u, out=reach)
+        reach += np.multiply(w, w, out=spare)
+        np.multiply(v, v, out=k)
         k += reach
         k += self._constant
-        q = self._four_arm_squared * reach
-        q -= k * k
-        root = np.sqrt(np.maximum(q, 0.0))
-        turn = self._arrays.knee * root
-        sine = k * w
-        sine += turn * u
-        cosine = k * u
-        cosine -= turn * w
-        angle = np.arctan2(sine, cosine)
-        angle -= self._arrays.angle_offset
-        return _Limbs(u, v, w, k, q, reach, root, sine, cosine, angle)
+        np.multiply(self._four_arm_squared, reach, out=q)
+        q -= np.multiply(k, k, out=spare)
+        np.sqrt(np.maximum(q, 0.0, out=root), out=root)
+        turn = np.multiply(arrays.knee, root, out=spare)
+        np.multiply(k, w, out=sine)
+        sine += np.multiply(turn, u, out=angle)
+        np.multiply(k, u, out=cosine)
+        cosine -= np.multiply(turn, w, out=angle)
+        np.arctan2(sine, cosine, out=angle)
+        angle -= arrays.angle_offset
+        return limbs
 
     def _resolve(self, points: Array, limbs: _Limbs, precise: bool) -> None:
         """Solve again, in double-double, the points for which plain doubles are not good enough."""
         doubtful = np.ones(points.shape[1], dtype=np.bool_)
         if not precise:
-            size = limbs.k + self._two_rod_squared
+            size = np.add(limbs.k, self._two_rod_squared, out=limbs.spare)
             small = limbs.root < DOUBTFUL_ROOT * size
             if not small.any():
                 return
@@ -156,6 +192,7 @@ class InverseSolver:
         if not (missed.any() or indeterminate.any()):
             return np.zeros(limbs.q.shape[1], dtype=np.uint32)
         limbs.angle[missed | indeterminate] = np.nan
+        limbs.q[indeterminate] = np.nan
         lateral = missed & (np.abs(limbs.v) > self._arrays.rod)
         # d < |a − ρ| has K < 0 or d < a, and d > a + ρ has neither; no root is needed to tell them apart.
         near = missed & ~lateral & ((limbs.k < 0.0) | (limbs.reach < self._arrays.arm**2))
@@ -167,12 +204,15 @@ class InverseSolver:
     def _rods(self, limbs: _Limbs) -> Array:
         """Return the rod vectors (3 axes, 3 limbs, n) m; the elbows come without sine and cosine of the angle."""
         arrays = self._arrays
-        half = 0.5 / limbs.reach
-        outward = limbs.u - limbs.cosine * half
-        rods = np.empty((3, *outward.shape))
-        rods[0] = arrays.cosine * outward
-        rods[0] -= arrays.sine * limbs.v
-        rods[1] = arrays.sine * outward
-        rods[1] += arrays.cosine * limbs.v
-        rods[2] = limbs.w - limbs.sine * half
+        x, y, z = rods = _SCRATCH.rods(limbs.u.shape[1])
+        half = np.divide(0.5, limbs.reach, out=limbs.spare)
+        outward = limbs.cosine
+        outward *= half
+        np.subtract(limbs.u, outward, out=outward)
+        np.multiply(limbs.sine, half, out=z)
+        np.subtract(limbs.w, z, out=z)
+        np.multiply(arrays.cosine, outward, out=x)
+        x -= np.multiply(arrays.sine, limbs.v, out=limbs.spare)
+        np.multiply(arrays.sine, outward, out=y)
+        y += np.multiply(arrays.cosine, limbs.v, out=limbs.spare)
         return rods

@@ -30,16 +30,6 @@ class LimbArrays:
         self.angle_offset = column("angle_offset")
         self.knee = np.array([[float(side)] for side in working_mode])
 
-    def local(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
-        """Return u, v, w (3, n): the platform joint seen from the motor axis, outward, tangential and ahead."""
-        u = self.cosine * x
-        u += self.sine * y
-        u -= self.difference
-        v = self.cosine * y
-        v -= self.sine * x
-        v -= self.tangential
-        return u, v, z + self.motor_height
-
     def elbows(self, cosine: Array, sine: Array) -> tuple[Array, Array, Array]:
         """Return x, y, z (3, n) of the elbows in delta_motor, less the platform radius.
 

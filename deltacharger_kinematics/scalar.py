@@ -61,9 +61,14 @@ class ScalarDelta:
         limbs = self._reach(x, y, z)
         return (limbs[0][0], limbs[1][0], limbs[2][0]) if limbs else _NAN3
 
-    def solve(self, x: float, y: float, z: float) -> tuple[Vector, int, float] | None:
-        """Return angles (rad), Status bits and margin, or None where a limb has no answer."""
+    def solve(self, x: float, y: float, z: float, precise: bool = False) -> tuple[Vector, int, float] | None:
+        """Return angles (rad), Status bits and margin, or None where a limb has no answer.
+
+        `precise` takes double-double also where plain doubles would do.
+        """
         limbs = self._reach(x, y, z)
+        if precise and limbs:
+            limbs = self._reach_edge(x, y, z)
         if not limbs:
             return None
         first, second, third = limbs

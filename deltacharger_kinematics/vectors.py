@@ -20,4 +20,5 @@ def cross(a: Array, b: Array) -> Array:
 
 def determinant(rows: Array) -> Array:
     """Return the determinants (n,) of the matrices whose three rows are rows[:, i, :]."""
-    return dot(rows[:, 0], cross(rows[:, 1], rows[:, 2]))
+    (x0, x1, x2), (y0, y1, y2), (z0, z1, z2) = rows
+    return np.asarray(x0 * (y1 * z2 - z1 * y2) + y0 * (z1 * x2 - x1 * z2) + z0 * (x1 * y2 - y1 * x2))

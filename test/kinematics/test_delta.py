@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -249,3 +250,13 @@ def test_angle_offset_is_the_true_angle_less_the_commanded_one() -> None:
     offset = Delta(DeltaGeometry(limbs=(LimbAdjustment(angle_offset=0.02),) * 3))
     assert np.allclose(offset.inverse(DOCK).angles + 0.02, DELTA.inverse(DOCK).angles, atol=1e-15)
     assert np.allclose(offset.holding_torque(DOCK), DELTA.holding_torque(DOCK), atol=1e-15)
+
+
+def test_threads_do_not_disturb_each_other() -> None:
+    batches = [workspace_points(20_000, seed) for seed in range(4)]
+    expected = [DELTA.inverse(batch).angles for batch in batches]
+    with ThreadPoolExecutor(len(batches)) as pool:
+        for _ in range(5):
+            for solved, wanted in zip(pool.map(DELTA.inverse, batches), expected, strict=True):
+                assert np.array_equal(solved.angles, wanted)
+                assert not np.asarray(solved.status).any()

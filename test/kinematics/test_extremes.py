@@ -122,6 +122,7 @@ def test_a_platform_joint_as_good_as_on_its_motor_axis(distance: float) -> None:
     solved = alone_and_in_a_batch(Delta(SQUARE.with_values(limbs=limbs)), (0.125, 0.0, -0.5))
     assert solved.status == Status.INDETERMINATE | Status.LIMB_0
     assert math.isnan(solved.angles[0])
+    assert math.isnan(solved.margin)
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float16, np.int64, np.uint8, ">f8", np.longdouble, object])
