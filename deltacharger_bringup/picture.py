@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deltacharger_bringup.reports.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE
 from deltacharger_bringup.run_record import Run
 
 if TYPE_CHECKING:
@@ -30,8 +31,6 @@ _PHASE_COLOURS = {
     "retract": "#efebe5",
     "idle": "#f6f7f8",
 }
-_INK = "#22303c"
-_BLUE, _ORANGE, _GREEN, _PURPLE, _RED = "#1f6fb4", "#d9762b", "#2e9e5b", "#7a52a8", "#c8324b"
 _NARROW = 0.035  # of the time axis: phases below it get no label of their own
 _SPARE = 0.2  # s around the run
 
@@ -54,18 +53,7 @@ def draw(run: Run, path: Path) -> None:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise PictureError("matplotlib is not installed; install deltacharger[report]") from error
-    style: Any = {
-        "font.size": 9.0,
-        "axes.edgecolor": "#9aa5b1",
-        "axes.labelcolor": _INK,
-        "text.color": _INK,
-        "xtick.color": _INK,
-        "ytick.color": _INK,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "axes.titlesize": 9.5,
-    }
-    with rc_context(style):
+    with rc_context(STYLE | {"axes.titlesize": 9.5}):
         figure = Figure(figsize=(13.0, 8.6), dpi=120, facecolor="white")
         _compose(figure, run)
         try:
@@ -138,15 +126,15 @@ def _name_phases(axes: Axes, run: Run, span: tuple[float, float]) -> None:
 
 def _height(axes: Axes, run: Run) -> None:
     motion = run.motion.arrays()
-    axes.plot(motion["time"], 1e3 * motion["z"], color=_BLUE, linewidth=1.6)
+    axes.plot(motion["time"], 1e3 * motion["z"], color=BLUE, linewidth=1.6)
     axes.set_ylabel("z, mm")
 
 
 def _contact_current(axes: Axes, run: Run) -> None:
     contact, motion = run.contact.arrays(), run.motion.arrays()
-    axes.axhspan(*BAND, color=_GREEN, alpha=0.28, linewidth=0, zorder=1)
-    axes.plot(motion["time"], motion["current"], color=_ORANGE, linewidth=0.8, alpha=0.6, label="from servo_state")
-    axes.plot(contact["time"], contact["current"], ".", color=_ORANGE, markersize=3.5, label="as reported")
+    axes.axhspan(*BAND, color=GREEN, alpha=0.28, linewidth=0, zorder=1)
+    axes.plot(motion["time"], motion["current"], color=ORANGE, linewidth=0.8, alpha=0.6, label="from servo_state")
+    axes.plot(contact["time"], contact["current"], ".", color=ORANGE, markersize=3.5, label="as reported")
     _legend(axes)
     low, high = _limits(np.concatenate([contact["current"], motion["current"]]), BAND)
     axes.set_ylim(low, high)
@@ -160,7 +148,7 @@ def _contact_current(axes: Axes, run: Run) -> None:
 def _force(axes: Axes, run: Run) -> None:
     motion = run.motion.arrays()
     axes.axhline(0.0, color="#9aa5b1", linewidth=0.8)
-    axes.plot(motion["time"], motion["force"], color=_RED, linewidth=1.1)
+    axes.plot(motion["time"], motion["force"], color=RED, linewidth=1.1)
     axes.set_ylabel("push of the\nservos, N")
 
 
@@ -168,9 +156,9 @@ def _misalignment(axes: Axes, run: Run) -> None:
     felt, decided = run.felt.arrays(), run.decided.arrays()
     axes.axhline(0.0, color="#9aa5b1", linewidth=0.8)
     for name, colour, scale, label in (
-        ("horizontal", _BLUE, 1e3, "horizontal, mm"),
-        ("vertical", _ORANGE, 1e3, "vertical, mm"),
-        ("angle", _PURPLE, 180.0 / math.pi, "angle, °"),
+        ("horizontal", BLUE, 1e3, "horizontal, mm"),
+        ("vertical", ORANGE, 1e3, "vertical, mm"),
+        ("angle", PURPLE, 180.0 / math.pi, "angle, °"),
     ):
         axes.plot(felt["time"], scale * felt[name], color=colour, linewidth=0.9, alpha=0.45)
         acted = scale * np.append(decided[name], decided[name][-1:])  # holds until the end of the record
@@ -191,8 +179,8 @@ def _legend(axes: Axes) -> None:
 
 def _charge(axes: Axes, run: Run) -> None:
     power = run.power.arrays()
-    axes.plot(power["time"], power["current"], color=_GREEN, linewidth=1.6)
-    axes.fill_between(power["time"], 0.0, np.nan_to_num(power["current"]), color=_GREEN, alpha=0.25, linewidth=0)
+    axes.plot(power["time"], power["current"], color=GREEN, linewidth=1.6)
+    axes.fill_between(power["time"], 0.0, np.nan_to_num(power["current"]), color=GREEN, alpha=0.25, linewidth=0)
     highest = np.nanmax(power["current"]) if np.isfinite(power["current"]).any() else 0.0
     axes.set_ylim(-0.04 * max(highest, 1.0), 1.15 * max(highest, 1.0))
     axes.set_ylabel("charge\ncurrent, A")
@@ -273,11 +261,11 @@ def _figure(value: Any, scale: float, unit: str, digits: int) -> str:
 def _title(figure: Figure, run: Run) -> None:
     outcome = run.outcome
     if outcome is None:
-        headline, colour = "Docking", _INK
+        headline, colour = "Docking", INK
     elif outcome.success:
         headline, colour = "Docked and charging" if outcome.details.get("energy") else "Docked", "#20703f"
     else:
-        headline, colour = f"Not docked: {outcome.error_name.replace('_', ' ').lower()}", _RED
+        headline, colour = f"Not docked: {outcome.error_name.replace('_', ' ').lower()}", RED
     figure.text(0.075, 0.960, headline, fontsize=17, fontweight="bold", color=colour, va="center")
     about = outcome.error_message if outcome is not None and not outcome.success else run.notes.get("about", "")
     short = about if len(about) < 150 else about[:147] + "…"

@@ -1,0 +1,56 @@
+"""`deltacharger report kinematics`: measure, write a page with tables and pictures, say which targets are met."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+from deltacharger_bringup.cli_output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+
+
+def kinematics(options: argparse.Namespace) -> int:
+    """Write the report of the kinematics into a folder."""
+    from deltacharger_bringup.reports import kinematics_report as report
+
+    directory = _folder(options.out)
+    count = options.points or (report.QUICK_POINTS if options.quick else report.DEFAULT_POINTS)
+    plan = (report.quick_plan if options.quick else report.full_plan)(count, options.seed)
+    command = f"deltacharger report kinematics{' --quick' if options.quick else ''} --points {count} --seed {plan.seed}"
+    try:
+        results = report.build(plan, directory, command, say)
+    except ModuleNotFoundError as error:
+        if error.name != "mpmath":
+            raise
+        raise CommandError("mpmath is not installed; install deltacharger[report]", FAILED) from error
+    for name, reason in results["missing_pictures"].items():
+        say(f"no picture {name}: {reason}")
+    for name, reason in results["absent"].items():
+        say(f"{name} is absent: {reason}")
+    say(f"{directory / report.PAGE}: written in {results['elapsed_s']:.0f} s")
+    if options.json:
+        write_json(_summary(results, directory, [report.PAGE, report.FIGURES]))
+        return DONE
+    for target in results["targets"]:
+        verdict = "not measured" if target["met"] is None else "met" if target["met"] else "NOT MET"
+        tell(f"{target['name']:<48} {target['wanted']:>9}  {target['measured']:>10.3g} {target['unit']:<8} {verdict}")
+    return DONE
+
+
+def _folder(name: str) -> Path:
+    """Return the folder to write to, made where it is missing."""
+    directory = Path(name)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CommandError(f"--out {name}: cannot be a folder ({error.strerror}); give another", WRONG_INPUT) from error
+    if not os.access(directory, os.W_OK | os.X_OK):
+        raise CommandError(f"--out {name}: the folder cannot be written to; give another", WRONG_INPUT)
+    return directory
+
+
+def _summary(results: dict[str, Any], directory: Path, files: list[str]) -> dict[str, Any]:
+    keys = ("targets", "absent", "missing_pictures", "elapsed_s", "seed", "points")
+    written = [str(directory / name) for name in (*files, *results["pictures"])]
+    return {"success": True, "files": written, **{key: results[key] for key in keys}}

@@ -1,0 +1,193 @@
+"""Kinematics of the delta in 60-digit arithmetic: what every form of the report is held against.
+
+The doubles of a position, of the angles and of the geometry count as exact, cos and sin of 120° as −1/2 and ±√3/2. Edge
+of reach: the elbow turns on a circle, and the limb reaches a platform joint whose distance to that circle's nearest
+point is at most the rod and to its farthest point at least the rod. Both differences are distances in m, so how far a
+point lies inside or outside reach is exact too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_kinematics import DeltaGeometry
+
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+DIGITS = 60
+_TWO_PI = (6.283185307179586, 2.4492935982947064e-16)  # 2π as the sum of two doubles
+
+
+@dataclass(frozen=True)
+class Exact:
+    """Numbers (..., 3) rounded to the sum of two doubles, about 32 digits."""
+
+    high: Array
+    low: Array
+
+    def angle_error(self, angles: Array) -> Array:
+        """Return |angles − exact| (..., 3) rad over the shorter way round; NaN where either has no answer."""
+        with np.errstate(invalid="ignore"):
+            rest = (angles - self.high) - self.low
+            turns = np.round(rest / _TWO_PI[0])
+            return np.asarray(np.abs((rest - turns * _TWO_PI[0]) - turns * _TWO_PI[1]), dtype=np.float64)
+
+    def distance(self, positions: Array) -> Array:
+        """Return the distance (...) m of positions (..., 3) m to the exact ones; NaN where either has no answer."""
+        rest = (positions - self.high) - self.low
+        return np.asarray(np.sqrt((rest * rest).sum(-1)), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class ExactInverse:
+    """Arm angles (n, 3) rad of the working mode asked for and of each limb's other knee; NaN out of reach."""
+
+    angles: Exact
+    other: Exact
+
+
+class ExactDelta:
+    """The delta of one geometry, working mode and assembly, to 60 digits.
+
+    Args:
+        geometry: dimensions, adjustments of the limbs included; None = the defaults.
+        working_mode: sense of each limb's knee, −1 outward.
+        assembly: +1 ahead of the elbows, −1 the mirror image.
+
+    Raises:
+        ImportError: mpmath is missing.
+    """
+
+    def __init__(
+        self,
+        geometry: DeltaGeometry | None = None,
+        working_mode: Sequence[int] = (-1, -1, -1),
+        assembly: int = 1,
+    ) -> None:
+        import mpmath
+
+        self._mp = mpmath.MPContext()  # a context of its own: the global one belongs to others
+        self._mp.dps = DIGITS
+        self.geometry = geometry or DeltaGeometry()
+        self.working_mode = tuple(working_mode)
+        self.assembly = assembly
+        real = self._mp.mpf
+        root = self._mp.sqrt(3) / 2
+        self._directions = ((real(1), real(0)), (real(-1) / 2, root), (real(-1) / 2, -root))
+        self._limbs = [self._limb(index) for index in range(3)]
+
+    def inverse(self, points: Array) -> ExactInverse:
+        """Return the arm angles for points (n, 3) m."""
+        found = np.full((4, len(points), 3), np.nan)
+        for row, point in enumerate(points.tolist()):
+            for index in range(3):
+                solved = self._solve(index, point)
+                if solved is not None:
+                    found[:, row, index] = solved
+        return ExactInverse(Exact(found[0], found[1]), Exact(found[2], found[3]))
+
+    def edge(self, points: Array) -> Array:
+        """Return how far inside reach points (n, 3) m lie for each limb (n, 3), in m; negative outside."""
+        return np.array([[float(self._edge(index, point)) for index in range(3)] for point in points.tolist()])
+
+    def forward(self, angles: Array) -> Exact:
+        """Return the positions (n, 3) m of arm angles (n, 3) rad; NaN where the rods do not meet."""
+        found = np.full((2, len(angles), 3), np.nan)
+        for row, arms in enumerate(angles.tolist()):
+            position = self._assemble(arms)
+            if position is not None:
+                found[:, row] = np.array([self._split(value) for value in position]).T
+        return Exact(found[0], found[1])
+
+    def _limb(self, index: int) -> dict[str, Any]:
+        real = self._mp.mpf
+        limb = self.geometry.limb(index)
+        return {
+            "difference": real(limb.base_radius) - real(limb.platform_radius) + real(limb.radius_offset),
+            "tangential": real(limb.tangential_offset),
+            "height": real(limb.z_offset) - real(limb.height_offset),
+            "arm": real(limb.arm),
+            "rod": real(limb.rod),
+            "angle": real(limb.angle_offset),
+        }
+
+    def _terms(self, index: int, point: Sequence[float]) -> tuple[Any, Any, Any]:
+        """Return u, v and w of one limb: the platform joint seen from the motor axis."""
+        limb, (cosine, sine) = self._limbs[index], self._directions[index]
+        x, y, z = (self._mp.mpf(value) for value in point)
+        return (
+            x * cosine + y * sine - limb["difference"],
+            y * cosine - x * sine - limb["tangential"],
+            z + limb["height"],
+        )
+
+    def _solve(self, index: int, point: Sequence[float]) -> tuple[float, float, float, float] | None:
+        limb = self._limbs[index]
+        u, v, w = self._terms(index, point)
+        reach = u * u + w * w
+        k = reach + v * v + limb["arm"] ** 2 - limb["rod"] ** 2
+        q = 4 * limb["arm"] ** 2 * reach - k * k
+        if q < 0 or reach == 0:
+            return None
+        root = self.working_mode[index] * self._mp.sqrt(q)
+        right = self._mp.atan2(k * w + root * u, k * u - root * w) - limb["angle"]
+        wrong = self._mp.atan2(k * w - root * u, k * u + root * w) - limb["angle"]
+        return (*self._split(right), *self._split(wrong))
+
+    def _edge(self, index: int, point: Sequence[float]) -> Any:
+        limb = self._limbs[index]
+        u, v, w = self._terms(index, point)
+        across = self._mp.sqrt(u * u + w * w)
+        nearest = self._mp.sqrt((across - limb["arm"]) ** 2 + v * v)
+        farthest = self._mp.sqrt((across + limb["arm"]) ** 2 + v * v)
+        return min(limb["rod"] - nearest, farthest - limb["rod"])
+
+    def _assemble(self, arms: Sequence[float]) -> tuple[Any, Any, Any] | None:
+        """Return where the spheres about the elbows meet, by elimination: p = c0 + o + h·n."""
+        elbows = [self._elbow(index, angle) for index, angle in enumerate(arms)]
+        rods = [limb["rod"] for limb in self._limbs]
+        first = elbows[0]
+        a, b = ([q - p for p, q in zip(first, elbow, strict=True)] for elbow in elbows[1:])
+        n = _cross(a, b)
+        square = _dot(n, n)
+        if square == 0:
+            return None
+        # The centre o obeys 2 a·o = |a|² + L0² − L1², 2 b·o = |b|² + L0² − L2² and n·o = 0.
+        p = (_dot(a, a) + rods[0] ** 2 - rods[1] ** 2) / (2 * square)
+        q = (_dot(b, b) + rods[0] ** 2 - rods[2] ** 2) / (2 * square)
+        o = [p * s + q * t for s, t in zip(_cross(b, n), _cross(n, a), strict=True)]
+        height = (rods[0] ** 2 - _dot(o, o)) / square
+        if height < 0:
+            return None
+        along = self.assembly * self._mp.sqrt(height)
+        x, y, z = (c + d + along * e for c, d, e in zip(first, o, n, strict=True))
+        return x, y, z
+
+    def _elbow(self, index: int, angle: float) -> tuple[Any, Any, Any]:
+        """Return an elbow in charger_base, shifted inward by the platform's radius."""
+        limb, (cosine, sine) = self._limbs[index], self._directions[index]
+        true = self._mp.mpf(angle) + limb["angle"]
+        radius = limb["difference"] + limb["arm"] * self._mp.cos(true)
+        side = limb["tangential"]
+        return (
+            radius * cosine - side * sine,
+            radius * sine + side * cosine,
+            limb["arm"] * self._mp.sin(true) - limb["height"],
+        )
+
+    def _split(self, value: Any) -> tuple[float, float]:
+        high = float(value)
+        return high, float(value - self._mp.mpf(high))
+
+
+def _cross(a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def _dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
+    return sum(p * q for p, q in zip(a, b, strict=True))
