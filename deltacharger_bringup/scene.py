@@ -18,6 +18,8 @@ from typing import Any
 from deltacharger_bringup.node_table import NODES
 from deltacharger_bringup.scene_faults import Fault
 from deltacharger_bringup.scene_yaml import YamlProblem, read_yaml
+from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_sim.parameters import Bounded, ParameterError, WorldParameters, from_mapping, number
 
 STANDARD_NODES = ("servo_node", "tactile_node", "kinematics_node", "misalignment_node", "docking_node")
@@ -70,6 +72,18 @@ class Simulation(Bounded):
     faults: tuple[Fault, ...] = field(
         default=(), metadata={"doc": "what goes wrong with the emulated hardware, and when"}
     )
+    geometry_file: str = field(
+        default="",
+        metadata={"doc": "YAML file with what the simulated arm's dimensions really are; empty = the usual"},
+    )
+
+    def geometry(self) -> DeltaGeometry:
+        """Return the simulated arm's dimensions.
+
+        Raises:
+            OSError, ValueError: the file cannot be read, or is refused.
+        """
+        return load_geometry(Path(self.geometry_file).expanduser()) if self.geometry_file else DeltaGeometry()
 
 
 @dataclass(frozen=True)
@@ -265,7 +279,14 @@ def _read_nodes(top: _Level) -> tuple[str, ...]:
 def _read_simulation(top: _Level) -> Simulation | None:
     if not top.has("simulation"):
         return None
-    return from_mapping(top.mapping("simulation"), Simulation, "simulation")
+    simulation = from_mapping(top.mapping("simulation"), Simulation, "simulation")
+    try:
+        simulation.geometry()
+    except OSError as error:
+        raise top.refuse("simulation.geometry_file", f"'{error.filename}' cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise top.refuse("simulation.geometry_file", str(error)) from error
+    return simulation
 
 
 def _read_parameters(top: _Level, nodes: Sequence[str]) -> dict[str, dict[str, Any]]:

@@ -138,4 +138,4 @@ def _build_world(scene: Scene) -> World:
     simulation = scene.simulation
     assert simulation is not None
     source = ContactSource(None, simulation.rig_seed, simulation.seed)
-    return World(simulation.world, source, simulation.seed)
+    return World(simulation.world, source, simulation.seed, simulation.geometry())

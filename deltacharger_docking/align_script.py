@@ -131,11 +131,15 @@ class Alignment:
 
         The command moves by what the measured pose is off, so that friction and a soft servo, which keep the platform
         short of its command, are corrected as well.
+
+        Raises:
+            Unreachable: the way there leaves the arm's reach; the platform was not lifted.
         """
         context, parameters = self._context, self._context.parameters
-        context.enter(State.ALIGN, parameters.align_timeout)
         commanded, z = context.commanded, context.position[2]
         place = commanded[0] + x, commanded[1] + y, z - parameters.lift
+        context.check_way((*context.position[:2], place[2]), place, (*place[:2], z))
+        context.enter(State.ALIGN, parameters.align_timeout)
         yield from context.release()
         yield from context.move((*context.position[:2], place[2]), parameters.travel_speed, settle=False)
         yield from context.move(place, parameters.travel_speed)

@@ -66,6 +66,8 @@ def back_off(context: Context) -> Script[None]:
     """Take the electrodes back by the paper's 30 mm."""
     parameters = context.parameters
     context.enter(State.BACK_OFF, parameters.contact_timeout)
+    x, y, z = context.position
+    context.check_way((x, y, z - parameters.back_off))
     if context.observation.tactile_contact:
         yield from context.release()
     x, y, z = context.position

@@ -121,14 +121,29 @@ class Context:
 
         Raises:
             Unreachable: the line leaves the arm's reach; nothing was moved.
+            ServoFailure: it is not known where the arm is; nothing was moved.
         """
-        start = self.commanded if math.isfinite(self.commanded[0]) else self.position
+        start = self.commanded if math.isfinite(self.commanded[0]) else self._measured()
         waypoints = self.planner.line(start, goal, speed)
         self._trajectory = waypoints
         self.commanded = goal
         yield from self.wait(waypoints[-1].time)
         if settle:
             yield from self.rest()
+
+    def check_way(self, *places: Vector) -> None:
+        """Refuse a way from the measured position through `places` before its first leg moves anything.
+
+        Raises:
+            Unreachable: some leg leaves the arm's reach.
+            ServoFailure: it is not known where the arm is.
+        """
+        self.planner.check_way(self.parameters.travel_speed, self._measured(), *places)
+
+    def _measured(self) -> Vector:
+        if not all(map(math.isfinite, self.position)):
+            raise ServoFailure("the arm's position is unknown, so it was not moved; check the servo bus and servo_node")
+        return self.position
 
     def rest(self) -> Script[None]:
         """Wait until the servos have settled and the contact current's window holds only readings at rest.
@@ -160,6 +175,8 @@ class Context:
 
         Raises:
             Stuck: the platform did not move within the time allowed.
+            Unreachable: it came off where the arm has no way back; it holds there.
+            ServoFailure: it is not known where it came off; it holds there.
         """
         parameters, geometry = self.parameters, self.kinematics.geometry
         while not all(map(math.isfinite, self.observation.angles)):
@@ -187,7 +204,11 @@ class Context:
                         f"{parameters.release_time:.1f} s; move the target away by hand or raise release_current"
                     )
                 yield
-        self.commanded = self.position
-        self._trajectory = self.planner.line(self.position, (x, y, self.position[2] - 0.001), parameters.travel_speed)
-        self.commanded = (x, y, self.position[2] - 0.001)
+        try:
+            free = self._measured()
+            self.commanded = (x, y, free[2] - 0.001)
+            self._trajectory = self.planner.line(free, self.commanded, parameters.travel_speed)
+        except DockingError:
+            self.hold()  # nothing goes on pulling
+            raise
         yield

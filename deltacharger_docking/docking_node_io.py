@@ -260,12 +260,17 @@ def seconds(value: Duration) -> float:
 
 
 def trajectory(waypoints: Sequence[Waypoint], stamp: Any) -> JointTrajectory:
-    """Return waypoints as a JointTrajectory whose efforts (N·m) bound each servo's torque."""
+    """Return waypoints as a JointTrajectory whose efforts (N·m) bound each servo's torque.
+
+    The velocities are for whoever interpolates with them; servo_node goes straight from point to point, and they are
+    dense enough for that.
+    """
     message = JointTrajectory(joint_names=list(JOINTS))
     message.header.stamp = stamp
     message.points = [
         JointTrajectoryPoint(
             positions=array("d", point.angles),
+            velocities=array("d", point.velocities or ()),
             effort=array("d", point.torque_bound),
             time_from_start=duration(point.time),
         )

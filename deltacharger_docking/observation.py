@@ -84,11 +84,15 @@ class Observation:
 
 @dataclass(frozen=True)
 class Waypoint:
-    """One point of a trajectory: s from its start, arm angles (rad), bound of each servo's torque (N·m)."""
+    """One point of a trajectory: s from its start, arm angles (rad), bound of each servo's torque (N·m).
+
+    `velocities` (rad/s) are those of the angles, None = not told.
+    """
 
     time: float
     angles: Vector
     torque_bound: Vector
+    velocities: Vector | None = None
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,11 @@
 
 Subscribes: servo_state.
 Publishes: end_effector_pose (charger_base) and contact_wrench (force on the end effector, in end_effector, the arm's
-weight removed), one of each per servo_state while somebody listens; nothing where the pose or a current is not known.
-Serves: solve_inverse_kinematics, solve_forward_kinematics, with a status per point.
-Parameters: the arm's geometry, gravity, torque_constant.
+weight removed), one of each per servo_state while somebody listens and with its stamp, so that their age is that of the
+measurement; nothing while a servo is not valid, and no wrench while a torque is off.
+Serves: solve_inverse_kinematics, solve_forward_kinematics, with a status per point; an incomplete last point is
+INVALID_INPUT.
+Parameters: geometry_file or the arm's single dimensions, gravity, torque_constant.
 """
 
 from __future__ import annotations
@@ -12,18 +14,21 @@ from __future__ import annotations
 import array
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from deltacharger.msg import ServoState
 from deltacharger.srv import SolveForwardKinematics, SolveInverseKinematics
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from numpy.typing import ArrayLike
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from deltacharger_bringup import node_support
 from deltacharger_kinematics import Delta, DeltaGeometry
+from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
 
@@ -61,7 +66,7 @@ class KinematicsNode(Node):
     def _on_servo_state(self, message: ServoState) -> None:
         wants_pose = self._pose.get_subscription_count() > 0
         wants_wrench = self._wrench.get_subscription_count() > 0
-        if not (wants_pose or wants_wrench) or len(message.position) != 3:
+        if not (wants_pose or wants_wrench) or not _complete(message.valid) or len(message.position) != 3:
             return
         x, y, z = self._scalar.forward(*message.position)
         if not math.isfinite(x + y + z):
@@ -72,7 +77,8 @@ class KinematicsNode(Node):
             pose.header.frame_id = "charger_base"
             pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = x, y, z
             self._pose.publish(pose)
-        if wants_wrench and len(message.current) == 3:
+        # Without torque a servo's current says nothing: the gears carry the arm.
+        if wants_wrench and len(message.current) == 3 and _complete(message.torque_enabled):
             self._publish_wrench(message, (x, y, z))
 
     def _publish_wrench(self, message: ServoState, position: tuple[float, float, float]) -> None:
@@ -92,54 +98,94 @@ class KinematicsNode(Node):
         self, request: SolveInverseKinematics.Request, response: SolveInverseKinematics.Response
     ) -> SolveInverseKinematics.Response:
         solved = self._delta.inverse(points(request.positions))
-        response.angles = array.array("d", solved.angles.ravel())
-        response.status = array.array("I", np.asarray(solved.status, dtype=np.uint32).ravel())
-        response.margin = array.array("d", solved.margin.ravel())
+        response.angles = _flat("d", solved.angles)
+        response.status = _flat("I", solved.status)
+        response.margin = _flat("d", solved.margin)
         return response
 
     def _on_forward(
         self, request: SolveForwardKinematics.Request, response: SolveForwardKinematics.Response
     ) -> SolveForwardKinematics.Response:
         solved = self._delta.forward(points(request.angles))
-        response.positions = array.array("d", solved.position.ravel())
-        response.status = array.array("I", np.asarray(solved.status, dtype=np.uint32).ravel())
+        response.positions = _flat("d", solved.position)
+        response.status = _flat("I", solved.status)
         return response
+
+
+def _complete(flags: Sequence[bool]) -> bool:
+    return len(flags) == 3 and all(flags)
+
+
+def _flat(code: str, values: ArrayLike) -> array.array[Any]:
+    """Return `values` as the array that a message takes as it is; number by number it would cost half the call."""
+    return array.array(code, np.ascontiguousarray(values, dtype=code).tobytes())
 
 
 def points(values: Sequence[float]) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return `values`, three per point, as (n, 3); an incomplete last point is filled with NaN (INVALID_INPUT)."""
     flat = np.asarray(values, dtype=np.float64)
     missing = -len(flat) % 3
-    return np.concatenate([flat, np.full(missing, np.nan)]).reshape(-1, 3)
+    return (np.concatenate([flat, np.full(missing, np.nan)]) if missing else flat).reshape(-1, 3)
+
+
+_GEOMETRY: dict[str, tuple[str, float, float]] = {
+    "base_radius": ("motor axis from the centre of the setup ring (m)", 0.001, 1.0),
+    "arm": ("driven link, motor axis to elbow (m)", 0.001, 1.0),
+    "rod": ("passive link, elbow to platform joint (m)", 0.001, 1.0),
+    "platform_radius": ("platform joint from the centre of the platform (m)", 0.001, 1.0),
+    "z_offset": ("motor plane to the plane z = 0 of charger_base (m)", -1.0, 1.0),
+    "joint_min": ("smallest arm angle (rad)", -math.pi, math.pi),
+    "joint_max": ("largest arm angle (rad)", -math.pi, math.pi),
+    "workspace_min": ("lower corner of the workspace in charger_base, x, y, z (m)", -1.0, 1.0),
+    "workspace_max": ("upper corner of the workspace in charger_base, x, y, z (m)", -1.0, 1.0),
+    "swing_max": ("largest angle between a rod and the plane its arm turns in (rad)", 0.01, math.pi / 2),
+    "platform_mass": ("end effector with electrodes, magnets and pads (kg)", 0.0, 10.0),
+    "rod_mass": ("one rod pair (kg)", 0.0, 10.0),
+}
 
 
 def declare_geometry(node: Node) -> DeltaGeometry:
-    """Declare the geometry's lengths and masses as parameters of `node` and return the geometry.
+    """Declare the geometry as parameters of `node` and return it.
+
+    With `geometry_file` the file alone decides, limb by limb, and the single parameters show what it says; one that was
+    given beside it must say the same.
 
     Raises:
-        StartupError: a value is out of its range.
+        StartupError: the file is missing or refused, a value is out of its range, or both were given and differ.
     """
-    default = DeltaGeometry()
-    lengths = {
-        "base_radius": ("motor axis from the centre of the setup ring (m)", 0.001, 1.0),
-        "arm": ("driven link, motor axis to elbow (m)", 0.001, 1.0),
-        "rod": ("passive link, elbow to platform joint (m)", 0.001, 1.0),
-        "platform_radius": ("platform joint from the centre of the platform (m)", 0.001, 1.0),
-        "z_offset": ("motor plane to the plane z = 0 of charger_base (m)", -1.0, 1.0),
-        "joint_min": ("smallest arm angle (rad)", -math.pi, math.pi),
-        "joint_max": ("largest arm angle (rad)", -math.pi, math.pi),
-        "swing_max": ("largest angle between a rod and the plane its arm turns in (rad)", 0.01, math.pi / 2),
-        "platform_mass": ("end effector with electrodes, magnets and pads (kg)", 0.0, 10.0),
-        "rod_mass": ("one rod pair (kg)", 0.0, 10.0),
-    }
-    values = {
-        name: node_support.declare(node, name, getattr(default, name), text, low, high)
-        for name, (text, low, high) in lengths.items()
-    }
+    file = node_support.declare(
+        node, "geometry_file", "", "YAML file that alone decides the arm's geometry; empty = the single parameters"
+    )
+    base = _load(node, file) if file else DeltaGeometry()
+    values: dict[str, Any] = {}
+    for name, (text, low, high) in _GEOMETRY.items():
+        told = getattr(base, name)
+        default = [float(item) for item in told] if isinstance(told, tuple) else float(told)
+        try:
+            value = node_support.declare(node, name, default, text, low, high)
+        except node_support.StartupError as error:
+            raise node_support.StartupError(f"{error} (geometry_file '{file}')" if file else str(error)) from error
+        values[name] = tuple(value) if isinstance(told, tuple) else value
+        if file and values[name] != told:
+            raise node_support.StartupError(
+                f"{node.get_name()}: parameter '{name}' is {value!r}, but parameter 'geometry_file' ('{file}') says "
+                f"{default!r}; the file decides, so remove '{name}' or correct the file"
+            )
     try:
-        return default.with_values(**values)
+        return base.with_values(**values)
     except ValueError as error:
         raise node_support.StartupError(f"{node.get_name()}: {error}") from error
+
+
+def _load(node: Node, file: str) -> DeltaGeometry:
+    where = Path(file).expanduser().absolute()
+    try:
+        return load_geometry(where)
+    except OSError as error:
+        problem = f"'{where}' cannot be read: {error.strerror or error}; give a geometry file's path, or leave it out"
+    except ValueError as error:
+        problem = str(error)
+    raise node_support.StartupError(f"{node.get_name()}: parameter 'geometry_file': {problem}")
 
 
 def main(args: Sequence[str] | None = None) -> int:

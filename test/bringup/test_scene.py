@@ -10,6 +10,8 @@ import pytest
 from deltacharger_bringup.cli_scene import describe
 from deltacharger_bringup.node_table import NODES
 from deltacharger_bringup.scene import SceneError, Simulation, load_scene, packaged_scenes, parse_scene
+from deltacharger_bringup.simulated_charger import SimulatedCharger
+from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.parameters import describe as describe_world
 
@@ -30,6 +32,7 @@ def write(folder: Path, text: str) -> Path:
         ("simulation: {seed: 1.5}", "simulation.seed", "not a whole number"),
         ("simulation: {seed: -1}", "simulation.seed", "outside 0 to"),
         ("simulation: 3", "simulation", "give keys and values"),
+        ("simulation: {geometry_file: nowhere.yaml}", "simulation.geometry_file", "'nowhere.yaml' cannot be read"),
         ("simulation: {faults: [{kind: servo_missin}]}", "simulation.faults[0].kind", "servo_missing"),
         ("simulation: {faults: [{kind: board_drop, amount: 2}]}", "simulation.faults[0].amount", "share of 0 to 1"),
         ("goal: {z: 80}\nsimulation: {}", "goal.z", "-0.1 to 0.5 m"),
@@ -101,6 +104,18 @@ def test_only_a_scene_without_simulation_touches_hardware() -> None:
     assert load_scene("bench").touches_hardware
     assert not load_scene("simulated").touches_hardware
     assert not load_scene("mocks").touches_hardware
+
+
+def test_the_geometry_of_the_simulated_arm_is_checked_with_the_scene(tmp_path: Path) -> None:
+    file = tmp_path / "arm.yaml"
+    file.write_text("arm: 0.101\nlimbs: [{angle_offset: 0.02}, {}, {}]\n")
+    scene = load_scene(write(tmp_path, f"simulation: {{geometry_file: {file}}}"))
+    assert scene.simulation is not None
+    assert scene.simulation.geometry() == load_geometry(file)
+    assert SimulatedCharger(scene).world.geometry == load_geometry(file)
+    file.write_text("arms: 0.101\n")
+    with pytest.raises(SceneError, match=r"arm\.yaml: arms: unknown key; did you mean 'arm'"):
+        load_scene(write(tmp_path, f"simulation: {{geometry_file: {file}}}"))
 
 
 def test_numbers_are_read_as_people_write_them(tmp_path: Path) -> None:

@@ -1,0 +1,232 @@
+"""Straight lines of the platform in ``charger_base``, timed so that platform and servos keep their speed limits.
+
+The way follows s = 10u³ − 15u⁴ + 6u⁵ of the time share u = t/T, which starts and ends without speed and acceleration
+and has the least mean square of jerk for its duration. At one peak speed a trapezoid is done sooner; where both take as
+long, the arm on its soft servos comes to rest sooner after this one, with a fraction of the acceleration
+(docs/kinematics.md).
+
+With p(s) the point and r = p − c(θ) the rod of a limb, |r|² = L² differentiated twice gives the arm's motion along s::
+
+    θ' = r·p' / r·c'        θ'' = (|p' − c' θ'|² − r·c'' θ'²) / r·c'        r / r·c' = a row of J⁻¹
+
+and with ṡ = s'(u)/T the rates in time. Speeds scale as 1/T and accelerations as 1/T², so one stretch of T meets every
+limit: nothing is searched for.
+"""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from deltacharger_kinematics.arguments import as_vectors
+from deltacharger_kinematics.delta import Delta
+from deltacharger_kinematics.geometry import LIMB_COUNT, LONGEST, Vector
+from deltacharger_kinematics.status import NO_ANSWER, KinematicsError, Status
+
+Array = NDArray[np.float64]
+
+REFUSED = NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_2 | Status.JOINT_LIMIT | Status.SWING_LIMIT
+"""What no point of a line may be, unless the caller says otherwise. Outside the workspace box and near the edge of
+reach (NEAR_TYPE_1) the platform is still held firmly."""
+
+PEAK_SPEED = 1.875  # of ds/du, at u = 1/2
+_CHECKED = 512  # intervals in which limits are looked for: no more than 0.4 % of the line between two points
+_SLACK = 1.0002  # the fastest instant may lie between two of them
+_FEWEST, _MOST = 2, 100_000  # intervals of a line
+_STRETCHED = 1e-5  # margin, about a µm from the edge of reach, below which an arm's acceleration has no bound
+
+
+@dataclass(frozen=True)
+class ArmLimits:
+    """What the arms may do (rad/s, rad/s²); the defaults are those of this charger's MX-64 at 12 V.
+
+    speed: without load they turn at 63 rpm = 6.60 rad/s and stall at 6.0 N·m (vendor's e-manual); with 1.35 N·m, the
+    heaviest pose (0.47 N·m) and 0.6 A of push, 5.1 rad/s are left.
+
+    acceleration: 0.6 A · 1.463 N·m/A less 0.06 N·m of gear friction move an inertia of at most 0.0205 kg·m² at
+    39.9 rad/s². That is the largest row sum of m JᵀJ + I in the workspace, with m = 0.319 kg (platform and half of the
+    rods) and I = 0.0042 kg·m² (rotor through the gear, other halves of the rods). Rotor and friction are assumptions.
+
+    Raises:
+        ValueError: names the field; not a number within its bounds.
+    """
+
+    speed: float = 5.0
+    acceleration: float = 35.0
+
+    def __post_init__(self) -> None:
+        _bounded("ArmLimits.speed", self.speed, 1e-3, 1e3, "rad/s")
+        _bounded("ArmLimits.acceleration", self.acceleration, 1e-3, 1e6, "rad/s²")
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A straight line, at rest at both ends; row k is the instant times[k].
+
+    Attributes:
+        times: (n,) s, from 0.
+        positions: (n, 3) m in charger_base.
+        angles: (n, 3) rad.
+        velocities: (n, 3) rad/s.
+        accelerations: (n, 3) rad/s².
+    """
+
+    times: Array
+    positions: Array
+    angles: Array
+    velocities: Array
+    accelerations: Array
+
+    @property
+    def duration(self) -> float:
+        """From start to rest, s."""
+        return float(self.times[-1])
+
+
+class LineRefused(KinematicsError):
+    """Some point of a line is not one to move through.
+
+    Attributes:
+        indices: of the refused points among those checked, in their order along the line.
+        statuses: their status, in the same order.
+        position: the first of them, m, charger_base.
+        share: how much of the line lies before it, 0 to 1.
+    """
+
+    def __init__(self, indices: Sequence[int], statuses: Sequence[Status], position: Vector, share: float) -> None:
+        super().__init__(indices, statuses)
+        self.position = position
+        self.share = share
+        place = ", ".join(f"{1000 * value:.5g}" for value in position)
+        what = self.statuses[0].name or repr(self.statuses[0])
+        self.args = (
+            f"({place}) mm, {100 * share:.0f} % along the line, is {what}; choose another goal or another way to it",
+        )
+
+
+def plan_line(
+    delta: Delta,
+    start: ArrayLike,
+    goal: ArrayLike,
+    speed: float,
+    limits: ArmLimits | None = None,
+    interval: float = 0.02,
+    refuse: Status = REFUSED,
+) -> Line:
+    """Return the fastest line of this time law that keeps all limits.
+
+    The arms' limits hold between the points too, to 0.02 % in the workspace and 1 % at the edge of reach. Interpolated
+    linearly in joint angles at the default interval, the platform stays within 0.02 mm of a line in the workspace at
+    0.12 m/s, and within 0.2 mm at whatever speed the default limits allow.
+
+    Args:
+        delta: the arm.
+        start: (3,) m, charger_base.
+        goal: (3,) m, charger_base; the start itself gives a line that stays there.
+        speed: peak of the platform, m/s; 1e-6 to 1e3.
+        limits: of the arms; None = the defaults.
+        interval: longest time between two points, s; 1e-4 to 1. A line takes at least two.
+        refuse: what no point may be. In any case refused are points without an answer, on the very edge of reach, or
+            where an angle would pass ±π.
+
+    Raises:
+        LineRefused: a point at a step of the answer, or at one of 513 places along the line, is refused.
+        ValueError: names the argument; not a number, out of bounds, or too slow a line for the interval.
+    """
+    first, last = _point(start, "start"), _point(goal, "goal")
+    _bounded("speed", speed, 1e-6, 1e3, "m/s")
+    _bounded("interval", interval, 1e-4, 1.0, "s")
+    limits = limits or ArmLimits()
+    refuse = Status(refuse) | NO_ANSWER
+    survey = _Motion(delta, first, last, np.linspace(0.0, 1.0, _CHECKED + 1), refuse)
+    duration = max(
+        PEAK_SPEED * math.dist(first, last) / speed,
+        _SLACK * float(np.abs(survey.velocities).max()) / limits.speed,
+        _SLACK * math.sqrt(float(np.abs(survey.accelerations).max()) / limits.acceleration),
+        _FEWEST * interval,
+    )
+    if not duration <= _MOST * interval:
+        raise ValueError(
+            f"speed: {speed:g} m/s and the arms' limits make a line of {duration:.3g} s, more than {_MOST} points "
+            f"{interval:g} s apart; allow a higher speed or a longer interval"
+        )
+    count = math.ceil(duration / interval)
+    shares = np.linspace(0.0, 1.0, count + 1)
+    motion = _Motion(delta, first, last, shares, refuse)
+    return Line(
+        shares * duration,
+        motion.positions,
+        motion.angles,
+        motion.velocities / duration,
+        motion.accelerations / duration**2,
+    )
+
+
+class _Motion:
+    """The line at time shares u (n,): positions, angles, and their first two derivatives by u."""
+
+    def __init__(self, delta: Delta, start: Array, goal: Array, u: Array, refuse: Status) -> None:
+        way = (u**3 * (10.0 - 15.0 * u + 6.0 * u**2))[:, None]
+        self.positions = (1.0 - way) * start + way * goal
+        solved = delta.inverse(self.positions)
+        self.angles = solved.angles
+        status = np.asarray(solved.status)
+        self._refuse(status, (status & np.uint32(refuse)) != 0, way)
+        turned = np.zeros(len(u), dtype=bool)  # past ±π the angle starts again on the other side, and so would the arm
+        turned[1:] = (np.abs(np.diff(self.angles, axis=0)) > math.pi).any(axis=1)
+        self._refuse(status | np.uint32(Status.JOINT_LIMIT), turned, way)
+        self._refuse(status | np.uint32(Status.NEAR_TYPE_1), np.asarray(solved.margin) < _STRETCHED, way)
+        slope, bend = _derivatives(delta, self.positions, self.angles, goal - start)
+        speed = (30.0 * u**2 * (1.0 - u) ** 2)[:, None]
+        self.velocities = slope * speed
+        self.accelerations = bend * speed**2 + slope * (60.0 * u * (1.0 - u) * (1.0 - 2.0 * u))[:, None]
+
+    def _refuse(self, status: NDArray[np.uint32], bad: NDArray[np.bool_], way: Array) -> None:
+        indices = np.flatnonzero(bad)
+        if len(indices):
+            x, y, z = self.positions[indices[0]].tolist()
+            statuses = [Status(int(value)) for value in status[indices]]
+            raise LineRefused(indices.tolist(), statuses, (x, y, z), float(way[indices[0], 0]))
+
+
+def _derivatives(delta: Delta, positions: Array, angles: Array, direction: Array) -> tuple[Array, Array]:
+    """Return dθ/ds and d²θ/ds² (n, 3) along p' = `direction` (3,) at `positions` (n, 3) with arm `angles` (n, 3).
+
+    In each limb's own axes (outward, across, ahead) c' = a (−sin θ, 0, cos θ) and c'' = −a (cos θ, 0, sin θ).
+    """
+    limbs = [delta.geometry.limb(index) for index in range(LIMB_COUNT)]
+
+    def column(name: str) -> Array:
+        return np.array([[getattr(limb, name)] for limb in limbs])
+
+    cosine, sine, arm = column("cosine"), column("sine"), column("arm")
+    (x, y, z), (dx, dy, dz) = positions.T, direction
+    outward, across = cosine * dx + sine * dy, cosine * dy - sine * dx
+    angle = angles.T + column("angle_offset")
+    arm_u, arm_w = arm * np.cos(angle), arm * np.sin(angle)
+    rod_u = cosine * x + sine * y - column("difference") - arm_u
+    rod_v = cosine * y - sine * x - column("tangential_offset")
+    rod_w = z + column("motor_height") - arm_w
+    lever = rod_w * arm_u - rod_u * arm_w
+    slope = (rod_u * outward + rod_v * across + rod_w * dz) / lever
+    yielding = (outward + arm_w * slope) ** 2 + across**2 + (dz - arm_u * slope) ** 2
+    bend = (yielding + (rod_u * arm_u + rod_w * arm_w) * slope**2) / lever
+    return slope.T, bend.T
+
+
+def _point(value: ArrayLike, name: str) -> Array:
+    point = as_vectors(value, name)
+    if point.shape != (3,) or not (np.abs(point) <= LONGEST).all():
+        raise ValueError(f"{name} is {value!r}: give x, y and z in m (charger_base), each within ±{LONGEST:g}")
+    return point
+
+
+def _bounded(name: str, value: Any, low: float, high: float, unit: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= float(value) <= high:
+        raise ValueError(f"{name} is {value!r}: give a number from {low:g} to {high:g} {unit}")

@@ -1,0 +1,279 @@
+"""Laws of straight lines: at rest at both ends, on the line, within every limit, and refused before anything moves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deltacharger_kinematics import Delta, DeltaGeometry, KinematicsError, Status
+from deltacharger_kinematics.geometry import LimbAdjustment
+from deltacharger_kinematics.line import PEAK_SPEED, REFUSED, ArmLimits, Line, LineRefused, plan_line
+from deltacharger_kinematics.modes import KNEE_OUT
+from deltacharger_kinematics.statics import TORQUE_CONSTANT
+from deltacharger_sim.parameters import ServoParameters
+
+DELTA = Delta()
+HOME, DOCK = (0.0, 0.0, 0.0), (0.0, 0.0, 0.080)
+LIMITS = ArmLimits()
+MILLIMETRE = 1e-3
+
+place = st.tuples(st.floats(-0.060, 0.060), st.floats(-0.060, 0.060), st.floats(0.0, 0.110))
+speeds = st.floats(1e-3, 1e3)
+
+
+def lines(count: int, seed: int = 1) -> np.ndarray:
+    geometry = DELTA.geometry
+    return np.random.default_rng(seed).uniform(geometry.workspace_min, geometry.workspace_max, (count, 2, 3))
+
+
+def off_line(points: np.ndarray, start: np.ndarray, goal: np.ndarray) -> float:
+    """Return how far (m) the points lie beside the line."""
+    along = (goal - start) / np.linalg.norm(goal - start)
+    relative = points - start
+    return float(np.linalg.norm(relative - np.outer(relative @ along, along), axis=1).max())
+
+
+def shares(line: Line, limits: ArmLimits) -> tuple[float, float]:
+    """Return how much of the arms' speed and acceleration a line uses."""
+    return np.abs(line.velocities).max() / limits.speed, np.abs(line.accelerations).max() / limits.acceleration
+
+
+@settings(max_examples=60, deadline=None)
+@given(place, place, speeds)
+def test_a_line_joins_its_ends_at_rest_and_keeps_every_limit(
+    start: tuple[float, float, float], goal: tuple[float, float, float], speed: float
+) -> None:
+    line = plan_line(DELTA, start, goal, speed)
+    assert line.positions[0].tolist() == list(start)
+    assert line.positions[-1].tolist() == list(goal)
+    assert line.times[0] == 0.0
+    assert line.duration == line.times[-1]
+    assert np.diff(line.times).max() <= 0.02 * (1 + 1e-9)
+    assert np.all(np.diff(line.times) > 0.0)
+    for moving in (line.velocities, line.accelerations):
+        assert not moving[[0, -1]].any()
+    assert np.array_equal(line.angles, DELTA.inverse(line.positions).angles)
+    assert max(shares(line, LIMITS)) <= 1.0
+    assert PEAK_SPEED * math.dist(start, goal) / line.duration <= speed * (1 + 1e-12)
+
+
+def test_every_waypoint_is_on_the_line_and_as_far_as_its_instant_says() -> None:
+    for start, goal in lines(20):
+        line = plan_line(DELTA, start, goal, 0.12)
+        assert off_line(line.positions, start, goal) < 1e-12
+        share = (line.positions - start) @ (goal - start) / ((goal - start) @ (goal - start))
+        u = line.times / line.duration
+        assert np.allclose(share, 10 * u**3 - 15 * u**4 + 6 * u**5, atol=1e-12)
+
+
+def test_the_way_back_is_the_way_there_in_reverse() -> None:
+    for start, goal in lines(10, seed=2):
+        there, back = plan_line(DELTA, start, goal, 0.4), plan_line(DELTA, goal, start, 0.4)
+        assert there.duration == pytest.approx(back.duration, rel=1e-9)
+        assert np.allclose(there.positions, back.positions[::-1], atol=1e-12)
+        assert np.allclose(there.angles, back.angles[::-1], atol=1e-11)
+        assert np.allclose(there.velocities, -back.velocities[::-1], atol=1e-9)
+        assert np.allclose(there.accelerations, back.accelerations[::-1], atol=1e-7)
+
+
+@pytest.mark.parametrize("mode", [KNEE_OUT, (-1, 1, -1)])
+def test_velocities_and_accelerations_are_the_derivatives_of_the_angles(mode: tuple[int, int, int]) -> None:
+    limbs = (
+        LimbAdjustment(radius_offset=1e-3, angle_offset=0.03),
+        LimbAdjustment(tangential_offset=-2e-3, arm=0.101),
+        LimbAdjustment(height_offset=1.5e-3, rod=0.1785),
+    )
+    delta = Delta(DeltaGeometry(limbs=limbs, joint_min=-3.0, joint_max=3.0), working_mode=mode)
+    start, goal = (-0.010, 0.015, 0.060), (0.012, -0.008, 0.085)
+    line = plan_line(delta, start, goal, 1e-2, interval=1e-3, refuse=Status.OK)
+    step = line.times[1]
+    speed = (line.angles[2:] - line.angles[:-2]) / (2 * step)
+    assert np.abs(line.velocities).max() > 0.01
+    assert np.allclose(line.velocities[1:-1], speed, atol=1e-5 * np.abs(speed).max())
+    change = (line.velocities[2:] - line.velocities[:-2]) / (2 * step)
+    assert np.allclose(line.accelerations[1:-1], change, atol=1e-5 * np.abs(change).max())
+    platform = np.einsum("nij,nj->ni", delta.jacobian(line.positions).matrix, line.velocities)
+    u = line.times / line.duration
+    wanted = np.outer(30 * u**2 * (1 - u) ** 2 / line.duration, np.subtract(goal, start))
+    assert np.allclose(platform, wanted, atol=1e-13)
+
+
+def test_the_platform_reaches_its_speed_where_the_arms_allow_it() -> None:
+    line = plan_line(DELTA, HOME, DOCK, 0.12)
+    assert line.duration == pytest.approx(PEAK_SPEED * 0.080 / 0.12, rel=1e-12)
+    assert max(shares(line, LIMITS)) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("limits", "limited"),
+    [(ArmLimits(speed=5.0, acceleration=1e4), 0), (ArmLimits(speed=100.0, acceleration=35.0), 1)],
+    ids=["speed", "acceleration"],
+)
+def test_beyond_what_the_arms_can_one_limit_is_met_and_none_passed(limits: ArmLimits, limited: int) -> None:
+    for start, goal in lines(20, seed=3):
+        line = plan_line(DELTA, start, goal, 1e3, limits, interval=1e-3)
+        used = shares(line, limits)
+        assert 0.999 < used[limited] <= 1.0
+        assert used[1 - limited] < 1.0
+
+
+def test_half_the_speed_takes_twice_the_time_and_a_quarter_of_the_acceleration_twice() -> None:
+    fast = plan_line(DELTA, HOME, DOCK, 1e3, ArmLimits(2.0, 1e6))
+    slow = plan_line(DELTA, HOME, DOCK, 1e3, ArmLimits(1.0, 1e6))
+    assert slow.duration == pytest.approx(2 * fast.duration, rel=1e-12)
+    hard = plan_line(DELTA, HOME, DOCK, 1e3, ArmLimits(1e3, 40.0))
+    soft = plan_line(DELTA, HOME, DOCK, 1e3, ArmLimits(1e3, 10.0))
+    assert soft.duration == pytest.approx(2 * hard.duration, rel=1e-12)
+
+
+@pytest.mark.parametrize(("speed", "bound"), [(0.12, 0.02), (0.5, 0.2), (1e3, 0.2)])
+def test_straight_in_angles_between_two_waypoints_is_straight_enough_for_the_platform(
+    speed: float, bound: float
+) -> None:
+    worst = 0.0
+    corners = np.array(np.meshgrid(*zip(DELTA.geometry.workspace_min, DELTA.geometry.workspace_max, strict=True)))
+    corners = corners.reshape(3, -1).T
+    pairs = [(a, b) for a in corners for b in corners if not np.array_equal(a, b)]
+    for start, goal in [*lines(60, seed=4), *pairs]:
+        angles = plan_line(DELTA, start, goal, speed).angles
+        for share in (0.25, 0.5, 0.75):
+            between = DELTA.forward((1 - share) * angles[:-1] + share * angles[1:]).position
+            worst = max(worst, off_line(between, start, goal))
+    assert 0.0 < worst < bound * MILLIMETRE
+
+
+def test_a_line_to_where_it_starts_stays_there() -> None:
+    line = plan_line(DELTA, DOCK, DOCK, 0.12)
+    assert len(line.times) == 3
+    assert np.array_equal(line.positions, [DOCK] * 3)
+    assert not line.velocities.any()
+    assert not line.accelerations.any()
+
+
+@pytest.mark.parametrize("length", [1e-300, 1e-15, 1e-9, 1e-6])
+def test_the_shortest_lines_take_two_intervals(length: float) -> None:
+    line = plan_line(DELTA, HOME, (0.0, 0.0, length), 0.12)
+    assert len(line.times) == 3
+    assert line.duration == 0.04
+    assert line.positions[-1].tolist() == [0.0, 0.0, length]
+
+
+def test_the_default_acceleration_takes_no_more_torque_than_docking_allows() -> None:
+    geometry, servo = DELTA.geometry, ServoParameters()
+    grid = np.linspace(geometry.workspace_min, geometry.workspace_max, 9)
+    points = np.stack(np.meshgrid(*grid.T), -1).reshape(-1, 3)
+    jacobian = DELTA.jacobian(points).matrix
+    inertia = (geometry.platform_mass + 1.5 * geometry.rod_mass) * np.einsum("nki,nkj->nij", jacobian, jacobian)
+    inertia += (servo.inertia + 0.5 * geometry.rod_mass * geometry.arm**2) * np.eye(3)
+    largest = np.abs(inertia).sum(-1).max()
+    assert largest == pytest.approx(0.0205, abs=1e-4)
+    spare = 0.6 * TORQUE_CONSTANT - servo.friction
+    assert LIMITS.acceleration * largest < spare < 1.2 * LIMITS.acceleration * largest
+    heaviest = np.abs(DELTA.holding_torque(points)).max() + 0.6 * TORQUE_CONSTANT
+    assert LIMITS.speed < 63 * 2 * math.pi / 60 * (1 - heaviest / servo.stall_torque)
+
+
+def test_a_goal_out_of_reach_is_refused_with_the_place_where_the_way_ends() -> None:
+    with pytest.raises(LineRefused, match="mm") as caught:
+        plan_line(DELTA, DOCK, (0.0, 0.0, 0.190), 0.12)
+    error = caught.value
+    assert isinstance(error, KinematicsError)
+    assert Status.JOINT_LIMIT in error.statuses[0]
+    assert error.indices == sorted(error.indices)
+    assert len(error.indices) == len(error.statuses)
+    x, y, z = error.position
+    assert (x, y) == (0.0, 0.0)
+    assert error.share == pytest.approx((z - 0.080) / 0.110)
+    assert DELTA.inverse((0.0, 0.0, z)).status & REFUSED
+    assert not DELTA.inverse((0.0, 0.0, z - 1e-3)).status & REFUSED
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "bit"),
+    [
+        (DOCK, (0.0, 0.0, 0.400), Status.UNREACHABLE_FAR),
+        (DOCK, (0.0, 0.300, 0.0), Status.UNREACHABLE_LATERAL),
+        (DOCK, (0.0, 0.0, -0.095), Status.UNREACHABLE_NEAR),
+        (DOCK, (0.150, 0.0, 0.080), Status.SWING_LIMIT),
+        (DOCK, (1e6, 0.0, 0.0), Status.UNREACHABLE_FAR),
+        ((0.0, 0.0, 0.178), DOCK, Status.JOINT_LIMIT),
+    ],
+)
+def test_whatever_is_wrong_along_the_line_is_told(
+    start: tuple[float, float, float], goal: tuple[float, float, float], bit: Status
+) -> None:
+    with pytest.raises(LineRefused) as caught:
+        plan_line(DELTA, start, goal, 0.12)
+    assert any(bit in status for status in caught.value.statuses)
+
+
+def test_a_line_with_good_ends_that_leaves_the_limits_in_between_is_refused_even_if_no_waypoint_does() -> None:
+    start, goal = np.array((-0.0535, 0.0664, -0.0028)), np.array((-0.0382, -0.0909, -0.0106))
+    waypoints = DELTA.inverse([start, 0.5 * (start + goal), goal])
+    assert not (np.asarray(waypoints.status) & np.uint32(REFUSED)).any()
+    for interval in (0.02, 1.0):  # the longer one makes these three the only waypoints
+        with pytest.raises(LineRefused, match="JOINT_LIMIT") as caught:
+            plan_line(DELTA, start, goal, 0.5, interval=interval)
+        assert 0.5 < caught.value.share < 0.7
+        assert Status.LIMB_2 in caught.value.statuses[0]
+
+
+def test_no_line_leads_an_arm_through_half_a_turn_where_its_angle_starts_again() -> None:
+    delta = Delta(DeltaGeometry(joint_min=-math.pi, joint_max=math.pi), working_mode=(-1, -1, 1))
+    start, goal = (-0.010, 0.015, 0.060), (0.012, -0.008, 0.085)
+    assert [round(math.degrees(angle)) for angle in delta.inverse([start, goal]).angles[:, 2]] == [-179, 165]
+    with pytest.raises(LineRefused, match="JOINT_LIMIT"):
+        plan_line(delta, start, goal, 0.12, refuse=Status.OK)
+
+
+def test_the_caller_says_what_else_is_refused_and_what_is_not() -> None:
+    beyond = (0.0, 0.0, 0.120)
+    assert plan_line(DELTA, DOCK, beyond, 0.12).duration > 0.0
+    with pytest.raises(LineRefused, match="OUTSIDE_WORKSPACE"):
+        plan_line(DELTA, DOCK, beyond, 0.12, refuse=REFUSED | Status.OUTSIDE_WORKSPACE)
+    assert plan_line(DELTA, DOCK, (0.0, 0.0, 0.175), 0.12, refuse=Status.OK).duration > 0.0
+    with pytest.raises(LineRefused, match="UNREACHABLE_FAR"):
+        plan_line(DELTA, DOCK, (0.0, 0.0, 0.5), 0.12, refuse=Status.OK)
+
+
+def test_a_stretched_arm_would_have_to_jump_and_is_refused_however_tolerant_the_caller() -> None:
+    delta = Delta(DeltaGeometry(base_radius=0.050, z_offset=0.0, arm=0.125, rod=0.125, joint_min=-3.1, joint_max=3.1))
+    reach = (0.0, 0.0, 0.250)  # arms and rods in one line, exactly
+    assert delta.inverse(reach).margin == 0.0
+    with pytest.raises(LineRefused, match="NEAR_TYPE_1"):
+        plan_line(delta, (0.0, 0.0, 0.200), reach, 0.1, refuse=Status.OK)
+
+
+@pytest.mark.parametrize("name", ["start", "goal"])
+@pytest.mark.parametrize(
+    "value",
+    [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0), (0.0, 0.0), [[0.0, 0.0, 0.0]], 1.0, "abc", (1e300, 0.0, 0.0), None],
+)
+def test_impossible_places_are_refused_by_name(name: str, value: object) -> None:
+    places = {"start": HOME, "goal": DOCK, name: value}
+    with np.errstate(all="raise"), pytest.raises(ValueError, match=name):
+        plan_line(DELTA, speed=0.12, **places)
+
+
+@pytest.mark.parametrize("value", [0.0, -0.1, math.nan, math.inf, 1e-300, 1e300, True, "fast", None])
+@pytest.mark.parametrize("name", ["speed", "interval"])
+def test_impossible_speeds_and_intervals_are_refused_by_name(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=f"^{name}"):
+        plan_line(DELTA, HOME, DOCK, **{"speed": 0.12, name: value})
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, True, "5", None])
+@pytest.mark.parametrize("name", ["speed", "acceleration"])
+def test_impossible_limits_are_refused_by_name(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=f"ArmLimits.{name}"):
+        ArmLimits(**{name: value})
+
+
+def test_a_line_too_slow_to_write_down_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match=r"^speed: .* longer interval"):
+        plan_line(DELTA, HOME, DOCK, 1e-6)
+    assert plan_line(DELTA, HOME, DOCK, 1e-4).duration == pytest.approx(1500.0)
