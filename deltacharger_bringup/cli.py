@@ -16,25 +16,29 @@ from collections.abc import Sequence
 from types import FrameType
 from typing import Any, NoReturn
 
+from deltacharger_bringup.cli_calibrate_options import add_kinematics
 from deltacharger_bringup.cli_output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli_types import DEGREES, MILLIMETRES, POSITIVE, SEED, deadline, namespace, whole
 
 DEFAULT_SCENE = "simulated"
 DEFAULT_PICTURE = "dock.png"
-_LARGEST = 2e9  # what a Duration's seconds hold
-_FARTHEST = 10_000.0  # mm; beyond it a number is a slip of the unit, not a place for electrodes
+DEFAULT_REPORT = "report-kinematics"
 
 _LATER: dict[str, tuple[str, ...]] = {
     "doctor": (),
     "tactile": ("generate", "record", "train", "evaluate", "compare"),
     "vision": ("detect",),
-    "calibrate": ("kinematics", "camera", "tactile"),
     "campaign": (),
-    "report": (),
     "view": (),
     "replay": (),
     "fault": (),
 }
 """Commands of the interface that this version knows and does not have yet."""
+_LATER_ACTIONS: dict[str, tuple[str, ...]] = {
+    "calibrate": ("camera", "tactile"),
+    "report": ("simulation", "vision", "footprint"),
+}
+"""What is not there yet of commands that are."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -61,7 +65,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _run(words: list[str]) -> int:
-    if words and words[0] in _LATER:
+    if words and (words[0] in _LATER or (words[1:2] and words[1] in _LATER_ACTIONS.get(words[0], ()))):
         return _refuse_later(words)
     _Parser.wants_json = "--json" in words
     parser = build_parser()
@@ -140,6 +144,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_undock(commands)
     _add_scene(commands)
     _add_simulate(commands)
+    _add_calibrate(commands)
+    _add_report(commands)
     for name, parts in _LATER.items():
         what = f" ({'|'.join(parts)})" if parts else ""
         commands.add_parser(name, help=f"not yet available{what}", add_help=False)
@@ -164,7 +170,7 @@ def _add_scene_option(parser: argparse.ArgumentParser) -> None:
 
 def _add_namespace(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--namespace", type=_namespace, default="", metavar="NAME", help="of the charger (default: none)"
+        "--namespace", type=namespace, default="", metavar="NAME", help="of the charger (default: none)"
     )
 
 
@@ -190,18 +196,18 @@ def _add_dock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     _add_namespace(parser)
     for axis in "xyz":
         parser.add_argument(
-            f"--{axis}-mm", type=_millimetres, metavar="MM", help=f"electrodes along {axis} of charger_base"
+            f"--{axis}-mm", type=MILLIMETRES, metavar="MM", help=f"electrodes along {axis} of charger_base"
         )
-    parser.add_argument("--roll-deg", type=_roll, metavar="DEG", help="of the electrodes about z, -90 to 90")
+    parser.add_argument("--roll-deg", type=DEGREES, metavar="DEG", help="of the electrodes about z, -90 to 90")
     parser.add_argument("--camera", action="store_true", help="ask the camera even where the scene has coordinates")
     parser.add_argument(
-        "--critical-angle-deg", type=_positive, default=0.0, metavar="DEG", help="refuse earlier than the charger would"
+        "--critical-angle-deg", type=POSITIVE, default=0.0, metavar="DEG", help="refuse earlier than the charger would"
     )
     parser.add_argument("--no-charge", action="store_true", help="end at aligned contact")
     parser.add_argument("--hold", action="store_true", help="go on charging until a stop condition or Ctrl-C")
-    parser.add_argument("--stop-after-s", type=_positive, default=0.0, metavar="S", help="of charging")
-    parser.add_argument("--stop-energy-j", type=_positive, default=0.0, metavar="J", help="delivered")
-    parser.add_argument("--deadline-s", type=_deadline, default=math.inf, metavar="S", help="cancel after this long")
+    parser.add_argument("--stop-after-s", type=POSITIVE, default=0.0, metavar="S", help="of charging")
+    parser.add_argument("--stop-energy-j", type=POSITIVE, default=0.0, metavar="J", help="delivered")
+    parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this long")
     parser.add_argument("--request-id", default="", metavar="ID", help="returned in docking_state")
     parser.add_argument(
         "--picture", default=DEFAULT_PICTURE, metavar="FILE", help=f"of the run (default: {DEFAULT_PICTURE})"
@@ -218,7 +224,7 @@ def _add_undock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     )
     _add_scene_option(parser)
     _add_namespace(parser)
-    parser.add_argument("--deadline-s", type=_deadline, default=math.inf, metavar="S", help="cancel after this long")
+    parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this long")
     parser.add_argument("--request-id", default="", metavar="ID", help="returned in docking_state")
 
 
@@ -248,50 +254,43 @@ def _add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser])
     parser.add_argument("--record", metavar="FILE", help="at the end, write what really happened in the world as JSON")
 
 
-def _number(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"'{text}' is not finite")
-    return value
+def _add_calibrate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = commands.add_parser("calibrate", help="fit this one charger's dimensions", description="Calibrate.")
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    kinematics = _command(
+        actions,
+        "kinematics",
+        ("deltacharger_bringup.cli_calibrate", "kinematics"),
+        "plan and measure poses of the arm, and fit its geometry to them",
+    )
+    add_kinematics(kinematics)
+    _add_namespace(kinematics)
+    for name in _LATER_ACTIONS["calibrate"]:
+        actions.add_parser(name, help="not yet available", add_help=False)
 
 
-def _positive(text: str) -> float:
-    value = _number(text)
-    if not 0.0 <= value <= _LARGEST:
-        raise argparse.ArgumentTypeError(f"'{text}' is outside 0 to {_LARGEST:g}")
-    return value
-
-
-def _millimetres(text: str) -> float:
-    value = _number(text)
-    if abs(value) > _FARTHEST:
-        raise argparse.ArgumentTypeError(f"'{text}' is outside -{_FARTHEST:g} to {_FARTHEST:g}")
-    return value
-
-
-def _roll(text: str) -> float:
-    value = _number(text)
-    if abs(value) > 90.0:
-        raise argparse.ArgumentTypeError(f"'{text}' is outside -90 to 90")
-    return value
-
-
-def _deadline(text: str) -> float:
-    return _positive(text) or math.inf  # 0 = none, as for the other limits
-
-
-def _namespace(text: str) -> str:
-    name = text.strip("/")
-    if name and not all(part.isidentifier() and part.isascii() for part in name.split("/")):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a ROS namespace; use letters, digits and _")
-    return name
+def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = commands.add_parser("report", help="measure a part and write a page", description="Measure and report.")
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    kinematics = _command(
+        actions,
+        "kinematics",
+        ("deltacharger_bringup.cli_report", "kinematics"),
+        "error against run time of inverse and forward kinematics, extremes, and pictures of the workspace",
+    )
+    kinematics.add_argument(
+        "--out", default=DEFAULT_REPORT, metavar="DIR", help=f"folder, made where missing (default: {DEFAULT_REPORT})"
+    )
+    points = "per set, 50 to 100000 (default: 5000, with --quick 200)"
+    kinematics.add_argument("--points", type=whole(50, 100_000), metavar="N", help=points)
+    kinematics.add_argument("--seed", type=SEED, default=1, metavar="S", help="of every set (default: 1)")
+    kinematics.add_argument("--quick", action="store_true", help="fewer points and shorter timings, for a first look")
+    for name in _LATER_ACTIONS["report"]:
+        actions.add_parser(name, help="not yet available", add_help=False)
 
 
 def _refuse_later(words: Sequence[str]) -> int:
-    parts = _LATER[words[0]]
+    parts = _LATER.get(words[0]) or _LATER_ACTIONS.get(words[0], ())
     named = " ".join(words[:2]) if len(words) > 1 and words[1] in parts else words[0]
     message = f"deltacharger {named}: not yet available"
     say(message)

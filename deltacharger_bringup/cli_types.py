@@ -1,0 +1,57 @@
+"""Types of command-line values: each says what is wrong with the text and what is allowed."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Callable
+
+
+def between(low: float, high: float) -> Callable[[str], float]:
+    """Return the type of a finite number from `low` to `high`."""
+
+    def number(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
+        if not math.isfinite(value):
+            raise argparse.ArgumentTypeError(f"'{text}' is not finite")
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"'{text}' is outside {low:g} to {high:g}")
+        return value
+
+    return number
+
+
+def whole(low: int, high: int) -> Callable[[str], int]:
+    """Return the type of a whole number from `low` to `high`."""
+
+    def number(text: str) -> int:
+        if not re.fullmatch(r"[-+]?[0-9]{1,12}", text):
+            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number")
+        if not low <= int(text) <= high:
+            raise argparse.ArgumentTypeError(f"'{text}' is outside {low} to {high}")
+        return int(text)
+
+    return number
+
+
+def namespace(text: str) -> str:
+    """Return a ROS namespace without its outer slashes; '' is none."""
+    name = text.strip("/")
+    if name and not all(part.isidentifier() and part.isascii() for part in name.split("/")):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a ROS namespace; use letters, digits and _")
+    return name
+
+
+POSITIVE = between(0.0, 2e9)  # what a Duration's seconds hold
+MILLIMETRES = between(-10_000.0, 10_000.0)  # beyond it a number is a slip of the unit, not a place for electrodes
+DEGREES = between(-90.0, 90.0)
+SEED = whole(0, 2**32 - 1)
+
+
+def deadline(text: str) -> float:
+    """Return seconds; 0 means none, as for the other limits."""
+    return POSITIVE(text) or math.inf
