@@ -104,14 +104,11 @@ class ScalarDelta:
         low, high = self._joint_min, self._joint_max
         bits = 0
         for limb, (near, swing, bit) in zip(limbs, self._limits):  # noqa: B905 strict costs a tenth of the solve
-            angle, root, across = limb[:3]
-            if low <= angle <= high and (root <= -near or root >= near) and -swing <= across <= swing:
-                continue
-            if not low <= angle <= high:
+            if not low <= limb[0] <= high:
                 bits |= _JOINT | bit
-            if -near < root < near:
+            if -near < limb[1] < near:
                 bits |= _TYPE_1 | bit
-            if not -swing <= across <= swing:
+            if not -swing <= limb[2] <= swing:
                 bits |= _SWING | bit
         determinant *= self._assembly
         if determinant < self._near_determinant:
