@@ -18,20 +18,18 @@ from typing import Any, NoReturn
 
 from deltacharger_bringup.cli_calibrate_options import add_kinematics
 from deltacharger_bringup.cli_output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, tell, write_json
-from deltacharger_bringup.cli_types import DEGREES, MILLIMETRES, POSITIVE, SEED, deadline, namespace, whole
+from deltacharger_bringup.cli_types import DEGREES, MILLIMETRES, POSITIVE, SEED, between, deadline, namespace, whole
 
 DEFAULT_SCENE = "simulated"
 DEFAULT_PICTURE = "dock.png"
 DEFAULT_REPORT = "report-kinematics"
 
 _LATER: dict[str, tuple[str, ...]] = {
-    "doctor": (),
     "tactile": ("generate", "record", "train", "evaluate", "compare"),
     "vision": ("detect",),
     "campaign": (),
     "view": (),
     "replay": (),
-    "fault": (),
 }
 """Commands of the interface that this version knows and does not have yet."""
 _LATER_ACTIONS: dict[str, tuple[str, ...]] = {
@@ -144,6 +142,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_undock(commands)
     _add_scene(commands)
     _add_simulate(commands)
+    _add_fault(commands)
+    _add_doctor(commands)
     _add_calibrate(commands)
     _add_report(commands)
     for name, parts in _LATER.items():
@@ -252,6 +252,39 @@ def _add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser])
         "--directory", required=True, metavar="DIR", help="where the ports appear, as DIR/servo and DIR/board"
     )
     parser.add_argument("--record", metavar="FILE", help="at the end, write what really happened in the world as JSON")
+
+
+def _add_fault(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = _command(
+        commands,
+        "fault",
+        ("deltacharger_bringup.cli_fault", "fault"),
+        "let something go wrong with the emulated hardware of a charger that runs",
+    )
+    parser.add_argument("kind", nargs="?", metavar="KIND", help="what; --list names them all")
+    parser.add_argument("--for-s", type=POSITIVE, default=0.0, metavar="S", help="how long (default: until --clear)")
+    parser.add_argument("--amount", type=between(-1e9, 1e9), metavar="A", help="how much, in the unit of its kind")
+    parser.add_argument("--servo", type=whole(1, 3), default=0, metavar="N", help="id, where it concerns one servo")
+    parser.add_argument("--list", action="store_true", help="name every kind, and what goes wrong at present")
+    parser.add_argument("--clear", action="store_true", help="end everything that lasts")
+    parser.add_argument("--directory", metavar="DIR", help="of the ports (default: the charger of the ROS domain)")
+    _add_namespace(parser)
+
+
+def _add_doctor(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = _command(
+        commands,
+        "doctor",
+        ("deltacharger_bringup.cli_doctor", "doctor"),
+        "say what is wrong with this computer, its ports and what is plugged in, and how to mend it",
+    )
+    _add_scene_option(parser)
+    parser.add_argument("--servo-port", metavar="PORT", help="of the servos, instead of the scene's")
+    parser.add_argument("--board-port", metavar="PORT", help="of the board, instead of the scene's")
+    speeds = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
+    text = "write this speed (bit/s) to servos that speak another one, torque off; needs --servo-port"
+    parser.add_argument("--set-baud", type=int, choices=speeds, metavar="BAUD", help=text)
+    parser.add_argument("--ids", type=whole(0, 252), nargs="+", metavar="ID", help="of --set-baud (default: all)")
 
 
 def _add_calibrate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

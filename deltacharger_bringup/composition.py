@@ -114,7 +114,7 @@ class Composition:
         if self.scene.simulation is not None:
             from deltacharger_bringup.simulated_charger import SimulatedCharger
 
-            self.charger = SimulatedCharger(self.scene).start()
+            self.charger = SimulatedCharger(self.scene, namespace=self._namespace).start()
         ports = self.ports()
         for name in self.scene.start_order():
             spec = NODES[name]

@@ -1,40 +1,19 @@
-"""Faults that a scene orders from its emulated hardware, at a time after its start.
-
-They are done by the emulators' own hooks, so the driver meets them where it would on the robot: on the wire.
-"""
+"""Faults of emulated hardware in time: those that a scene orders beforehand and those ordered while it runs."""
 
 from __future__ import annotations
 
+import functools
+import heapq
+import itertools
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from deltacharger_bringup.fault_kinds import KINDS, ONE, SERVOS, Hardware, Kind, Order, Undo
 from deltacharger_sim.parameters import Bounded, ParameterError, number
 
-if TYPE_CHECKING:
-    from deltacharger_driver.board_emulator import BoardEmulator
-    from deltacharger_driver.pseudo_terminal import PseudoTerminal
-    from deltacharger_driver.servo_emulator import ServoBusEmulator
-
-_OVERLOAD = 32  # hardware error bit of the MX-64
-_WIRE = ("drop", "corrupt", "truncate", "duplicate", "garbage")
-
-KINDS: dict[str, str] = {
-    "servo_missing": "servo `servo` loses its supply",
-    "servo_overload": "servo `servo` reports overload and stops until it is rebooted",
-    "servo_reboot": "servo `servo` restarts by itself",
-    "servo_delay": "every reply of the servos comes `amount` s late",
-    "servo_unplugged": "the servo port disappears",
-    "board_reboot": "the board boots",
-    "board_silent": "nothing leaves the board",
-    "board_deaf": "nothing reaches the board",
-    "board_trip": "the power stage opens with fault `amount` (a code of ChargerPower)",
-    "board_unplugged": "the board's port disappears",
-    **{f"servo_{kind}": f"a share `amount` of the servos' replies suffers: {kind}" for kind in _WIRE},
-    **{f"board_{kind}": f"a share `amount` of the board's packets suffers: {kind}" for kind in _WIRE},
-}
-"""Every fault by name, with what it does."""
+__all__ = ["KINDS", "Fault", "Faults", "Hardware"]
 
 
 @dataclass(frozen=True)
@@ -44,100 +23,145 @@ class Fault(Bounded):
     kind: str = field(default="", metadata={"doc": "what happens: " + ", ".join(KINDS)})
     at: float = number(0.0, 0.0, 1e6, "s", "after the simulated charger's start")
     last: float = number(0.0, 0.0, 1e6, "s", "until it is over; 0 = for good")
-    servo: int = number(2, 1, 3, "", "id, where it concerns one servo")
-    amount: float = number(0.1, 0.0, 9.0, "", "share 0 to 1, s, or fault code, as its kind says")
+    servo: int = number(0, 0, SERVOS, "", "id; 0 = servo 2 where it concerns one, all where it may concern several")
+    amount: float | None = field(
+        default=None, metadata={"doc": "share 0 to 1, s, V, bit/s, id, taxel or fault code, as its kind says"}
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.kind not in KINDS:
             raise ParameterError("kind", self.kind, f"{self.kind!r} is no fault; there are {', '.join(KINDS)}")
-        if self.kind.split("_", 1)[1] in _WIRE and self.amount > 1.0:
-            raise ParameterError("amount", self.amount, f"{self.amount!r} is not a share of 0 to 1")
+        kind = KINDS[self.kind]
+        if self.last and not kind.lasts:
+            raise ParameterError("last", self.last, f"{self.kind} is over at once and cannot be given a duration")
+        if self.servo and not kind.servo:
+            raise ParameterError("servo", self.servo, f"{self.kind} concerns no single servo")
+        self._check_amount(kind)
+
+    def _check_amount(self, kind: Kind) -> None:
+        if self.amount is None:
+            problem = ""
+        elif kind.amount is None:
+            problem = f"{self.kind} takes no amount"
+        else:
+            problem = kind.amount.problem(self.amount)
+        if not problem and self.kind == "servo_duplicate_id" and self.whom == self.how_much:
+            problem = f"servo {self.whom} has that id already; give another amount or servo"
+        if problem:
+            raise ParameterError("amount", self.amount, problem)
+
+    @property
+    def whom(self) -> int:
+        """The servo that it concerns, 0 = none in particular."""
+        return self.servo or (2 if KINDS[self.kind].servo == ONE else 0)
+
+    @property
+    def how_much(self) -> float:
+        """Its amount, the kind's usual one where none was given, 0 where there is nothing to measure."""
+        amount = KINDS[self.kind].amount
+        if self.amount is not None:
+            return self.amount
+        return 0.0 if amount is None else amount.default
+
+    @property
+    def key(self) -> tuple[str, int, float]:
+        """What tells faults apart; a second one with the same key takes the first one's place."""
+        return self.kind, self.whom, self.how_much if KINDS[self.kind].several else 0.0
 
 
 @dataclass(frozen=True)
-class Hardware:
-    """What faults can befall: both emulators and the terminals that serve them."""
-
-    servos: ServoBusEmulator
-    board: BoardEmulator
-    servo_terminal: PseudoTerminal
-    board_terminal: PseudoTerminal
+class _Active:
+    fault: Fault
+    undo: Undo
+    until: float  # s on the clock; inf = until it is cleared
 
 
-class FaultSchedule:
-    """Carries out a scene's faults in time, from one thread that exists only where there are any.
+class Faults:
+    """Causes and ends faults; thread-safe. A thread of its own exists only where something is to happen later.
 
     Args:
-        faults: what to do.
+        scheduled: what a scene orders, at times after now.
         hardware: whom it befalls.
         clock: s, monotonic.
     """
 
-    def __init__(self, faults: Sequence[Fault], hardware: Hardware, clock: Callable[[], float]) -> None:
+    def __init__(self, scheduled: Sequence[Fault], hardware: Hardware, clock: Callable[[], float]) -> None:
         self._hardware = hardware
         self._clock = clock
-        self._start = clock()
-        events = [(fault.at, True, fault) for fault in faults]
-        events += [(fault.at + fault.last, False, fault) for fault in faults if fault.last > 0.0]
-        self._events = sorted(events, key=lambda event: event[0])
-        self._stop = threading.Event()
+        self._condition = threading.Condition(threading.RLock())
+        self._active: dict[tuple[str, int, float], _Active] = {}
+        self._later: list[tuple[float, int, Callable[[], None]]] = []
+        self._numbers = itertools.count()
+        self._stopping = False
         self._thread: threading.Thread | None = None
-        if self._events:
-            self._thread = threading.Thread(target=self._run, name="scene faults", daemon=True)
-            self._thread.start()
+        start = clock()
+        for fault in scheduled:
+            self._plan(start + fault.at, functools.partial(self.begin, fault))
+
+    def begin(self, fault: Fault) -> None:
+        """Cause a fault now, whatever its `at`; it ends after its `last`, or with `clear`."""
+        kind = KINDS[fault.kind]
+        with self._condition:
+            self._end(fault.key)
+            now = self._clock()
+            undo = kind.apply(self._hardware, Order(fault.whom, fault.how_much, now))
+            if undo is None:
+                return
+            until = now + fault.last if fault.last else float("inf")
+            active = self._active[fault.key] = _Active(fault, undo, until)
+            if fault.last:
+                self._plan(until, lambda: self._end(fault.key, active))
+
+    def clear(self) -> None:
+        """End every fault that lasts; what latched errors remain is for the driver to clear."""
+        with self._condition:
+            for key in reversed(list(self._active)):
+                self._end(key)
+
+    def active(self) -> list[dict[str, Any]]:
+        """Return the faults that last: kind, servo and amount (None = has none), remaining_s (None = for good)."""
+        with self._condition:
+            now = self._clock()
+            return [
+                {
+                    "kind": each.fault.kind,
+                    "servo": each.fault.whom or None,
+                    "amount": each.fault.how_much if KINDS[each.fault.kind].amount else None,
+                    "remaining_s": max(each.until - now, 0.0) if each.fault.last else None,
+                }
+                for each in self._active.values()
+            ]
 
     def close(self) -> None:
         """Cause no more faults. Safe to call twice."""
-        self._stop.set()
+        with self._condition:
+            self._stopping = True
+            self._condition.notify_all()
         if self._thread is not None:
             self._thread.join()
             self._thread = None
 
+    def _end(self, key: tuple[str, int, float], only: _Active | None = None) -> None:
+        with self._condition:
+            active = self._active.get(key)
+            if active is not None and only in (None, active):
+                del self._active[key]
+                active.undo()
+
+    def _plan(self, at: float, action: Callable[[], None]) -> None:
+        with self._condition:
+            heapq.heappush(self._later, (at, next(self._numbers), action))
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="faults", daemon=True)
+                self._thread.start()
+            self._condition.notify_all()
+
     def _run(self) -> None:
-        for at, begins, fault in self._events:
-            if self._stop.wait(max(self._start + at - self._clock(), 0.0)):
-                return
-            (_begin if begins else _end)(fault, self._hardware, self._clock)
-
-
-def _begin(fault: Fault, hardware: Hardware, clock: Callable[[], float]) -> None:
-    device, kind = fault.kind.split("_", 1)
-    servos, board = hardware.servos, hardware.board
-    actions: dict[str, Callable[[], Any]] = {
-        "servo_missing": lambda: servos.faults.missing.add(fault.servo),
-        "servo_overload": lambda: servos.raise_hardware_error(fault.servo, _OVERLOAD),
-        "servo_reboot": lambda: servos.reboot(fault.servo, clock()),
-        "servo_delay": lambda: setattr(servos.faults, "delay", fault.amount),
-        "servo_unplugged": hardware.servo_terminal.unplug,
-        "board_reboot": board.reboot,
-        "board_silent": lambda: setattr(board.faults, "silent", True),
-        "board_deaf": lambda: setattr(board.faults, "deaf", True),
-        "board_trip": lambda: board.trip(round(fault.amount)),
-        "board_unplugged": hardware.board_terminal.unplug,
-    }
-    if fault.kind in actions:
-        actions[fault.kind]()
-    elif device == "servo":
-        servos.faults.rate[kind] = fault.amount
-    else:
-        board.faults.probability[kind] = fault.amount
-
-
-def _end(fault: Fault, hardware: Hardware, clock: Callable[[], float]) -> None:
-    device, kind = fault.kind.split("_", 1)
-    servos, board = hardware.servos, hardware.board
-    actions: dict[str, Callable[[], Any]] = {
-        "servo_missing": lambda: servos.faults.missing.discard(fault.servo),
-        "servo_delay": lambda: setattr(servos.faults, "delay", 0.0),
-        "servo_unplugged": hardware.servo_terminal.replug,
-        "board_silent": lambda: setattr(board.faults, "silent", False),
-        "board_deaf": lambda: setattr(board.faults, "deaf", False),
-        "board_unplugged": hardware.board_terminal.replug,
-    }
-    if fault.kind in actions:
-        actions[fault.kind]()
-    elif kind in _WIRE and device == "servo":
-        servos.faults.rate.pop(kind, None)
-    elif kind in _WIRE:
-        board.faults.probability[kind] = 0.0
+        with self._condition:
+            while not self._stopping:
+                wait = self._later[0][0] - self._clock() if self._later else None
+                if wait is None or wait > 0.0:
+                    self._condition.wait(wait)
+                else:
+                    heapq.heappop(self._later)[2]()

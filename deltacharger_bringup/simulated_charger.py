@@ -1,10 +1,12 @@
 """A scene's simulated hardware: one world behind emulated servos and an emulated board, each on a pseudo-terminal.
 
-What opens the two ports cannot tell them from the robot's. Nothing here knows ROS.
+What opens the two ports cannot tell them from the robot's. A socket beside them takes faults to order (fault_channel).
+Nothing here knows ROS.
 """
 
 from __future__ import annotations
 
+import logging
 import shutil
 import tempfile
 import threading
@@ -13,8 +15,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from deltacharger_bringup.environment import domain
+from deltacharger_bringup.fault_channel import SOCKET, ControlServer, Registration, answer, registered
 from deltacharger_bringup.scene import Scene
-from deltacharger_bringup.scene_faults import FaultSchedule, Hardware
+from deltacharger_bringup.scene_faults import Faults, Hardware
 from deltacharger_driver.board_emulator import BoardEmulator
 from deltacharger_driver.pseudo_terminal import ByteDevice, PseudoTerminal
 from deltacharger_driver.servo_emulator import ServoBusEmulator
@@ -22,31 +26,39 @@ from deltacharger_sim.shared_world import SharedWorld
 from deltacharger_sim.world import World
 from deltacharger_tactile.source import ContactSource
 
+_log = logging.getLogger(__name__)
+
 
 class SimulatedCharger:
     """Serve the emulated servo bus and board of a scene until stopped.
 
     Args:
         scene: one with the key `simulation`.
-        directory: where the ports appear, as `servo` and `board`; None makes a temporary one and removes it again.
+        directory: where the ports appear, as `servo` and `board`, and the socket `control` for faults; None makes a
+            temporary one and removes it again.
+        namespace: of the charger, under which `deltacharger fault` finds it.
 
     Attributes:
         servo_port: path of the servo bus.
         board_port: path of the board.
+        faults: what goes wrong with the hardware; None where it is not running.
 
     Raises:
         ValueError: the scene is not a simulated one.
     """
 
-    def __init__(self, scene: Scene, directory: Path | None = None) -> None:
+    def __init__(self, scene: Scene, directory: Path | None = None, namespace: str = "") -> None:
         if scene.simulation is None:
             raise ValueError(f"scene '{scene.name}' has no key 'simulation': there is nothing to simulate")
         self._simulation = scene.simulation
         self._directory = directory
+        self._namespace = namespace
         self._temporary: Path | None = None
         self._terminals: list[PseudoTerminal] = []
         self._taps: list[_Tap] = []
-        self._faults: FaultSchedule | None = None
+        self._control: ControlServer | None = None
+        self._registration: Registration | None = None
+        self.faults: Faults | None = None
         self.servo_port = ""
         self.board_port = ""
         self.world = _build_world(scene)
@@ -62,8 +74,10 @@ class SimulatedCharger:
         try:
             self.servo_port = self._serve(servos, folder / "servo")
             self.board_port = self._serve(board, folder / "board")
+            servos.line_speed = self._terminals[0].speed
             hardware = Hardware(servos, board, *self._terminals)
-            self._faults = FaultSchedule(self._simulation.faults, hardware, time.monotonic)
+            self.faults = Faults(self._simulation.faults, hardware, time.monotonic)
+            self._listen(self.faults, folder / SOCKET)
         except BaseException:
             self.stop()
             raise
@@ -71,9 +85,15 @@ class SimulatedCharger:
 
     def stop(self) -> None:
         """Close both ports, as if the cables were pulled. Safe to call twice."""
-        if self._faults is not None:
-            self._faults.close()
-            self._faults = None
+        if self._registration is not None:
+            self._registration.remove()
+            self._registration = None
+        if self._control is not None:
+            self._control.close()
+            self._control = None
+        if self.faults is not None:
+            self.faults.close()
+            self.faults = None
         for terminal in reversed(self._terminals):
             terminal.stop()
         self._terminals = []
@@ -107,6 +127,15 @@ class SimulatedCharger:
             left = min(quiet - silence, deadline - time.monotonic())
             if left <= 0.0 or hurry.wait(left):
                 return False
+
+    def _listen(self, faults: Faults, path: Path) -> None:
+        self._control = ControlServer(path, lambda request: answer(faults, request))
+        name = registered(domain(), self._namespace)
+        try:
+            self._registration = Registration(name, path)
+        except OSError as error:  # a charger that is not found by its domain is still a charger
+            level = logging.INFO if self._directory is None else logging.WARNING
+            _log.log(level, "'deltacharger fault' finds this charger by --directory %s only: %s", path.parent, error)
 
     def _serve(self, device: ByteDevice, link: Path) -> str:
         tap = _Tap(device)

@@ -26,7 +26,8 @@ class BenchArm:
 
     Attributes:
         load: N·m on each servo, toward +angle.
-        voltage: V of the supply of each servo.
+        voltage: V of the supply of each servo when no current is drawn.
+        supply_resistance: Ω of regulator and cable, common to all servos.
         temperature: °C of each servo.
         commands: last (torque enabled, reference rad, current limit A) of each servo; None before the first.
 
@@ -40,6 +41,7 @@ class BenchArm:
     ) -> None:
         self.load = [0.0] * len(angles)
         self.voltage = [12.0] * len(angles)
+        self.supply_resistance = 0.0
         self.temperature = [30.0] * len(angles)
         self.commands: list[tuple[bool, float, float] | None] = [None] * len(angles)
         self._angle = list(angles)
@@ -75,7 +77,7 @@ class BenchArm:
                 self._angle[index],
                 self._velocity[index],
                 self._current[index],
-                self.voltage[index],
+                self.voltage[index] - self.supply_resistance * sum(map(abs, self._current)),
                 self.temperature[index],
             )
 

@@ -1,7 +1,6 @@
 """The board of docs/board-link.md without the board: bytes in, bytes out, the clock passed in.
 
-Serve it on a `PseudoTerminal` and the driver cannot tell the difference, except for what docs/board-link.md lists under
-"What the emulator leaves out".
+Serve it on a `PseudoTerminal` and the driver cannot tell the difference, except for what docs/emulators.md lists.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ from deltacharger_driver.board_protocol import (
 )
 from deltacharger_driver.emulated_pads import EmulatedPads, PadPlant
 from deltacharger_driver.emulated_power import EmulatedPower, PowerPlant
-from deltacharger_driver.wire_faults import WireFaults
+from deltacharger_driver.wire_faults import DelayLine, WireFaults
 
 SLOWEST, FASTEST = 0.1, 1000.0  # Hz that RATE accepts
 _BACKLOG = 16  # samplings the board can hold back while nobody polls it
@@ -69,6 +68,10 @@ class BoardEmulator:
         probe_time: s that a probe takes, at most 0.25.
         drift: s/s that the board's clock runs too fast.
         seed: of boot ids and wire faults; None draws one.
+        boot_time: s that a boot takes; meanwhile the board neither hears nor speaks, and its contactor is open.
+        on_sample: called for every sampling with its sequence number, the instant at which it was due and the one at
+            which it was taken, s.
+        on_heartbeat: called for every heartbeat with its arrival, s.
     """
 
     def __init__(
@@ -78,6 +81,9 @@ class BoardEmulator:
         probe_time: float = 0.150,
         drift: float = 0.0,
         seed: int | None = None,
+        boot_time: float = 0.0,
+        on_sample: Callable[[int, float, float], object] | None = None,
+        on_heartbeat: Callable[[float], object] | None = None,
     ) -> None:
         self._format = sample_format
         self._drift = drift
@@ -86,10 +92,15 @@ class BoardEmulator:
         self._power = EmulatedPower(plant, probe_time)
         self._lock = threading.RLock()
         self._decoder = PacketDecoder()
-        self._boot_wanted = True
+        self._boot_time = boot_time
+        self._boot_wanted: float | None = boot_time  # s that the boot will take
+        self._running_from = math.inf  # end of the boot under way
         self._booted_at = 0.0
         self._next_power = self._next_sample = math.inf
         self._out: list[bytes] = []
+        self._wire = DelayLine()
+        self._on_sample = on_sample
+        self._on_heartbeat = on_heartbeat
         self.faults = WireFaults(seed)
         self.unknown_types = 0
 
@@ -108,9 +119,9 @@ class BoardEmulator:
         """The latched fault, 0 none."""
         return self._power.fault
 
-    def reboot(self) -> None:
-        """Let the board boot at its next turn (within 50 ms when served)."""
-        self._boot_wanted = True
+    def reboot(self, boot_time: float | None = None) -> None:
+        """Let the board boot at its next turn (within 50 ms when served); `boot_time` (s) as constructed where None."""
+        self._boot_wanted = self._boot_time if boot_time is None else boot_time
 
     def trip(self, fault: int) -> None:
         """Let the power stage open at once and latch a fault, as if it had detected it."""
@@ -125,34 +136,38 @@ class BoardEmulator:
     def receive(self, data: bytes, now: float) -> bytes:
         """Take bytes from the host at `now` and return what the board sends."""
         with self._lock:
-            self._advance(now)
-            if not self.faults.deaf:
+            if self._advance(now) and not self.faults.deaf:
                 for packet in self._decoder.feed(data):
                     self._obey(packet, now)
                 self._finish(now)
-            return self._flush()
+            return self._flush(now)
 
     def poll(self, now: float) -> bytes:
         """Return what the board sends unasked at `now`."""
         with self._lock:
             self._advance(now)
-            return self._flush()
+            return self._flush(now)
 
     def next_event(self, now: float) -> float:
         """Return the seconds until `poll` has something to do."""
         with self._lock:
-            if self._boot_wanted:
+            if self._boot_wanted is not None:
                 return 0.0
             due = min(self._next_power, self._next_sample, self._pads.tare_due, self._power.next_event())
-            return max(due - now, 0.0)
+            if self._running_from < math.inf:
+                due = self._running_from
+            return max(min(due, self._wire.due) - now, 0.0)
 
-    def _flush(self) -> bytes:
-        data = b"".join(self._out)
-        self._out.clear()
-        return data
+    def _flush(self, now: float) -> bytes:
+        packets, self._out = self._out, []
+        if not self.faults.delay and self._wire.due == math.inf:
+            return b"".join(packets)
+        for packet in packets:
+            self._wire.put(packet, now + self.faults.delay)
+        return self._wire.take(now)
 
     def _boot(self, now: float) -> None:
-        self._boot_wanted = False
+        self._running_from = math.inf
         self._booted_at = now
         self._boot_id = int(self._random.integers(1, 2**32))
         self._rate = DEFAULT_RATE
@@ -167,9 +182,14 @@ class BoardEmulator:
         self._power.reset(now)
         self._introduce(now)
 
-    def _advance(self, now: float) -> None:
-        """Let everything happen that is due at `now`, the contactor first."""
-        if self._boot_wanted:
+    def _advance(self, now: float) -> bool:
+        """Let everything happen that is due at `now`, the contactor first; return whether the board is running."""
+        if self._boot_wanted is not None:
+            self._running_from, self._boot_wanted = now + self._boot_wanted, None
+            self._power.reset(now)
+        if self._running_from < math.inf:
+            if now < self._running_from:
+                return False
             self._boot(now)
         self._power.poll(now)
         self._finish(now)
@@ -178,6 +198,7 @@ class BoardEmulator:
             missed = math.floor((now - self._next_power) * POWER_RATE)
             self._next_power += (missed + 1) / POWER_RATE
             self._queue(PacketType.POWER, now, encode_power(self._power.read()))
+        return True
 
     def _finish(self, now: float) -> None:
         """Answer the probe and the tare where they have ended."""
@@ -203,6 +224,8 @@ class BoardEmulator:
             self._overrun = True
         while now >= self._next_sample:
             left, right = self._pads.sample()
+            if self._on_sample is not None:
+                self._on_sample(self._sequence(PacketType.TACTILE), self._next_sample, now)
             flags = FLAG_TARED * self._pads.tared | FLAG_OVERRUN * self._overrun
             payload = encode_samples(left, right, self._format)
             self._queue(PacketType.TACTILE, self._next_sample, payload, flags, self._format)
@@ -231,6 +254,8 @@ class BoardEmulator:
         if packet.type == PacketType.HEARTBEAT:
             if not packet.payload:
                 self._power.heartbeat(now)
+                if self._on_heartbeat is not None:
+                    self._on_heartbeat(now)
         elif packet.type == PacketType.PING:
             if len(packet.payload) <= LONGEST_PING:
                 self._queue(PacketType.PING, now, packet.payload)

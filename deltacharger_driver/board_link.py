@@ -6,6 +6,7 @@ says so.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import struct
 import threading
@@ -35,8 +36,9 @@ from deltacharger_driver.board_protocol import (
 from deltacharger_driver.board_receiver import BoardReceiver
 from deltacharger_driver.board_requests import Request, Requests
 from deltacharger_driver.board_samples import LinkCounters, PowerSample, ProbeResult, TactileSample
-from deltacharger_driver.errors import NoAnswer, PortGone
+from deltacharger_driver.errors import NoAnswer, PortError, PortGone, WrongDevice
 from deltacharger_driver.heartbeat import Heartbeat
+from deltacharger_driver.port_identity import find_servos
 
 
 class BoardLink:
@@ -91,9 +93,10 @@ class BoardLink:
             What the board says about itself.
 
         Raises:
-            PortError: the port cannot be opened (missing, busy, denied) or vanished again.
+            PortError: the port cannot be opened (missing, not serial, busy, denied) or vanished again.
             NoAnswer: nothing intelligible came; the message says what did.
             BoardMismatch: the board speaks another version or has other arrays.
+            WrongDevice: the servos are on this port.
         """
         if self._port is not None:
             raise RuntimeError(f"{self.port} is already open; close the link first")
@@ -110,9 +113,22 @@ class BoardLink:
         self._reader.start()
         try:
             return self._greet(before)
-        except BaseException:
+        except BaseException as error:
             self.close()
+            if isinstance(error, NoAnswer | BoardMismatch) and self._decoder.counters.packets == before.packets:
+                self._refuse_servos()
             raise
+
+    def _refuse_servos(self) -> None:
+        """Say so where servos answer at the port's speed or as from the factory."""
+        with contextlib.suppress(PortError):
+            port = BoardPort(self.port, self.baud_rate)
+            try:
+                found = find_servos(port, dict.fromkeys((self.baud_rate, 57600)), ids=())
+            finally:
+                port.close()
+            if found:
+                raise WrongDevice(self.port, "the board with the pads and the power stage", "the servos")
 
     def _greet(self, before: DecoderCounters) -> Hello:
         try:
@@ -130,7 +146,7 @@ class BoardLink:
         if now.version_errors > before.version_errors:
             return BoardMismatch(self.port, f"the board speaks version {now.refused_version}")
         if now.packets > before.packets:
-            return error
+            return NoAnswer(f"{self.port}: the board sends but does not hear", error.action, error.timeout)
         if now.bytes > before.bytes:
             return BoardMismatch(
                 self.port,

@@ -13,9 +13,11 @@ import numpy.typing as npt
 from deltacharger_driver.board_protocol import (
     COLUMNS,
     FULL_SCALE,
+    LONGEST_PING,
     ROWS,
     SHORT_RESISTANCE,
     TAXELS,
+    Fault,
     PacketError,
     PacketType,
     SampleFormat,
@@ -26,6 +28,7 @@ _HELLO = struct.Struct("<BBBBIf")
 _ACK = struct.Struct("<BBH")
 _PROBE = struct.Struct("<ff")
 _RATE = struct.Struct("<f")
+_LAST_FAULT = max(Fault)
 _SAMPLE_BYTES = {SampleFormat.U8: 200, SampleFormat.U12: 300, SampleFormat.U16: 400}
 
 Taxels = npt.NDArray[np.float32]
@@ -138,10 +141,19 @@ def decode_power(payload: bytes) -> Power:
     """Read the payload of a POWER packet.
 
     Raises:
-        PacketError: wrong length.
+        PacketError: wrong length, an infinite reading (a missing one is NaN), a contactor that is neither 0 nor 1, a
+            fault that is not in the table, reserved bytes that are not 0.
     """
-    battery, target, current, closed, fault, _ = _unpack(_POWER, payload, PacketType.POWER)
-    return Power(battery, target, current, closed != 0, fault)
+    battery, target, current, closed, fault, reserved = _unpack(_POWER, payload, PacketType.POWER)
+    for name, value in (("battery_V", battery), ("target_V", target), ("charge_A", current)):
+        _refuse_infinite(PacketType.POWER, name, value)
+    if closed > 1:
+        raise PacketError(PacketType.POWER, f"contactor is {closed} instead of 0 or 1")
+    if fault > _LAST_FAULT:
+        raise PacketError(PacketType.POWER, f"fault {fault} is above the last, {_LAST_FAULT}")
+    if reserved:
+        raise PacketError(PacketType.POWER, f"its last two bytes are {reserved} instead of 0")
+    return Power(battery, target, current, closed == 1, fault)
 
 
 def encode_hello(hello: Hello) -> bytes:
@@ -150,12 +162,14 @@ def encode_hello(hello: Hello) -> bytes:
 
 
 def decode_hello(payload: bytes) -> Hello:
-    """Read the payload of the board's HELLO packet.
+    """Read the payload of the board's HELLO packet; another version or other arrays are for the caller to judge.
 
     Raises:
-        PacketError: wrong length.
+        PacketError: wrong length, or a rate that is negative or not finite.
     """
-    return Hello(*_unpack(_HELLO, payload, PacketType.HELLO))
+    hello = Hello(*_unpack(_HELLO, payload, PacketType.HELLO))
+    _check_rate(PacketType.HELLO, hello.rate)
+    return hello
 
 
 def encode_ack(ack: Ack) -> bytes:
@@ -164,7 +178,7 @@ def encode_ack(ack: Ack) -> bytes:
 
 
 def decode_ack(payload: bytes) -> Ack:
-    """Read the payload of an ACK packet.
+    """Read the payload of an ACK packet; an error number that is not known is an error all the same.
 
     Raises:
         PacketError: too short.
@@ -179,13 +193,27 @@ def encode_probe(resistance: float, target_voltage: float) -> bytes:
 
 
 def decode_probe(data: bytes) -> tuple[float, float]:
-    """Read what the ACK of a PROBE carries.
+    """Read what the ACK of a PROBE carries: ohm (inf = open circuit, NaN = not measured) and V (NaN likewise).
 
     Raises:
-        PacketError: wrong length.
+        PacketError: wrong length, a resistance of -inf, an infinite voltage.
     """
     resistance, voltage = _unpack(_PROBE, data, PacketType.PROBE)
+    if resistance != math.inf:
+        _refuse_infinite(PacketType.PROBE, "ohm", resistance)
+    _refuse_infinite(PacketType.PROBE, "target_V", voltage)
     return resistance, voltage
+
+
+def decode_ping(payload: bytes) -> bytes:
+    """Read the payload of a PING packet, which is any bytes.
+
+    Raises:
+        PacketError: more than 64.
+    """
+    if len(payload) > LONGEST_PING:
+        raise PacketError(PacketType.PING, f"{len(payload)} bytes; it carries at most {LONGEST_PING}")
+    return payload
 
 
 def encode_rate(rate: float) -> bytes:
@@ -194,13 +222,24 @@ def encode_rate(rate: float) -> bytes:
 
 
 def decode_rate(payload: bytes) -> float:
-    """Read the payload of a RATE packet.
+    """Read the payload of a RATE packet: Hz; whether the board samples at this rate is its own affair.
 
     Raises:
-        PacketError: wrong length.
+        PacketError: wrong length, or a rate that is negative or not finite.
     """
     (rate,) = _unpack(_RATE, payload, PacketType.RATE)
+    _check_rate(PacketType.RATE, rate)
     return float(rate)
+
+
+def _refuse_infinite(type: PacketType, name: str, value: float) -> None:
+    if math.isinf(value):
+        raise PacketError(type, f"{name} is {value}; what was not measured is NaN")
+
+
+def _check_rate(type: PacketType, rate: float) -> None:
+    if not 0.0 <= rate < math.inf:  # also NaN: a rate is set and never measured
+        raise PacketError(type, f"a rate of {rate} Hz")
 
 
 def _unpack(layout: struct.Struct, data: bytes, type: PacketType) -> tuple[Any, ...]:

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import select
-import termios
 
-import serial
-
-from deltacharger_driver.errors import PortBusy, PortDenied, PortError, PortGone, PortMissing
+from deltacharger_driver.errors import PortGone
+from deltacharger_driver.serial_open import HANG_UPS, open_serial
 
 _WRITE_TIMEOUT = 0.2  # s; a port that takes nothing for so long is as good as unplugged
-_HANG_UPS = (serial.SerialException, OSError, termios.error, ValueError, TypeError)
-"""What pyserial raises on a port that vanished; the last two where its descriptor is already None or -1."""
 
 
 class BoardPort:
@@ -28,32 +23,29 @@ class BoardPort:
         baud_rate: speed on a UART; any on USB.
 
     Raises:
-        PortMissing, PortBusy, PortDenied, PortError: it cannot be opened, and why.
+        PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: it cannot be opened, and why.
     """
 
     def __init__(self, port: str, baud_rate: int) -> None:
         self.port = port
-        self._serial = self._open(port, baud_rate)
+        self._serial = open_serial(port, baud_rate)
         self._descriptor = int(self._serial.fileno())
         self._wake_reader, self._wake_writer = os.pipe()
         self._poller = select.poll()
         self._poller.register(self._descriptor, select.POLLIN)
         self._poller.register(self._wake_reader, select.POLLIN)
 
-    @staticmethod
-    def _open(port: str, baud_rate: int) -> serial.Serial:
+    def set_speed(self, baud_rate: int) -> None:
+        """Go on at another speed, bit/s; what came at the old one and was not read is lost.
+
+        Raises:
+            PortGone: the port vanished, or its adapter does not have this speed.
+        """
         try:
-            return serial.Serial(port, baud_rate, timeout=0, exclusive=True)
-        except _HANG_UPS as error:
-            number = getattr(error, "errno", None)
-            reason = str(error)
-            if number == errno.ENOENT:
-                raise PortMissing(port) from error
-            if number in (errno.EACCES, errno.EPERM):
-                raise PortDenied(port) from error
-            if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in reason:
-                raise PortBusy(port) from error
-            raise PortError(port, reason) from error
+            self._serial.baudrate = baud_rate
+            self._serial.reset_input_buffer()
+        except HANG_UPS as error:
+            raise PortGone(self.port, str(error)) from error
 
     def read(self, timeout: float) -> bytes:
         """Wait at most `timeout` s and return what has come, b'' where nothing has or `wake` was called.
@@ -70,7 +62,7 @@ class BoardPort:
             data = os.read(self._descriptor, 4096)
         except BlockingIOError:
             return b""
-        except _HANG_UPS as error:
+        except HANG_UPS as error:
             raise PortGone(self.port, str(error)) from error
         if not data:
             raise PortGone(self.port, "end of file")
@@ -89,7 +81,7 @@ class BoardPort:
                     rest = rest[os.write(self._descriptor, rest) :]
                 except BlockingIOError:
                     self._wait_writable()
-        except _HANG_UPS as error:
+        except HANG_UPS as error:
             raise PortGone(self.port, str(error)) from error
 
     def _wait_writable(self) -> None:
@@ -105,7 +97,7 @@ class BoardPort:
 
     def close(self) -> None:
         """Release the port; nobody may be reading. Never raises."""
-        with contextlib.suppress(*_HANG_UPS):
+        with contextlib.suppress(*HANG_UPS):
             self._serial.close()
         for descriptor in (self._wake_reader, self._wake_writer):
             with contextlib.suppress(OSError):

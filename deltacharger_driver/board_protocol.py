@@ -94,6 +94,9 @@ class Fault(enum.IntEnum):
 FLAG_TARED = 1
 FLAG_OVERRUN = 2
 
+_ALL_FLAGS = FLAG_TARED | FLAG_OVERRUN
+_SAMPLE_FORMATS = (SampleFormat.U8, SampleFormat.U12, SampleFormat.U16)
+
 _FROM_BOARD = frozenset({PacketType.TACTILE, PacketType.POWER, PacketType.HELLO, PacketType.PING, PacketType.ACK})
 _FROM_HOST = frozenset(set(PacketType) - {PacketType.TACTILE, PacketType.POWER, PacketType.ACK})
 
@@ -184,6 +187,7 @@ class DecoderCounters:
     crc_errors: int = 0
     length_errors: int = 0
     version_errors: int = 0
+    header_errors: int = 0  # intact packets whose reserved bytes are not 0
     refused_version: int | None = None  # the last one refused
 
     @property
@@ -195,8 +199,9 @@ class DecoderCounters:
 class PacketDecoder:
     """Cuts a byte stream into packets, however it is chopped and whatever lies between them.
 
-    A piece that is not an intact packet is counted and dropped; the next delimiter starts afresh. The memory
-    is bounded by `longest` plus what one call is given.
+    A piece that is not an intact packet of this version is counted and dropped; the next delimiter starts afresh.
+    The memory is bounded by `longest` plus what one call is given. Flags and format are the receiver's to judge
+    (`check_header`), for they depend on the type.
 
     Args:
         longest: longest stuffed packet in bytes; the longest of version 1 has 422.
@@ -243,12 +248,29 @@ class PacketDecoder:
         if zlib.crc32(body) != _CRC.unpack(data[-_CRC.size :])[0]:
             self.counters.crc_errors += 1
             return None
-        version, kind, sequence, device_time, flags, sample_format, _ = _HEADER.unpack_from(body)
+        version, kind, sequence, device_time, flags, sample_format, reserved = _HEADER.unpack_from(body)
         if version != VERSION:
             self.counters.version_errors += 1
             self.counters.refused_version = version
             return None
+        if reserved:
+            self.counters.header_errors += 1
+            return None
         return Packet(kind, body[_HEADER.size :], sequence, device_time, flags, sample_format)
+
+
+def check_header(packet: Packet) -> None:
+    """Check what a packet's header says beside its type: only TACTILE has a sample format and flags.
+
+    Raises:
+        PacketError: it says something that version 1 does not know.
+    """
+    tactile = packet.type == PacketType.TACTILE
+    formats = _SAMPLE_FORMATS if tactile else (SampleFormat.NONE,)
+    if packet.format not in formats:
+        raise PacketError(packet.type, f"sample format {packet.format} does not belong to it")
+    if packet.flags & ~(_ALL_FLAGS if tactile else 0):
+        raise PacketError(packet.type, f"flags {packet.flags:#04x} do not belong to it")
 
 
 def is_from_board(type: int) -> bool:

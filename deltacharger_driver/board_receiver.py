@@ -5,9 +5,27 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
-from deltacharger_driver.board_payloads import Hello, decode_ack, decode_hello, decode_power, decode_samples
-from deltacharger_driver.board_protocol import FLAG_OVERRUN, FLAG_TARED, Packet, PacketError, PacketType
+from deltacharger_driver.board_payloads import (
+    Ack,
+    Hello,
+    Power,
+    Taxels,
+    decode_ack,
+    decode_hello,
+    decode_ping,
+    decode_power,
+    decode_samples,
+)
+from deltacharger_driver.board_protocol import (
+    FLAG_OVERRUN,
+    FLAG_TARED,
+    Packet,
+    PacketError,
+    PacketType,
+    check_header,
+)
 from deltacharger_driver.board_requests import Requests
 from deltacharger_driver.board_samples import LinkCounters, PowerSample, TactileSample
 from deltacharger_driver.device_clock import DeviceClock, SequenceUnwrapper
@@ -66,25 +84,27 @@ class BoardReceiver:
     def take(self, packet: Packet, received: float) -> None:
         """Interpret one packet that arrived at `received` (s, monotonic)."""
         try:
-            kind = PacketType(packet.type)
-            handler = _HANDLERS[kind]
-        except (ValueError, KeyError):
+            decode, handler = _HANDLERS[packet.type]
+        except KeyError:
             self.counters.unknown_types += 1
             _log.debug("dropped a packet of type %d", packet.type)
             return
         try:
-            if kind is PacketType.HELLO:
-                self._notice_boot_id(decode_hello(packet.payload))
-            device_time = packet.device_time_us * 1e-6
-            if device_time < self._latest_device_time - _CLOCK_STEP_BACK:
-                self._boot_id = None  # its HELLO was lost; the next one tells the new number
-                self._reboot()
-            self._latest_device_time = max(self._latest_device_time, device_time)
-            when = self._device_clock.update(device_time, received)
-            handler(self, packet, when, received)
+            check_header(packet)
+            value = decode(packet)
         except PacketError as error:
             self.counters.bad_payloads += 1
             _log.debug("dropped: %s", error)
+            return
+        if isinstance(value, Hello):
+            self._notice_boot_id(value)
+        device_time = packet.device_time_us * 1e-6
+        if device_time < self._latest_device_time - _CLOCK_STEP_BACK:
+            self._boot_id = None  # its HELLO was lost; the next one tells the new number
+            self._reboot()
+        self._latest_device_time = max(self._latest_device_time, device_time)
+        when = self._device_clock.update(device_time, received)
+        handler(self, packet, value, when, received)
 
     def _notice_boot_id(self, hello: Hello) -> None:
         known, self._boot_id = self._boot_id, hello.boot_id
@@ -100,31 +120,29 @@ class BoardReceiver:
         self._requests.rebooted()
         self._call(self._on_boot)
 
-    def _take_tactile(self, packet: Packet, when: float, received: float) -> None:
-        left, right = decode_samples(packet.payload, packet.format)
+    def _take_tactile(self, packet: Packet, pads: tuple[Taxels, Taxels], when: float, received: float) -> None:
         sequence = self._tactile_sequence.update(packet.sequence)
         if sequence is None:
             return
         self.counters.tactile += 1
         tared, overrun = bool(packet.flags & FLAG_TARED), bool(packet.flags & FLAG_OVERRUN)
-        sample = TactileSample(when, sequence, packet.device_time_us, left, right, tared, overrun)
+        sample = TactileSample(when, sequence, packet.device_time_us, *pads, tared, overrun)
         self._call(self._on_tactile, sample)
 
-    def _take_power(self, packet: Packet, when: float, received: float) -> None:
-        power = decode_power(packet.payload)
+    def _take_power(self, packet: Packet, power: Power, when: float, received: float) -> None:
         if self._power_sequence.update(packet.sequence) is None:
             return
         self.counters.power += 1
         self._call(self._on_power, PowerSample(when, power))
 
-    def _take_hello(self, packet: Packet, when: float, received: float) -> None:
-        self.hello = decode_hello(packet.payload)
+    def _take_hello(self, packet: Packet, hello: Hello, when: float, received: float) -> None:
+        self.hello = hello
 
-    def _take_ack(self, packet: Packet, when: float, received: float) -> None:
-        self._requests.acknowledge(decode_ack(packet.payload), received)
+    def _take_ack(self, packet: Packet, ack: Ack, when: float, received: float) -> None:
+        self._requests.acknowledge(ack, received)
 
-    def _take_ping(self, packet: Packet, when: float, received: float) -> None:
-        self._requests.ping_returned(packet.payload, received)
+    def _take_ping(self, packet: Packet, data: bytes, when: float, received: float) -> None:
+        self._requests.ping_returned(data, received)
 
     def _call(self, callback: Callable[..., None] | None, *arguments: object) -> None:
         """Run a callback; its failure must not end the link, so it is counted and told once."""
@@ -138,10 +156,11 @@ class BoardReceiver:
                 _log.exception("a callback of the board link failed; further failures are only counted")
 
 
-_HANDLERS: dict[PacketType, Callable[[BoardReceiver, Packet, float, float], None]] = {
-    PacketType.TACTILE: BoardReceiver._take_tactile,
-    PacketType.POWER: BoardReceiver._take_power,
-    PacketType.HELLO: BoardReceiver._take_hello,
-    PacketType.ACK: BoardReceiver._take_ack,
-    PacketType.PING: BoardReceiver._take_ping,
+_HANDLERS: dict[int, tuple[Callable[[Packet], Any], Callable[[BoardReceiver, Packet, Any, float, float], None]]] = {
+    PacketType.TACTILE: (lambda p: decode_samples(p.payload, p.format), BoardReceiver._take_tactile),
+    PacketType.POWER: (lambda p: decode_power(p.payload), BoardReceiver._take_power),
+    PacketType.HELLO: (lambda p: decode_hello(p.payload), BoardReceiver._take_hello),
+    PacketType.ACK: (lambda p: decode_ack(p.payload), BoardReceiver._take_ack),
+    PacketType.PING: (lambda p: decode_ping(p.payload), BoardReceiver._take_ping),
 }
+"""How a packet is read, and what is done with it. It is read whole before it moves clock or counters."""

@@ -11,6 +11,7 @@ import math
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from deltacharger_driver.board_errors import CommandRefused
 from deltacharger_driver.board_link import BoardLink
@@ -22,6 +23,23 @@ from deltacharger_driver.errors import DriverError, NoAnswer
 STALE_FRAME = 0.1  # s; a frame sampled longer ago says nothing about contact now
 STALE_POWER = 0.5  # s
 _CONFIRM_TIME = 0.3  # s to see the contactor open after the board accepted the command
+
+
+@dataclass(frozen=True)
+class LeaseRecord:
+    """The lease for whoever looks on.
+
+    Attributes:
+        holder: '' where nobody holds it.
+        left: s until it lapses, 0 where nobody holds it.
+        renewals, lapses, openings: counted since the start.
+    """
+
+    holder: str
+    left: float
+    renewals: int
+    lapses: int
+    openings: int
 
 
 class ContactorGuard:
@@ -64,6 +82,14 @@ class ContactorGuard:
         """Who holds the lease, '' where nobody does."""
         with self._lock:
             return self._lease.holder if self._lease.is_live(self._clock()) else ""
+
+    def lease_record(self) -> LeaseRecord:
+        """Return who holds the contactor for how long, and what became of the leases since the start."""
+        with self._lock:
+            lease, now = self._lease, self._clock()
+            live = lease.is_live(now)
+            left = lease.remaining(now) if live else 0.0
+            return LeaseRecord(lease.holder if live else "", left, lease.renewals, lease.lapses, lease.openings)
 
     def probe_record(self) -> tuple[float, float]:
         """Return the last probe's ohm (NaN = none) and its age in s (inf = none, or voided by an opening)."""
@@ -204,6 +230,7 @@ class ContactorGuard:
     def _open_if_lapsed(self) -> None:
         with self._lock:
             lapsed = self._lease.has_lapsed(self._clock())
+            self._lease.lapses += lapsed
         if lapsed:
             self._end_lease()
             self._link.contactor(False)

@@ -40,6 +40,8 @@ class ContactorLease:
         until: s, when it lapses unless renewed.
         openings: counts openings; who compares it across a wait knows whether the contactor was opened
             meanwhile.
+        renewals: counts the leases that their holder prolonged.
+        lapses: counts the leases that ran out; kept by the owner, who opens then.
         resistance: ohm, the last probe's result, void or not; NaN where none was made.
         target_voltage: V, the last probe's result.
     """
@@ -48,6 +50,8 @@ class ContactorLease:
         self.holder = ""
         self.until = -math.inf
         self.openings = 0
+        self.renewals = 0
+        self.lapses = 0
         self.resistance = math.nan
         self.target_voltage = math.nan
         self._probed_at = -math.inf
@@ -127,6 +131,7 @@ class ContactorLease:
             LeaseRefused: as in `check`.
         """
         self.check(holder, duration, now)
+        self.renewals += self.is_live(now)
         self.holder = holder
         self.until = now + min(duration, LONGEST_LEASE)
         return self.until

@@ -64,7 +64,8 @@ class ControlTable:
     def get(self, name: str) -> int:
         """Return a register."""
         register = REGISTERS[name]
-        return register.from_bytes(bytes(self._memory[register.address : register.address + register.size]))
+        start = register.address
+        return int.from_bytes(self._memory[start : start + register.size], "little", signed=register.signed)
 
     def set(self, name: str, value: int) -> None:
         """Set a register from inside the servo, past the rules for the bus."""
@@ -75,6 +76,11 @@ class ControlTable:
         """Set what the servo measures, in register units, in one go."""
         struct.pack_into("<hii", self._memory, 126, current, velocity, position)
         struct.pack_into("<HB", self._memory, 144, voltage, temperature)
+
+    def set_movement(self, moving: bool, status: int) -> None:
+        """Set registers moving and moving_status."""
+        self._memory[122] = moving
+        self._memory[123] = status
 
     def read(self, address: int, length: int) -> bytes | None:
         """Return `length` bytes from `address`, through the indirect registers; None beyond the table."""

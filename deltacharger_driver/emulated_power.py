@@ -8,6 +8,8 @@ from typing import Protocol
 from deltacharger_driver.board_payloads import Power, probe_problem
 from deltacharger_driver.board_protocol import HEARTBEAT_TIMEOUT, PROBE_LIFETIME, AckError, Fault
 
+HEARTBEAT_LIMIT = HEARTBEAT_TIMEOUT - 0.005
+"""s without a heartbeat that the contactor stays closed: the rest is what the board may need to notice and to open."""
 CHECK_PERIOD = 0.010  # s between looks at the power stage's own detectors while closed
 
 
@@ -64,7 +66,7 @@ class EmulatedPower:
 
     def heartbeat(self, now: float) -> None:
         """Take a heartbeat."""
-        self._heartbeat_deadline = now + HEARTBEAT_TIMEOUT
+        self._heartbeat_deadline = now + HEARTBEAT_LIMIT
 
     def close(self, now: float) -> AckError:
         """Close where every interlock allows it."""

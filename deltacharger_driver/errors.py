@@ -39,6 +39,21 @@ class PortMissing(PortError, FileNotFoundError):
         return "there is no such port"
 
 
+class PortNotSerial(PortError):
+    """What stands under this name carries no serial line. Example: a directory, a file, /dev/null.
+
+    Args:
+        port: path of the port.
+        reason: what it is instead.
+    """
+
+    advice = "give the parameter 'port' a serial device, such as one below /dev/serial/by-id"
+
+    def describe(self) -> str:
+        """Return what is wrong in a few words."""
+        return "this is no serial port"
+
+
 class PortGone(PortError):
     """The port was open and vanished. Example: the USB cable was pulled while the bus ran."""
 
@@ -117,6 +132,25 @@ class HandshakeError(DriverError, ConnectionError):
         self.port = port
         self.faults = tuple(faults)
         super().__init__(f"{port}: " + "; ".join(self.faults))
+
+
+class WrongDevice(DriverError, ConnectionError):
+    """Another of the charger's devices is on this port. Example: the cables of servos and board are swapped.
+
+    Args:
+        port: path of the port.
+        expected: what should be there.
+        found: what is there.
+    """
+
+    def __init__(self, port: str, expected: str, found: str) -> None:
+        self.port = port
+        self.expected = expected
+        self.found = found
+        super().__init__(
+            f"{port}: here is {found}, not {expected}; exchange the two cables, or the parameters 'port' of servo_node "
+            "and tactile_node"
+        )
 
 
 class ServoFault(DriverError, RuntimeError):

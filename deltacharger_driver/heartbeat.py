@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from deltacharger_driver.board_protocol import HEARTBEAT_PERIOD
 from deltacharger_driver.errors import PortGone
+from deltacharger_driver.rate_meter import Lateness
 
 _NEVER = float("-inf")
 
@@ -14,9 +15,11 @@ _NEVER = float("-inf")
 class Heartbeat:
     """A thread that sends every 20 ms until a deadline.
 
-    It never extends the deadline itself: where the one who renews it dies or hangs, the heartbeat stops and
-        the board
+    It never extends the deadline itself: where the one who renews it dies or hangs, the heartbeat stops and the board
     opens the contactor.
+
+    Attributes:
+        lateness: of each heartbeat after its due time.
 
     Args:
         send: sends one; may raise `PortGone`, which ends the thread.
@@ -25,6 +28,7 @@ class Heartbeat:
     """
 
     def __init__(self, send: Callable[[], None], clock: Callable[[], float], name: str) -> None:
+        self.lateness = Lateness()
         self._send = send
         self._clock = clock
         self._changed = threading.Condition()
@@ -76,6 +80,7 @@ class Heartbeat:
                 if now < due:
                     self._changed.wait(due - now)
                     continue
+            self.lateness.note(now - due)
             due = max(due + HEARTBEAT_PERIOD, now)
             try:
                 self._send()

@@ -24,7 +24,8 @@ VOLTAGE_UNIT = 0.1  # V
 RETURN_DELAY_UNIT = 2e-6  # s
 WATCHDOG_UNIT = 0.02  # s
 WATCHDOG_TRIPPED = 255  # −1 in one byte
-TORQUE_CONSTANT = 6.0 / 4.1  # N·m/A, stall torque over stall current at 12 V
+STALL_CURRENT = 4.1  # A, at 12 V
+TORQUE_CONSTANT = 6.0 / STALL_CURRENT  # N·m/A, stall torque over stall current at 12 V
 EXTENDED_TICKS = 1_048_575
 """Largest goal position of modes 4 and 5, ± 256 turns."""
 
@@ -34,7 +35,7 @@ SPEEDS = {0: 9600, 1: 57600, 2: 115200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000
 """Value of the baud register → bit/s; 7 (4.5 M) is not a speed that Linux names."""
 
 HARDWARE_ERRORS = {0: "input voltage", 2: "overheating", 3: "encoder", 4: "electrical shock", 5: "overload"}
-"""Bit of register hardware_error → what it means; only a reboot clears them."""
+"""Bit of register hardware_error → what it means; only a reboot clears them. Register shutdown has the same bits."""
 
 STATUS_ERRORS = {
     1: "could not process the instruction",

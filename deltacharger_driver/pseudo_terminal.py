@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import select
+import termios
 import threading
 import time
 import tty
@@ -13,6 +14,29 @@ from types import TracebackType
 from typing import Protocol
 
 _LONGEST_WAIT = 0.5  # s, so that stop() is noticed even where the wake-up pipe fails
+
+
+_SPEEDS = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)  # bit/s
+
+
+def terminal_speed(path: str) -> int:
+    """Return the speed to which a terminal is set, bit/s; 0 where it has none of the servos' speeds.
+
+    A pseudo-terminal carries bytes at any speed but remembers what was asked for.
+
+    Raises:
+        OSError: there is no such terminal.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        return _speed_of(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _speed_of(descriptor: int) -> int:
+    code = termios.tcgetattr(descriptor)[5]
+    return next((speed for speed in _SPEEDS if getattr(termios, f"B{speed}", None) == code), 0)
 
 
 class ByteDevice(Protocol):
@@ -32,7 +56,7 @@ class PseudoTerminal:
     """Serve a `ByteDevice` on a pseudo-terminal from one thread.
 
     The host opens `path` like any serial port. Bytes that the host does not read are dropped once the kernel's
-    buffer is full, as they would be on a wire; termios speed settings are accepted and ignored.
+    buffer is full, as they would be on a wire; termios speed settings are accepted, and `speed` tells them.
 
     Args:
         device: the emulated device.
@@ -51,6 +75,13 @@ class PseudoTerminal:
         self._unplugged = threading.Event()
         self.path = self._terminal = ""
         self.error: BaseException | None = None
+
+    def speed(self) -> int:
+        """Return the speed that the host has set, bit/s; 0 where no servo knows it or the cable is out."""
+        try:
+            return _speed_of(self._slave) if self._slave >= 0 else 0
+        except (OSError, termios.error):  # pulled meanwhile
+            return 0
 
     def start(self) -> PseudoTerminal:
         """Open the terminal, create the link and begin to serve."""

@@ -22,17 +22,17 @@ from deltacharger_driver.mx64 import (
 )
 from deltacharger_driver.servo_link import ServoLink
 from deltacharger_driver.servo_protocol import LinkCounters
-from deltacharger_driver.servo_setup import (
+from deltacharger_driver.servo_setup import configure, restart_watchdog, set_up, watchdog_tripped
+from deltacharger_driver.servo_snapshot import (
     READ_ADDRESS,
     READ_LENGTH,
     WRITE_ADDRESS,
     WRITE_LENGTH,
-    configure,
-    identify,
-    restart_watchdog,
-    watchdog_tripped,
+    BusSettings,
+    Snapshot,
+    decode_block,
+    has_restarted,
 )
-from deltacharger_driver.servo_snapshot import BusSettings, Snapshot
 
 UNKNOWN_AFTER = 3
 """Cycles without a good reply after which a servo's last values are no longer worth anything."""
@@ -41,9 +41,8 @@ MISSING_TIME = 0.2
 is none of the servo's doing."""
 _RETRY_EVERY = 25  # cycles between two questions to a missing servo: waiting for it must not slow the others
 _WATCHDOG_EVERY = 100  # cycles between two looks at one servo's watchdog where nothing gave cause to look
-_READ_LAYOUT = struct.Struct("<BBhiiHB")
 _WRITE_LAYOUT = struct.Struct("<hi")
-_NAN = math.nan
+_UNKNOWN = (math.nan,) * 5
 
 
 class ServoBus:
@@ -80,17 +79,16 @@ class ServoBus:
 
         Raises:
             PortMissing, PortBusy, PortDenied, PortError: the port cannot be opened, and why.
-            HandshakeError: servos are missing, wrong or do not take their set-up; names every fault.
+            HandshakeError: servos are missing, wrong or do not take their set-up; names every fault of each.
         """
         self._forget()
         self._link.open()
         try:
-            identify(self._link, self.settings.ids, scan)
-            for index in range(self._count):
-                self.configure(index)
+            set_up(self._link, self.settings, scan)
         except BaseException:
             self._link.close()
             raise
+        self._last_sent = time.monotonic()
 
     def close(self) -> None:
         """Release the port. Does not touch the servos: switch torque off first. Never raises; safe to call twice."""
@@ -103,7 +101,7 @@ class ServoBus:
             HandshakeError: it does not take its set-up.
             PortGone: the port vanished.
         """
-        configure(self._link, self.settings.ids[index], self.settings.watchdog)
+        configure(self._link, self.settings.ids[index], self.settings)
         self._rebooted[index] = False
         self._torque[index] = False
         self._missed[index] = min(self._missed[index], 1)  # ask it again in the next cycle
@@ -132,21 +130,19 @@ class ServoBus:
         return self._snapshot(now, replies)
 
     def write_goals(self, angles: Sequence[float], currents: Sequence[float]) -> None:
-        """Send goal angle (rad) and current bound (A, ≥ 0) of each servo; they change together.
+        """Send goal angle (rad) and current bound (A, 0 to `current_max`) of each servo; they change together.
 
         Servos do not confirm this. It moves nothing while torque is off.
 
         Raises:
-            RangeError: a value that the registers cannot hold; nothing is sent.
+            RangeError: a bound above `current_max`, or a value that the registers cannot hold; nothing is sent.
             PortGone: the port vanished.
         """
         settings = self.settings
         rows = []
         for index, (angle, current) in enumerate(zip(angles, currents, strict=True)):
-            if not current >= 0.0:
-                raise RangeError("current bound", current, 0.0, REGISTERS["goal_current"].high * CURRENT_UNIT, " A")
             ticks = angle_to_ticks(angle, settings.zero_ticks[index], settings.direction[index])
-            rows.append((settings.ids[index], _WRITE_LAYOUT.pack(current_to_counts(current), ticks)))
+            rows.append((settings.ids[index], _WRITE_LAYOUT.pack(self._bound(current), ticks)))
         self._note_silence()
         self._link.sync_write(WRITE_ADDRESS, WRITE_LENGTH, rows)
         self._last_sent = time.monotonic()
@@ -261,55 +257,67 @@ class ServoBus:
         if time.monotonic() - self._last_sent > 0.75 * self.settings.watchdog * WATCHDOG_UNIT:
             self._look_at_watchdogs = True
 
+    def _bound(self, current: float) -> int:
+        """Return a current bound in counts; compared there, so that arithmetic may miss the largest by a rounding."""
+        largest = self.settings.current_max
+        if not current >= 0.0 or current_to_counts(current) > current_to_counts(largest):
+            raise RangeError("current bound", current, 0.0, largest, " A")
+        return current_to_counts(current)
+
     def _verify_goal(self, index: int, angles: Sequence[float], currents: Sequence[float]) -> None:
         """Write the goal of one servo with confirmation, so that switching on cannot jump."""
         settings = self.settings
         ticks = angle_to_ticks(angles[index], settings.zero_ticks[index], settings.direction[index])
         servo = settings.ids[index]
-        self._link.write(servo, "goal_current", current_to_counts(currents[index]))
+        self._link.write(servo, "goal_current", self._bound(currents[index]))
         self._link.write(servo, "goal_position", ticks)
         found = self._link.read(servo, "goal_position")
         if found != ticks:
             raise ServoFault(servo, "switch torque on", f"goal position reads {found} after {ticks} was written")
 
     def _snapshot(self, now: float, replies: dict[int, tuple[int, bytes]]) -> Snapshot:
-        settings = self.settings
-        rows: list[tuple[float, float, float, float, float]] = []
-        for index, servo in enumerate(settings.ids):
-            reply = replies.get(servo)
-            row = (_NAN, _NAN, _NAN, _NAN, _NAN)
-            if reply is not None and len(reply[1]) == READ_LENGTH:
-                torque, error, current, velocity, ticks, voltage, temperature = _READ_LAYOUT.unpack(reply[1])
-                # After a restart the indirect registers point to themselves and all read 0; a real supply never does.
-                self._rebooted[index] = voltage == 0
-                if voltage:
-                    sign = settings.direction[index]
-                    row = (
-                        ticks_to_angle(ticks, settings.zero_ticks[index], sign),
-                        sign * velocity * VELOCITY_UNIT,
-                        sign * current * CURRENT_UNIT,
-                        voltage * VOLTAGE_UNIT,
-                        float(temperature),
-                    )
-                    self._errors[index] = error
-                self._torque[index] = bool(torque)
-            good = not math.isnan(row[0])
-            self._missed[index] = 0 if good else self._missed[index] + 1
-            if good:
-                self._seen[index] = now
-            rows.append(row)
-        angle, velocity_, current_, voltage_, temperature_ = zip(*rows, strict=True)
+        rows = [self._learn(index, now, replies.get(servo)) for index, servo in enumerate(self.settings.ids)]
+        angle, velocity, current, voltage, temperature = zip(*rows, strict=True)
         return Snapshot(
             time=now,
             valid=tuple(missed == 0 for missed in self._missed),
             angle=angle,
-            velocity=velocity_,
-            current=current_,
-            voltage=voltage_,
-            temperature=temperature_,
+            velocity=velocity,
+            current=current,
+            voltage=voltage,
+            temperature=temperature,
             hardware_error=tuple(self._errors),
             torque_enabled=tuple(self._torque),
             rebooted=tuple(self._rebooted),
             missed=tuple(self._missed),
             missing=tuple(map(self._missing, range(self._count))),
+        )
+
+    def _learn(self, index: int, now: float, reply: tuple[int, bytes] | None) -> tuple[float, ...]:
+        """Take one servo's reply and return angle, velocity, current, voltage, temperature; NaN unless it is good."""
+        data = b"" if reply is None else reply[1]
+        self._missed[index] += 1
+        if len(data) != READ_LENGTH:
+            return _UNKNOWN
+        if has_restarted(data):
+            self._rebooted[index] = True
+            self._torque[index] = False
+            return _UNKNOWN
+        try:
+            reading = decode_block(data)
+        except RangeError:
+            self.counters.implausible += 1
+            return _UNKNOWN
+        self._missed[index] = 0
+        self._seen[index] = now
+        self._rebooted[index] = False
+        self._errors[index] = reading.hardware_error
+        self._torque[index] = reading.torque_enabled
+        sign = self.settings.direction[index]
+        return (
+            ticks_to_angle(reading.ticks, self.settings.zero_ticks[index], sign),
+            sign * reading.velocity * VELOCITY_UNIT,
+            sign * reading.current * CURRENT_UNIT,
+            reading.voltage * VOLTAGE_UNIT,
+            float(reading.temperature),
         )

@@ -1,7 +1,8 @@
 """What the arm's servos do from cycle to cycle: follow trajectories, stop for faults, come back after them. No ROS.
 
 One thread calls `open`, `cycle` and `close`; `submit` and `request` may be called from any thread and take effect at
-the next cycle. Torque goes on by a request only, and every fault ends with torque off.
+the next cycle. Torque goes on by a request only, and every fault ends with torque off. Whatever ends the torque asks
+for the contactor to be opened first: electrodes that carry current must not come apart.
 """
 
 from __future__ import annotations
@@ -16,33 +17,18 @@ from collections.abc import Callable
 
 from deltacharger_driver.errors import DriverError, PortError, PortGone, TrajectoryRefused
 from deltacharger_driver.servo_bus import ServoBus
+from deltacharger_driver.servo_goals import ServoGoals
 from deltacharger_driver.servo_report import Phase, ServoMemory, ServoReport, find_faults
+from deltacharger_driver.servo_requests import Contactor, NoContactor, Request
 from deltacharger_driver.servo_snapshot import BusSettings, Snapshot
 from deltacharger_driver.trajectory import Trajectory
 
 STOP_TIME = 0.5  # s from "goal := present position" to torque off
-_BACKOFF_FIRST, _BACKOFF_LONGEST = 0.25, 2.0  # s between two attempts to open a port that vanished
+OPENING_TIME = 0.3  # s that torque stays on at most, by request, until the contactor is seen open
+_OPENING_LOOK = 0.005  # s between two looks at the contactor where no cycle does it
+_BACKOFF_FIRST, _BACKOFF_LONGEST = 0.25, 0.5  # s between two attempts to open a port that vanished
 _REBOOT_TIME = 3.0  # s until rebooted servos must be back
 _TRIPS, _TRIPS_WITHIN = 3, 2.0  # so many watchdog trips within so many s are a fault
-
-
-class Request:
-    """Something asked of the servos' thread, and its outcome."""
-
-    def __init__(self, action: str) -> None:
-        self.action = action
-        self.success = False
-        self.message = ""
-        self._done = threading.Event()
-
-    def finish(self, success: bool, message: str) -> None:
-        """Say how it went."""
-        self.success, self.message = success, message
-        self._done.set()
-
-    def wait(self, timeout: float) -> bool:
-        """Wait at most `timeout` s for the outcome and return whether it is there."""
-        return self._done.wait(timeout)
 
 
 class ServoController:
@@ -54,6 +40,7 @@ class ServoController:
         torque_constant: N·m/A, turns a trajectory's torque bound into a current.
         notify: called with (severity "info" | "warning" | "error", sentence) at every event worth a log line.
         clock: monotonic time, s.
+        contactor: opened before torque goes off.
 
     Attributes:
         watchdog_trips: how often the servos stopped because they heard nothing.
@@ -67,24 +54,23 @@ class ServoController:
         torque_constant: float,
         notify: Callable[[str, str], None] = lambda severity, sentence: None,
         clock: Callable[[], float] = time.monotonic,
+        contactor: Contactor | None = None,
     ) -> None:
         self.watchdog_trips = 0
         self.reconnections = 0
         self.bus = ServoBus(settings)
         self._ids = settings.ids
-        self._default = (current_bound,) * len(settings.ids)
-        self._torque_constant = torque_constant
+        self._goals = ServoGoals(len(settings.ids), current_bound, torque_constant)
         self._notify = notify
         self._clock = clock
+        self._contactor = contactor or NoContactor()
         self._phase = Phase.DISCONNECTED
         self._lock = threading.Lock()
         self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
-        self._submitted: Trajectory | None = None
-        self._running: tuple[Trajectory, tuple[float, ...], float] | None = None
-        self._goal: tuple[float, ...] = (math.nan,) * len(settings.ids)
-        self._bound = self._default
+        self._submitted: tuple[Trajectory, float] | None = None
         self._stop_at = math.inf
         self._stop_reason = ""
+        self._releasing: list[Request] = []  # wait until the contactor is open, then for torque off
         self._reopen_at = 0.0
         self._backoff = _BACKOFF_FIRST
         self._connection_fault = ""
@@ -104,6 +90,11 @@ class ServoController:
         """Why the servos were stopped last."""
         return self._stop_reason
 
+    @property
+    def is_releasing(self) -> bool:
+        """Whether the torque is about to go off because somebody asked for it."""
+        return bool(self._releasing)
+
     def open(self) -> None:
         """Open the port and set the servos up, torque off.
 
@@ -115,16 +106,29 @@ class ServoController:
         self._phase = Phase.OFF
 
     def close(self) -> None:
-        """Switch torque off where it is on, and release the port. Never raises; safe to call twice."""
+        """Switch torque off where it is on, and release the port. Never raises; safe to call twice.
+
+        Waits at most `OPENING_TIME` for the contactor; `stop` and cycles until the torque is off come before it where
+        there is time.
+        """
         if self.bus.is_open and self._phase in (Phase.ON, Phase.STOPPING):
+            self._contactor.ask_open()
+            end = time.monotonic() + OPENING_TIME
+            while not self._contactor.is_open() and time.monotonic() < end:
+                time.sleep(_OPENING_LOOK)
             with contextlib.suppress(DriverError):
                 self.bus.disable_torque()
         self.bus.close()
         self._phase = Phase.DISCONNECTED
         self._refuse_all("the driver is closing")
 
-    def submit(self, trajectory: Trajectory) -> None:
+    def submit(self, trajectory: Trajectory, start: float = math.inf) -> None:
         """Let `trajectory` replace whatever runs, at the next cycle.
+
+        Args:
+            trajectory: its first segment begins at the goal of that moment; what of it has passed is left out, and
+                where all has, its last point holds.
+            start: from when its times count, s of the controller's clock; not before it takes effect if later.
 
         Raises:
             TrajectoryRefused: torque is off, or the servos are being stopped.
@@ -133,7 +137,7 @@ class ServoController:
             if self._phase is not Phase.ON:
                 reason = f": {self._stop_reason}" if self._phase is Phase.STOPPING else ""
                 raise TrajectoryRefused(f"{self._phase.value}{reason}; call set_torque first")
-            self._submitted = trajectory
+            self._submitted = trajectory, start
 
     def request(self, action: str) -> Request:
         """Ask for "torque_on", "torque_off" or "reboot"; the servos' thread carries it out and finishes the request."""
@@ -142,17 +146,20 @@ class ServoController:
         return request
 
     def stop(self, reason: str) -> None:
-        """Goal := present position now, torque off after `STOP_TIME`; to be called in the servos' thread."""
+        """Goal := present position and contactor open now, torque off after `STOP_TIME`; in the servos' thread only."""
+        if self._phase is Phase.ON:
+            self._begin_stop(reason, STOP_TIME)
+            self._notify("error", f"stopping all servos: {reason}")
+
+    def _begin_stop(self, reason: str, seconds: float) -> None:
+        """Hold the present position, ask for the contactor to be opened, and let torque go off after `seconds`."""
         with self._lock:
-            if self._phase is not Phase.ON:
-                return
             self._phase = Phase.STOPPING
             self._submitted = None
-        self._running = None
         self._stop_reason = reason
-        self._stop_at = self._clock() + STOP_TIME
-        self._hold_present()
-        self._notify("error", f"stopping all servos: {reason}")
+        self._stop_at = self._clock() + seconds
+        self._goals.hold(self._memory.angles)
+        self._contactor.ask_open()
 
     def cycle(self) -> ServoReport:
         """Carry out one bus cycle and return the state after it. Never raises `DriverError`."""
@@ -170,7 +177,7 @@ class ServoController:
         """Send goals, read the state, and act on what it says."""
         if self._phase is not Phase.OFF:
             self._advance()
-            self.bus.write_goals(self._goal, self._bound)
+            self.bus.write_goals(self._goals.angles, self._goals.bounds)
         snapshot = self._snapshot = self.bus.read()
         self._memory.learn(snapshot)
         self._check_watchdogs()
@@ -185,42 +192,24 @@ class ServoController:
                 faults.append(f"servo {lost[0]} has switched its torque off by itself")
             if faults:
                 self.stop("; ".join(faults))
-                self.bus.write_goals(self._goal, self._bound)
-        elif self._phase is Phase.STOPPING and self._clock() >= self._stop_at:
+                self.bus.write_goals(self._goals.angles, self._goals.bounds)
+        elif self._phase is Phase.STOPPING and self._may_let_go():
             self._switch_off()
         if self._phase is Phase.OFF:
             self._restore(snapshot)
 
+    def _may_let_go(self) -> bool:
+        """Whether torque may go off now: its time has come, or it was asked for and the contactor is open."""
+        return self._clock() >= self._stop_at or (bool(self._releasing) and self._contactor.is_open())
+
     def _advance(self) -> None:
-        """Take the goal and the bounds of this instant from the trajectory."""
+        """Take what was submitted, and the goal and the bounds of this instant."""
         now = self._clock()
         with self._lock:
             submitted, self._submitted = self._submitted, None
         if submitted is not None and self._phase is Phase.ON:
-            self._running = None
-            # Bounds of the past never outlive their trajectory upwards: a release must not leave 2.8 A behind.
-            if submitted.is_hold:
-                self._bound = tuple(map(min, self._bound, self._default))
-            else:
-                self._running = (submitted, self._goal, now)
-                self._bound = self._default
-        if self._running is None:
-            return
-        trajectory, start, since = self._running
-        elapsed = now - since
-        self._goal = trajectory.goal_at(elapsed, start)
-        torque = trajectory.torque_at(elapsed)
-        if torque is not None:
-            self._bound = tuple(value / self._torque_constant for value in torque)
-        if elapsed >= trajectory.duration:
-            self._running = None
-
-    def _hold_present(self) -> None:
-        """Goal := present position; a servo whose angle is not known keeps its goal."""
-        self._goal = tuple(
-            goal if math.isnan(angle) else angle for angle, goal in zip(self._memory.angles, self._goal, strict=True)
-        )
-        self._bound = tuple(map(min, self._bound, self._default))
+            self._goals.follow(*submitted, now)
+        self._goals.advance(now)
 
     def _check_watchdogs(self) -> None:
         tripped = self.bus.tripped_watchdogs()
@@ -234,8 +223,7 @@ class ServoController:
             if now - self._trips[0] < _TRIPS_WITHIN:
                 self.stop(f"{sentence} again and again; this computer is overloaded")
             else:
-                self._hold_present()
-                self._resume_from_here(now)
+                self._goals.resume_at(self._memory.angles, now)
                 self._notify("warning", f"{sentence}; going on from where they stopped")
         try:
             self.bus.restart_watchdogs()
@@ -243,13 +231,6 @@ class ServoController:
             raise
         except DriverError as error:
             self.stop(f"a tripped watchdog cannot be cleared: {error}")
-
-    def _resume_from_here(self, now: float) -> None:
-        """Let the rest of the running trajectory start at the present goal, so that nothing jumps to catch up."""
-        if self._running is not None:
-            trajectory, _, since = self._running
-            rest = trajectory.remaining(now - since)
-            self._running = None if rest.is_hold else (rest, self._goal, now)
 
     def _faults(self) -> list[str]:
         """Return what stands in the way of moving, by the last snapshot."""
@@ -297,8 +278,7 @@ class ServoController:
                 elif request.action == "torque_on":
                     self._switch_on(request)
                 elif request.action == "torque_off":
-                    self._switch_off()
-                    request.finish(True, "torque is off")
+                    self._let_go(request)
                 else:
                     self._reboot(request)
             except PortGone as error:
@@ -318,27 +298,42 @@ class ServoController:
         if faults or self._rebooting is not None:
             request.finish(False, "; ".join(faults) or "the servos are being rebooted")
             return
-        snapshot = self.bus.enable_torque(self._default)
+        snapshot = self.bus.enable_torque(self._goals.default)
         self._memory.learn(snapshot)
-        self._goal, self._bound = snapshot.angle, self._default
+        self._goals.begin_at(snapshot.angle)
         with self._lock:
             self._submitted = None
-            self._running = None
             self._phase = Phase.ON
         request.finish(True, "torque is on, holding the present position")
         self._notify("info", "torque on")
+
+    def _let_go(self, request: Request) -> None:
+        """Switch torque off once the contactor is open, or after `OPENING_TIME`."""
+        self._releasing.append(request)
+        if self._phase is Phase.ON:
+            self._begin_stop("torque is being switched off on request", OPENING_TIME)
+        elif self._phase is Phase.STOPPING:
+            self._stop_at = min(self._stop_at, self._clock() + OPENING_TIME)
+            self._contactor.ask_open()
+        else:
+            self._switch_off()
 
     def _switch_off(self) -> None:
         with self._lock:
             was, self._phase = self._phase, Phase.OFF
             self._submitted = None
-        self._running = None
         self._stop_at = math.inf
+        unseen = was is Phase.STOPPING and not self._contactor.is_open()
         try:
             self.bus.disable_torque()
         finally:
-            if was is not Phase.OFF:
+            if unseen:
+                self._notify("warning", "torque off; the contactor was not seen open before, check tactile_node")
+            elif was is not Phase.OFF:
                 self._notify("info", "torque off")
+        for request in self._releasing:
+            request.finish(True, "torque is off" + ("; the contactor was not seen open before" if unseen else ""))
+        self._releasing.clear()
 
     def _reboot(self, request: Request) -> None:
         if self._phase is not Phase.OFF:
@@ -375,10 +370,11 @@ class ServoController:
 
     def _disconnect(self, error: PortError) -> None:
         self.bus.close()
+        if self._phase in (Phase.ON, Phase.STOPPING):
+            self._contactor.ask_open()
         with self._lock:
             self._phase = Phase.DISCONNECTED
             self._submitted = None
-        self._running = None
         self._snapshot = None
         self._connection_fault = str(error)
         self._backoff = _BACKOFF_FIRST
@@ -391,6 +387,9 @@ class ServoController:
         if self._rebooting is not None:
             self._rebooting[0].finish(False, reason)
             self._rebooting = None
+        for request in self._releasing:
+            request.finish(False, reason)
+        self._releasing.clear()
         with contextlib.suppress(queue.Empty):
             while True:
                 self._requests.get_nowait().finish(False, reason)

@@ -32,7 +32,9 @@ class DiagnosticEntry:
     values: dict[str, str] = field(default_factory=dict)
 
 
-def bus_entry(report: ServoReport, controller: ServoController, refused: int, last_refusal: str) -> DiagnosticEntry:
+def bus_entry(
+    report: ServoReport, controller: ServoController, refused: int, last_refusal: str, rate: float, late: int
+) -> DiagnosticEntry:
     """Return the state of the bus as a whole.
 
     Args:
@@ -40,6 +42,8 @@ def bus_entry(report: ServoReport, controller: ServoController, refused: int, la
         controller: for its counters.
         refused: trajectories refused since the last diagnostic.
         last_refusal: why.
+        rate: cycles per second since the last diagnostic, Hz.
+        late: cycles that began late, since the start.
     """
     settings = controller.bus.settings
     counters = {key: str(value) for key, value in asdict(controller.bus.counters).items()}
@@ -47,6 +51,8 @@ def bus_entry(report: ServoReport, controller: ServoController, refused: int, la
         "state": report.phase.value,
         "baud_rate": str(settings.baud_rate),
         "ids": str(list(settings.ids)),
+        "rate": f"{rate:.1f} Hz",
+        "late_cycles": str(late),
         **counters,
         "watchdog_trips": str(controller.watchdog_trips),
         "reconnections": str(controller.reconnections),
@@ -55,7 +61,7 @@ def bus_entry(report: ServoReport, controller: ServoController, refused: int, la
     if report.faults:
         level, message = ERROR, "; ".join(report.faults)
     elif report.phase is Phase.STOPPING:
-        level, message = ERROR, controller.stop_reason
+        level, message = WARN if controller.is_releasing else ERROR, controller.stop_reason
     elif refused:
         level, message = WARN, last_refusal
     else:

@@ -1,20 +1,21 @@
-"""Emulated servos on a bus: bytes in, bytes out, with faults to order. docs/servos.md says what is not simulated.
+"""Emulated servos on a bus: bytes in, bytes out, with faults to order. docs/emulators.md says what is not simulated.
 
 Serve a `ServoBusEmulator(BenchArm())` on a `PseudoTerminal` and open the terminal's path like any serial port.
 """
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
-import os
 import random
-import termios
 import threading
 from collections.abc import Callable, Sequence
 
 from deltacharger_driver.control_table import CHECKSUM, INSTRUCTION, LENGTH, OK
 from deltacharger_driver.errors import DriverError
-from deltacharger_driver.servo_faults import FAULTS, ServoFaults
+from deltacharger_driver.pseudo_terminal import terminal_speed
+from deltacharger_driver.servo_faults import FAULTS, ServoFaults, collide
 from deltacharger_driver.servo_firmware import ServoFirmware, ServoPlant
 from deltacharger_driver.servo_packets import (
     ACTION,
@@ -38,20 +39,6 @@ from deltacharger_driver.servo_packets import (
 __all__ = ["FAULTS", "ServoBusEmulator", "ServoFaults", "ServoPlant", "terminal_speed"]
 
 
-def terminal_speed(path: str) -> int:
-    """Return the speed to which a terminal is set, bit/s; 0 where it has none of the servos' speeds.
-
-    For `ServoBusEmulator.line_speed`: a pseudo-terminal carries bytes at any speed but remembers what was asked for.
-    """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
-    try:
-        code = termios.tcgetattr(descriptor)[5]
-    finally:
-        os.close(descriptor)
-    names = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
-    return next((speed for speed in names if getattr(termios, f"B{speed}", None) == code), 0)
-
-
 class ServoBusEmulator:
     """Emulated MX-64 servos with Protocol 2.0 on one bus, a `ByteDevice` for `PseudoTerminal`.
 
@@ -61,7 +48,8 @@ class ServoBusEmulator:
         plant: their physics; servo i of the bus is servo i of the plant.
         ids: of the servos, in the plant's order.
         paced: let bytes take the time that the wire takes, not only the return delay.
-        line_speed: returns the host's speed, bit/s; servos hear nothing at another speed than theirs. None = any.
+        line_speed: returns the host's speed, bit/s, such as `PseudoTerminal.speed`; servos hear nothing at another
+            speed than theirs. None = any.
         seed: of the random faults.
 
     Attributes:
@@ -97,6 +85,11 @@ class ServoBusEmulator:
                 return firmware
         raise DriverError(f"no emulated servo {servo}; there are {[f.servo for f in self._servos]}")
 
+    def alter(self, place: int, change: Callable[[ServoFirmware], None]) -> None:
+        """Do something between two instructions to the servo at `place` (as in `ids`, whatever its id is by now)."""
+        with self._lock:
+            change(self._servos[place])
+
     def raise_hardware_error(self, servo: int, bits: int) -> None:
         """Latch hardware error `bits` (mx64.HARDWARE_ERRORS) in a servo."""
         with self._lock:
@@ -121,8 +114,9 @@ class ServoBusEmulator:
     def receive(self, data: bytes, now: float) -> bytes:
         """Take bytes from the host and return the replies that are due at once."""
         with self._lock:
-            for instruction in self._parser.feed(data, now):
-                self._carry_out(instruction, now)
+            if not self.faults.deaf:
+                for instruction in self._parser.feed(data, now):
+                    self._carry_out(instruction, now)
             return self._due(now)
 
     def poll(self, now: float) -> bytes:
@@ -164,8 +158,11 @@ class ServoBusEmulator:
         self._send(replies, start)
 
     def _send(self, replies: list[tuple[ServoFirmware, bytes]], start: float) -> None:
-        """Queue replies one behind the other."""
-        for servo, reply in replies:
+        """Queue replies one behind the other; those of servos with one id come at the same time."""
+        for _, group in itertools.groupby(replies, key=lambda item: item[0].servo):
+            together = list(group)
+            servo = together[0][0]
+            reply = functools.reduce(lambda a, b: collide(a, b, self._random), (each for _, each in together))
             start += servo.return_delay
             if self._paced:
                 start += len(reply) * 10.0 / servo.speed
@@ -177,6 +174,7 @@ class ServoBusEmulator:
         self, instruction: Instruction, present: list[ServoFirmware], now: float
     ) -> list[tuple[ServoFirmware, bytes]]:
         addressed = [servo for servo in present if instruction.servo in (BROADCAST, servo.servo)]
+        addressed.sort(key=lambda servo: servo.servo)  # each has its turn after those with lower ids
         if not instruction.intact:
             if instruction.servo == BROADCAST:
                 return []
@@ -239,33 +237,33 @@ def _chain(
     present: list[ServoFirmware], wanted: Sequence[tuple[int, int, int]], now: float
 ) -> list[tuple[ServoFirmware, bytes]]:
     """Return the replies to a sync or bulk read; each waits for the one before, so a missing servo ends them."""
-    by_id = {servo.servo: servo for servo in present}
     replies = []
     for servo_id, address, length in wanted:
-        servo = by_id.get(servo_id)
-        if servo is None or servo.table.get("status_return_level") == 0:
+        answering = [servo for servo in _named(present, servo_id) if servo.table.get("status_return_level")]
+        if not answering:
             break
-        error, payload = servo.read(address, length, now)
-        replies.append((servo, status(servo_id, servo.error_byte(error), payload)))
+        for servo in answering:
+            error, payload = servo.read(address, length, now)
+            replies.append((servo, status(servo_id, servo.error_byte(error), payload)))
     return replies
+
+
+def _named(present: list[ServoFirmware], servo_id: int) -> list[ServoFirmware]:
+    return [servo for servo in present if servo.servo == servo_id]
 
 
 def _sync_write(present: list[ServoFirmware], data: bytes, now: float) -> None:
     address, length = _words(data)
-    by_id = {servo.servo: servo for servo in present}
     for at in range(4, len(data) - length, length + 1):
-        servo = by_id.get(data[at])
-        if servo is not None:
+        for servo in _named(present, data[at]):
             servo.write(address, data[at + 1 : at + 1 + length], now)
 
 
 def _bulk_write(present: list[ServoFirmware], data: bytes, now: float) -> None:
-    by_id = {servo.servo: servo for servo in present}
     at = 0
     while at + 5 < len(data):
         address, length = _words(data[at + 1 : at + 5])
-        servo = by_id.get(data[at])
-        if servo is not None:
+        for servo in _named(present, data[at]):
             servo.write(address, data[at + 5 : at + 5 + length], now)
         at += 5 + length
 

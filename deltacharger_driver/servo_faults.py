@@ -18,15 +18,19 @@ class ServoFaults:
 
     Attributes:
         missing: ids without supply: they neither hear nor answer.
+        deaf: nothing that the host sends reaches the servos, which work on.
         delay: added before every reply, s.
         rate: fault of `FAULTS` → share of replies that it befalls, 0–1.
         servos: ids whose replies `rate` concerns; empty = all.
+        rate_of: id → the same as `rate`, for one servo and in addition.
     """
 
     missing: set[int] = field(default_factory=set)
+    deaf: bool = False
     delay: float = 0.0
     rate: dict[str, float] = field(default_factory=dict)
     servos: set[int] = field(default_factory=set)
+    rate_of: dict[int, dict[str, float]] = field(default_factory=dict)
     _next: Counter[tuple[str, int]] = field(default_factory=Counter)
 
     def next_reply(self, fault: str, servo: int, count: int = 1) -> None:
@@ -41,7 +45,7 @@ class ServoFaults:
 
     def apply(self, servo: int, reply: bytes, random_source: random.Random) -> bytes:
         """Return what is left of `reply`."""
-        if not self.rate and not self._next:
+        if not self.rate and not self._next and not self.rate_of:
             return reply
         for fault in FAULTS:
             if self._befalls(fault, servo, random_source):
@@ -52,8 +56,9 @@ class ServoFaults:
         if self._next[(fault, servo)] > 0:
             self._next[(fault, servo)] -= 1
             return True
-        share = self.rate.get(fault, 0.0)
-        return share > 0.0 and (not self.servos or servo in self.servos) and random_source.random() < share
+        shares = [self.rate.get(fault, 0.0)] if not self.servos or servo in self.servos else []
+        shares.append(self.rate_of.get(servo, {}).get(fault, 0.0))
+        return any(share > 0.0 and random_source.random() < share for share in shares)
 
 
 def _damage(fault: str, reply: bytes, random_source: random.Random) -> bytes:
@@ -68,3 +73,32 @@ def _damage(fault: str, reply: bytes, random_source: random.Random) -> bytes:
     if fault == "duplicate":
         return reply + reply
     return random_source.randbytes(5) + reply
+
+
+def collide(first: bytes, second: bytes, random_source: random.Random) -> bytes:
+    """Return what a UART (8N1) makes of two replies at once: the second begins 1 to 9 bits later, and 0 wins."""
+    line = _bits(first)
+    other = [1] * random_source.randrange(1, 10) + _bits(second)
+    length = max(len(line), len(other))
+    line += [1] * (length - len(line))
+    other += [1] * (length - len(other))
+    return _received([a & b for a, b in zip(line, other, strict=True)])
+
+
+def _bits(data: bytes) -> list[int]:
+    return [bit for byte in data for bit in (0, *(byte >> place & 1 for place in range(8)), 1)]
+
+
+def _received(line: list[int]) -> bytes:
+    """Read bytes off a line; where a stop bit is missing the byte is passed on and the line awaited to be idle."""
+    found, at = bytearray(), 0
+    line = [*line, *[1] * 10]
+    while at < len(line) - 9:
+        if line[at]:
+            at += 1
+            continue
+        found.append(sum(bit << place for place, bit in enumerate(line[at + 1 : at + 9])))
+        at += 9
+        while at < len(line) and not line[at]:
+            at += 1
+    return bytes(found)

@@ -20,13 +20,16 @@ from deltacharger_driver.mx64 import (
     WATCHDOG_TRIPPED,
     WATCHDOG_UNIT,
 )
-from deltacharger_driver.servo_profile import Profile
+from deltacharger_driver.servo_profile import Profile, shape
 
 ZERO_TICKS = 2048
 """Encoder count of an emulated servo at angle 0 of its plant; counts rise with the angle."""
 RESTART_TIME = 0.3  # s that a servo is silent after a reboot
 _PROFILE_PERIOD = 5e-3  # s between two forwarded references while a profile runs
 _OVERHEATING, _VOLTAGE = 1 << 2, 1 << 0
+_LARGEST_OFFSET = 1024  # counts of homing offset that mode 3 heeds
+_IN_POSITION = 10  # counts from the goal; the vendor gives no figure
+_NOT_FOLLOWING = 114  # counts from the reference, 10°; the vendor gives no figure
 _POSITION_MODES = (MODE_POSITION, MODE_EXTENDED, MODE_CURRENT_POSITION)
 
 
@@ -51,11 +54,13 @@ class ServoFirmware:
     Attributes:
         table: its registers.
         protocol: 2, or 1 to emulate a servo with old firmware, which answers only pings and its model number.
+        supply_limit: V that its supply does not exceed, whatever the plant says; inf = as the plant says.
     """
 
     def __init__(self, plant: ServoPlant, index: int, servo: int) -> None:
         self.table = ControlTable(servo)
         self.protocol = 2
+        self.supply_limit = math.inf
         self._plant = plant
         self._index = index
         self._profile = Profile()
@@ -63,6 +68,7 @@ class ServoFirmware:
         self._silent_until = -math.inf
         self._heard = -math.inf
         self._moving = False
+        self._shape = 0
         self._goal = 0.0
         self._commanded: tuple[bool, float, float] | None = None
         self._start(-math.inf)
@@ -168,14 +174,16 @@ class ServoFirmware:
     def measure(self, now: float) -> float:
         """Take the plant's state into the registers, latch what it causes, and return the angle, rad."""
         angle, velocity, current, voltage, temperature = self._plant.read_servo(self._index)
+        voltage = min(voltage, self.supply_limit)
         table = self.table
         table.set_present(
             max(-32768, min(32767, round(current / CURRENT_UNIT))),
             round(velocity / VELOCITY_UNIT),
-            ZERO_TICKS + round(angle / TICK),
+            self._ticks(angle),
             max(0, min(65535, round(voltage / VOLTAGE_UNIT))),
             max(0, min(255, round(temperature))),
         )
+        table.set_movement(*self._movement(angle, velocity))
         decivolts = voltage / VOLTAGE_UNIT
         errors = 0
         if temperature >= table.get("temperature_limit"):
@@ -186,46 +194,78 @@ class ServoFirmware:
             self.raise_error(errors)
         return angle
 
+    def _offset(self) -> int:
+        """Counts between the encoder and the registers: present = actual + homing offset. Mode 3 ignores large ones."""
+        offset = self.table.get("homing_offset")
+        if abs(offset) > _LARGEST_OFFSET and self.table.get("operating_mode") == MODE_POSITION:
+            return 0
+        return offset
+
+    def _ticks(self, angle: float) -> int:
+        return ZERO_TICKS + self._offset() + round(angle / TICK)
+
+    def _angle(self, ticks: int) -> float:
+        return (ticks - ZERO_TICKS - self._offset()) * TICK
+
+    def _movement(self, angle: float, velocity: float) -> tuple[bool, int]:
+        """Return what registers 122 and 123 say."""
+        table = self.table
+        moving = self._moving or abs(velocity) > table.get("moving_threshold") * VELOCITY_UNIT
+        if not table.get("torque_enable") or table.get("operating_mode") not in _POSITION_MODES:
+            return moving, 0
+        arrived = not self._moving and abs(self._goal - angle) <= _IN_POSITION * TICK
+        astray = abs(self._profile.position - angle) > _NOT_FOLLOWING * TICK
+        return moving, arrived | self._moving << 1 | astray << 3 | self._shape << 4
+
     def _start(self, now: float) -> None:
         self._registered = None
         self._moving = False
+        self._shape = 0
         self._heard = -math.inf
         angle = self.measure(now)
-        self.table.set("goal_position", ZERO_TICKS + round(angle / TICK))
+        self.table.set("goal_position", self._ticks(angle))
         self._goal = angle
         self._profile.jump(angle, now)
         self._forward()
 
     def _written(self, values: dict[str, int], was_on: bool, now: float) -> None:
         if "goal_position" in values:
-            self._goal = (values["goal_position"] - ZERO_TICKS) * TICK
+            if not self._moving:
+                self._profile.jump(self._profile.position, now)  # time has passed since it came to rest
+            self._goal = self._angle(values["goal_position"])
             self._moving = True
         if values.get("torque_enable") and not was_on:
             # A profile begins where the shaft is, not where the last one ended.
             self._profile.jump(self.measure(now), now)
-            self._goal = (self.table.get("goal_position") - ZERO_TICKS) * TICK
+            self._goal = self._angle(self.table.get("goal_position"))
             self._moving = True
         if values.get("bus_watchdog"):
             self._heard = now
+        if self._moving and not values.keys().isdisjoint(("goal_position", "torque_enable")):
+            self._shape = shape(abs(self._goal - self._profile.position), *self._limits())
         if self._moving:
             self._follow(now)
         else:
             self._forward()
 
     def _follow(self, now: float) -> None:
-        table = self.table
-        if table.get("torque_enable"):
-            velocity = table.get("profile_velocity") * VELOCITY_UNIT
-            acceleration = table.get("profile_acceleration") * ACCELERATION_UNIT
-            self._moving = self._profile.advance(self._goal, velocity, acceleration, now)
-        else:
-            self._moving = False
-        table.set("moving", int(self._moving))
+        on = bool(self.table.get("torque_enable"))
+        self._moving = on and self._profile.advance(self._goal, *self._limits(), now)
         self._forward()
+
+    def _limits(self) -> tuple[float, float]:
+        """Velocity (rad/s) and acceleration (rad/s²) of the profile, 0 = none."""
+        table = self.table
+        return table.get("profile_velocity") * VELOCITY_UNIT, table.get("profile_acceleration") * ACCELERATION_UNIT
 
     def _watch(self, now: float) -> None:
         period = self.table.get("bus_watchdog")
-        if not 0 < period < WATCHDOG_TRIPPED or now - self._heard <= period * WATCHDOG_UNIT:
+        if 0 < period < WATCHDOG_TRIPPED and now - self._heard > period * WATCHDOG_UNIT:
+            self.trip_watchdog(now)
+
+    def trip_watchdog(self, now: float) -> None:
+        """Stop where it is and lock its goals, as after too long a silence; nothing where the watchdog is off."""
+        if not 0 < self.table.get("bus_watchdog") < WATCHDOG_TRIPPED:
             return
         self.table.set("bus_watchdog", WATCHDOG_TRIPPED)
         self._moving = False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
 from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS
@@ -85,7 +85,7 @@ class ServoLink:
         """
         self._begin(hurry)
         result = COMM_RX_TIMEOUT
-        for _ in range(attempts):
+        for _ in self._attempts(attempts):
             model, result, _ = self._protocol.ping(self._handler, servo)
             if result == COMM_SUCCESS:
                 return int(model)
@@ -122,7 +122,7 @@ class ServoLink:
         self._begin(hurry)
         action = action or f"read {length} bytes at {address}"
         result, attempts = COMM_RX_TIMEOUT, 1 if hurry else ATTEMPTS
-        for _ in range(attempts):
+        for _ in self._attempts(attempts):
             data, result, code = self._protocol.readTxRx(self._handler, servo, address, length)
             if result == COMM_SUCCESS:
                 self._refuse(servo, action, code)
@@ -152,7 +152,7 @@ class ServoLink:
         self._begin(hurry)
         action = action or f"write {len(data)} bytes at {address}"
         result, attempts = COMM_RX_TIMEOUT, 1 if hurry else ATTEMPTS
-        for _ in range(attempts):
+        for _ in self._attempts(attempts):
             result, code = self._protocol.writeTxRx(self._handler, servo, address, len(data), list(data))
             if result == COMM_SUCCESS:
                 self._refuse(servo, action, code)
@@ -207,6 +207,12 @@ class ServoLink:
         if result != COMM_SUCCESS:
             raise self._failure(servo, "reboot", result, 1)
         self._refuse(servo, "reboot", code)
+
+    def _attempts(self, count: int) -> Iterator[int]:
+        """Count to `count`, and every repetition as a retry."""
+        for attempt in range(count):
+            self.counters.retries += attempt > 0
+            yield attempt
 
     def _begin(self, hurry: bool) -> None:
         """Check who asks, and set how long the reply is waited for."""

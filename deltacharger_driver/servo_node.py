@@ -1,15 +1,19 @@
 """servo_node: the arm's three servos on ROS.
 
 Publishes: servo_state (reliable, depth 1, at `rate`), joint_states, /diagnostics (1 Hz and at every refusal).
-Subscribes: joint_trajectory (reliable, depth 1).
-Serves: set_torque, reboot_servos.
+Subscribes: joint_trajectory (reliable, depth 1), charger_power.
+Serves: set_torque, reboot_servos. Calls: set_contactor, where somebody serves it.
 Parameters: port, baud_rate, ids, rate, zero_ticks, direction, torque_constant, current_bound, current_max, joint_min,
 joint_max, reply_margin.
 
 Safe at start: torque is off, and only set_torque switches it on, holding the present position. A missing servo, a
-latched hardware error or a lost port stops all: goal := present position, torque off after 0.5 s. A port that vanishes
-is opened again by itself and torque stays off. Where the port cannot be opened at start, or other servos answer than
-expected, the node ends and says why.
+latched hardware error or a lost port stops all: goal := present position, contactor open, torque off after 0.5 s. By
+request, torque goes off once the contactor is seen open, after 0.3 s at the latest. A port that vanishes is opened
+again by itself and torque stays off. Where the port cannot be opened at start, or other servos answer than expected,
+the node ends and says why.
+
+A trajectory's times count from its stamp (from its arrival without one), and its last point holds. A line may be sent
+piece by piece under one stamp, each piece replacing the one before.
 """
 
 from __future__ import annotations
@@ -17,41 +21,40 @@ from __future__ import annotations
 import math
 import threading
 import time
-from array import array
 from collections.abc import Sequence
 from typing import Any
 
-from deltacharger.msg import ServoState
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.time import Time
-from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_bringup import node_support
 from deltacharger_driver.errors import DriverError, TrajectoryRefused
 from deltacharger_driver.mx64 import TORQUE_CONSTANT
+from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_driver.servo_controller import ServoController
 from deltacharger_driver.servo_diagnostics import DiagnosticEntry, bus_entry, servo_entry
+from deltacharger_driver.servo_node_io import JOINTS, ContactorClient, Mailbox, StatePublishers, age, waypoint
 from deltacharger_driver.servo_port import REPLY_MARGIN
 from deltacharger_driver.servo_report import Phase, ServoReport
 from deltacharger_driver.servo_snapshot import BusSettings
-from deltacharger_driver.trajectory import JointLimits, Waypoint, check, check_age
+from deltacharger_driver.trajectory import JointLimits, check, check_age
 
-JOINTS = ("limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint")
-_FRAME = "charger_base"
 _RELIABLE_LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
 _DIAGNOSTICS_PERIOD = 1.0  # s
+_REFUSAL_PERIOD = 0.2  # s between two diagnostics where trajectories are refused
+_LATE = 0.5  # of a period; a cycle that begins later than that is late
 _SERVICE_TIMEOUT = 5.0  # s; a reboot takes up to 3
 
 
 class ServoNode(Node):
     """See the module's docstring.
 
-    One thread of its own owns the bus and publishes; the services wait for it and need an executor of several threads.
+    One thread of its own owns the bus, takes trajectories and publishes; the services wait for it and need an executor
+    of several threads.
 
     Raises:
         StartupError: a parameter is wrong, the port cannot be opened, or the servos are not those expected.
@@ -59,15 +62,18 @@ class ServoNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("servo_node", **kwargs)
+        group = ReentrantCallbackGroup()
+        self._contactor = ContactorClient(self, group, _RELIABLE_LATEST)
         self._controller, self._limits = self._configure()
-        self._states = self.create_publisher(ServoState, "servo_state", _RELIABLE_LATEST)
-        self._joints = self.create_publisher(JointState, "joint_states", 10)
+        self._states = StatePublishers(self, _RELIABLE_LATEST, self._torque_constant)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._refused = 0
         self._last_refusal = ""
-        self._diagnose_now = threading.Event()
+        self._followed: tuple[int, int] | None = None  # stamp of the line that is being followed
+        self._cycles = RateMeter(time.monotonic)
         self._stop = threading.Event()
         self._ready = threading.Event()
+        self._listening = threading.Event()
         self._start_error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="servo bus", daemon=True)
         self._thread.start()
@@ -77,14 +83,8 @@ class ServoNode(Node):
             self.destroy_node()
             raise node_support.StartupError(f"servo_node: {self._start_error}") from self._start_error
         # Only now, so that nobody is heard before the servos are known.
-        self.create_subscription(
-            JointTrajectory,
-            "joint_trajectory",
-            self._on_trajectory,
-            _RELIABLE_LATEST,
-            callback_group=MutuallyExclusiveCallbackGroup(),
-        )
-        group = ReentrantCallbackGroup()
+        self._trajectories = Mailbox(self, JointTrajectory, "joint_trajectory", _RELIABLE_LATEST)
+        self._listening.set()
         self.create_service(SetBool, "set_torque", self._on_set_torque, callback_group=group)
         self.create_service(Trigger, "reboot_servos", self._on_reboot, callback_group=group)
 
@@ -122,13 +122,15 @@ class ServoNode(Node):
         if problem:
             raise node_support.StartupError(f"servo_node: {problem}")
         try:
-            settings = BusSettings(port, baud_rate, tuple(ids), tuple(zero), tuple(sign), reply_margin=margin)
+            settings = BusSettings(
+                port, baud_rate, tuple(ids), tuple(zero), tuple(sign), reply_margin=margin, current_max=largest
+            )
         except DriverError as error:
             raise node_support.StartupError(f"servo_node: {error}") from error
         self._period = 1.0 / rate
         self._torque_constant = constant
         return (
-            ServoController(settings, bound, constant, self._log),
+            ServoController(settings, bound, constant, self._log, contactor=self._contactor),
             JointLimits(JOINTS, low, high, largest * constant * (1.0 + 1e-9)),
         )
 
@@ -155,54 +157,34 @@ class ServoNode(Node):
     def _cycle_until_safe(self) -> None:
         """Cycle at the rate; after `close` was called, until torque is off."""
         controller = self._controller
-        state, joints = _empty_messages()
-        due = diagnose_at = time.monotonic()
+        due = diagnosed = time.monotonic()
         while True:
             if self._stop.is_set():
                 controller.stop("the driver is closing")
                 if controller.phase in (Phase.OFF, Phase.DISCONNECTED):
                     return
-            report = controller.cycle()
-            self._publish(report, state, joints)
             now = time.monotonic()
-            if now >= diagnose_at or self._diagnose_now.is_set():
-                diagnose_at = now + _DIAGNOSTICS_PERIOD
+            self._cycles.count(late=now - due > _LATE * self._period)
+            self._take_trajectory()
+            report = controller.cycle()
+            if self.context.ok():
+                self._states.publish(report)
+            now = time.monotonic()
+            if now - diagnosed >= (_REFUSAL_PERIOD if self._refused else _DIAGNOSTICS_PERIOD):
+                diagnosed = now
                 self._publish_diagnostics(report)
             due += self._period
             if due < now:
                 due = now  # late: go on from here rather than hurry through what was missed
             time.sleep(due - now)
 
-    def _publish(self, report: ServoReport, state: ServoState, joints: JointState) -> None:
-        if not self.context.ok():
-            return
-        nanoseconds = self.get_clock().now().nanoseconds - int((time.monotonic() - report.time) * 1e9)
-        stamp = state.header.stamp
-        stamp.sec, stamp.nanosec = divmod(max(nanoseconds, 0), 1_000_000_000)
-        state.position = array("d", report.angle)
-        state.velocity = array("d", report.velocity)
-        state.current = array("d", report.current)
-        state.voltage = array("f", report.voltage)
-        state.temperature = array("f", report.temperature)
-        state.hardware_error = array("B", report.hardware_error)
-        state.torque_enabled = list(report.torque_enabled)
-        state.valid = list(report.valid)
-        state.thermal_reserve = array("f", report.thermal_reserve)
-        self._states.publish(state)
-        if not math.isnan(sum(report.angle)):
-            joints.header.stamp = stamp
-            joints.position = state.position
-            joints.velocity = state.velocity
-            joints.effort = array("d", [current * self._torque_constant for current in report.current])
-            self._joints.publish(joints)
-
     def _publish_diagnostics(self, report: ServoReport) -> None:
-        self._diagnose_now.clear()
         if not self.context.ok():
             return
         refused, self._refused = self._refused, 0
         ids = self._controller.bus.settings.ids
-        entries = [bus_entry(report, self._controller, refused, self._last_refusal)]
+        rate, late = self._cycles.rate(), self._cycles.late
+        entries = [bus_entry(report, self._controller, refused, self._last_refusal, rate, late)]
         entries += [servo_entry(report, index, ids[index], joint) for index, joint in enumerate(JOINTS)]
         message = DiagnosticArray(status=[self._diagnostic(entry) for entry in entries])
         message.header.stamp = self.get_clock().now().to_msg()
@@ -217,17 +199,26 @@ class ServoNode(Node):
             values=[KeyValue(key=key, value=value) for key, value in entry.values.items()],
         )
 
-    def _on_trajectory(self, message: JointTrajectory) -> None:
+    def _take_trajectory(self) -> None:
+        """Hand the trajectory that has come, if any, to the controller, or refuse it."""
+        message = self._trajectories.take() if self._listening.is_set() else None
+        if message is None:
+            return
+        stamp = message.header.stamp
+        line = stamp.sec, stamp.nanosec
         try:
-            stamp = Time.from_msg(message.header.stamp, clock_type=self.get_clock().clock_type)
-            if stamp.nanoseconds:
-                check_age((self.get_clock().now() - stamp).nanoseconds * 1e-9)
-            points = [_waypoint(point) for point in message.points]
-            self._controller.submit(check(message.joint_names, points, self._limits))
+            points = [waypoint(point) for point in message.points]
+            trajectory = check(message.joint_names, points, self._limits)
+            old = age(self, stamp)
+            # A further piece of a line under way is as old as its end; the line itself may last longer than a stamp.
+            check_age(max(old - trajectory.duration, 0.0) if line == self._followed else old)
+            start = time.monotonic() - old if any(line) else math.inf
+            self._controller.submit(trajectory, start)
+            self._followed = line
         except TrajectoryRefused as error:
+            self._followed = None
             self._last_refusal = str(error)
             self._refused += 1
-            self._diagnose_now.set()
             self.get_logger().warning(str(error), throttle_duration_sec=1.0)
 
     def _on_set_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -256,18 +247,6 @@ class ServoNode(Node):
             logger.warning(sentence)
         else:
             logger.info(sentence)
-
-
-def _waypoint(point: JointTrajectoryPoint) -> Waypoint:
-    time_from_start = point.time_from_start.sec + point.time_from_start.nanosec * 1e-9
-    return Waypoint(time_from_start, point.positions, point.effort)
-
-
-def _empty_messages() -> tuple[ServoState, JointState]:
-    """Return messages with what never changes filled in."""
-    state, joints = ServoState(name=list(JOINTS)), JointState(name=list(JOINTS))
-    state.header.frame_id = joints.header.frame_id = _FRAME
-    return state, joints
 
 
 def main(args: Sequence[str] | None = None) -> int:

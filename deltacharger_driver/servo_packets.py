@@ -55,11 +55,11 @@ def status_1(servo: int, error: int, parameters: bytes = b"") -> bytes:
 
 
 def _interrupted(body: bytearray) -> bool:
-    """Return whether a header that is not stuffed stands inside a packet: a servo starts over there."""
+    """Return whether a header that is not stuffed stands before the checksum: a servo starts over there."""
     if PLAIN not in body:
         return False
     at = body.replace(STUFFED, b"\0\0\0\0").find(PLAIN)
-    return 0 <= at < len(body) - 3
+    return 0 <= at < len(body) - 4
 
 
 class InstructionParser:

@@ -6,7 +6,6 @@ The class is the SDK's own with single methods replaced; docs/servos.md lists ea
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import select
 import termios
@@ -17,7 +16,9 @@ from pathlib import Path
 import serial
 from dynamixel_sdk.port_handler import PortHandler
 
-from deltacharger_driver.errors import PortBusy, PortDenied, PortError, PortGone, PortMissing
+from deltacharger_driver.board_protocol import PacketDecoder
+from deltacharger_driver.errors import PortGone, WrongDevice
+from deltacharger_driver.serial_open import HANG_UPS, open_serial
 
 REPLY_MARGIN = 0.02
 """s beyond wire time and USB latency until a reply in the cycle counts as lost. A healthy servo answers in 1 ms, so
@@ -26,8 +27,9 @@ PATIENCE = 0.1
 """The same outside the cycle, where nothing waits for the answer but the set-up."""
 USB_LATENCY = 1e-3  # s, one USB frame; where the adapter's driver names no latency timer
 _DRAIN_LONGEST = 0.02  # s
-_HANG_UPS = (serial.SerialException, OSError, termios.error, ValueError, TypeError)
-"""What a vanished port raises, by the call and the moment; the last two where pyserial has dropped its descriptor."""
+_SUSPECT_BYTES = 4096
+"""How many of the first bytes are searched for the board's packets. It sends its power unasked, 20 times a second, so
+that a ping's wait hears it; its checksum of 32 bits mistakes no servo for it."""
 
 
 def latency_timer(port: str) -> float:
@@ -42,6 +44,8 @@ def latency_timer(port: str) -> float:
 
 class ServoPort(PortHandler):  # type: ignore[misc]
     """The SDK's port handler: waits in `select`, keeps time by the monotonic clock, and reports a pulled cable.
+
+    Every method that receives raises `WrongDevice` where the first bytes after the opening are the board's.
 
     Args:
         port: path, e.g. /dev/ttyUSB0.
@@ -61,22 +65,24 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         self.margin = reply_margin
         self._descriptor = -1
         self._buffer = bytearray()
+        self._board: PacketDecoder | None = None
 
     def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
         """Open the port for this process alone, or change the speed of the open port.
 
         Raises:
-            PortMissing, PortBusy, PortDenied, PortError: it cannot be opened, and why.
+            PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: it cannot be opened, and why.
             PortGone: it was open and vanished.
         """
         if self.ser is not None and self.is_open:
             try:
                 self.ser.baudrate = cflag_baud
-            except _HANG_UPS as error:
+            except HANG_UPS as error:
                 raise self._gone(error) from error
         else:
-            self.ser = self._open(cflag_baud)
+            self.ser = open_serial(str(self.port_name), cflag_baud)
             self._descriptor = self.ser.fileno()
+            self._board = PacketDecoder()
             self.latency = latency_timer(self.port_name)
             self.is_open = True
         self.is_using = False
@@ -87,7 +93,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
     def closePort(self) -> None:  # noqa: N802
         """Release the port. Never raises."""
         if self.ser is not None:
-            with contextlib.suppress(*_HANG_UPS):
+            with contextlib.suppress(*HANG_UPS):
                 self.ser.close()
         self._descriptor = -1
         self._buffer.clear()
@@ -102,7 +108,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         self._buffer.clear()
         try:
             termios.tcflush(self._descriptor, termios.TCIFLUSH)
-        except _HANG_UPS as error:
+        except HANG_UPS as error:
             raise self._gone(error) from error
 
     @property
@@ -146,7 +152,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
             return os.write(self._descriptor, bytes(packet))
         except BlockingIOError:
             return 0
-        except _HANG_UPS as error:
+        except HANG_UPS as error:
             raise self._gone(error) from error
 
     def getBytesAvailable(self) -> int:  # noqa: N802
@@ -170,28 +176,25 @@ class ServoPort(PortHandler):  # type: ignore[misc]
             data = os.read(self._descriptor, 4096)
         except BlockingIOError:
             return False
-        except _HANG_UPS as error:
+        except HANG_UPS as error:
             raise self._gone(error) from error
         if not data:
             raise self._gone("end of file")
         self._buffer += data
+        if self._board is not None:
+            self._refuse_board(self._board, data)
         return True
+
+    def _refuse_board(self, decoder: PacketDecoder, data: bytes) -> None:
+        decoder.feed(data)
+        counters = decoder.counters
+        if counters.packets or counters.version_errors:
+            self.is_using = False
+            raise WrongDevice(str(self.port_name), "the servos", "the board with the pads and the power stage")
+        if counters.bytes >= _SUSPECT_BYTES:
+            self._board = None
 
     def _gone(self, reason: object) -> PortGone:
         self.is_using = False
         self._buffer.clear()
         return PortGone(str(self.port_name), str(reason))
-
-    def _open(self, baud_rate: int) -> serial.Serial:
-        port = str(self.port_name)
-        try:
-            return serial.Serial(port, baud_rate, timeout=0, exclusive=True)
-        except _HANG_UPS as error:
-            number = getattr(error, "errno", None)
-            if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-                raise PortMissing(port) from error
-            if number in (errno.EACCES, errno.EPERM):
-                raise PortDenied(port) from error
-            if number in (errno.EBUSY, errno.EAGAIN) or "exclusively lock" in str(error):
-                raise PortBusy(port) from error
-            raise PortError(port, str(error)) from error

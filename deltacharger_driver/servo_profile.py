@@ -9,6 +9,21 @@ _STANDSTILL = 1e-9  # s; a shorter time is none
 _ARRIVED = 1e-4  # rad, a fifteenth of an encoder count
 
 
+def shape(distance: float, velocity: float, acceleration: float) -> int:
+    """Return the shape of the velocity over a move from rest: 0 step, 1 rectangle, 2 triangle, 3 trapezoid.
+
+    Args:
+        distance: rad.
+        velocity: largest, rad/s; 0 = no limit.
+        acceleration: largest, rad/s²; 0 = no limit.
+    """
+    if velocity <= 0.0:
+        return 0
+    if acceleration <= 0.0:
+        return 1
+    return 3 if distance * acceleration > velocity**2 else 2
+
+
 class Profile:
     """The reference that the position loop follows.
 

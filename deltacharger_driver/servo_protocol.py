@@ -31,11 +31,15 @@ class LinkCounters:
         timeouts: replies that did not come.
         corrupt: replies with a bad checksum or cut short.
         late: valid replies to another question, discarded.
+        implausible: intact replies with a value that no servo reports, discarded.
+        retries: questions asked again because the first reply was not good.
     """
 
     timeouts: int = 0
     corrupt: int = 0
     late: int = 0
+    implausible: int = 0
+    retries: int = 0
 
 
 def _crc_table() -> tuple[int, ...]:

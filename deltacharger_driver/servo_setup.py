@@ -3,74 +3,95 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from deltacharger_driver.errors import CorruptReply, DriverError, HandshakeError, NoAnswer, PortGone
+from deltacharger_driver.errors import (
+    CorruptReply,
+    DriverError,
+    HandshakeError,
+    NoAnswer,
+    PortGone,
+    RangeError,
+    ServoFault,
+)
 from deltacharger_driver.mx64 import (
+    HARDWARE_ERRORS,
     MODE_CURRENT_POSITION,
     MODEL,
     MODEL_PROTOCOL_1,
     REGISTERS,
     WATCHDOG_TRIPPED,
+    current_to_counts,
     indirect_address,
-    indirect_data,
 )
 from deltacharger_driver.servo_link import ServoLink
-
-WATCHDOG = 6
-"""Bus watchdog, units of 20 ms: a servo that hears nothing for 120 ms stops by itself."""
-
-READ_BLOCK = (
-    "torque_enable",
-    "hardware_error",
-    "present_current",
-    "present_velocity",
-    "present_position",
-    "input_voltage",
-    "temperature",
+from deltacharger_driver.servo_snapshot import (
+    READ_ADDRESS,
+    READ_BLOCK,
+    READ_LENGTH,
+    WATCHDOG,
+    WRITE_BLOCK,
+    BusSettings,
+    decode_block,
 )
-"""What one cycle reads, made contiguous by indirect addresses: 64, 70, 126, 128, 132, 144, 146."""
-WRITE_BLOCK = ("goal_current", "goal_position")
-"""What one cycle writes, behind the read block, so that bound and goal always change together."""
-
-READ_LENGTH = sum(REGISTERS[name].size for name in READ_BLOCK)
-WRITE_LENGTH = sum(REGISTERS[name].size for name in WRITE_BLOCK)
-READ_ADDRESS = indirect_data(0)
-WRITE_ADDRESS = indirect_data(READ_LENGTH)
 
 _UPDATE_ADVICE = "update its firmware to 39 or later (Protocol 2.0) with the vendor's wizard"
 _SCANNED_SPEEDS = (57600, 1_000_000, 115200, 2_000_000, 3_000_000, 4_000_000, 9600)
 _PREPARED = {"return_delay": 0, "operating_mode": MODE_CURRENT_POSITION}
 """EEPROM: written only where it differs, for it wears."""
-_REQUIRED = {
-    "drive_mode": "the sign belongs in the parameter 'direction'",
-    "homing_offset": "the zero belongs in the parameter 'zero_ticks'",
+_DEMANDED = {
+    "drive_mode": (0, 0, "the sign belongs in the parameter 'direction'"),
+    "homing_offset": (0, 0, "the zero belongs in the parameter 'zero_ticks'"),
+    "secondary_id": (255, 255, "it would obey packets for another servo too"),
+    "temperature_limit": (60, 80, "80 °C is what the servo is built for, and below 60 °C ordinary work would stop it"),
+    "min_voltage": (95, 110, "in units of 0.1 V; at 12 V it must neither trip nor miss a failing supply"),
+    "max_voltage": (130, 160, "in units of 0.1 V; at 12 V it must not trip, and beyond 16 V the servo is at risk"),
+    "pwm_limit": (885, 885, "a lower one caps speed and force below what is asked of it"),
 }
-"""EEPROM registers that must be 0 and are never written: somebody set them on purpose."""
+"""EEPROM registers that are never written, for somebody set them on purpose: least and greatest value, and why."""
+_SHUTDOWN_BITS = (2, 5)
+"""What must switch a servo off by itself: overheating and overload."""
 
 
-def identify(link: ServoLink, servos: Sequence[int], scan: bool = True) -> None:
-    """Check that every servo of `servos` answers and is an MX-64 with Protocol 2.0.
+def set_up(link: ServoLink, settings: BusSettings, scan: bool = True) -> None:
+    """Identify every servo and set up those that are as expected; their torque is off afterwards.
 
     Args:
         link: an open link.
-        servos: ids.
+        settings: whom to look for, and what will be asked of them.
         scan: look for those that do not answer at the other speeds, and for old firmware, to name where they are; about
             a second per servo.
 
     Raises:
-        HandshakeError: with everything that is wrong, one sentence each.
+        HandshakeError: with everything that is wrong with any servo, one sentence each.
         PortGone: the port vanished.
     """
+    found = identify(link, settings.ids, scan)
     faults = []
+    for servo, fault in found.items():
+        faults += [fault] if fault else _configure(link, servo, settings)
+    if faults:
+        raise HandshakeError(link.port, faults)
+
+
+def identify(link: ServoLink, servos: Sequence[int], scan: bool = True) -> dict[int, str]:
+    """Return why each servo is not an MX-64 with Protocol 2.0 that answers at the link's speed; "" where it is.
+
+    Args:
+        link: an open link.
+        servos: ids.
+        scan: look for those that do not answer, see `set_up`.
+
+    Raises:
+        PortGone: the port vanished.
+    """
+    faults = {}
     for servo in servos:
         fault = _identify_one(link, servo)
         if fault is None:
             fault = _locate(link, servo) if scan else f"servo {servo} does not answer"
-        if fault:
-            faults.append(fault)
-    if faults:
-        raise HandshakeError(link.port, faults)
+        faults[servo] = fault
+    return faults
 
 
 def _identify_one(link: ServoLink, servo: int) -> str | None:
@@ -110,46 +131,107 @@ def _locate(link: ServoLink, servo: int) -> str:
     return f"servo {servo} does not answer at any speed; check its supply, its cable and its id"
 
 
-def configure(link: ServoLink, servo: int, watchdog: int = WATCHDOG) -> None:
+def configure(link: ServoLink, servo: int, settings: BusSettings) -> None:
     """Switch a servo's torque off and set it up for the cycle, verifying each register by reading it back.
 
     Written: status return level, torque enable, return delay, operating mode, indirect addresses, profile, bus
-    watchdog. Never written: id, baud rate, homing offset, drive mode.
+    watchdog. Checked and never written: drive mode, homing offset, secondary id, shutdown, and the limits of
+    temperature, voltage, PWM and current. Neither: id, baud rate.
 
     Args:
         link: an open link.
         servo: its id.
-        watchdog: silence, in units of 20 ms, after which it stops; 1–6.
+        settings: for the watchdog and the largest current.
 
     Raises:
         HandshakeError: with everything that did not come out as it should.
         PortGone: the port vanished.
     """
+    faults = _configure(link, servo, settings)
+    if faults:
+        raise HandshakeError(link.port, faults)
+
+
+def check_registers(link: ServoLink, servo: int, current_max: float) -> list[str]:
+    """Return what is wrong with the registers that must be right and are never written by the driver.
+
+    Args:
+        link: an open link.
+        servo: its id.
+        current_max: A, the largest current bound that will be asked of it.
+
+    Returns:
+        "servo 1: what is wrong; advice" for each; empty where all is well.
+
+    Raises:
+        NoAnswer, CorruptReply, ServoFault, PortGone: they cannot be read.
+    """
+    faults = []
+    least = current_to_counts(current_max)
+    advice = (
+        "the servo would ignore every goal whose current bound is above its limit; raise it to 1941 or lower the "
+        f"parameter 'current_max' ({current_max:g} A = {least})"
+    )
+    demands = {**_DEMANDED, "current_limit": (least, REGISTERS["current_limit"].high, advice)}
+    for name, (low, high, why) in demands.items():
+        value = link.read(servo, name)
+        if not low <= value <= high:
+            allowed = f"{low}" if low == high else f"{low} to {high}"
+            faults.append(f"servo {servo}: {name.replace('_', ' ')} is {value} and must be {allowed}; {why}")
+    shutdown = link.read(servo, "shutdown")
+    lacking = [HARDWARE_ERRORS[bit] for bit in _SHUTDOWN_BITS if not shutdown >> bit & 1]
+    if lacking:
+        faults.append(
+            f"servo {servo}: shutdown is {shutdown} and does not name {' and '.join(lacking)}; the servo must switch "
+            f"itself off then: set it to {shutdown | sum(1 << bit for bit in _SHUTDOWN_BITS)} with the vendor's wizard"
+        )
+    return faults
+
+
+def _configure(link: ServoLink, servo: int, settings: BusSettings) -> list[str]:
+    """Do what `configure` does and return everything that did not come out as it should."""
     faults: list[str] = []
     try:
-        if link.read(servo, "status_return_level") != 2:
-            link.write_unanswered(servo, "status_return_level", 2)
-            _verify(link, servo, "status_return_level", 2, faults)
-        link.write(servo, "bus_watchdog", 0)
+        _let_it_answer(link, servo, faults)
+        _attempt(lambda: link.write(servo, "bus_watchdog", 0), faults)
         _set(link, servo, "torque_enable", 0, faults)
-        for name, advice in _REQUIRED.items():
-            value = link.read(servo, name)
-            if value:
-                faults.append(f"servo {servo}: {name.replace('_', ' ')} is {value} and must be 0; {advice}")
-        for name, value in _PREPARED.items():
-            if link.read(servo, name) != value:
-                _set(link, servo, name, value, faults)
-        _set(link, servo, "profile_acceleration", 0, faults)
-        _set(link, servo, "profile_velocity", 0, faults)
-        _map_blocks(link, servo, faults)
+        faults += check_registers(link, servo, settings.current_max)
         if not faults:
-            _set(link, servo, "bus_watchdog", watchdog, faults)
+            _prepare(link, servo, settings.watchdog, faults)
     except PortGone:
         raise
     except DriverError as error:
         faults.append(str(error))
+    return faults
+
+
+def _let_it_answer(link: ServoLink, servo: int, faults: list[str]) -> None:
+    """Have the servo confirm every write; told to keep quiet, it answers nothing but pings."""
+    try:
+        level = link.read(servo, "status_return_level")
+    except NoAnswer:
+        level = 0
+    if level != 2:
+        link.write_unanswered(servo, "status_return_level", 2)
+        _verify(link, servo, "status_return_level", 2, faults)
+
+
+def _prepare(link: ServoLink, servo: int, watchdog: int, faults: list[str]) -> None:
+    """Write what the cycle needs, the watchdog last, and try the block that it reads."""
+    for name, value in _PREPARED.items():
+        if link.read(servo, name) != value:
+            _set(link, servo, name, value, faults)
+    _set(link, servo, "profile_acceleration", 0, faults)
+    _set(link, servo, "profile_velocity", 0, faults)
+    _attempt(lambda: _map_blocks(link, servo, faults), faults)
     if faults:
-        raise HandshakeError(link.port, faults)
+        return
+    try:
+        decode_block(link.read_bytes(servo, READ_ADDRESS, READ_LENGTH, "read the block of the cycle"))
+    except RangeError as error:
+        faults.append(f"servo {servo}: {error}; restart it, and look for another program on its bus")
+    else:
+        _set(link, servo, "bus_watchdog", watchdog, faults)
 
 
 def watchdog_tripped(link: ServoLink, servo: int) -> bool:
@@ -172,8 +254,18 @@ def restart_watchdog(link: ServoLink, servo: int, watchdog: int = WATCHDOG) -> N
 
 
 def _set(link: ServoLink, servo: int, name: str, value: int, faults: list[str]) -> None:
-    link.write(servo, name, value)
-    _verify(link, servo, name, value, faults)
+    if _attempt(lambda: link.write(servo, name, value), faults):
+        _verify(link, servo, name, value, faults)
+
+
+def _attempt(action: Callable[[], None], faults: list[str]) -> bool:
+    """Return whether the servo carried `action` out; where it refuses, the others are still worth trying."""
+    try:
+        action()
+    except ServoFault as fault:
+        faults.append(str(fault))
+        return False
+    return True
 
 
 def _verify(link: ServoLink, servo: int, name: str, value: int, faults: list[str]) -> None:

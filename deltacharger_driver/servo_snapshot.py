@@ -1,12 +1,47 @@
-"""How the servos are wired, and what is known of them after one cycle."""
+"""How the servos are wired, which registers one cycle exchanges, and what is known of the servos after it."""
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from deltacharger_driver.errors import DriverError, RangeError
+from deltacharger_driver.mx64 import CURRENT_UNIT, REGISTERS, STALL_CURRENT, VOLTAGE_UNIT, indirect_data
 from deltacharger_driver.servo_port import REPLY_MARGIN
-from deltacharger_driver.servo_setup import WATCHDOG
+
+WATCHDOG = 6
+"""Bus watchdog, units of 20 ms: a servo that hears nothing for 120 ms stops by itself."""
+
+CONSTANT_BLOCK = {"status_return_level": 2, "registered": 0}
+"""Registers whose value is known, read last. The checksum follows the data low byte first, so a burst across the last
+data byte and the checksum may escape it; what it changes is then one of these."""
+READ_BLOCK = (
+    "torque_enable",
+    "hardware_error",
+    "present_current",
+    "present_velocity",
+    "present_position",
+    "input_voltage",
+    "temperature",
+    *CONSTANT_BLOCK,
+)
+"""What one cycle reads, made contiguous by indirect addresses: 64, 70, 126, 128, 132, 144, 146, 68, 69."""
+WRITE_BLOCK = ("goal_current", "goal_position")
+"""What one cycle writes, behind the read block, so that bound and goal always change together."""
+
+READ_LENGTH = sum(REGISTERS[name].size for name in READ_BLOCK)
+WRITE_LENGTH = sum(REGISTERS[name].size for name in WRITE_BLOCK)
+READ_ADDRESS = indirect_data(0)
+WRITE_ADDRESS = indirect_data(READ_LENGTH)
+
+HOTTEST = 125
+"""°C; beyond it the servo's electronics would not answer."""
+CURRENT_SPAN = 2047
+"""Counts of 3.36 mA that the servo's sensor can tell, either way."""
+LOWEST_VOLTAGE, HIGHEST_VOLTAGE = 40, 300
+"""Units of 0.1 V: a servo does not run below, and the battery behind its regulator does not reach above."""
+_READ_LAYOUT = struct.Struct("<BBhiiHBBB")
 
 
 @dataclass(frozen=True)
@@ -21,6 +56,8 @@ class BusSettings:
         direction: +1 or −1 per servo: whether the count rises with the angle.
         watchdog: units of 20 ms, 1–6.
         reply_margin: s, see `servo_port.REPLY_MARGIN`.
+        current_max: largest current bound that will be asked for, A. A servo whose current limit is lower ignores the
+            whole goal, so it is refused at the set-up.
     """
 
     port: str
@@ -30,6 +67,7 @@ class BusSettings:
     direction: tuple[int, ...] = (1, 1, 1)
     watchdog: int = WATCHDOG
     reply_margin: float = REPLY_MARGIN
+    current_max: float = STALL_CURRENT
 
     def __post_init__(self) -> None:
         count = len(self.ids)
@@ -42,6 +80,52 @@ class BusSettings:
             raise DriverError(f"direction {self.direction}: each value is 1 or -1")
         if not 1 <= self.watchdog <= WATCHDOG:
             raise RangeError("watchdog", self.watchdog, 1, WATCHDOG, " × 20 ms")
+        if not 0.0 <= self.current_max <= REGISTERS["current_limit"].high * CURRENT_UNIT:
+            limit = REGISTERS["current_limit"].high * CURRENT_UNIT
+            raise RangeError("current_max", self.current_max, 0.0, limit, " A")
+
+
+class Reading(NamedTuple):
+    """One servo's read block, in register units, every value possible."""
+
+    torque_enabled: bool
+    hardware_error: int
+    current: int
+    velocity: int
+    ticks: int
+    voltage: int
+    temperature: int
+
+
+def has_restarted(data: bytes) -> bool:
+    """Return whether a read block comes from a servo that has lost its set-up: its indirect registers point to
+    themselves then and read 0 throughout, also where the status return level, 2 in any servo that answers, should be.
+    """
+    return not any(data)
+
+
+def decode_block(data: bytes) -> Reading:
+    """Read the `READ_LENGTH` bytes of a read block.
+
+    Raises:
+        RangeError: names the first value that no servo reports; nothing in the block can be trusted then.
+        struct.error: another length.
+    """
+    torque, error, current, velocity, ticks, voltage, temperature, *constants = _READ_LAYOUT.unpack(data)
+    for (name, expected), found in zip(CONSTANT_BLOCK.items(), constants, strict=True):
+        if found != expected:
+            raise RangeError(name, found, expected, expected)
+    if torque > 1:
+        raise RangeError("torque_enable", torque, 0, 1)
+    if not -CURRENT_SPAN <= current <= CURRENT_SPAN:
+        span = CURRENT_SPAN * CURRENT_UNIT
+        raise RangeError("present_current", current * CURRENT_UNIT, -span, span, " A")
+    if not LOWEST_VOLTAGE <= voltage <= HIGHEST_VOLTAGE:
+        low, high = LOWEST_VOLTAGE * VOLTAGE_UNIT, HIGHEST_VOLTAGE * VOLTAGE_UNIT
+        raise RangeError("input_voltage", voltage * VOLTAGE_UNIT, low, high, " V")
+    if temperature > HOTTEST:
+        raise RangeError("temperature", temperature, 0, HOTTEST, " °C")
+    return Reading(bool(torque), error, current, velocity, ticks, voltage, temperature)
 
 
 @dataclass(frozen=True)

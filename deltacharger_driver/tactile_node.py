@@ -14,30 +14,27 @@ from __future__ import annotations
 
 import math
 import time
-from array import array
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from deltacharger.msg import ChargerPower, TactileFrame
 from deltacharger.srv import Probe, SetContactor
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
-from std_msgs.msg import Header
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
 from deltacharger_bringup import node_support
 from deltacharger_driver.board_keeper import BoardKeeper
-from deltacharger_driver.board_payloads import Taxels
 from deltacharger_driver.board_port import BoardPort
-from deltacharger_driver.board_protocol import COLUMNS, ROWS, fault_name
+from deltacharger_driver.board_protocol import fault_name
 from deltacharger_driver.board_samples import PowerSample, TactileSample
 from deltacharger_driver.contactor_guard import STALE_FRAME, STALE_POWER
 from deltacharger_driver.errors import DriverError
+from deltacharger_driver.rate_meter import RateMeter
+from deltacharger_driver.tactile_node_io import SamplePublishers
 
-_FRAME = "end_effector"
 _RELIABLE_LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
 _DIAGNOSTICS_PERIOD = 1.0  # s
 
@@ -56,9 +53,7 @@ class TactileNode(Node):
             self, "baud_rate", 1_000_000, "speed on a UART (baud); any on USB", 9600, 4_000_000
         )
         rate = node_support.declare(self, "rate", 120.0, "tactile frames per second (Hz)", 1.0, 200.0)
-        self._pitch = node_support.declare(
-            self, "pitch", 0.0024, "distance between neighbouring taxels (m)", 0.0001, 0.1
-        )
+        pitch = node_support.declare(self, "pitch", 0.0024, "distance between neighbouring taxels (m)", 0.0001, 0.1)
         node_support.reject_unknown(self)
         try:  # a port that cannot be opened now is a wrong set-up; one that vanishes later is waited for
             BoardPort(port, baud_rate).close()
@@ -66,8 +61,9 @@ class TactileNode(Node):
             raise node_support.StartupError(f"tactile_node: {error}") from error
         self._frame: TactileSample | None = None
         self._power: PowerSample | None = None
-        self._frames = self.create_publisher(TactileFrame, "tactile_frame", qos_profile_sensor_data)
-        self._powers = self.create_publisher(ChargerPower, "charger_power", _RELIABLE_LATEST)
+        self._frame_rate, self._power_rate = RateMeter(time.monotonic), RateMeter(time.monotonic)
+        self._period = 1.0 / rate
+        self._samples = SamplePublishers(self, _RELIABLE_LATEST, pitch)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         group = ReentrantCallbackGroup()
         self.create_service(Trigger, "tare", self._on_tare, callback_group=group)
@@ -81,47 +77,17 @@ class TactileNode(Node):
         """Open the contactor and confirm it, stop the stream, release the port. Idempotent."""
         self._keeper.close()
 
-    def _header(self, instant: float) -> Header:
-        """A header stamped with a monotonic instant (s), translated to the node's clock."""
-        nanoseconds = self.get_clock().now().nanoseconds - int((time.monotonic() - instant) * 1e9)
-        header = Header(frame_id=_FRAME)
-        header.stamp.sec, header.stamp.nanosec = divmod(max(nanoseconds, 0), 1_000_000_000)
-        return header
-
     def _publish_frame(self, sample: TactileSample) -> None:
         self._frame = sample
+        self._frame_rate.count(late=time.monotonic() - sample.time > self._period)
         if self.context.ok():
-            self._frames.publish(
-                TactileFrame(
-                    header=self._header(sample.time),
-                    sequence=sample.sequence,
-                    device_time_us=sample.device_time_us,
-                    rows=ROWS,
-                    columns=COLUMNS,
-                    pitch=self._pitch,
-                    left=_floats(sample.left),
-                    right=_floats(sample.right),
-                    tared=sample.tared,
-                )
-            )
+            self._samples.frame(sample)
 
     def _publish_power(self, sample: PowerSample) -> None:
         self._power = sample
-        power = sample.power
-        resistance, age = self._keeper.guard.probe_record()
+        self._power_rate.count()
         if self.context.ok():
-            self._powers.publish(
-                ChargerPower(
-                    header=self._header(sample.time),
-                    contactor_closed=power.contactor_closed,
-                    battery_voltage=power.battery_voltage,
-                    target_voltage=power.target_voltage,
-                    charge_current=power.charge_current,
-                    probe_resistance=resistance,
-                    probe_age=age,
-                    fault=power.fault,
-                )
-            )
+            self._samples.power(sample, *self._keeper.guard.probe_record())
 
     def _report(self, problem: str) -> None:
         if problem:
@@ -191,32 +157,39 @@ class TactileNode(Node):
     def _link_status(self) -> DiagnosticStatus:
         link = self._keeper.link
         values = {**vars(link.decoder_counters), **vars(link.counters), "clock_drift": f"{link.drift:.2e}"}
+        lateness = link.heartbeat_lateness
+        if lateness is not None:
+            values["heartbeat_late_max"] = f"{1e3 * lateness.largest:.1f} ms"
+            values["heartbeat_late_p99"] = f"{1e3 * lateness.percentile(0.99):.1f} ms"
         damaged = link.decoder_counters.damaged
         warning = f"{damaged} damaged packets since start" if damaged else ""
         return self._status("board link", self._keeper.problem, warning, values)
 
     def _tactile_status(self) -> DiagnosticStatus:
         frame = self._frame
+        values: dict[str, object] = {"rate": f"{self._frame_rate.rate():.1f} Hz", "late_frames": self._frame_rate.late}
         if frame is None or time.monotonic() - frame.time > STALE_FRAME:
-            return self._status("tactile arrays", "no fresh frames", "", {})
+            return self._status("tactile arrays", "no fresh frames", "", values)
         dead = int(np.isnan(frame.left).sum() + np.isnan(frame.right).sum())
         warning = ("" if frame.tared else "not tared; call tare in free air") or (f"{dead} dead taxels" if dead else "")
-        return self._status("tactile arrays", "", warning, {"tared": frame.tared, "dead_taxels": dead})
+        return self._status("tactile arrays", "", warning, {**values, "tared": frame.tared, "dead_taxels": dead})
 
     def _power_status(self) -> DiagnosticStatus:
         sample = self._power
+        lease = self._keeper.guard.lease_record()
+        values: dict[str, object] = {
+            "rate": f"{self._power_rate.rate():.1f} Hz",
+            "holder": lease.holder,
+            "lease_left": f"{lease.left:.3f} s",
+            "lease_renewals": lease.renewals,
+            "lease_lapses": lease.lapses,
+            "openings": lease.openings,
+        }
         if sample is None or time.monotonic() - sample.time > STALE_POWER:
-            return self._status("power stage", "silent", "", {})
+            return self._status("power stage", "silent", "", values)
         power = sample.power
         problem = f"latched fault: {fault_name(power.fault)}; open the contactor to clear it" if power.fault else ""
-        return self._status("power stage", problem, "", {**vars(power), "holder": self._keeper.guard.holder})
-
-
-def _floats(taxels: Taxels) -> array[float]:
-    """(10, 10) float32 as the array that rclpy takes without looking at every element."""
-    floats = array("f")
-    floats.frombytes(taxels.tobytes())
-    return floats
+        return self._status("power stage", problem, "", {**values, **vars(power)})
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -2,11 +2,40 @@
 
 from __future__ import annotations
 
+import collections
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 KINDS = ("drop", "corrupt", "truncate", "garbage", "duplicate")
+
+
+class DelayLine:
+    """A wire on which packets may spend time; they never overtake each other.
+
+    Attributes:
+        due: when the next packet arrives, s; inf = none is under way.
+    """
+
+    def __init__(self) -> None:
+        self.due = math.inf
+        self._packets: collections.deque[tuple[float, bytes]] = collections.deque()
+
+    def put(self, packet: bytes, due: float) -> None:
+        """Send a packet that shall arrive at `due` (s), or else behind the one before it."""
+        if self._packets:
+            due = max(due, self._packets[-1][0])
+        self._packets.append((due, packet))
+        self.due = self._packets[0][0]
+
+    def take(self, now: float) -> bytes:
+        """Return what has arrived at `now` (s)."""
+        arrived = bytearray()
+        while self._packets and self._packets[0][0] <= now:
+            arrived += self._packets.popleft()[1]
+        self.due = self._packets[0][0] if self._packets else math.inf
+        return bytes(arrived)
 
 
 @dataclass
@@ -25,6 +54,7 @@ class WireFaults:
             comes twice.
         silent: nothing leaves the device, which works on.
         deaf: nothing reaches the device, which works on.
+        delay: s that every packet comes late.
 
     Args:
         seed: of the damage.
@@ -34,6 +64,7 @@ class WireFaults:
         self.probability = dict.fromkeys(KINDS, 0.0)
         self.silent = False
         self.deaf = False
+        self.delay = 0.0
         self._random = np.random.default_rng(seed)
         self._injections: list[_Injection] = []
 

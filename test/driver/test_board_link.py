@@ -343,6 +343,18 @@ def test_unknown_types_and_bad_payloads_are_counted_and_dropped(link: BoardLink)
     assert link.counters.bad_payloads == 2
 
 
+def test_a_board_that_sends_and_does_not_hear_is_told_from_a_dead_one(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.board.faults.deaf = True
+    with pytest.raises(NoAnswer, match="sends but does not hear"):
+        rig.link.open()
+    rig.board.faults.silent = True
+    with pytest.raises(NoAnswer) as silence:
+        rig.link.open()
+    assert "does not hear" not in str(silence.value)
+    rig.stop()
+
+
 def test_a_missing_port_has_its_name() -> None:
     with pytest.raises(PortMissing, match="no such port"):
         BoardLink("/dev/does-not-exist").open()

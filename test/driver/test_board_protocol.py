@@ -18,6 +18,7 @@ from deltacharger_driver.board_payloads import (
     Power,
     decode_ack,
     decode_hello,
+    decode_ping,
     decode_power,
     decode_probe,
     decode_rate,
@@ -37,8 +38,11 @@ from deltacharger_driver.board_protocol import (
     PacketError,
     PacketType,
     SampleFormat,
+    check_header,
     encode_packet,
 )
+from deltacharger_driver.board_receiver import BoardReceiver
+from deltacharger_driver.board_requests import Requests
 
 FORMATS = [SampleFormat.U8, SampleFormat.U12, SampleFormat.U16]
 
@@ -205,13 +209,115 @@ def test_samples_round_trip_within_half_a_code(sample_format: SampleFormat, seed
     assert np.nanmax(np.abs(back - pads)) <= FULL_SCALE / (sample_format.top - 1) / 2 + 1e-6
 
 
-@given(st.floats(width=32), st.floats(width=32), st.floats(width=32), st.booleans(), st.integers(0, 255))
+measured = st.floats(width=32, allow_infinity=False)
+
+
+@given(measured, measured, measured, st.booleans(), st.integers(0, 9))
 def test_power_round_trip(battery: float, target: float, current: float, closed: bool, fault: int) -> None:
     back = decode_power(encode_power(Power(battery, target, current, closed, fault)))
     np.testing.assert_equal(
         [back.battery_voltage, back.target_voltage, back.charge_current], [battery, target, current]
     )
     assert (back.contactor_closed, back.fault) == (closed, fault)
+
+
+POWER = struct.pack("<fffBBH", 26.5, math.nan, 2.0, 1, 9, 0)
+
+
+def spoiled(payload: bytes, at: int, data: bytes) -> bytes:
+    return payload[:at] + data + payload[at + len(data) :]
+
+
+@pytest.mark.parametrize(
+    ("at", "data", "told"),
+    [
+        (0, struct.pack("<f", math.inf), "battery_V is inf"),
+        (4, struct.pack("<f", -math.inf), "target_V is -inf"),
+        (8, struct.pack("<f", math.inf), "charge_A is inf"),
+        (12, b"\2", "contactor is 2"),
+        (12, b"\7", "contactor is 7"),
+        (13, b"\x0a", "fault 10"),
+        (13, b"\xff", "fault 255"),
+        (14, b"\1", "are 1 instead of 0"),
+        (15, b"\x80", "are 32768 instead of 0"),
+    ],
+)
+def test_a_power_that_no_board_reports_is_refused_by_name(at: int, data: bytes, told: str) -> None:
+    assert decode_power(POWER).fault == 9
+    with pytest.raises(PacketError, match=told):
+        decode_power(spoiled(POWER, at, data))
+
+
+@pytest.mark.parametrize("rate", [math.inf, -math.inf, math.nan, -1.0])
+def test_a_rate_is_finite_and_not_negative(rate: float) -> None:
+    with pytest.raises(PacketError, match="Hz"):
+        decode_rate(encode_rate(rate))
+    with pytest.raises(PacketError, match="Hz"):
+        decode_hello(encode_hello(Hello(1, 0, 10, 10, 1, rate)))
+
+
+def test_a_probe_may_find_an_open_circuit_or_nothing_but_no_other_infinity() -> None:
+    assert decode_probe(encode_probe(math.inf, 0.0)) == (math.inf, 0.0)
+    assert all(map(math.isnan, decode_probe(encode_probe(math.nan, math.nan))))
+    for resistance, voltage in ((-math.inf, 0.0), (25.0, math.inf), (25.0, -math.inf), (math.inf, math.inf)):
+        with pytest.raises(PacketError):
+            decode_probe(encode_probe(resistance, voltage))
+
+
+def test_a_ping_carries_at_most_64_bytes() -> None:
+    assert decode_ping(bytes(64)) == bytes(64)
+    with pytest.raises(PacketError, match="65"):
+        decode_ping(bytes(65))
+
+
+@pytest.mark.parametrize("at", [14, 15])
+def test_reserved_bytes_of_the_header_must_be_zero(at: int) -> None:
+    body = bytearray(cobs.decode(encode_packet(Packet(PacketType.POWER, POWER))[1:-1])[:-4])
+    body[at] = 1
+    wire = b"\0" + cobs.encode(bytes(body) + struct.pack("<I", zlib.crc32(body))) + b"\0"
+    decoder = PacketDecoder()
+    assert decoder.feed(wire) == []
+    assert (decoder.counters.header_errors, decoder.counters.packets, decoder.counters.damaged) == (1, 0, 0)
+
+
+@pytest.mark.parametrize("type", list(PacketType))
+@pytest.mark.parametrize("sample_format", range(6))
+@pytest.mark.parametrize("flags", [0, 1, 2, 3, 4, 128])
+def test_only_tactile_has_format_and_flags(type: PacketType, sample_format: int, flags: int) -> None:
+    packet = Packet(type, flags=flags, format=sample_format)
+    tactile = type is PacketType.TACTILE
+    allowed = (sample_format in (1, 2, 3) and flags <= 3) if tactile else sample_format == flags == 0
+    if allowed:
+        check_header(packet)
+    else:
+        with pytest.raises(PacketError, match="not belong to it"):
+            check_header(packet)
+
+
+def bad_packets(time: int) -> list[Packet]:
+    """Intact packets that no board sends."""
+    return [
+        Packet(PacketType.POWER, spoiled(POWER, 13, b"\x0a"), 1, time),
+        Packet(PacketType.POWER, POWER, 2, time, format=1),
+        Packet(PacketType.HELLO, encode_hello(Hello(1, 0, 10, 10, 99, math.inf)), 0, time),
+        Packet(PacketType.ACK, b"\1", 0, time),
+        Packet(PacketType.PING, bytes(65), 0, time),
+        Packet(PacketType.TACTILE, bytes(200), 0, time),
+    ]
+
+
+def test_a_packet_that_no_board_sends_leaves_no_trace_but_a_count() -> None:
+    powers, boots = [], []
+    receiver = BoardReceiver(Requests(), None, powers.append, lambda: boots.append(True))
+    hello = encode_hello(Hello(1, 0, 10, 10, 7, 120.0))
+    receiver.take(Packet(PacketType.HELLO, hello, 0, 5_000_000), 100.0)
+    for packet in bad_packets(0) + bad_packets(2**63):  # a clock that fell, which is a reboot, and one far ahead
+        receiver.take(packet, 100.0)
+    assert receiver.snapshot().bad_payloads == 12
+    assert (powers, boots, receiver.snapshot().reboots) == ([], [], 0)
+    receiver.take(Packet(PacketType.POWER, POWER, 0, 5_100_000), 100.1)
+    assert powers[0].time == pytest.approx(100.1)
+    assert receiver.snapshot().lost_power == 0
 
 
 def test_other_payloads_round_trip() -> None:

@@ -53,3 +53,13 @@ def test_a_needless_closing_code_is_understood() -> None:
 def test_what_no_encoder_produces_is_refused(stuffed: bytes) -> None:
     with pytest.raises(cobs.CobsError):
         cobs.decode(stuffed)
+
+
+@given(st.binary(max_size=600))
+def test_what_is_accepted_is_what_an_encoder_could_have_been_given(noise: bytes) -> None:
+    try:
+        data = cobs.decode(noise)
+    except cobs.CobsError:
+        return
+    assert len(data) < len(noise)
+    assert cobs.decode(cobs.encode(data)) == data

@@ -57,6 +57,7 @@ def test_the_holder_renews_without_a_new_probe() -> None:
         now = lease.take("dock", 0.25, now) - 0.01
     assert now > 20.0
     assert lease.is_live(now)
+    assert lease.renewals == 99  # the first of the hundred was the close
 
 
 def test_another_holder_cannot_close() -> None:

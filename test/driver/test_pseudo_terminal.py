@@ -13,7 +13,7 @@ import serial
 
 from deltacharger_driver.bench_plant import BenchPlant
 from deltacharger_driver.emulated_pads import EmulatedPads
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.pseudo_terminal import PseudoTerminal, terminal_speed
 from deltacharger_tactile.source import ContactSource
 
 
@@ -52,6 +52,21 @@ def test_an_unplugged_device_keeps_working_and_is_found_again_by_its_link(tmp_pa
         with serial.Serial(cable.path, timeout=5.0) as port:
             port.write(b"hello")
             assert port.read(5) == b"hello"
+
+
+def test_it_knows_the_speed_that_its_host_has_set(tmp_path: Path) -> None:
+    with PseudoTerminal(Echo(), tmp_path / "port") as cable:
+        for speed in (9600, 57600, 1_000_000, 4_000_000):
+            with serial.Serial(cable.path, speed):
+                assert cable.speed() == terminal_speed(cable.path) == speed
+        with serial.Serial(cable.path, 38400):
+            assert cable.speed() == 0
+        cable.unplug()
+        assert cable.speed() == 0
+        cable.replug()
+        with serial.Serial(cable.path, 1_000_000):
+            assert cable.speed() == 1_000_000
+    assert cable.speed() == 0
 
 
 def test_a_second_terminal_on_the_same_link_keeps_it_when_the_first_ends(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 import time
 
 import pytest
@@ -14,7 +15,8 @@ from deltacharger_driver.mx64 import CURRENT_UNIT, TICK
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servo_bus import UNKNOWN_AFTER, ServoBus
 from deltacharger_driver.servo_emulator import ServoBusEmulator, terminal_speed
-from deltacharger_driver.servo_snapshot import BusSettings
+from deltacharger_driver.servo_packets import status
+from deltacharger_driver.servo_snapshot import READ_LENGTH, BusSettings, decode_block, has_restarted
 
 OVERLOAD = 1 << 5
 BOUND = (0.83, 0.83, 0.83)
@@ -135,13 +137,81 @@ def test_old_firmware_at_the_factory_speed_is_found_too(closed, emulator, termin
 
 @pytest.mark.parametrize(
     ("name", "value", "told"),
-    [("model", 1020, "1020"), ("homing_offset", 12, "zero_ticks"), ("drive_mode", 1, "direction")],
+    [
+        ("model", 1020, "1020"),
+        ("homing_offset", 12, "zero_ticks"),
+        ("drive_mode", 1, "direction"),
+        ("secondary_id", 5, "another servo"),
+        ("temperature_limit", 100, "60 to 80"),
+        ("temperature_limit", 40, "60 to 80"),
+        ("min_voltage", 125, "95 to 110"),
+        ("max_voltage", 120, "130 to 160"),
+        ("pwm_limit", 400, "885"),
+        ("current_limit", 297, "current_max"),
+        ("shutdown", 32, "overheating.*52|overheating.*36"),
+        ("shutdown", 4, "overload.*36"),
+        ("shutdown", 0, "overheating and overload.*36"),
+    ],
 )
-def test_a_servo_that_is_not_as_expected_is_named(closed, emulator, name, value, told):
+def test_a_servo_that_is_not_as_expected_is_named_and_left_as_it_is(closed, emulator, name, value, told):
     emulator.servo(2).table.set(name, value)
-    with pytest.raises(HandshakeError, match=f"servo 2.*{told}"):
+    with pytest.raises(HandshakeError, match=f"servo 2.*({told})") as caught:
         closed.open()
+    assert len(caught.value.faults) == 1
     assert emulator.servo(2).table.get(name) == value
+    assert not closed.is_open
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("shutdown", 36), ("shutdown", 61), ("temperature_limit", 70), ("min_voltage", 110), ("current_limit", 1220)],
+)
+def test_harmless_choices_are_accepted(closed, emulator, name, value):
+    emulator.servo(1).table.set(name, value)
+    closed.open()
+    assert closed.read().complete
+
+
+def test_faults_of_all_servos_come_at_once_and_the_good_one_is_set_up(closed, emulator, arm):
+    emulator.servo(1).table.set("homing_offset", 12)
+    emulator.servo(1).table.set("shutdown", 0)
+    emulator.servo(1).table.set("torque_enable", 1)
+    emulator.servo(3).table.set("current_limit", 297)
+    with pytest.raises(HandshakeError) as caught:
+        closed.open()
+    assert [fault[:7] for fault in caught.value.faults] == ["servo 1", "servo 1", "servo 3"]
+    assert emulator.servo(1).table.get("torque_enable") == 0
+    assert emulator.servo(2).table.get("bus_watchdog") in (6, 255)  # armed; it trips once the port is closed
+    assert emulator.servo(3).table.get("operating_mode") == 3
+
+
+def test_a_missing_servo_does_not_hide_the_settings_of_another(closed, emulator):
+    emulator.faults.missing = {1}
+    emulator.servo(2).table.set("drive_mode", 1)
+    with pytest.raises(HandshakeError) as caught:
+        closed.open(scan=False)
+    assert ["does not answer" in fault for fault in caught.value.faults] == [True, False]
+
+
+def test_one_refusal_does_not_hide_the_next(closed, emulator, monkeypatch):
+    write = ControlTable.write
+
+    def refuse(table, address, data):
+        if table is emulator.servo(2).table and address in (9, 108):
+            return 6, {}
+        return write(table, address, data)
+
+    monkeypatch.setattr(ControlTable, "write", refuse)
+    with pytest.raises(HandshakeError) as caught:
+        closed.open()
+    assert ["return_delay" in fault for fault in caught.value.faults] == [True, False]
+    assert "profile_acceleration" in caught.value.faults[1]
+
+
+def test_a_waiting_registered_write_is_found_at_the_set_up(closed, emulator):
+    emulator.servo(3).table.set("registered", 1)
+    with pytest.raises(HandshakeError, match=r"servo 3.*registered = 1.*restart it"):
+        closed.open()
 
 
 def test_two_servos_with_one_id_are_suspected(closed, emulator):
@@ -151,8 +221,9 @@ def test_two_servos_with_one_id_are_suspected(closed, emulator):
         closed.open(scan=False)
 
 
-def test_a_servo_told_to_keep_quiet_is_told_to_answer(closed, emulator):
-    emulator.servo(3).table.set("status_return_level", 1)
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_servo_told_to_keep_quiet_is_told_to_answer(closed, emulator, level):
+    emulator.servo(3).table.set("status_return_level", level)
     closed.open()
     assert emulator.servo(3).table.get("status_return_level") == 2
 
@@ -214,6 +285,104 @@ def test_nonsense_is_refused_before_anything_is_sent(bus, arm, angles, currents)
         bus.write_goals(angles, currents)
     bus.read()
     assert arm.commands == before
+
+
+def test_a_bound_above_the_largest_is_refused_and_the_largest_itself_arrives(terminal, emulator, arm):
+    emulator.servo(2).table.set("current_limit", 833)  # 2.8 A
+    bus = ServoBus(BusSettings(terminal.path, current_max=2.8))
+    bus.open()
+    bus.enable_torque(BOUND)
+    with pytest.raises(RangeError, match=r"2\.81"):
+        bus.write_goals((0.0, 0.0, 0.0), (2.8, 2.81, 2.8))
+    with pytest.raises(RangeError):
+        bus.enable_torque((2.8, 2.81, 2.8))
+    bus.enable_torque(BOUND)
+    bus.write_goals((-0.1, -0.1, -0.1), (2.8 * (1 + 1e-12),) * 3)
+    until(lambda: arm.commands[1][1] == pytest.approx(-0.1, abs=TICK))
+    assert [command[2] for command in arm.commands] == pytest.approx([2.8] * 3, abs=CURRENT_UNIT)
+    bus.close()
+
+
+GOOD_BLOCK = (1, 0, -119, 5, 2048, 120, 30, 2, 0)  # torque, error, current, velocity, ticks, voltage, temperature, …
+
+
+def block(**changed):
+    names = ("torque", "error", "current", "velocity", "ticks", "voltage", "temperature", "level", "registered")
+    values = dict(zip(names, GOOD_BLOCK, strict=True)) | changed
+    return struct.pack("<BBhiiHBBB", *values.values())
+
+
+def test_the_block_is_read_by_layout():
+    reading = decode_block(block())
+    assert (reading.torque_enabled, reading.hardware_error, reading.current, reading.velocity) == (True, 0, -119, 5)
+    assert (reading.ticks, reading.voltage, reading.temperature) == (2048, 120, 30)
+    assert len(block()) == READ_LENGTH == 17
+
+
+@pytest.mark.parametrize(
+    ("changed", "name"),
+    [
+        ({"torque": 2}, "torque_enable"),
+        ({"current": 2048}, "present_current"),
+        ({"current": -32768}, "present_current"),
+        ({"voltage": 39}, "input_voltage"),
+        ({"voltage": 301}, "input_voltage"),
+        ({"temperature": 126}, "temperature"),
+        ({"level": 1}, "status_return_level"),
+        ({"registered": 1}, "registered"),
+    ],
+)
+def test_what_no_servo_reports_is_refused_by_name(changed, name):
+    with pytest.raises(RangeError) as caught:
+        decode_block(block(**changed))
+    assert caught.value.name == name
+    assert not has_restarted(block(**changed))
+
+
+@pytest.mark.parametrize(
+    "changed", [{"current": 2047}, {"current": -2047}, {"voltage": 40}, {"voltage": 300}, {"temperature": 125}]
+)
+def test_the_edges_of_what_servos_report_are_accepted(changed):
+    assert decode_block(block(**changed))
+
+
+def test_a_restarted_servo_is_told_by_its_lost_set_up_not_by_its_supply():
+    assert has_restarted(bytes(READ_LENGTH))
+    assert not has_restarted(block(voltage=0))
+
+
+def test_a_burst_across_the_last_byte_and_the_checksum_does_not_reach_the_snapshot(bus, emulator, monkeypatch):
+    def struck(*fields):
+        reply = status(*fields)
+        return reply[:-3] + bytes((reply[-3] ^ 0x03, reply[-2] ^ 0x0A, reply[-1]))
+
+    monkeypatch.setattr("deltacharger_driver.servo_emulator.status", struck)
+    assert bus._link.read(1, "temperature") == 30 ^ 0x03  # the checksum does not see it
+    assert bus.read().valid == (False, False, False)
+    assert bus.counters.implausible == 3
+    assert bus.counters.corrupt == 0
+
+
+@pytest.mark.parametrize(("register", "value"), [("temperature", 200), ("input_voltage", 0), ("present_current", 3000)])
+def test_an_impossible_value_is_counted_and_nothing_of_its_reply_is_used(bus, emulator, register, value):
+    servo = emulator.servo(2)
+    measure = servo.measure
+
+    def mistaken(now):
+        angle = measure(now)
+        servo.table.set(register, value)
+        return angle
+
+    servo.measure = mistaken
+    snapshot = bus.read()
+    assert snapshot.valid == (True, False, True)
+    assert snapshot.rebooted == (False, False, False)
+    assert bus.counters.implausible == 1
+    for values in (snapshot.angle, snapshot.velocity, snapshot.current, snapshot.voltage, snapshot.temperature):
+        assert math.isnan(values[1])
+    until(lambda: bus.read().missing[1])
+    servo.measure = measure
+    until(lambda: bus.read().complete)
 
 
 def test_a_lost_reply_is_nan_and_the_next_cycle_is_whole_again(bus, emulator):

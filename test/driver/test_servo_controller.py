@@ -11,7 +11,7 @@ from deltacharger_driver.bench_arm import BenchArm
 from deltacharger_driver.errors import PortMissing, TrajectoryRefused
 from deltacharger_driver.mx64 import CURRENT_UNIT, TICK, TORQUE_CONSTANT
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_controller import STOP_TIME, ServoController
+from deltacharger_driver.servo_controller import OPENING_TIME, STOP_TIME, ServoController
 from deltacharger_driver.servo_emulator import ServoBusEmulator
 from deltacharger_driver.servo_report import Phase
 from deltacharger_driver.servo_snapshot import BusSettings
@@ -22,6 +22,28 @@ NAMES = ("a", "b", "c")
 LIMITS = JointLimits(NAMES, -1.2, 1.3, 4.4)
 DEFAULT = 0.83
 OVERLOAD = 1 << 5
+
+
+class Contactor:
+    """A contactor that opens `delay` s after it is asked to, and what was on the arm then."""
+
+    def __init__(self, arm):
+        self.arm = arm
+        self.delay = 0.0
+        self.asked = []
+        self.opened_at = 0.0
+        self.torque_when_opened = None
+
+    def ask_open(self):
+        self.asked.append(time.monotonic())
+        self.opened_at = self.asked[0] + self.delay
+
+    def is_open(self):
+        if not self.asked or time.monotonic() < self.opened_at:
+            return False
+        if self.torque_when_opened is None:
+            self.torque_when_opened = self.arm.torque_enabled()
+        return True
 
 
 class Rig:
@@ -35,6 +57,7 @@ class Rig:
         self.controller = ServoController(
             BusSettings(self.terminal.path), DEFAULT, TORQUE_CONSTANT, lambda *event: self.events.append(event)
         )
+        self.contactor = Contactor(self.arm)
         self.report = None
 
     def cycle(self):
@@ -52,6 +75,10 @@ class Rig:
         request = self.controller.request(action)
         self.until(lambda report: request.wait(0.0))
         return request
+
+    def wire_contactor(self):
+        """Let the controller have a contactor."""
+        self.controller._contactor = self.contactor
 
     def torque_on(self):
         request = self.ask("torque_on")
@@ -177,14 +204,18 @@ def test_a_load_shows_as_current_and_as_reserve(rig):
         (lambda rig: rig.emulator.raise_hardware_error(2, OVERLOAD), "overload"),
         (lambda rig: rig.emulator.reboot(2, time.monotonic()), "servo 2"),
         (lambda rig: rig.arm.temperature.__setitem__(1, 85.0), "overheating"),
+        (lambda rig: rig.arm.voltage.__setitem__(1, 9.0), "voltage"),
     ],
 )
 def test_one_servo_in_trouble_stops_all_where_they_are(rig, fail, told):
+    rig.wire_contactor()
     rig.torque_on()
     rig.send((2.0, (0.3, 0.5, 1.2)))
     rig.until(lambda report: rig.references()[0] > -0.6)
+    assert not rig.contactor.asked
     fail(rig)
     rig.until(lambda report: report.phase is Phase.STOPPING)
+    assert rig.contactor.asked  # at once, not when the torque goes
     begin = time.monotonic()
     stopped = rig.references()[0]
     assert stopped == pytest.approx(rig.arm.angles[0], abs=0.1)
@@ -326,3 +357,132 @@ def test_a_port_that_is_not_there_is_named(tmp_path):
     with pytest.raises(PortMissing):
         controller.open()
     controller.close()
+
+
+def test_torque_goes_off_as_soon_as_the_contactor_is_open_and_not_before(rig):
+    rig.wire_contactor()
+    rig.contactor.delay = 0.15
+    rig.torque_on()
+    rig.send((2.0, (0.3, 0.5, 1.2)))
+    rig.until(lambda report: rig.references()[0] > -0.6)
+    begin = time.monotonic()
+    request = rig.controller.request("torque_off")
+    rig.cycle()
+    held = rig.references()
+    with pytest.raises(TrajectoryRefused, match="switched off"):
+        rig.send((1.0, START))
+    rig.until(lambda report: request.wait(0.0))
+    assert request.success
+    assert request.message == "torque is off"
+    assert rig.contactor.torque_when_opened == [True] * 3
+    assert rig.references() == held
+    assert rig.arm.torque_enabled() == [False] * 3
+    assert time.monotonic() - begin >= 0.15
+    assert not any(severity in ("error", "warning") for severity, _ in rig.events)
+
+
+def test_a_contactor_that_stays_closed_does_not_keep_the_torque_on(rig):
+    rig.wire_contactor()
+    rig.contactor.delay = math.inf
+    rig.torque_on()
+    begin = time.monotonic()
+    request = rig.ask("torque_off")
+    assert request.success
+    assert "not seen open" in request.message
+    assert time.monotonic() - begin >= OPENING_TIME
+    assert rig.arm.torque_enabled() == [False] * 3
+    assert any("not seen open" in sentence for _, sentence in rig.events)
+
+
+def test_torque_off_by_request_cuts_a_stop_short_once_the_contactor_is_open(rig):
+    rig.wire_contactor()
+    rig.torque_on()
+    rig.controller.stop("a test")
+    begin = time.monotonic()
+    assert rig.ask("torque_off").success
+    assert time.monotonic() - begin < STOP_TIME
+    assert rig.cycle().phase is Phase.OFF
+
+
+def test_a_pulled_cable_and_closing_ask_for_the_contactor_too(rig):
+    rig.wire_contactor()
+    rig.torque_on()
+    rig.terminal.stop()
+    rig.until(lambda report: report.phase is Phase.DISCONNECTED)
+    assert len(rig.contactor.asked) == 1
+    rig.terminal.start()
+    rig.until(lambda report: report.phase is Phase.OFF)
+    rig.contactor.asked.clear()
+    rig.contactor.delay = 0.1
+    rig.torque_on()
+    rig.controller.close()
+    assert rig.contactor.torque_when_opened == [True] * 3
+    assert rig.arm.torque_enabled() == [False] * 3
+
+
+def test_a_replugged_port_is_back_within_two_seconds(rig):
+    rig.cycle()
+    rig.terminal.stop()
+    rig.until(lambda report: report.phase is Phase.DISCONNECTED)
+    away = time.monotonic() + 2.0  # long enough for the longest pause between two attempts
+    rig.until(lambda report: time.monotonic() > away)
+    begin = time.monotonic()
+    rig.terminal.start()
+    rig.until(lambda report: report.phase is Phase.OFF and all(report.valid))
+    assert time.monotonic() - begin < 2.0
+
+
+def line(begin, end, seconds, at):
+    """Return the angles `at` s along a straight line that lasts `seconds`."""
+    share = min(max(at / seconds, 0.0), 1.0)
+    return tuple(a + share * (b - a) for a, b in zip(begin, end, strict=True))
+
+
+def test_a_line_sent_piece_by_piece_is_followed_as_if_sent_whole(rig):
+    rig.torque_on()
+    goal = tuple(angle + 0.5 for angle in START)
+    begin = time.monotonic()
+    errors = []
+
+    def feed(report):
+        now = time.monotonic() - begin
+        ahead = [now + step * 0.02 for step in range(1, 7)]
+        points = [Waypoint(at, line(START, goal, 0.6, at)) for at in ahead]
+        rig.controller.submit(check(NAMES, points, LIMITS), begin)
+        if report.phase is Phase.ON and rig.references()[0] != pytest.approx(START[0]):
+            errors.append(abs(rig.references()[0] - line(START, goal, 0.6, now)[0]))
+        return now > 0.7
+
+    rig.until(feed)
+    assert len(errors) > 30
+    late = 0.06 / 0.6 * 0.5  # what the line covers in 60 ms: a pause of this computer, never the feeding itself
+    assert sorted(errors)[len(errors) // 2] < 0.02
+    assert max(errors) < late
+    assert rig.references() == pytest.approx(list(goal), abs=TICK)
+
+
+def test_a_feed_that_ends_leaves_the_arm_at_its_last_point(rig):
+    rig.torque_on()
+    goal = tuple(angle + 0.5 for angle in START)
+    begin = time.monotonic()
+    points = [Waypoint(at, line(START, goal, 2.0, at)) for at in (0.04, 0.08, 0.12)]
+    rig.controller.submit(check(NAMES, points, LIMITS), begin)
+    rig.until(lambda report: time.monotonic() - begin > 0.5)
+    assert rig.references() == pytest.approx(list(line(START, goal, 2.0, 0.12)), abs=TICK)
+
+
+def test_a_piece_that_has_passed_already_holds_at_its_last_point(rig):
+    rig.torque_on()
+    goal = tuple(angle + 0.05 for angle in START)
+    rig.controller.submit(check(NAMES, [Waypoint(0.1, START), Waypoint(0.2, goal)], LIMITS), time.monotonic() - 0.3)
+    rig.cycle()
+    rig.cycle()
+    assert rig.references() == pytest.approx(list(goal), abs=TICK)
+
+
+def test_a_point_that_is_due_is_reached_at_once_though_the_message_took_its_time(rig):
+    rig.torque_on()
+    goal = tuple(angle + 0.05 for angle in START)
+    rig.controller.submit(check(NAMES, [Waypoint(0.0, goal), Waypoint(2.0, goal)], LIMITS), time.monotonic() - 0.01)
+    rig.cycle()
+    assert rig.references() == pytest.approx(list(goal), abs=TICK)

@@ -7,11 +7,14 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from array import array
 
 import pytest
+from builtin_interfaces.msg import Duration
 from deltacharger.msg import ServoState
+from deltacharger.srv import Probe, SetContactor
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.context import Context
 from rclpy.node import Node
@@ -23,13 +26,16 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_bringup.node_support import Spinner, StartupError
 from deltacharger_driver.bench_arm import BenchArm
+from deltacharger_driver.bench_plant import BenchPlant
+from deltacharger_driver.board_emulator import BoardEmulator
 from deltacharger_driver.mx64 import CURRENT_UNIT, TICK, TORQUE_CONSTANT
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servo_emulator import ServoBusEmulator, terminal_speed
 from deltacharger_driver.servo_node import JOINTS, ServoNode
+from deltacharger_driver.tactile_node import TactileNode
 
 START = (-0.7, -0.5, 0.2)
-OVERLOAD = 1 << 5
+VOLTAGE, OVERLOAD = 1 << 0, 1 << 5  # the former does not make the servo let go by itself
 DOMAIN = 1 + os.getpid() % 200  # so that nothing else on this machine answers
 
 
@@ -152,13 +158,19 @@ def test_the_state_at_start(client, arm):
 
 
 def test_the_rate(client):
-    first = client.fresh()
-    time.sleep(1.0)
-    last = client.fresh()
-    seconds = last.header.stamp.sec - first.header.stamp.sec
-    seconds += (last.header.stamp.nanosec - first.header.stamp.nanosec) * 1e-9
-    arrived = client.states.index(last) - client.states.index(first)
-    assert 60 <= arrived / seconds <= 105  # the upper bound is the promise; a loaded machine may lose some
+    def seconds(first, last):
+        span = last.header.stamp.sec - first.header.stamp.sec
+        return span + (last.header.stamp.nanosec - first.header.stamp.nanosec) * 1e-9
+
+    def kept():  # a machine busy with other things may lose some; a second that is kept must occur
+        states = client.states
+        states.clear()
+        until(lambda: len(states) > 1 and seconds(states[0], states[-1]) >= 1.0)
+        rate = (len(states) - 1) / seconds(states[0], states[-1])
+        assert rate <= 105
+        return rate >= 60
+
+    until(kept, 20.0)
 
 
 def test_torque_trajectory_torque_off(client, arm):
@@ -208,6 +220,145 @@ def test_what_is_refused_moves_nothing_and_is_told(client, arm, points, names, o
     client.send(*points, names=names, stamp=stamp, efforts=efforts)
     until(lambda: client.told(told))
     assert list(arm.commands) == before
+
+
+def stamped(client, seconds_ago=0.0):
+    stamp = client.get_clock().now().to_msg()
+    stamp.sec, stamp.nanosec = divmod(stamp.sec * 10**9 + stamp.nanosec - int(seconds_ago * 1e9), 10**9)
+    return stamp
+
+
+def test_a_line_longer_than_a_stamp_lasts_is_fed_under_one_stamp(client, arm):
+    client.set_torque(True)
+    goal = [angle + 0.4 for angle in START]
+    stamp, begin = stamped(client), time.monotonic()
+
+    def fed():
+        now = time.monotonic() - begin
+        ahead = [now + step * 0.02 for step in range(1, 7)]
+        client.send(*((at, [a + min(at, 1.0) * 0.4 for a in START]) for at in ahead), stamp=stamp)
+        time.sleep(0.02)  # the feeder's tick, not a wait for a condition
+        return now > 1.1
+
+    until(fed)
+    until(lambda: [command[1] for command in arm.commands] == pytest.approx(goal, abs=TICK))
+    assert not any(status.message for m in client.diagnostics for status in m.status if "old" in status.message)
+    client.send((0.0, START), stamp=stamped(client, 0.7))  # another stamp must be fresh by itself
+    until(lambda: client.told("old"))
+    assert [command[1] for command in arm.commands] == pytest.approx(goal, abs=TICK)
+
+
+def test_refusals_at_the_rate_of_a_feed_are_told_but_not_each(client):
+    client.diagnostics.clear()
+    begin = time.monotonic()
+
+    def fed():
+        client.send((0.1, START))  # torque is off
+        time.sleep(0.02)
+        return time.monotonic() - begin > 1.0
+
+    until(fed)
+    until(lambda: client.told("set_torque"))
+    assert len(client.diagnostics) <= (time.monotonic() - begin) / 0.2 + 2
+
+
+def test_diagnostics_say_how_well_the_cycle_is_kept(client):
+    client.diagnostics.clear()
+    bus = until(lambda: [s for m in client.diagnostics[1:] for s in m.status if s.name.endswith("servo bus")])[0]
+    values = {value.key: value.value for value in bus.values}
+    assert 0.0 < float(values["rate"].removesuffix(" Hz")) <= 105.0
+    assert int(values["late_cycles"]) >= 0
+    assert {"timeouts", "corrupt", "late", "retries", "watchdog_trips", "reconnections"} <= set(values)
+
+
+class LiveArm(BenchArm):
+    """An arm that remembers whether current could flow when its torque went."""
+
+    def __init__(self, plant):
+        super().__init__(START)
+        self.plant = plant
+        self.live_when_let_go = []
+
+    def command_servo(self, index, torque_enabled, reference, current_limit):
+        command = self.commands[index]
+        if command is not None and command[0] and not torque_enabled:
+            self.live_when_let_go.append(self.plant.read_power()[3])
+        super().command_servo(index, torque_enabled, reference, current_limit)
+
+
+class Charging:
+    """Both drivers on emulated hardware, and a client that charges and would go on for ever."""
+
+    def __init__(self, context, folder):
+        self.plant = BenchPlant()
+        self.arm = LiveArm(self.plant)
+        self.emulator = ServoBusEmulator(self.arm)
+        self.servo = PseudoTerminal(self.emulator, folder / "live_servo").start()
+        self.board = PseudoTerminal(BoardEmulator(self.plant), folder / "live_board").start()
+        parameters = [Parameter("port", value=self.board.path)]
+        tactile = TactileNode(context=context, parameter_overrides=parameters, use_global_arguments=False)
+        self.spinners = [Spinner(tactile), Spinner(build(context, self.servo.path)), Spinner(Client(context))]
+        self.client = self.spinners[2].node
+        self.contactor = self.client.create_client(SetContactor, "set_contactor")
+        self.probe = self.client.create_client(Probe, "probe")
+        self.tare = self.client.create_client(Trigger, "tare")
+        self.over = threading.Event()
+        self.thread = threading.Thread(target=self.renew)
+
+    def begin(self):
+        """Torque on, contact, probe, close."""
+        assert self.client.set_torque(True).success
+        assert self.client.call(self.tare, Trigger.Request()).success
+        self.plant.press(20.0)
+        assert self.client.call(self.probe, Probe.Request()).success
+        self.thread.start()
+        until(lambda: self.plant.read_power()[3])
+
+    def renew(self):
+        lease = Duration(nanosec=250_000_000)
+        while not self.over.wait(0.05):
+            self.contactor.call_async(SetContactor.Request(close=True, holder="dock", lease=lease))
+
+    def close(self):
+        self.over.set()
+        if self.thread.ident is not None:
+            self.thread.join()
+        for spinner in reversed(self.spinners):
+            spinner.close()
+        self.servo.stop()
+        self.board.stop()
+
+
+@pytest.fixture
+def charging(context, tmp_path):
+    charging = Charging(context, tmp_path)
+    yield charging
+    charging.close()
+
+
+@pytest.mark.parametrize(
+    "end",
+    [
+        lambda charging: charging.client.set_torque(False),
+        lambda charging: charging.emulator.raise_hardware_error(1, VOLTAGE),
+        lambda charging: charging.spinners.pop(1).close(),
+    ],
+    ids=["set_torque false", "a latched error", "the node is closed"],
+)
+def test_the_contactor_opens_before_the_torque_goes(charging, end):
+    charging.begin()
+    end(charging)
+    until(lambda: len(charging.arm.live_when_let_go) == 3)
+    assert charging.arm.live_when_let_go == [False] * 3
+    assert not charging.plant.read_power()[3]
+
+
+def test_the_contactor_opens_when_the_servos_cable_is_pulled(charging):
+    charging.begin()
+    begin = time.monotonic()
+    charging.servo.stop()
+    until(lambda: not charging.plant.read_power()[3])
+    assert time.monotonic() - begin < 2.0  # the client would have gone on
 
 
 def test_without_torque_a_trajectory_is_refused(client, arm):

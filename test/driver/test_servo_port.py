@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import errno
 import struct
 import termios
@@ -10,12 +11,21 @@ import time
 
 import pytest
 import serial
-from dynamixel_sdk import COMM_PORT_BUSY, COMM_SUCCESS, GroupSyncRead, PortHandler, Protocol2PacketHandler
+from dynamixel_sdk import (
+    COMM_PORT_BUSY,
+    COMM_SUCCESS,
+    INST_FAST_SYNC_READ,
+    INST_SYNC_WRITE,
+    GroupSyncRead,
+    PortHandler,
+    Protocol2PacketHandler,
+)
 
 from deltacharger_driver.bench_arm import BenchArm
 from deltacharger_driver.errors import (
     CorruptReply,
     DriverError,
+    HandshakeError,
     NoAnswer,
     PortBusy,
     PortDenied,
@@ -26,10 +36,12 @@ from deltacharger_driver.errors import (
 )
 from deltacharger_driver.mx64 import REGISTERS
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.servo_bus import ServoBus
 from deltacharger_driver.servo_emulator import ServoBusEmulator
 from deltacharger_driver.servo_link import ServoLink
 from deltacharger_driver.servo_port import ServoPort
 from deltacharger_driver.servo_protocol import ServoProtocol, crc16
+from deltacharger_driver.servo_snapshot import BusSettings
 
 POSITION = REGISTERS["present_position"].address
 SPARE = 650  # indirect data that nothing maps: plain memory
@@ -133,10 +145,50 @@ def test_trap_3_stuffing_is_removed_exactly(bare, link):
     assert link.read_bytes(1, SPARE, len(STUFFING)) == STUFFING
 
 
-def test_trap_4_the_error_byte_is_kept(link, emulator):
+def test_trap_4_the_error_byte_is_kept(bare, link, emulator):
+    group = GroupSyncRead(*bare, POSITION, 4)
+    for servo in (1, 2, 3):
+        group.addParam(servo)
+
+    def everything_it_tells():
+        assert group.txRxPacket() == COMM_SUCCESS
+        return {name: value for name, value in vars(group).items() if name not in ("port", "ph")}
+
+    healthy = copy.deepcopy(everything_it_tells())
     emulator.raise_hardware_error(3, 1)
+    assert everything_it_tells() == healthy  # nothing in the group says that a servo is in alarm
     replies = link.sync_read((1, 2, 3), POSITION, 4)
     assert [error for error, _ in replies.values()] == [0, 0, 0x80]
+
+
+def test_trap_5_fast_sync_read_is_never_sent(terminal, emulator, monkeypatch):
+    sent = []
+    write = ServoPort.writePort
+
+    def spy(port, packet):
+        sent.append(packet[7] if list(packet[:4]) == [0xFF, 0xFF, 0xFD, 0] else None)  # None: Protocol 1.0
+        return write(port, packet)
+
+    monkeypatch.setattr(ServoPort, "writePort", spy)
+    bus = ServoBus(BusSettings(terminal.path))
+    emulator.faults.missing = {3}
+    with pytest.raises(HandshakeError):
+        bus.open()
+    emulator.faults.missing = set()
+    bus.open()
+    bus.enable_torque((0.5, 0.5, 0.5))
+    for missing in (set(), {2}, set()):
+        emulator.faults.missing = missing
+        for _ in range(3):
+            bus.write_goals((0.0, 0.0, 0.0), (0.5, 0.5, 0.5))
+            bus.read()
+            bus.tripped_watchdogs()
+    bus.disable_torque()
+    bus.reboot(0)
+    bus.close()
+    reads = {code for code in sent if code is not None and code & 0x80 and code != INST_SYNC_WRITE}
+    assert reads == {0x82}
+    assert INST_FAST_SYNC_READ not in sent
 
 
 def test_trap_6_waiting_costs_no_processor_time(bare, link, emulator):
@@ -202,6 +254,26 @@ def test_trap_8_the_cable_goes_while_a_reply_is_awaited(terminal, link, emulator
     puller.join()
 
 
+def test_trap_9_the_sdk_fails_the_call_of_a_second_thread(bare, emulator):
+    port, protocol = bare
+    emulator.faults.missing = {1}
+    waiting, tried = threading.Event(), threading.Event()
+    read = port.readPort
+
+    def hold(length):
+        waiting.set()
+        tried.wait(5.0)
+        return read(length)
+
+    port.readPort = hold
+    first = threading.Thread(target=protocol.ping, args=(port, 1))
+    first.start()
+    assert waiting.wait(5.0)
+    assert protocol.ping(port, 2)[1] == COMM_PORT_BUSY  # servo 2 is there and was not even asked
+    tried.set()
+    first.join()
+
+
 def test_trap_9_one_thread_owns_the_port(link):
     caught = []
 
@@ -248,7 +320,7 @@ def test_a_speed_that_servos_lack_is_refused(terminal):
 def test_corrupt_replies_are_asked_for_again(link, emulator):
     emulator.faults.next_reply("corrupt", 1, 2)
     assert link.read(1, "input_voltage") == 120
-    assert link.counters.corrupt + link.counters.timeouts == 2
+    assert link.counters.corrupt + link.counters.timeouts == link.counters.retries == 2
 
 
 def test_a_servo_that_only_stammers_is_told_from_a_silent_one(link, emulator):

@@ -415,6 +415,50 @@ def test_diagnostics_name_every_part(rig: Rig) -> None:
     assert int(next(v.value for v in statuses["board link"].values if v.key == "tactile")) > 0
 
 
+def values_of(rig: Rig, part: str) -> dict[str, str]:
+    """The values of the part's latest status, one that was sent after this call."""
+    rig.client.diagnostics.clear()
+    wait_for(lambda: len(rig.client.diagnostics) >= 2)
+    status = next(s for s in rig.client.diagnostics[-1].status if s.name.endswith(part))
+    return {value.key: value.value for value in status.values}
+
+
+def test_diagnostics_tell_rates_the_lease_and_the_heartbeat(rig: Rig) -> None:
+    before = values_of(rig, "power stage")
+    assert before["holder"] == ""
+    rig.dock()
+    rig.charge(1.5)
+    rig.client.diagnostics.clear()
+    while len(rig.client.diagnostics) < 2:
+        rig.charge(0.1)
+    status = {s.name.rsplit(": ", 1)[1]: s for s in rig.client.diagnostics[-1].status}
+    values = {name: {v.key: v.value for v in s.values} for name, s in status.items()}
+    power, link, pads = values["power stage"], values["board link"], values["tactile arrays"]
+    assert power["holder"] == "dock"
+    assert 0.0 < float(power["lease_left"].removesuffix(" s")) <= 0.25
+    assert int(power["lease_renewals"]) > int(before["lease_renewals"]) + 10
+    assert 0.0 < float(power["rate"].removesuffix(" Hz")) <= 25.0
+    assert 0.0 < float(pads["rate"].removesuffix(" Hz")) <= 140.0
+    assert int(pads["late_frames"]) >= 0
+    p99, largest = (float(link[key].removesuffix(" ms")) for key in ("heartbeat_late_p99", "heartbeat_late_max"))
+    assert 0.0 <= p99 <= largest < 1000.0
+    wait_for(lambda: not rig.plant.read_power()[3])  # not renewed: it lapses
+    after = values_of(rig, "power stage")
+    assert after["holder"] == ""
+    assert int(after["lease_lapses"]) == int(before["lease_lapses"]) + 1
+    assert int(after["openings"]) > int(before["openings"])
+
+
+def test_a_replugged_board_is_back_within_two_seconds(rig: Rig) -> None:
+    rig.cable.unplug()
+    time.sleep(2.0)  # long enough for the longest pause between two attempts
+    rig.client.frames.clear()
+    began = time.monotonic()
+    rig.cable.replug()
+    wait_for(lambda: rig.client.frames)
+    assert time.monotonic() - began < 2.0
+
+
 def test_close_opens_the_contactor_and_releases_the_port(tmp_path: Path) -> None:
     rig = Rig(tmp_path)
     rig.fresh_frame()

@@ -1,0 +1,181 @@
+"""Does the board introduce itself, stream whole frames from live taxels, and is its power stage sane?
+
+The stream is started for two seconds and stopped again; one probe is made (≤ 5 V, ≤ 50 mA). Nothing else is asked of
+it: no tare, no contactor, no heartbeat.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
+
+if TYPE_CHECKING:
+    from deltacharger_driver.board_link import BoardLink
+    from deltacharger_driver.board_payloads import Hello
+    from deltacharger_driver.board_samples import PowerSample, TactileSample
+
+WATCHED = 2.0  # s of stream
+BATTERY = (22.7, 29.8)  # V, what the paper's battery gives
+_RATE_SHARE = 0.95  # of the board's own rate, below which frames do not come as they should
+_LOST_SHARE = 0.01  # of frames, above which the link is bad
+_PINGS = 20
+_CABLE_ADVICE = "look at plugs and cables; close what keeps this computer busy"
+
+
+def examine_board(path: str, baud_rate: int) -> Iterator[Finding]:
+    """Greet the board of a port, watch its stream, read its power stage, probe once.
+
+    Args:
+        path: of the port; nobody else may have it open.
+        baud_rate: bit/s.
+    """
+    from deltacharger_driver.board_errors import BoardMismatch
+    from deltacharger_driver.board_link import BoardLink
+    from deltacharger_driver.errors import NoAnswer, WrongDevice
+
+    frames: list[TactileSample] = []
+    powers: list[PowerSample] = []
+    link = BoardLink(path, baud_rate, on_tactile=frames.append, on_power=powers.append)
+    try:
+        hello = link.open()
+    except WrongDevice:
+        advice = "exchange the two cables, or the two ports in the scene or on the command line"
+        yield wrong("board", f"{path}: here are the servos, not the board", advice)
+        return
+    except BoardMismatch as error:
+        yield failed("board", error, "flash the firmware that belongs to this version, or give the right port")
+        return
+    except NoAnswer as error:
+        yield failed("board", error, "check the board's supply and both lines of its cable, and that its firmware runs")
+        return
+    try:
+        yield from _firmware(link, hello)
+        yield from _stream(link, hello, frames)
+        yield from _power(powers)
+        yield from _probe(link)
+    finally:
+        link.close()
+
+
+def _firmware(link: BoardLink, hello: Hello) -> Iterator[Finding]:
+    from deltacharger_driver.board_protocol import HEARTBEAT_PERIOD, MINOR
+
+    trip = statistics.median(link.ping() for _ in range(_PINGS))
+    text = f"version {hello.major}.{hello.minor}, {hello.rows} x {hello.columns} taxels per pad, {hello.rate:g} Hz"
+    yield ok("board", f"{text}; answers in {trip * 1e3:.1f} ms")
+    if trip > HEARTBEAT_PERIOD:
+        slow = f"it takes {trip * 1e3:.0f} ms to answer; heartbeats come every {HEARTBEAT_PERIOD * 1e3:.0f} ms"
+        yield hint("board", slow, "look for what holds bytes back: an adapter's latency timer, a hub, a busy computer")
+    if hello.minor < MINOR:
+        yield hint("board", f"its firmware is older than this driver ({hello.major}.{MINOR})", "flash the present one")
+
+
+def _stream(link: BoardLink, hello: Hello, frames: list[Any]) -> Iterator[Finding]:
+    before, damaged = link.counters, link.decoder_counters.damaged
+    link.start()
+    began = time.monotonic()
+    while time.monotonic() - began < WATCHED and link.gone is None:
+        time.sleep(0.05)
+    link.stop()
+    lost = link.counters.lost_tactile - before.lost_tactile
+    damaged = link.decoder_counters.damaged - damaged
+    if len(frames) < 2:
+        text = f"{len(frames)} frames in {WATCHED:g} s after the start of the stream"
+        yield wrong("tactile link", text, "restart the board; flash its firmware again where that does not help")
+        return
+    span = frames[-1].time - frames[0].time
+    rate = (frames[-1].sequence - frames[0].sequence) / span if span > 0.0 else math.inf
+    text = f"{rate:.1f} Hz of {hello.rate:g}, {lost} of {len(frames) + lost} frames lost, {damaged} damaged packets"
+    if lost > _LOST_SHARE * len(frames) or rate < _RATE_SHARE * hello.rate:
+        yield wrong("tactile link", text, _CABLE_ADVICE)
+    elif lost or damaged:
+        yield hint("tactile link", text, _CABLE_ADVICE)
+    else:
+        yield ok("tactile link", text)
+    yield from _pads(frames)
+
+
+def _pads(frames: list[Any]) -> Iterator[Finding]:
+    """Yield dead taxels, what presses on a pad, and whether the pads are tared."""
+    import numpy as np
+
+    from deltacharger_driver.board_protocol import CONTACT_FORCE
+    from deltacharger_tactile.estimator import Limits
+
+    limit = Limits().pad_dead
+    tared = bool(frames[-1].tared)
+    for name in ("left", "right"):
+        part = f"{name} pad"
+        forces = np.stack([getattr(frame, name) for frame in frames])
+        dead = [(int(row), int(column)) for row, column in np.argwhere(np.isnan(forces).any(axis=0))]
+        live = forces[:, ~np.isnan(forces).any(axis=0)]
+        if dead:
+            shown = ", ".join(f"row {row} column {column}" for row, column in dead[:6])
+            text = f"{len(dead)} of {forces[0].size} taxels dead: {shown}{' ...' if len(dead) > 6 else ''}"
+            if len(dead) > limit:
+                yield wrong(
+                    part, f"{text}; misalignment needs at most {limit}", "look at the pad's plug; replace the pad"
+                )
+            else:
+                yield hint(part, text, "the estimate fills them in from their neighbours")
+        else:
+            yield ok(part, f"all {forces[0].size} taxels live")
+        strongest = float(live.max()) if live.size else math.nan
+        if tared and strongest >= CONTACT_FORCE:
+            yield hint(part, f"pressed with up to {strongest:.1f} N on a taxel", "free the pad; a tare is refused else")
+    yield ok(
+        "tare", "done since the board's start" if tared else "not done since the board's start; every docking tares"
+    )
+
+
+def _power(powers: list[Any]) -> Iterator[Finding]:
+    from deltacharger_driver.board_protocol import fault_name
+
+    if not powers:
+        yield wrong(
+            "power", "the power stage says nothing (20 times a second is due)", "flash the board's firmware again"
+        )
+        return
+    power = powers[-1].power
+    if power.fault:
+        advice = "remove the cause; the next opening clears it (service set_contactor with close false)"
+        yield wrong("power", f"fault latched: {fault_name(power.fault)}", advice)
+    if power.contactor_closed:
+        advice = "switch the battery off: without a heartbeat it must be open; the contactor may be welded"
+        yield wrong("power", "the contactor reports closed though nobody asked for it", advice)
+    if math.isnan(power.battery_voltage):
+        yield hint("power", "the battery's voltage is not measured", "look at the power stage's plug")
+    elif not BATTERY[0] <= power.battery_voltage <= BATTERY[1]:
+        text = f"battery {power.battery_voltage:.1f} V, outside {BATTERY[0]} to {BATTERY[1]} V"
+        yield hint("power", text, "charge it, or look at it and at the voltage's divider")
+    else:
+        yield ok("power", f"battery {power.battery_voltage:.1f} V")
+
+
+def _probe(link: BoardLink) -> Iterator[Finding]:
+    from deltacharger_driver.board_errors import CommandRefused
+    from deltacharger_driver.board_payloads import probe_problem
+    from deltacharger_driver.errors import NoAnswer
+
+    try:
+        result = link.probe()
+    except (CommandRefused, NoAnswer) as error:
+        yield failed("probe", error, "open the contactor first; else look at the power stage's plug")
+        return
+    if math.isinf(result.resistance):
+        yield ok("probe", "open circuit: nothing touches the electrodes")
+        return
+    problem = probe_problem(result.resistance, result.target_voltage)
+    if problem:
+        what, _, advice = problem.partition("; ")
+        yield wrong("probe", what, f"{advice}; with nothing docked, look for what lies across the electrodes")
+        return
+    text = (
+        f"{result.resistance:.1f} ohm and {result.target_voltage:.1f} V between the electrodes: a target is connected"
+    )
+    yield hint("probe", text, "undock before you work on it")

@@ -1,0 +1,187 @@
+"""Are the versions, the interfaces and the ROS set-up of this computer those that the charger needs?"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from deltacharger_bringup import environment
+from deltacharger_bringup.doctor.findings import Finding, hint, install, ok, wrong
+
+_OLDEST_PYTHON = (3, 10)
+_MODULES = ("numpy", "scipy", "yaml", "serial", "dynamixel_sdk")
+_DISTRIBUTIONS = {"yaml": "PyYAML", "serial": "pyserial", "dynamixel_sdk": "dynamixel-sdk"}
+_OLDEST_SDK = (4, 1)
+_RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
+_LONGEST_PROBE = 60.0  # s; a loaded computer takes 10 s to load ROS
+
+
+def examine_versions() -> Iterator[Finding]:
+    """Yield the versions of Python and of each library, without ROS."""
+    running = ".".join(map(str, sys.version_info[:3]))
+    if sys.version_info < _OLDEST_PYTHON:
+        yield wrong("python", f"{running} at {sys.executable}", "install Python 3.10 or later and build again")
+    else:
+        yield ok("python", f"{running} at {sys.executable}")
+    for module in _MODULES:
+        yield _library(module)
+
+
+def _library(module: str) -> Finding:
+    name = _DISTRIBUTIONS.get(module, module)
+    try:
+        __import__(module)
+    except Exception as error:
+        return wrong(name, f"cannot be loaded: {str(error).strip().splitlines()[0]}", install(module))
+    try:
+        found = version(name)
+    except PackageNotFoundError:
+        found = "of an unknown version"
+    if module == "dynamixel_sdk" and found[0].isdigit() and tuple(map(int, found.split(".")[:2])) < _OLDEST_SDK:
+        return wrong(name, f"{found} is too old", "pip install 'dynamixel-sdk>=4.1'")
+    return ok(name, found)
+
+
+def examine_settings() -> Iterator[Finding]:
+    """Yield what the environment's variables say to ROS."""
+    problem = environment.domain_problem()
+    if problem:
+        what, _, remedy = problem.partition("; ")
+        yield wrong("ros domain", what, remedy)
+    else:
+        given = "" if os.environ.get("ROS_DOMAIN_ID") else " (ROS_DOMAIN_ID is not set)"
+        yield ok("ros domain", f"{environment.domain()}{given}")
+    yield _range()
+    if os.environ.get("ROS_LOCALHOST_ONLY"):
+        yield hint(
+            "ros discovery", "ROS_LOCALHOST_ONLY is set, which is old", "use ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
+        )
+    yield from _prefixes()
+
+
+def _range() -> Finding:
+    chosen = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
+    part = "ros discovery"
+    if not chosen:
+        return ok(part, "SUBNET, as nothing else is set: other computers of this network hear and are heard")
+    if chosen not in _RANGES:
+        text = f"ROS_AUTOMATIC_DISCOVERY_RANGE is '{chosen}', which ROS does not know"
+        return wrong(part, text, f"set it to one of {', '.join(_RANGES)}")
+    if chosen == "OFF":
+        return wrong(part, "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: nodes do not find each other", "unset it")
+    return ok(part, f"ROS_AUTOMATIC_DISCOVERY_RANGE is {chosen}")
+
+
+def _prefixes() -> Iterator[Finding]:
+    """Yield whether ROS finds this package by AMENT_PREFIX_PATH."""
+    part = "ros prefix"
+    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    index = Path("share/ament_index/resource_index/packages/deltacharger")
+    having = [prefix for prefix in prefixes if (prefix / index).exists()]
+    missing = [str(prefix) for prefix in prefixes if not prefix.is_dir()]
+    if not prefixes:
+        yield wrong(
+            part, "AMENT_PREFIX_PATH is not set", "source install/setup.bash of the workspace, or build with make"
+        )
+    elif not having:
+        shown = os.environ["AMENT_PREFIX_PATH"]
+        advice = "source install/setup.bash of the charger's workspace; in a venv: unset AMENT_PREFIX_PATH"
+        yield wrong(part, f"no prefix of AMENT_PREFIX_PATH has this package: {shown}", advice)
+    else:
+        yield ok(part, f"the package is in {having[0]}")
+    if missing:
+        yield hint(part, f"AMENT_PREFIX_PATH names what does not exist: {', '.join(missing)}", "start in a new shell")
+
+
+class RosProbe:
+    """Ask ROS in a process of its own, which runs on while other things are examined."""
+
+    def __init__(self) -> None:
+        command = [sys.executable, "-m", "deltacharger_bringup.doctor.ros_probe"]
+        self._domain_works = not environment.domain_problem()
+        variables = dict(os.environ) if self._domain_works else {**os.environ, "ROS_DOMAIN_ID": "0"}
+        self._process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=variables
+        )
+        self._report: dict[str, Any] = {}
+
+    def close(self) -> None:
+        """End it, whether it has finished or not."""
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.communicate()
+
+    def images(self) -> int | None:
+        """Return how many publish images; None where ROS could not be asked. Call after `examine`."""
+        count = self._report.get("images")
+        return int(count) if count is not None and self._domain_works else None
+
+    def examine(self) -> Iterator[Finding]:
+        """Yield what ROS says, after waiting for it."""
+        try:
+            out, err = self._process.communicate(timeout=_LONGEST_PROBE)
+            problem = f"the process ended with code {self._process.returncode}: {_last_line(err)}"
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            out, _ = self._process.communicate()
+            problem = f"it took more than {_LONGEST_PROBE:.0f} s"
+        lines = out.strip().splitlines()
+        report = self._report = json.loads(lines[-1]) if lines else {"step": "rclpy", "error": ""}
+        yield from self._reached(report)
+        if report["step"]:
+            crashed = not report["error"]
+            problem = report["error"] or problem
+            cause = _cause(report["step"], problem)
+            advice = f"start in a new shell with one ROS installation only; then {_ADVICE[cause]}"
+            yield wrong(_STEPS[cause], problem, advice if crashed else _ADVICE[cause])
+
+    def _reached(self, report: dict[str, Any]) -> Iterator[Finding]:
+        """Yield the steps of the probe that went well."""
+        if "rclpy" in report:
+            yield ok("rclpy", f"loaded from {report['rclpy']}")
+        if "interfaces" in report:
+            yield ok("interfaces", f"{report['interfaces']} messages, services and actions are built and loaded")
+        if "numpy" in report:
+            yield ok("numpy and ROS", "arrays pass from one to the other")
+        if "chargers" in report:
+            yield ok("ros middleware", f"{report['rmw']} runs")
+            if self._domain_works:
+                yield _running(report["chargers"])
+
+
+_STEPS = {"rclpy": "rclpy", "interfaces": "interfaces", "numpy": "numpy and ROS", "middleware": "ros middleware"}
+_ADVICE = {
+    "rclpy": "in a venv: pip install 'ros-rclpy[fastrtps]'; on a ROS installation: source its setup.bash",
+    "interfaces": "build them: pip install ., or colcon build and source install/setup.bash",
+    "numpy": "build the interfaces again with the numpy that is installed now: pip install --no-build-isolation .",
+    "middleware": "unset RMW_IMPLEMENTATION or install what it names; check ROS_DOMAIN_ID and the network",
+}
+
+
+def _cause(step: str, problem: str) -> str:
+    """Return the step to which a problem belongs; another one may have stumbled over it first."""
+    for cause, word in (("numpy", "numpy"), ("middleware", "rmw")):
+        if word in problem.lower():
+            return cause
+    return step
+
+
+def _last_line(text: str) -> str:
+    """Return the last line of what a process said, without colours."""
+    lines = re.sub(r"\x1b\[[0-9;]*m", "", text).strip().splitlines()
+    return lines[-1] if lines else "nothing was said"
+
+
+def _running(chargers: list[str]) -> Finding:
+    domain = environment.domain()
+    if chargers:
+        text = f"a charger runs in ROS domain {domain}, namespace {', '.join(chargers)}"
+        return hint("charger", text, "end it before another is started there; it holds the ports of its scene")
+    return ok("charger", f"none runs in ROS domain {domain}")

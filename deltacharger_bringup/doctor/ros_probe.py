@@ -1,0 +1,107 @@
+"""What ROS itself says, asked in a process of its own: python -m deltacharger_bringup.doctor.ros_probe.
+
+A wrong library can end or hang the process that loads it; this one may. It prints what it knows as a line of JSON
+before each step, so that the last line tells how far it came.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+import time
+from typing import Any
+
+_LOOK = 3.3  # s; who misses a charger's first announcement waits 3 s for the next
+_STEP = 0.05  # s
+
+
+def main() -> int:
+    """Probe step by step."""
+    report: dict[str, Any] = {"error": ""}
+    try:
+        _probe(report)
+        _tell(report, "")
+    except Exception as error:
+        lines = str(error).strip().splitlines() or [type(error).__name__]
+        report["error"] = f"{type(error).__name__}: {lines[0]}"
+        _tell(report, report["step"])
+    os._exit(0)  # the middleware's own threads must not keep a report back
+
+
+def _tell(report: dict[str, Any], step: str) -> None:
+    """Print what is known before `step` is tried; '' = all were."""
+    report["step"] = step
+    sys.stdout.write(json.dumps(report) + "\n")
+    sys.stdout.flush()
+
+
+def _probe(report: dict[str, Any]) -> None:
+    _tell(report, "rclpy")
+    import rclpy
+
+    report["rclpy"] = os.path.dirname(os.path.dirname(str(rclpy.__file__)))
+    _tell(report, "interfaces")
+    report["interfaces"] = _load_interfaces()
+    _tell(report, "numpy")
+    _exchange_arrays()
+    report["numpy"] = True
+    _tell(report, "middleware")
+    _look_around(report)
+
+
+def _load_interfaces() -> int:
+    """Load the compiled half of every interface and return how many there are."""
+    count = 0
+    for kind in ("msg", "srv", "action"):
+        module = importlib.import_module(f"deltacharger.{kind}")
+        for name, interface in vars(module).items():
+            if isinstance(interface, type) and hasattr(interface, "__import_type_support__"):
+                interface.__import_type_support__()
+                count += "_" not in name  # Dock_Goal is a part of Dock
+    return count
+
+
+def _exchange_arrays() -> None:
+    """Let the compiled half handle numpy's arrays, which another ABI of numpy breaks."""
+    import numpy as np
+    from deltacharger.msg import ServoState, TactileFrame
+    from geometry_msgs.msg import PoseWithCovariance
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    sent = PoseWithCovariance(covariance=np.arange(36.0))
+    received: Any = deserialize_message(serialize_message(sent), PoseWithCovariance)
+    if not np.array_equal(received.covariance, sent.covariance):
+        raise RuntimeError("an array came back changed")
+    deserialize_message(serialize_message(TactileFrame(left=[1.0] * 100)), TactileFrame)
+    deserialize_message(serialize_message(ServoState(position=[1.0] * 3)), ServoState)
+
+
+def _look_around(report: dict[str, Any]) -> None:
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.node import Node
+    from rclpy.utilities import get_rmw_implementation_identifier
+
+    report["rmw"] = get_rmw_implementation_identifier()
+    context = Context()
+    rclpy.init(context=context, args=[])
+    node = Node("charger_doctor", context=context, enable_rosout=False, start_parameter_services=False)
+    end = time.monotonic() + _LOOK
+    chargers: list[str] = []
+    while not chargers and time.monotonic() < end:
+        time.sleep(_STEP)
+        topics = dict(node.get_topic_names_and_types())
+        chargers = sorted(
+            name.removesuffix("/docking_state") or "/"
+            for name, types in topics.items()
+            if name.endswith("/docking_state") and types == ["deltacharger/msg/DockingState"]
+        )
+    report["chargers"] = chargers
+    names = [name for name, _ in node.get_topic_names_and_types() if name.endswith("/color/image_raw")]
+    report["images"] = sum(node.count_publishers(name) for name in names)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,184 @@
+"""Are the servos there, at the right speed, healthy, and set as the driver demands? Reads only."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
+
+if TYPE_CHECKING:
+    from deltacharger_driver.port_identity import FoundServo, PortIdentity
+    from deltacharger_driver.servo_link import ServoLink
+
+SUPPLY = (11.0, 13.0)  # V, what a 12 V regulator gives
+_WARM = 15.0  # °C below the servo's own limit
+_PATIENCE = 0.15  # s for replies to a ping to all: ids up to about 50
+_READS = 50  # of each servo, for the quality of the line
+_SUPPLY_ADVICE = "check the 12 V supply, the cable and its plugs"
+_FIRMWARE_ADVICE = "update its firmware to 39 or later (Protocol 2.0) with the vendor's wizard"
+
+
+def examine_servos(path: str, baud_rate: int, ids: Sequence[int], current_max: float) -> Iterator[Finding]:
+    """Find all servos of a port and look into those that the charger uses.
+
+    Args:
+        path: of the port; nobody else may have it open.
+        baud_rate: at which they should answer, bit/s.
+        ids: of limbs 0, 1, 2.
+        current_max: A, the largest current bound that will be asked of them.
+    """
+    from deltacharger_driver.port_identity import identify
+
+    found = identify(path, ids=ids, patience=_PATIENCE)
+    if found.kind != "servos":
+        yield _none(found)
+        return
+    ready = []
+    for servo in ids:
+        matching = [one for one in found.servos if one.servo == servo]
+        problem = _problem(servo, matching, baud_rate, path)
+        if problem is not None:
+            yield problem
+        else:
+            ready.append(servo)
+            yield ok(f"servo {servo}", f"answers at {baud_rate} bit/s, MX-64, firmware {matching[0].firmware}")
+    yield from _strangers(found.servos, ids)
+    if ready:
+        yield from _look_inside(path, baud_rate, ready, current_max)
+
+
+def _none(found: PortIdentity) -> Finding:
+    if found.kind == "board":
+        advice = "exchange the two cables, or the two ports in the scene or on the command line"
+        return wrong("servos", f"{found.port}: here is the board, not the servos", advice)
+    if found.kind == "silent":
+        text = f"{found.port}: no servo answers, at any speed, with Protocol 2.0 or 1.0"
+        return wrong("servos", text, f"{_SUPPLY_ADVICE}; or give the right port")
+    return wrong("servos", f"{found.port}: {found.details}", "give the right port, or look for noise and duplicate ids")
+
+
+def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, path: str) -> Finding | None:
+    """Return why one servo cannot be used, or None."""
+    from deltacharger_driver.mx64 import MODEL
+
+    part = f"servo {servo}"
+    if not matching:
+        return wrong(
+            part, "does not answer at any speed", f"{_SUPPLY_ADVICE}; give it the id {servo} where it has another"
+        )
+    one = matching[0]
+    if len(matching) > 1 or one.garbled:
+        where = " and ".join(str(one.speed) for one in matching)
+        text = f"answers unintelligibly or twice (at {where} bit/s): two servos have this id, or there is noise"
+        return wrong(part, text, "unplug one and give it another id; else look at the plugs")
+    if one.protocol == 1:
+        return wrong(part, f"speaks Protocol 1.0 at {one.speed} bit/s", _FIRMWARE_ADVICE)
+    if one.model != MODEL:
+        return wrong(part, f"is model {one.model}, not an MX-64 with Protocol 2.0 ({MODEL})", "replace it")
+    if one.speed != baud_rate:
+        command = f"deltacharger doctor --servo-port {path} --set-baud {baud_rate} --ids {servo}"
+        return wrong(part, f"answers at {one.speed} bit/s, not at {baud_rate}", f"run: {command}")
+    return None
+
+
+def _strangers(servos: Sequence[FoundServo], ids: Sequence[int]) -> Iterator[Finding]:
+    for one in servos:
+        if one.servo not in ids:
+            yield hint(
+                "servos", f"a servo answers that the charger does not use: {one}", "its id may be meant as another"
+            )
+
+
+def _look_inside(path: str, baud_rate: int, servos: Sequence[int], current_max: float) -> Iterator[Finding]:
+    """Yield what the registers of servos at the right speed say."""
+    from deltacharger_driver.errors import CorruptReply, NoAnswer, ServoFault
+    from deltacharger_driver.servo_link import ServoLink
+
+    link = ServoLink(path, baud_rate)
+    link.open()
+    try:
+        for servo in servos:
+            try:
+                yield from _health(link, servo)
+                yield from _settings(link, servo, current_max)
+            except NoAnswer:
+                text = "answers pings but no reads: its status return level is 0, or the line is bad"
+                yield hint(f"servo {servo}", text, "servo_node sets the level when it starts; else look at the plugs")
+            except (CorruptReply, ServoFault) as error:
+                yield failed(f"servo {servo}", error, "look for noise, a bad plug or two servos with this id")
+        yield from _line(link, servos)
+    finally:
+        link.close()
+
+
+def _health(link: ServoLink, servo: int) -> Iterator[Finding]:
+    from deltacharger_driver.mx64 import VOLTAGE_UNIT, WATCHDOG_TRIPPED, describe_hardware_error
+
+    part = f"servo {servo}"
+    errors = link.read(servo, "hardware_error")
+    if errors:
+        advice = "remove the cause, then call the service reboot_servos or switch the supply off and on"
+        yield wrong(part, f"hardware error latched: {describe_hardware_error(errors)}", advice)
+    if link.read(servo, "torque_enable"):
+        yield hint(part, "its torque is on though no driver runs", "servo_node switches it off when it starts")
+    if link.read(servo, "bus_watchdog") == WATCHDOG_TRIPPED:
+        text = "its bus watchdog has tripped: it heard nothing for too long and takes no goals"
+        yield hint(part, text, "servo_node clears it when it starts")
+    voltage = VOLTAGE_UNIT * link.read(servo, "input_voltage")
+    temperature, limit = link.read(servo, "temperature"), link.read(servo, "temperature_limit")
+    least, most = (VOLTAGE_UNIT * link.read(servo, name) for name in ("min_voltage", "max_voltage"))
+    if not least <= voltage <= most:
+        yield wrong(part, f"supply {voltage:.1f} V, outside its limits of {least:.1f} to {most:.1f} V", _SUPPLY_ADVICE)
+    elif not SUPPLY[0] <= voltage <= SUPPLY[1]:
+        yield hint(
+            part, f"supply {voltage:.1f} V; the regulator should give 12 V", "check the regulator and the battery"
+        )
+    if temperature >= limit:
+        yield wrong(part, f"{temperature} °C, at its limit of {limit} °C: it will switch off", "let it cool")
+    elif temperature > limit - _WARM:
+        yield hint(part, f"{temperature} °C, near its limit of {limit} °C", "let it cool, or ease its load")
+    yield ok(part, f"supply {voltage:.1f} V, {temperature} °C")
+
+
+def _settings(link: ServoLink, servo: int, current_max: float) -> Iterator[Finding]:
+    """Yield which registers servo_node would refuse."""
+    from deltacharger_driver.servo_setup import check_registers
+
+    for fault in check_registers(link, servo, current_max):
+        what, _, advice = fault.partition("; ")
+        advice = f"{advice}; set it with the vendor's wizard" if "wizard" not in advice else advice
+        yield wrong(f"servo {servo}", what.removeprefix(f"servo {servo}: "), advice)
+
+
+def _line(link: ServoLink, servos: Sequence[int]) -> Iterator[Finding]:
+    """Yield how reliably and how fast the servos answer."""
+    from deltacharger_driver.errors import CorruptReply, NoAnswer, ServoFault
+
+    times: list[float] = []
+    lost = 0
+    for _ in range(_READS):
+        for servo in servos:
+            began = time.monotonic()
+            try:
+                link.read(servo, "present_position", hurry=True)
+                times.append(time.monotonic() - began)
+            except (NoAnswer, CorruptReply, ServoFault):
+                lost += 1
+    asked = _READS * len(servos)
+    counters = link.counters
+    text = f"{asked} reads, {lost} lost"
+    if lost:
+        text += f" ({counters.timeouts} silent, {counters.corrupt} damaged, {counters.late} late)"
+    if times:
+        text += f", median {statistics.median(times) * 1e3:.1f} ms each"
+    if lost > asked // 100:
+        yield wrong(
+            "servo line", text, "look at plugs and cables, keep them away from the power stage's, check the ground"
+        )
+    elif lost:
+        yield hint("servo line", text, "look at plugs and cables")
+    else:
+        yield ok("servo line", text)

@@ -1,0 +1,234 @@
+"""Which of the charger's devices is on a serial port, and at which speed. Writes no register of any device.
+
+Asked are only what every device may be asked at any time: pings of servos, and the board's HELLO.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from deltacharger_driver.board_payloads import Hello, decode_hello
+from deltacharger_driver.board_port import BoardPort
+from deltacharger_driver.board_protocol import (
+    POWER_RATE,
+    Packet,
+    PacketDecoder,
+    PacketError,
+    PacketType,
+    encode_packet,
+    is_from_board,
+)
+from deltacharger_driver.mx64 import MODEL, MODEL_PROTOCOL_1, SPEEDS
+from deltacharger_driver.servo_port import latency_timer
+from deltacharger_driver.servo_protocol import crc16
+
+BOARD_SPEED = 1_000_000
+SERVO_SPEEDS = (1_000_000, 57600, *(speed for speed in SPEEDS.values() if speed not in (1_000_000, 57600)))
+"""Every speed of a servo, the likely ones first, bit/s."""
+_IDS = (1, 2, 3)
+_PATIENCE = 0.05  # s; servos with ids up to about 15 answer a ping to all within it
+_LISTEN = 2.4 / POWER_RATE  # s in which a board, which sends its power unasked, is heard twice
+_HELLO_WAIT = 0.15  # s
+_EVERYBODY = 254
+_ATTEMPTS = 4
+_HEADER = b"\xff\xff\xfd\x00"
+_PING_REPLY = 14  # bytes
+_STATUS = 0x55
+_PING_LENGTH = 64  # bytes of wire that a ping and the replies of an arm take at most
+
+
+@dataclass(frozen=True)
+class FoundServo:
+    """A servo that answered a ping.
+
+    Attributes:
+        servo: its id.
+        speed: at which it answers, bit/s.
+        protocol: 1 or 2.
+        model: its model number; 0 with Protocol 1.0, which does not tell it in a ping.
+        firmware: its version; 0 likewise.
+        garbled: bytes came each time that this id alone was asked, and never an intact reply: two servos with one id
+            answer at the same time.
+    """
+
+    servo: int
+    speed: int
+    protocol: int = 2
+    model: int = 0
+    firmware: int = 0
+    garbled: bool = False
+
+    def __str__(self) -> str:
+        if self.garbled:
+            return f"id {self.servo} at {self.speed} bit/s, unintelligible"
+        if self.protocol == 1:
+            return f"id {self.servo} at {self.speed} bit/s with Protocol 1.0"
+        name = {MODEL: "MX-64", MODEL_PROTOCOL_1: "MX-64 for Protocol 1.0"}.get(self.model, f"model {self.model}")
+        return f"id {self.servo} at {self.speed} bit/s, {name}, firmware {self.firmware}"
+
+
+@dataclass(frozen=True)
+class PortIdentity:
+    """What is on a port.
+
+    Attributes:
+        port: its path.
+        kind: "servos", "board", "silent" (nothing answers) or "other" (bytes come that neither of them sends).
+        details: the same as a sentence.
+        servos: those that answered.
+        hello: the board's introduction; None where it is none, or gave none that is understood.
+        version: of the protocol that the board speaks; 0 where it is none.
+    """
+
+    port: str
+    kind: Literal["servos", "board", "silent", "other"]
+    details: str
+    servos: tuple[FoundServo, ...] = ()
+    hello: Hello | None = None
+    version: int = 0
+
+
+def identify(
+    path: str,
+    speeds: Iterable[int] = SERVO_SPEEDS,
+    ids: Iterable[int] = _IDS,
+    patience: float = _PATIENCE,
+) -> PortIdentity:
+    """Find out which device is on a port: listen, greet a board, then ping servos at every speed.
+
+    Args:
+        path: of the port; nobody else may have it open.
+        speeds: at which servos are looked for, bit/s.
+        ids: that are asked for Protocol 1.0, which has no ping to all.
+        patience: s to wait for replies to a ping to all; a servo answers the later the higher its id, 3 ms each.
+
+    Raises:
+        PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: it cannot be opened, and why.
+        PortGone: it vanished meanwhile.
+    """
+    port = BoardPort(path, BOARD_SPEED)
+    try:
+        board, heard = _find_board(port)
+        if board is not None:
+            return board
+        servos = find_servos(port, speeds, ids, patience)
+    finally:
+        port.close()
+    if servos and not (heard and all(servo.garbled for servo in servos)):
+        return PortIdentity(path, "servos", "servos: " + "; ".join(map(str, servos)), tuple(servos))
+    if heard:
+        return PortIdentity(path, "other", f"{heard} bytes came that neither the servos nor the board send")
+    return PortIdentity(path, "silent", "nothing answers at any speed")
+
+
+def _find_board(port: BoardPort) -> tuple[PortIdentity | None, int]:
+    """Return the board where it is one, and how many bytes came in any case."""
+    decoder = PacketDecoder()
+    heard = _receive(port, _LISTEN)
+    packets = decoder.feed(heard + _exchange(port, encode_packet(Packet(PacketType.HELLO)), _HELLO_WAIT))
+    counters = decoder.counters
+    for packet in packets:
+        if packet.type == PacketType.HELLO:
+            try:
+                hello = decode_hello(packet.payload)
+            except PacketError:
+                continue
+            text = f"board, version {hello.major}.{hello.minor}, {hello.rows} x {hello.columns} taxels per pad"
+            return PortIdentity(port.port, "board", text, hello=hello, version=hello.major), counters.bytes
+    if any(is_from_board(packet.type) for packet in packets):
+        text = "board, but it does not introduce itself"
+        return PortIdentity(port.port, "board", text, version=1), counters.bytes
+    if counters.refused_version is not None:
+        text = f"board that speaks version {counters.refused_version}"
+        return PortIdentity(port.port, "board", text, version=counters.refused_version), counters.bytes
+    return None, counters.bytes
+
+
+def _receive(port: BoardPort, duration: float) -> bytes:
+    """Return all that comes within `duration` s."""
+    received = bytearray()
+    end = time.monotonic() + duration
+    while (left := end - time.monotonic()) > 0.0:
+        received += port.read(left)
+    return bytes(received)
+
+
+def find_servos(
+    port: BoardPort,
+    speeds: Iterable[int],
+    ids: Iterable[int] = _IDS,
+    patience: float = _PATIENCE,
+) -> list[FoundServo]:
+    """Ping all servos at each speed; arguments as in `identify`. The port is left at the last speed.
+
+    Raises:
+        PortGone: the port vanished.
+    """
+    found: list[FoundServo] = []
+    latency = 2.0 * latency_timer(port.port)
+    ids = tuple(ids)
+    for speed in speeds:
+        port.set_speed(speed)
+        wire = 10.0 * _PING_LENGTH / speed
+        port.write(_ping_2(_EVERYBODY))
+        found += _ping_replies(_receive(port, patience + latency + wire), speed)
+        known = {servo.servo for servo in found if not servo.garbled}
+        for servo in (servo for servo in ids if servo not in known):
+            found += _ask_one(port, servo, speed, 0.4 * _PATIENCE + latency + wire)
+    return found
+
+
+def _ask_one(port: BoardPort, servo: int, speed: int, wait: float) -> list[FoundServo]:
+    """Ping a servo that did not answer the ping to all: the reply may have been lost, or it knows no such ping."""
+    answers = 0
+    for _ in range(_ATTEMPTS):
+        reply = _exchange(port, _ping_2(servo), wait)
+        found = [one for one in _ping_replies(reply, speed) if one.servo == servo]
+        if found:
+            return found
+        if not reply:
+            break
+        answers += 1
+    if _status_1(servo) in _exchange(port, _ping_1(servo), wait):
+        return [FoundServo(servo, speed, protocol=1)]
+    return [FoundServo(servo, speed, garbled=True)] if answers == _ATTEMPTS else []
+
+
+def _exchange(port: BoardPort, question: bytes, wait: float) -> bytes:
+    """Return what comes within `wait` s of a question, without its echo, which some adapters give."""
+    port.write(question)
+    return _receive(port, wait).replace(question, b"")
+
+
+def _ping_replies(data: bytes, speed: int) -> list[FoundServo]:
+    """Return the servos whose replies to a ping stand intact in `data`."""
+    found = []
+    start = data.find(_HEADER)
+    while start >= 0:
+        reply = data[start : start + _PING_REPLY]
+        length = int.from_bytes(reply[5:7], "little")
+        intact = len(reply) == _PING_REPLY and length == _PING_REPLY - 7 and reply[7] == _STATUS
+        if intact and crc16(reply[:-2]) == int.from_bytes(reply[-2:], "little"):
+            model = int.from_bytes(reply[9:11], "little")
+            found.append(FoundServo(reply[4], speed, model=model, firmware=reply[11]))
+        start = data.find(_HEADER, start + 1)
+    return found
+
+
+def _ping_2(servo: int) -> bytes:
+    """Return a ping of Protocol 2.0."""
+    packet = _HEADER + bytes((servo, 3, 0, 1))
+    return packet + crc16(packet).to_bytes(2, "little")
+
+
+def _ping_1(servo: int) -> bytes:
+    """Return a ping of Protocol 1.0."""
+    return b"\xff\xff" + bytes((servo, 2, 1, ~(servo + 3) & 0xFF))
+
+
+def _status_1(servo: int) -> bytes:
+    """Return the beginning of a status packet without parameters."""
+    return b"\xff\xff" + bytes((servo, 2))

@@ -1,0 +1,202 @@
+"""Which device is on a port, told on real pseudo-terminals; and swapped cables, told by the drivers themselves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from deltacharger_driver.bench_arm import BenchArm
+from deltacharger_driver.bench_plant import BenchPlant
+from deltacharger_driver.board_emulator import BoardEmulator
+from deltacharger_driver.board_link import BoardLink
+from deltacharger_driver.board_port import BoardPort
+from deltacharger_driver.board_protocol import Packet, PacketType, encode_packet
+from deltacharger_driver.errors import HandshakeError, NoAnswer, PortMissing, WrongDevice
+from deltacharger_driver.mx64 import REGISTERS
+from deltacharger_driver.port_identity import SERVO_SPEEDS, find_servos, identify
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.servo_bus import ServoBus
+from deltacharger_driver.servo_emulator import ServoBusEmulator, terminal_speed
+from deltacharger_driver.servo_packets import status
+from deltacharger_driver.servo_snapshot import BusSettings
+
+
+@pytest.fixture
+def servos() -> ServoBusEmulator:
+    return ServoBusEmulator(BenchArm())
+
+
+@pytest.fixture
+def servo_port(servos: ServoBusEmulator) -> Iterator[str]:
+    with PseudoTerminal(servos) as terminal:
+        servos.line_speed = lambda: terminal_speed(terminal.path)
+        yield terminal.path
+
+
+@pytest.fixture
+def board_port() -> Iterator[str]:
+    with PseudoTerminal(BoardEmulator(BenchPlant())) as terminal:
+        yield terminal.path
+
+
+class Babbler:
+    """A device that answers everything by the same."""
+
+    def __init__(self, answer: bytes) -> None:
+        self._answer = answer
+
+    def receive(self, data: bytes, now: float) -> bytes:
+        return self._answer
+
+    def poll(self, now: float) -> bytes:
+        return b""
+
+    def next_event(self, now: float) -> float:
+        return math.inf
+
+
+def written(servos: ServoBusEmulator) -> list[int]:
+    """Everything that a host could have written."""
+    return [
+        servos.servo(servo).table.get(name)
+        for servo in (1, 2, 3)
+        for name, register in REGISTERS.items()
+        if register.writable
+    ]
+
+
+def test_servos_are_found_at_the_speed_of_each(servos: ServoBusEmulator, servo_port: str) -> None:
+    servos.set_speed(2, 1)
+    found = identify(servo_port)
+    assert found.kind == "servos"
+    assert sorted((s.servo, s.speed, s.protocol, s.model) for s in found.servos) == [
+        (1, 1_000_000, 2, 311),
+        (2, 57600, 2, 311),
+        (3, 1_000_000, 2, 311),
+    ]
+    assert "id 2 at 57600 bit/s" in found.details
+    assert found.hello is None
+
+
+@pytest.mark.parametrize("speed", range(7))
+def test_no_speed_is_overlooked(servos: ServoBusEmulator, servo_port: str, speed: int) -> None:
+    for servo in (1, 2, 3):
+        servos.set_speed(servo, speed)
+    found = identify(servo_port)
+    assert {s.servo for s in found.servos} == {1, 2, 3}
+    assert len({s.speed for s in found.servos}) == 1
+    assert len(SERVO_SPEEDS) == 7
+
+
+def test_old_firmware_is_found(servos: ServoBusEmulator, servo_port: str) -> None:
+    servos.use_protocol_1(3)
+    found = identify(servo_port, speeds=(1_000_000,))
+    assert [(s.servo, s.protocol) for s in found.servos] == [(1, 2), (2, 2), (3, 1)]
+    assert "Protocol 1.0" in found.details
+
+
+def test_two_servos_with_one_id_are_found_and_not_trusted() -> None:
+    with PseudoTerminal(ServoBusEmulator(BenchArm(), ids=(1, 2, 2))) as terminal:
+        found = identify(terminal.path, speeds=(1_000_000,))
+    assert [(s.servo, s.garbled) for s in found.servos if s.servo == 1] == [(1, False)]
+    twins = [s for s in found.servos if s.servo == 2]
+    assert len(twins) > 1 or twins[0].garbled
+
+
+def test_a_lost_reply_loses_no_servo(servos: ServoBusEmulator, servo_port: str) -> None:
+    for servo in (1, 2, 3):
+        servos.faults.next_reply("drop", servo)
+    assert {(s.servo, s.garbled) for s in identify(servo_port).servos} == {(1, False), (2, False), (3, False)}
+
+
+def test_identifying_writes_nothing(servos: ServoBusEmulator, servo_port: str) -> None:
+    servos.set_speed(2, 1)
+    before = written(servos)
+    assert len(identify(servo_port).servos) == 3
+    assert written(servos) == before
+
+
+def test_a_board_is_found_and_goes_on_as_it_was(board_port: str) -> None:
+    found = identify(board_port)
+    assert (found.kind, found.version, found.servos) == ("board", 1, ())
+    assert found.hello is not None
+    assert (found.hello.rows, found.hello.columns) == (10, 10)
+    with BoardLink(board_port) as link:
+        assert link.counters.tactile == 0  # nobody has started the stream
+        link.tare()
+
+
+def test_a_board_of_another_version_is_a_board() -> None:
+    packet = encode_packet(Packet(PacketType.POWER, bytes(16)), version=3)
+    with PseudoTerminal(Babbler(packet)) as terminal:
+        found = identify(terminal.path)
+    assert (found.kind, found.version, found.hello) == ("board", 3, None)
+
+
+@pytest.mark.parametrize(("answer", "kind"), [(b"", "silent"), (b"login: ", "other")])
+def test_what_is_neither_is_said(answer: bytes, kind: str) -> None:
+    with PseudoTerminal(Babbler(answer)) as terminal:
+        found = identify(terminal.path, speeds=(1_000_000, 57600))
+    assert found.kind == kind
+    assert found.servos == ()
+
+
+def test_a_port_that_is_not_there_is_no_identity() -> None:
+    with pytest.raises(PortMissing):
+        identify("/dev/does-not-exist")
+
+
+@pytest.mark.parametrize("scan", [True, False])
+def test_the_servo_driver_on_the_board_says_that_the_cables_are_swapped(board_port: str, scan: bool) -> None:
+    with pytest.raises(WrongDevice, match="exchange the two cables") as caught:
+        ServoBus(BusSettings(port=board_port)).open(scan)
+    assert (caught.value.expected, caught.value.port) == ("the servos", board_port)
+    assert isinstance(caught.value, ConnectionError)
+    with BoardLink(board_port) as link:  # the port is free again
+        link.ping()
+
+
+@pytest.mark.parametrize("speed", [1, 3])
+def test_the_board_driver_on_the_servos_says_that_the_cables_are_swapped(
+    servos: ServoBusEmulator, servo_port: str, speed: int
+) -> None:
+    for servo in (1, 2, 3):
+        servos.set_speed(servo, speed)
+    with pytest.raises(WrongDevice, match="exchange the two cables") as caught:
+        BoardLink(servo_port).open()
+    assert caught.value.found == "the servos"
+    assert identify(servo_port).kind == "servos"
+
+
+@pytest.mark.parametrize(
+    ("opened", "error"),
+    [
+        (lambda port: BoardLink(port).open(), NoAnswer),
+        (lambda port: ServoBus(BusSettings(port=port)).open(scan=False), HandshakeError),
+    ],
+)
+def test_silence_is_not_taken_for_swapped_cables(opened: Callable[[str], None], error: type[Exception]) -> None:
+    with PseudoTerminal(Babbler(b"")) as terminal, pytest.raises(error):
+        opened(terminal.path)
+
+
+class Noisy(Babbler):
+    """Servos whose replies stand among other bytes, one of them damaged."""
+
+    def __init__(self) -> None:
+        good = status(7, 0, bytes((0x37, 0x01, 45)))
+        damaged = bytearray(status(9, 0, bytes((0x37, 0x01, 45))))
+        damaged[10] ^= 4
+        super().__init__(b"\xff\xff\xfd" + good[:9] + b"\x17" + bytes(damaged) + good + b"\xff\xff\xfd\0")
+
+
+def test_replies_among_noise_are_found_and_damaged_ones_are_not() -> None:
+    with PseudoTerminal(Noisy()) as terminal:
+        port = BoardPort(terminal.path, 1_000_000)
+        try:
+            found = find_servos(port, (1_000_000,), ids=())
+        finally:
+            port.close()
+    assert [(s.servo, s.model, s.firmware) for s in found] == [(7, 311, 45)]

@@ -1,0 +1,77 @@
+"""Rates and latenesses for the diagnostics."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deltacharger_driver.rate_meter import Lateness, RateMeter
+
+
+class Clock:
+    """A clock that is set by hand."""
+
+    def __init__(self) -> None:
+        self.now = 5.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_the_rate_is_that_since_the_last_look() -> None:
+    clock = Clock()
+    meter = RateMeter(clock)
+    for _ in range(50):
+        meter.count()
+    clock.now += 0.5
+    assert meter.rate() == pytest.approx(100.0)
+    clock.now += 2.0
+    assert meter.rate() == 0.0
+    meter.count()
+    clock.now += 0.1
+    assert meter.rate() == pytest.approx(10.0)
+
+
+def test_no_time_no_rate() -> None:
+    meter = RateMeter(Clock())
+    meter.count()
+    assert math.isnan(meter.rate())
+
+
+def test_late_ones_are_counted_for_good() -> None:
+    clock = Clock()
+    meter = RateMeter(clock)
+    for late in (True, False, True):
+        meter.count(late=late)
+    clock.now += 1.0
+    meter.rate()
+    assert meter.late == 2
+
+
+def test_nothing_noted_is_not_known() -> None:
+    lateness = Lateness()
+    assert math.isnan(lateness.largest)
+    assert math.isnan(lateness.percentile(0.99))
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=512), st.floats(0.0, 1.0))
+def test_a_percentile_is_a_value_that_so_many_do_not_exceed(values: list[float], share: float) -> None:
+    lateness = Lateness()
+    for value in values:
+        lateness.note(value)
+    found = lateness.percentile(share)
+    assert found in values
+    assert sum(value <= found for value in values) >= share * len(values) - 1e-9
+    assert lateness.percentile(1.0) == lateness.largest == max(values)
+
+
+def test_old_ones_are_forgotten_but_the_largest_is_not() -> None:
+    lateness = Lateness()
+    lateness.note(1.0)
+    for _ in range(600):
+        lateness.note(0.001)
+    assert lateness.percentile(1.0) == 0.001
+    assert lateness.largest == 1.0
