@@ -5,13 +5,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Generator
+from dataclasses import replace
 from typing import TypeVar
 
 from deltacharger_docking.codes import DockingError, PhaseTimeout, ServoFailure, State, Stuck
 from deltacharger_docking.contact_current import ContactCurrent
 from deltacharger_docking.motion import Planner
-from deltacharger_docking.observation import Command, Observation, Reply, Request, Service, Status, Waypoint
+from deltacharger_docking.observation import Command, Observation, Reply, Request, Service, Status
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.trajectory_feed import Piece, TrajectoryFeed, pull
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.statics import TORQUE_CONSTANT
@@ -22,7 +24,8 @@ T = TypeVar("T")
 Script = Generator[None, None, T]
 
 _RELEASED = 0.001  # m of retreat that tells the magnets have let go, where the pads feel nothing any more
-_PULL_AGAIN = 0.2  # s; servos whose watchdog has tripped forget what they were told
+_REACHES_OUT = (State.APPROACH, State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
+_SETTING_BACK = 0.05  # s for the goal to get behind the platform before the pull
 _SPRING_TRAVEL = 0.004  # m of retreat that electrodes on springs cannot follow, whatever the pads say
 
 
@@ -34,6 +37,7 @@ class Context:
         self.kinematics = ScalarDelta(geometry)
         self.contact = ContactCurrent(self.kinematics, parameters)
         self.planner = Planner(parameters, geometry)
+        self.feed = TrajectoryFeed(parameters.servo_damping / parameters.servo_stiffness)
         self.status = Status()
         self.observation = Observation(time=0.0)
         self.energise = False
@@ -41,8 +45,9 @@ class Context:
         self.energy = 0.0
         self.commanded: Vector = (math.nan, math.nan, math.nan)
         self.deadline = math.inf
+        self._retreats = False  # the line under way leads away from the target
         self._numbers = itertools.count(1)
-        self._trajectory: tuple[Waypoint, ...] | None = None
+        self._told: Piece | None = None  # in place of the line under way
         self._requests: list[Request] = []
         self._replies: dict[int, Reply] = {}
 
@@ -70,10 +75,22 @@ class Context:
 
     def command(self) -> Command:
         """Return and forget what the scripts asked for in this tick."""
-        command = Command(self._trajectory, tuple(self._requests), self.energise)
-        self._trajectory = None
+        trajectory = self.feed.piece(self.time, held=self.is_blind)
+        if self._told is not None:
+            trajectory = self._told
+        if trajectory and not self.observation.torque_enabled:
+            trajectory = None  # limp servos refuse it
+        command = Command(trajectory, tuple(self._requests), self.energise)
+        self._told = None
         self._requests = []
         return command
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether what the arm does, or on its way to the target what it touches, is too old for it to move on."""
+        oldest, observation = self.parameters.press_age_max, self.observation
+        reaches_out = self.status.state in _REACHES_OUT and not self._retreats
+        return observation.servo_age > oldest or (reaches_out and observation.tactile_age > oldest)
 
     def enter(self, state: State, limit: float) -> None:
         """Begin a phase that may last `limit` seconds."""
@@ -113,11 +130,19 @@ class Context:
 
     def hold(self) -> None:
         """Stop where the arm is."""
-        self._trajectory = ()
+        self._told = self.feed.hold(self.time)
+        self.feed.stop()
         self.commanded = self.position
+
+    def interrupt(self) -> None:
+        """Stop the line under way, if there is one."""
+        if self.feed.is_under_way(self.time):
+            self.hold()
 
     def move(self, goal: Vector, speed: float, settle: bool = True) -> Script[None]:
         """Move on a straight line from the last commanded to the `goal` position and come to rest.
+
+        The line stands still while `is_blind`.
 
         Raises:
             Unreachable: the line leaves the arm's reach; nothing was moved.
@@ -125,9 +150,11 @@ class Context:
         """
         start = self.commanded if math.isfinite(self.commanded[0]) else self._measured()
         waypoints = self.planner.line(start, goal, speed)
-        self._trajectory = waypoints
+        self.feed.start(waypoints, self.time)
+        self._retreats = goal[2] < start[2]
         self.commanded = goal
-        yield from self.wait(waypoints[-1].time)
+        while self.feed.is_under_way(self.time):
+            yield
         if settle:
             yield from self.rest()
 
@@ -181,34 +208,52 @@ class Context:
         parameters, geometry = self.parameters, self.kinematics.geometry
         while not all(map(math.isfinite, self.observation.angles)):
             yield
+        self.feed.stop()
         x, y, z = self.position
         lead = parameters.release_current * TORQUE_CONSTANT / parameters.servo_stiffness
         behind = tuple(max(angle - lead, geometry.joint_min) for angle in self.observation.angles)
         goal: Vector = (behind[0], behind[1], behind[2])
-        push = (parameters.push_current * TORQUE_CONSTANT,) * 3
-        pull = (parameters.release_current * TORQUE_CONSTANT,) * 3
-        self._trajectory = (Waypoint(0.0, goal, push),)
-        end = self.time + 0.05
-        while self.time < end and not self._is_released(z):
-            yield
+        yield from self._pull(goal, parameters.push_current, z, _SETTING_BACK)
+        yield from self._pull(goal, parameters.release_current, z, parameters.release_time)
         if not self._is_released(z):
-            end, again = self.time + parameters.release_time, self.time
-            while not self._is_released(z):
-                if self.time >= again:
-                    self._trajectory = (Waypoint(0.0, goal, pull),)
-                    again = self.time + _PULL_AGAIN
-                if self.time > end:
-                    self.hold()
-                    raise Stuck(
-                        f"the magnets held against {parameters.release_current:.1f} A per servo for "
-                        f"{parameters.release_time:.1f} s; move the target away by hand or raise release_current"
-                    )
-                yield
+            self.hold()
+            raise Stuck(
+                f"the magnets held against {parameters.release_current:.1f} A per servo for "
+                f"{parameters.release_time:.1f} s; move the target away by hand or raise release_current"
+            )
         try:
             free = self._measured()
             self.commanded = (x, y, free[2] - 0.001)
-            self._trajectory = self.planner.line(free, self.commanded, parameters.travel_speed)
+            line = self.planner.line(free, self.commanded, parameters.travel_speed)
         except DockingError:
             self.hold()  # nothing goes on pulling
             raise
+        self.feed.start(line, self.time)
+        self._retreats = True
+        if self.is_blind:
+            self._told = (replace(line[-1], time=0.0),)  # here neither
         yield
+
+    def _pull(self, goal: Vector, current: float, z: float, seconds: float) -> Script[None]:
+        """Pull toward the angles `goal` for so long, or until the platform has come off.
+
+        It is told in every tick and lapses by itself: whoever stops telling it, and servos that are not heard any more,
+        pull no longer. Time without a pull does not count; the phase's does.
+        """
+        bound, push = ((each * TORQUE_CONSTANT,) * 3 for each in (current, self.parameters.push_current))
+        last, left = self.time, seconds
+        while left > 0.0 and not self._is_released(z):
+            known = self.observation.servos_valid and self.observation.servo_age <= self.parameters.press_age_max
+            if known:
+                self._told = pull(goal, bound, self._standing(), push)
+            yield
+            left -= self.time - last if known else 0.0
+            last = self.time
+
+    def _standing(self) -> Vector:
+        """Return the angles (rad) under which the arm stays where it is, its weight carried."""
+        geometry, stiffness = self.kinematics.geometry, self.parameters.servo_stiffness
+        held = self.kinematics.holding_torque(*self.position, self.parameters.gravity)
+        wanted = (angle + torque / stiffness for angle, torque in zip(self.observation.angles, held, strict=True))
+        a, b, c = (min(max(angle, geometry.joint_min), geometry.joint_max) for angle in wanted)
+        return a, b, c

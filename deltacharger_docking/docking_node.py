@@ -21,6 +21,7 @@ from deltacharger.msg import DockingState
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
@@ -211,7 +212,9 @@ class DockingNode(Node):
     def _carry_out(self, command: Command, observation: Observation) -> None:
         self._calls.contactor(command.energise, observation.contactor_closed)
         if command.trajectory is not None:
-            self._trajectory.publish(io.trajectory(command.trajectory, self.get_clock().now().to_msg()))
+            # Not the instant of sending: planning a line takes milliseconds, and times count from the observation.
+            now = self.get_clock().now() - Duration(seconds=time.monotonic() - observation.time)
+            self._trajectory.publish(io.trajectory(command.trajectory, now.to_msg()))
         for request in command.requests:
             self._calls.call(request)
 
@@ -388,3 +391,7 @@ class DockingNode(Node):
 def main(args: Sequence[str] | None = None) -> int:
     """Run docking_node until SIGINT or SIGTERM; 0 after a signal, 2 where it cannot start as configured."""
     return node_support.run(DockingNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -37,6 +37,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 
 _NEEDS_TORQUE = (State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
+_NEEDS_TOUCH = (State.APPROACH, *_NEEDS_TORQUE)
 
 
 class DockingMachine:
@@ -120,6 +121,8 @@ class DockingMachine:
         self._context.status.state = State.IDLE
         if self._context.observation.torque_enabled:
             self._context.hold()
+        else:
+            self._context.feed.stop()
         return self._context.command()
 
     def _advance(self) -> None:
@@ -142,8 +145,7 @@ class DockingMachine:
         if self._cancel:
             self._cancel = False
             return Canceled("cancelled by the client")
-        starting = observation.servo_age == math.inf and observation.time - self._started < FIRST_DATA
-        if observation.servo_age > parameters.servo_age_max and not starting:
+        if self._is_missing(observation.servo_age, parameters.servo_age_max):
             return ServoFailure(f"servo_state is {observation.servo_age:.1f} s old; check the servo bus and servo_node")
         if observation.hardware_error:
             return ServoFailure(
@@ -152,16 +154,20 @@ class DockingMachine:
             )
         if context.contact.value > parameters.hard_current:
             return Overcurrent(f"contact current is {context.contact.value:.2f} A, above {parameters.hard_current} A")
-        if (
-            context.status.state in (State.CONTACT, State.MEASURE)
-            and observation.tactile_age > parameters.tactile_age_max
-        ):
+        touches = context.status.state in _NEEDS_TOUCH
+        if touches and self._is_missing(observation.tactile_age, parameters.tactile_age_max):
             return TactileStale("tactile frames stopped; check the board's cable and tactile_node")
-        if context.status.state in _NEEDS_TORQUE and not observation.torque_enabled:
+        moving = context.status.state is State.APPROACH and context.feed.is_under_way(observation.time)
+        if (moving or context.status.state in _NEEDS_TORQUE) and not observation.torque_enabled:
             return ServoFailure("the servos lost their torque; look at the diagnostics of servo_node")
         if not self._supervising and observation.time > self._goal_deadline:
             return PhaseTimeout(f"docking took longer than goal_timeout, {parameters.goal_timeout:.0f} s")
         return context.expired()
+
+    def _is_missing(self, age: float, oldest: float) -> bool:
+        """Return whether data of this age (s) end the goal; nodes that have just started are waited for."""
+        starting = age == math.inf and self._context.time - self._started < FIRST_DATA
+        return age > oldest and not starting
 
     def _begin(self, request_id: str, observation: Observation) -> None:
         context = self._context
@@ -193,6 +199,7 @@ class DockingMachine:
             first = error
         finally:
             self._interruptible = False
+        context.interrupt()
         context.status.code, context.status.message = first.code, str(first)
         # From here on the machine is busy: a goal that came now would cut the way back short.
         supervising, self._supervising = self._supervising, False

@@ -97,7 +97,11 @@ class Waypoint:
 
 @dataclass(frozen=True)
 class Command:
-    """What to do now. No trajectory = go on; an empty one = hold. The contactor is wanted only while `energise`."""
+    """What to do now. The contactor is wanted only while `energise`.
+
+    A trajectory replaces what the arm follows; its times count from the observation's, and its last point holds. It is
+    only a piece of the way (see `trajectory_feed`): None = go on with the last one, empty = hold.
+    """
 
     trajectory: tuple[Waypoint, ...] | None = None
     requests: tuple[Request, ...] = ()

@@ -78,7 +78,12 @@ class DockingParameters:
     clearance_period: float = _number(2.0, 0.2, 60.0, "how often clearance is measured again while charging, s")
     thermal_reserve_min: float = _number(5.0, 0.0, 600.0, "thermal reserve of a servo at which charging ends, s")
     servo_age_max: float = _number(0.5, 0.05, 2.0, "age of servo_state that ends docking, s")
-    press_age_max: float = _number(0.1, 0.02, 1.0, "age of servo_state above which the arm does not press harder, s")
+    press_age_max: float = _number(
+        0.1,
+        0.02,
+        1.0,
+        "age of servo_state, and of tactile frames on the way to the target, above which the arm is held, s",
+    )
     tactile_age_max: float = _number(0.5, 0.05, 2.0, "age of tactile frames that ends docking, s")
     power_age_max: float = _number(0.5, 0.1, 2.0, "age of charger_power that ends charging, s")
     detection_age_max: float = _number(1.0, 0.1, 10.0, "age of a camera detection that may be used, s")

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from deltacharger_bringup.virtual_charger import GOAL, VirtualCharger
+from deltacharger_bringup.virtual_charger import GOAL, TICK, VirtualCharger
 from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
-from deltacharger_docking.observation import Detection, DockGoal, Observation, Reply, Service
+from deltacharger_docking.observation import Command, Detection, DockGoal, Observation, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_sim.parameters import (
     CircuitParameters,
@@ -195,7 +195,7 @@ def test_every_fault_in_every_phase_opens_the_contactor(state: State, fault: dic
     run.distort = lambda observation: replace(observation, **fault)
     watched = {
         Code.POWER_STALE: state in (State.ENERGISE, State.CHARGING),
-        Code.TACTILE_STALE: state in (State.CONTACT, State.MEASURE),
+        Code.TACTILE_STALE: state not in (State.ENERGISE, State.CHARGING),
     }
     if not watched.get(code, True):
         return
@@ -206,6 +206,112 @@ def test_every_fault_in_every_phase_opens_the_contactor(state: State, fault: dic
     run.distort = lambda observation: observation
     run.until(lambda: run.machine.status.state is State.IDLE, 30.0)
     assert not run.observe().torque_enabled
+
+
+def moving_in(state: State, **kwargs: object) -> VirtualCharger:
+    """A charger whose platform has just begun to move in that state; in ALIGN sideways, off the magnets."""
+    run = charger(6, 6, **kwargs)
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.machine.status.state is state, 60.0)
+    if state is State.ALIGN:
+        run.until(lambda: run.world.snapshot().position[0] > 1.0 * MILLIMETRE, 10.0)
+    run.until(lambda: moves(run, 3 * TICK), 10.0)
+    return run
+
+
+def moves(run: VirtualCharger, seconds: float) -> bool:
+    """Whether the platform moves by more than 5 mm/s in the `seconds` to come."""
+    before = run.world.snapshot().position
+    run.run(seconds)
+    return math.dist(before, run.world.snapshot().position) > 0.005 * seconds
+
+
+MOVING = [State.APPROACH, State.CONTACT, State.ALIGN]
+
+
+@pytest.mark.parametrize("state", MOVING)
+@pytest.mark.parametrize("fault", [{"servo_age": 0.15}, {"tactile_age": 0.15}])
+def test_old_data_hold_the_arm_and_fresh_ones_let_it_go_on(state: State, fault: dict[str, float]) -> None:
+    run = moving_in(state)
+    run.distort = lambda observation: replace(observation, **fault)
+    run.run(0.06)
+    held = run.world.snapshot().position
+    run.run(1.0)
+    assert math.dist(held, run.world.snapshot().position) < 2.0 * MILLIMETRE
+    assert run.machine.status.state is state
+    run.distort = lambda observation: observation
+    outcome = run.finish(120.0)
+    assert outcome.success, outcome.message
+
+
+@pytest.mark.parametrize(("fault", "code"), [("servo_age", Code.SERVO_FAULT), ("tactile_age", Code.TACTILE_STALE)])
+@pytest.mark.parametrize("state", MOVING)
+def test_an_input_that_stays_away_holds_the_arm_first_and_ends_the_goal_then(
+    state: State, fault: str, code: Code
+) -> None:
+    run = moving_in(state)
+    since, z = run.now, run.world.snapshot().position[2]
+    run.distort = lambda observation: replace(observation, **{fault: run.now - since})
+    run.run(0.2)
+    assert run.outcome is None
+    assert not moves(run, 0.2)
+    assert run.finish(20.0).code is code
+    assert run.world.snapshot().position[2] < z + 3.0 * MILLIMETRE, "it was never carried on"
+
+
+def test_an_arm_that_is_held_does_not_stop_the_clock() -> None:
+    run = charger(parameters=DockingParameters(approach_timeout=3.0))
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: moves(run, 3 * TICK), 10.0)
+    run.distort = lambda observation: replace(observation, tactile_age=0.2)
+    outcome = run.finish(30.0)
+    assert outcome.code is Code.TIMEOUT
+    assert_safe_at_home(run)
+
+
+def test_the_way_back_needs_no_touch() -> None:
+    run = moving_in(State.CONTACT)
+    run.distort = lambda observation: replace(observation, tactile_age=9.0)
+    assert run.finish(30.0).code is Code.TACTILE_STALE
+    assert_safe_at_home(run)
+
+
+def test_torque_lost_on_the_way_ends_the_goal_at_once() -> None:
+    run = moving_in(State.APPROACH)
+    run.distort = lambda observation: replace(observation, torque_enabled=False)
+    assert run.finish(2.0).code is Code.SERVO_FAULT
+
+
+@pytest.mark.parametrize(
+    ("state", "stiffness"), [*((state, 15.0) for state in (*MOVING, State.RETRACT)), (State.APPROACH, 5.0)]
+)
+def test_motion_dies_with_the_machine(state: State, stiffness: float) -> None:
+    servo = ServoParameters(stiffness=stiffness)
+    if state is State.RETRACT:
+        run = charger(servo=servo)
+        assert run.dock().success
+        run.outcome = None
+        run.machine.start_undock("", run.observe())
+        run.until(lambda: moves(run, 3 * TICK), 10.0)
+    else:
+        run = moving_in(state, servo=servo)
+    energise = run._energised
+    run.machine.step = lambda observation: Command(energise=energise)  # type: ignore[method-assign]
+    run.run(0.2)
+    assert not moves(run, 0.1)
+    assert not moves(run, 1.0)
+
+
+def test_a_pull_dies_with_the_machine_even_when_it_has_just_come_off() -> None:
+    for ticks in range(1, 9):
+        run = charger(6, 6)
+        run.begin(DockGoal(GOAL))
+        run.until(lambda run=run: run.machine.status.state is State.ALIGN, 60.0)  # type: ignore[misc]
+        run.run((ticks - 0.5) * TICK)
+        run.machine.step = lambda observation: Command()  # type: ignore[method-assign]
+        run.run(0.3)
+        assert not moves(run, 0.2)
+        assert max(run._bound) < 1.5, "no servo goes on pulling"
 
 
 def test_contact_lost_while_charging_opens_within_a_tenth_of_a_second() -> None:
