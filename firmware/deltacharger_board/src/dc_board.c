@@ -1,0 +1,182 @@
+#include "dc_board.h"
+
+#include <string.h>
+
+#include "dc_bytes.h"
+
+#define READ_PER_POLL 64u    /* bytes, two or three packets; bounds what one poll can take */
+#define FLUSH_PERIOD_US 250u /* 25 bytes of wire at 1 Mbaud */
+
+static uint64_t now_us(dc_board *board)
+{
+    return dc_clock_update(&board->clock, board->hardware->now_us(board->hardware->context));
+}
+
+/* Number a packet and queue it. It is encoded on the stack, which has room where the 20 kB of an OpenCM 9.04 do not. */
+static bool queue(dc_board *board, dc_packet *packet, size_t leaves)
+{
+    uint8_t wire[DC_WIRE_SIZE(DC_LONGEST_PAYLOAD)];
+    packet->sequence = board->sequences[packet->type]++;
+    return dc_output_put(&board->output, wire, dc_packet_encode(packet, wire), leaves);
+}
+
+bool dc_board_send(dc_board *board, uint8_t type, const uint8_t *payload, uint16_t size)
+{
+    dc_packet packet = {0};
+    packet.type = type;
+    packet.payload = payload;
+    packet.size = size;
+    packet.device_time_us = board->clock.now;
+    const bool sent = queue(board, &packet, type == DC_POWER ? DC_POWER_LEAVES : 0u);
+    if (!sent)
+        dc_count(type == DC_POWER ? &board->counters.dropped_power : &board->counters.dropped_answers, 1);
+    return sent;
+}
+
+void dc_board_acknowledge(dc_board *board, uint8_t type, uint16_t sequence, uint8_t error, const uint8_t *data,
+                          uint16_t size)
+{
+    uint8_t payload[DC_ACK_SIZE + DC_PROBE_DATA_SIZE];
+    const size_t head = dc_put_ack(payload, type, error, sequence);
+    if (size > 0)
+        memcpy(payload + head, data, size);
+    (void)dc_board_send(board, DC_ACK, payload, (uint16_t)(head + size));
+}
+
+void dc_board_boot(dc_board *board, const dc_hardware *hardware, const dc_config *config, uint32_t boot_id)
+{
+    board->hardware = hardware;
+    board->config = *config;
+    dc_contactor_reset(&board->contactor, hardware, &board->config, 0); /* off before anything else */
+    dc_clock_start(&board->clock, hardware->now_us(hardware->context));
+    dc_decoder_init(&board->decoder, board->received, sizeof board->received);
+    dc_output_clear(&board->output);
+    dc_schedule_init(&board->samples, DC_DEFAULT_RATE);
+    dc_pads_reset(&board->pads);
+    memset(&board->counters, 0, sizeof board->counters);
+    memset(board->sequences, 0, sizeof board->sequences);
+    board->boot_id = boot_id;
+    board->rate = DC_DEFAULT_RATE;
+    board->next_power = DC_POWER_PERIOD_US;
+    board->overrun = false;
+    board->probe_sequence = board->tare_sequence = 0;
+    dc_board_introduce(board);
+}
+
+void dc_board_introduce(dc_board *board)
+{
+    uint8_t payload[DC_HELLO_SIZE];
+    const size_t size = dc_put_hello(payload, board->boot_id, board->rate);
+    (void)dc_board_send(board, DC_HELLO, payload, (uint16_t)size);
+}
+
+/* Answer the probe and the tare where they have ended. */
+static void finish(dc_board *board)
+{
+    float resistance, target;
+    uint8_t data[DC_PROBE_DATA_SIZE];
+    switch (dc_contactor_poll_probe(&board->contactor, board->clock.now, &resistance, &target)) {
+    case DC_PROBE_DONE:
+        dc_put_f32(data, resistance);
+        dc_put_f32(data + 4, target);
+        dc_board_acknowledge(board, DC_PROBE, board->probe_sequence, DC_DONE, data, sizeof data);
+        break;
+    case DC_PROBE_ABORTED:
+        dc_board_acknowledge(board, DC_PROBE, board->probe_sequence, DC_NOT_NOW, NULL, 0);
+        break;
+    case DC_PROBE_NONE:
+        break;
+    }
+    switch (dc_pads_poll_tare(&board->pads, board->hardware, board->clock.now, board->forces)) {
+    case DC_TARE_DONE:
+        dc_board_acknowledge(board, DC_TARE, board->tare_sequence, DC_DONE, NULL, 0);
+        break;
+    case DC_TARE_REFUSED:
+        dc_board_acknowledge(board, DC_TARE, board->tare_sequence, DC_NOT_NOW, NULL, 0);
+        break;
+    case DC_TARE_NONE:
+        break;
+    }
+}
+
+/* Sample where an instant of the schedule has come. Those that were missed cannot be sampled any more: their numbers
+ * are left out and the next frame says so. */
+static void stream(dc_board *board)
+{
+    const uint32_t come = dc_schedule_take(&board->samples, board->clock.now);
+    if (come == 0)
+        return;
+    dc_count(&board->counters.missed_samples, come - 1);
+    board->sequences[DC_TACTILE] = (uint16_t)(board->sequences[DC_TACTILE] + (come - 1));
+    board->overrun = board->overrun || come > 1;
+    uint8_t payload[DC_LONGEST_PAYLOAD];
+    dc_packet packet = {0};
+    packet.type = DC_TACTILE;
+    packet.device_time_us = now_us(board); /* the sampling instant itself, not when it was due */
+    board->hardware->read_taxels(board->hardware->context, board->forces);
+    dc_pads_apply(&board->pads, board->forces);
+    packet.payload = payload;
+    packet.size = (uint16_t)dc_put_samples(payload, board->forces, board->config.sample_format);
+    packet.format = board->config.sample_format;
+    packet.flags = (uint8_t)((board->pads.tared ? DC_FLAG_TARED : 0) | (board->overrun ? DC_FLAG_OVERRUN : 0));
+    board->overrun = !queue(board, &packet, DC_TACTILE_LEAVES);
+    if (board->overrun)
+        dc_count(&board->counters.dropped_tactile, 1);
+}
+
+static void report_power(dc_board *board)
+{
+    const uint64_t now = board->clock.now;
+    if (now < board->next_power)
+        return;
+    board->next_power += (1u + (now - board->next_power) / DC_POWER_PERIOD_US) * DC_POWER_PERIOD_US;
+    const dc_power_reading *reading = &board->contactor.reading; /* not older than 10 ms */
+    uint8_t payload[DC_POWER_SIZE];
+    const size_t size = dc_put_power(payload, reading->battery, reading->target, reading->current,
+                                     reading->contactor_closed, board->contactor.fault);
+    (void)dc_board_send(board, DC_POWER, payload, (uint16_t)size);
+}
+
+static void receive(dc_board *board)
+{
+    uint8_t bytes[READ_PER_POLL];
+    const size_t count = board->hardware->read(board->hardware->context, bytes, sizeof bytes);
+    for (size_t i = 0; i < count; i++) {
+        dc_packet packet;
+        if (!dc_decoder_put(&board->decoder, bytes[i], &packet))
+            continue;
+        dc_board_obey(board, &packet);
+        dc_contactor_poll(&board->contactor, now_us(board)); /* a TARE may have sampled */
+        finish(board); /* an opening ends a probe: answer that before the next PROBE takes its place */
+    }
+}
+
+void dc_board_poll(dc_board *board)
+{
+    dc_contactor_poll(&board->contactor, now_us(board));
+    finish(board);
+    stream(board);
+    /* Sampling took time, and a heartbeat is judged before one that came too late is read. */
+    dc_contactor_poll(&board->contactor, now_us(board));
+    report_power(board);
+    receive(board);
+    dc_output_flush(&board->output, board->hardware->write, board->hardware->context);
+}
+
+static uint64_t earlier(uint64_t a, uint64_t b)
+{
+    return a < b ? a : b;
+}
+
+uint32_t dc_board_idle_us(const dc_board *board)
+{
+    const uint64_t now = board->clock.now;
+    uint64_t due = earlier(board->next_power, board->samples.due_us);
+    due = earlier(due, board->pads.tare_due);
+    due = earlier(due, dc_contactor_next_event(&board->contactor, now));
+    if (board->output.used > 0)
+        due = earlier(due, now + FLUSH_PERIOD_US);
+    if (due <= now)
+        return 0;
+    return (uint32_t)earlier(due - now, 1000000u);
+}

@@ -1,0 +1,88 @@
+/* The board of docs/board-link.md: hooks below, bytes of the link above, one entry that never waits.
+ *
+ *     static dc_board board;
+ *     dc_board_boot(&board, &hardware, &config, boot_id);
+ *     for (;;)
+ *         dc_board_poll(&board);
+ */
+#ifndef DC_BOARD_H
+#define DC_BOARD_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "dc_clock.h"
+#include "dc_contactor.h"
+#include "dc_hardware.h"
+#include "dc_output.h"
+#include "dc_packet.h"
+#include "dc_pads.h"
+#include "dc_payload.h"
+#include "dc_schedule.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define DC_DEFAULT_RATE 120.0f /* Hz, after every boot */
+#define DC_SLOWEST_RATE 0.1f   /* Hz that RATE accepts */
+#define DC_FASTEST_RATE 1000.0f
+#define DC_POWER_PERIOD_US 50000u
+
+/* For a debugger: version 1 of the link does not carry them. Every number only rises, and stays at its top. */
+typedef struct {
+    uint32_t unknown_types;   /* packets of types that the board does not know */
+    uint32_t missed_samples;  /* instants of the schedule that nobody polled in time */
+    uint32_t dropped_tactile; /* packets that found the wire full */
+    uint32_t dropped_power;
+    uint32_t dropped_answers;
+} dc_board_counters;
+
+typedef struct {
+    const dc_hardware *hardware;
+    dc_config config;
+    dc_clock clock;
+    dc_decoder decoder;
+    dc_output output;
+    dc_schedule samples;
+    dc_pads pads;
+    dc_contactor contactor;
+    dc_board_counters counters;
+    uint32_t boot_id;
+    float rate;          /* Hz */
+    uint64_t next_power; /* us */
+    bool overrun;        /* samplings were lost since the last that was sent */
+    uint16_t sequences[DC_TYPES];
+    uint16_t probe_sequence; /* of the packets that wait for an answer */
+    uint16_t tare_sequence;
+    float forces[DC_TAXELS];
+    uint8_t received[DC_LONGEST_RECEIVED];
+} dc_board;
+
+/* Switch everything off, forget everything, queue HELLO. `boot_id` differs from boot to boot. `hardware` is kept. */
+void dc_board_boot(dc_board *board, const dc_hardware *hardware, const dc_config *config, uint32_t boot_id);
+
+/* Do whatever is due, the contactor first. Never waits; call it at least every config.poll_period. */
+void dc_board_poll(dc_board *board);
+
+/* Return how many us after the last poll the next has something to do besides reading, for who wants to sleep. */
+uint32_t dc_board_idle_us(const dc_board *board);
+
+/* Queue the board's HELLO. */
+void dc_board_introduce(dc_board *board);
+
+/* Queue a packet of a type with the next sequence number, queued now; false where the wire is full. */
+bool dc_board_send(dc_board *board, uint8_t type, const uint8_t *payload, uint16_t size);
+
+/* Carry out a packet from the host and answer it. */
+void dc_board_obey(dc_board *board, const dc_packet *packet);
+
+/* Queue an ACK with `size` bytes of data behind it. */
+void dc_board_acknowledge(dc_board *board, uint8_t type, uint16_t sequence, uint8_t error, const uint8_t *data,
+                          uint16_t size);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

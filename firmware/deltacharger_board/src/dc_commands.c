@@ -1,0 +1,101 @@
+/* What the board does with each packet of the host. */
+#include "dc_board.h"
+#include "dc_bytes.h"
+
+/* An answer that a command gives later, by itself. */
+#define LATER 0xFFu
+
+static uint8_t start_tare(dc_board *board, const dc_packet *packet)
+{
+    if (!dc_pads_start_tare(&board->pads, board->hardware, board->clock.now, board->forces))
+        return DC_NOT_NOW;
+    board->tare_sequence = packet->sequence;
+    return LATER;
+}
+
+static uint8_t start_probe(dc_board *board, const dc_packet *packet)
+{
+    const uint8_t error = dc_contactor_start_probe(&board->contactor, board->clock.now);
+    if (error != DC_DONE)
+        return error;
+    board->probe_sequence = packet->sequence;
+    return LATER;
+}
+
+static uint8_t set_rate(dc_board *board, const dc_packet *packet)
+{
+    if (packet->size != DC_RATE_SIZE)
+        return DC_BAD_PAYLOAD;
+    const float rate = dc_get_f32(packet->payload);
+    if (!(rate >= DC_SLOWEST_RATE && rate <= DC_FASTEST_RATE)) /* also NaN */
+        return DC_BAD_PAYLOAD;
+    board->rate = rate;
+    dc_schedule_set_rate(&board->samples, rate, board->clock.now);
+    return DC_DONE;
+}
+
+static uint8_t switch_contactor(dc_board *board, const dc_packet *packet)
+{
+    if (packet->size != 1 || packet->payload[0] > 1)
+        return DC_BAD_PAYLOAD;
+    if (packet->payload[0] == 1)
+        return dc_contactor_close(&board->contactor, board->clock.now);
+    dc_contactor_open(&board->contactor, board->clock.now);
+    return DC_DONE;
+}
+
+/* Commands that take no value. */
+static uint8_t plain_command(dc_board *board, const dc_packet *packet)
+{
+    if (packet->size != 0)
+        return DC_BAD_PAYLOAD;
+    switch (packet->type) {
+    case DC_HELLO:
+        dc_board_introduce(board);
+        return DC_DONE;
+    case DC_START:
+        dc_schedule_start(&board->samples, board->clock.now);
+        return DC_DONE;
+    case DC_STOP:
+        dc_schedule_stop(&board->samples);
+        return DC_DONE;
+    case DC_TARE:
+        return start_tare(board, packet);
+    default:
+        return start_probe(board, packet);
+    }
+}
+
+void dc_board_obey(dc_board *board, const dc_packet *packet)
+{
+    uint8_t error;
+    switch (packet->type) {
+    case DC_HEARTBEAT:
+        if (packet->size == 0)
+            dc_contactor_heartbeat(&board->contactor, board->clock.now);
+        return;
+    case DC_PING:
+        if (packet->size <= DC_LONGEST_PING)
+            (void)dc_board_send(board, DC_PING, packet->payload, packet->size);
+        return;
+    case DC_HELLO:
+    case DC_START:
+    case DC_STOP:
+    case DC_TARE:
+    case DC_PROBE:
+        error = plain_command(board, packet);
+        break;
+    case DC_RATE:
+        error = set_rate(board, packet);
+        break;
+    case DC_CONTACTOR:
+        error = switch_contactor(board, packet);
+        break;
+    default:
+        dc_count(&board->counters.unknown_types, 1);
+        error = DC_UNKNOWN;
+        break;
+    }
+    if (error != LATER)
+        dc_board_acknowledge(board, packet->type, packet->sequence, error, NULL, 0);
+}

@@ -1,0 +1,153 @@
+#include "dc_contactor.h"
+
+#include "dc_float.h"
+#include "dc_packet.h"
+
+static void read_power(dc_contactor *contactor)
+{
+    const dc_hardware *hardware = contactor->stage.hardware;
+    hardware->read_power(hardware->context, &contactor->reading);
+}
+
+static void end_probe(dc_contactor *contactor)
+{
+    const dc_hardware *hardware = contactor->stage.hardware;
+    hardware->stop_probe(hardware->context);
+    contactor->probing = false;
+}
+
+static void abort_probe(dc_contactor *contactor)
+{
+    if (contactor->probing) {
+        end_probe(contactor);
+        contactor->probe_aborted = true;
+    }
+}
+
+/* What every opening does, whoever or whatever caused it. */
+static void void_probe(dc_contactor *contactor)
+{
+    contactor->closed = false;
+    contactor->probe_deadline = 0;
+    abort_probe(contactor);
+}
+
+void dc_contactor_reset(dc_contactor *contactor, const dc_hardware *hardware, const dc_config *config, uint64_t now)
+{
+    dc_stage_reset(&contactor->stage, hardware, config, now);
+    end_probe(contactor);
+    contactor->probe_aborted = false;
+    contactor->closed = false;
+    contactor->fault = DC_NO_FAULT;
+    contactor->probe_due = contactor->probe_deadline = contactor->heartbeat_deadline = 0;
+    contactor->next_check = now;
+    read_power(contactor);
+}
+
+void dc_contactor_heartbeat(dc_contactor *contactor, uint64_t now)
+{
+    contactor->heartbeat_deadline = now + DC_HEARTBEAT_TIMEOUT_US - dc_poll_period(contactor->stage.config);
+}
+
+uint8_t dc_contactor_close(dc_contactor *contactor, uint64_t now)
+{
+    if (contactor->closed)
+        return DC_NOT_NOW;
+    if (now >= contactor->heartbeat_deadline || contactor->fault != DC_NO_FAULT || now >= contactor->probe_deadline)
+        return DC_INTERLOCK;
+    abort_probe(contactor); /* its circuit must be off the electrodes before they carry the battery */
+    contactor->closed = true;
+    contactor->next_check = now + DC_CHECK_PERIOD_US;
+    dc_stage_close(&contactor->stage, now);
+    return DC_DONE;
+}
+
+void dc_contactor_open(dc_contactor *contactor, uint64_t now)
+{
+    dc_stage_open(&contactor->stage, now, true);
+    void_probe(contactor);
+    contactor->fault = DC_NO_FAULT;
+}
+
+void dc_contactor_trip(dc_contactor *contactor, uint8_t fault, uint64_t now)
+{
+    dc_stage_open(&contactor->stage, now, false);
+    void_probe(contactor);
+    if (contactor->fault == DC_NO_FAULT)
+        contactor->fault = fault;
+}
+
+uint8_t dc_contactor_start_probe(dc_contactor *contactor, uint64_t now)
+{
+    const dc_hardware *hardware = contactor->stage.hardware;
+    if (contactor->closed || contactor->probing || contactor->stage.state != DC_OPEN)
+        return DC_NOT_NOW;
+    read_power(contactor);
+    if (contactor->reading.contactor_closed)
+        return DC_NOT_NOW;
+    contactor->probing = true;
+    contactor->probe_due = now + DC_PROBE_DEADLINE_US - dc_poll_period(contactor->stage.config);
+    hardware->start_probe(hardware->context);
+    return DC_DONE;
+}
+
+static bool probe_allows(float resistance, float target)
+{
+    return dc_is_finite(resistance) && resistance >= DC_SHORT_RESISTANCE && target >= 0.0f;
+}
+
+dc_probe_event dc_contactor_poll_probe(dc_contactor *contactor, uint64_t now, float *resistance, float *target)
+{
+    const dc_hardware *hardware = contactor->stage.hardware;
+    if (contactor->probe_aborted) {
+        contactor->probe_aborted = false;
+        return DC_PROBE_ABORTED;
+    }
+    if (!contactor->probing)
+        return DC_PROBE_NONE;
+    if (!hardware->poll_probe(hardware->context, resistance, target)) {
+        if (now < contactor->probe_due)
+            return DC_PROBE_NONE;
+        *resistance = *target = DC_NAN; /* not measured in time */
+    }
+    end_probe(contactor);
+    contactor->probe_deadline = probe_allows(*resistance, *target) ? now + DC_PROBE_LIFETIME_US : 0;
+    return DC_PROBE_DONE;
+}
+
+static void check(dc_contactor *contactor, uint64_t now)
+{
+    read_power(contactor);
+    const uint8_t shown = dc_stage_step(&contactor->stage, now, &contactor->reading);
+    uint8_t fault = contactor->reading.fault != DC_NO_FAULT ? contactor->reading.fault : shown;
+    if (fault == DC_NO_CHARGE_CURRENT && !contactor->closed)
+        fault = DC_NO_FAULT; /* no current is what an opening is for */
+    if (fault != DC_NO_FAULT && contactor->fault == DC_NO_FAULT) {
+        dc_contactor_trip(contactor, fault, now);
+        read_power(contactor);
+    } else if (contactor->closed && contactor->stage.dropped_out) {
+        void_probe(contactor);
+    }
+    const bool busy = contactor->stage.state != DC_OPEN || contactor->reading.contactor_closed;
+    contactor->next_check = now + (busy ? DC_CHECK_PERIOD_US : DC_IDLE_CHECK_PERIOD_US);
+}
+
+void dc_contactor_poll(dc_contactor *contactor, uint64_t now)
+{
+    if (contactor->closed && now >= contactor->heartbeat_deadline)
+        dc_contactor_trip(contactor, DC_HEARTBEAT_LOST, now);
+    if (now >= contactor->next_check)
+        check(contactor, now);
+}
+
+uint64_t dc_contactor_next_event(const dc_contactor *contactor, uint64_t now)
+{
+    uint64_t due = contactor->next_check;
+    if (contactor->closed && contactor->heartbeat_deadline < due)
+        due = contactor->heartbeat_deadline;
+    if (contactor->probe_aborted)
+        due = now;
+    else if (contactor->probing && now + DC_CHECK_PERIOD_US < due)
+        due = now + DC_CHECK_PERIOD_US;
+    return due;
+}

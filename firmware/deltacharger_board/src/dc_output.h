@@ -1,0 +1,39 @@
+/* Packets on their way to the host: a ring of bytes that takes whole packets and never waits.
+ *
+ * Where the wire is slow, the less a packet matters the more room it must leave: TACTILE is refused first, POWER next,
+ * and the answers to commands have the last bytes for themselves. */
+#ifndef DC_OUTPUT_H
+#define DC_OUTPUT_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define DC_OUTPUT_SIZE 1536u    /* bytes: 15 ms of wire at 1 Mbaud */
+#define DC_TACTILE_LEAVES 768u  /* bytes that TACTILE must leave free; the rest holds two packets in u12, one in u16 */
+#define DC_POWER_LEAVES 384u    /* bytes that POWER must leave free, 14 ACKs; it may fill half a second */
+
+typedef struct {
+    uint16_t first; /* the oldest byte */
+    uint16_t used;
+    uint8_t bytes[DC_OUTPUT_SIZE];
+} dc_output;
+
+void dc_output_clear(dc_output *output);
+
+/* Queue a whole packet; false and unchanged where fewer than `leaves` bytes would stay free. */
+bool dc_output_put(dc_output *output, const uint8_t *packet, size_t size, size_t leaves);
+
+/* Give `write` what it takes now: it returns how many bytes it took and never waits. */
+void dc_output_flush(dc_output *output, size_t (*write)(void *context, const uint8_t *bytes, size_t size),
+                     void *context);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,48 @@
+/* Both tactile arrays: sampling, the tare, dead taxels. */
+#ifndef DC_PADS_H
+#define DC_PADS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "dc_hardware.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define DC_CONTACT_FORCE 1.0f   /* N; one live taxel at or above it is contact */
+#define DC_TARE_SAMPLES 8u
+#define DC_TARE_PERIOD_US 4000u /* 28 ms in all */
+
+typedef struct {
+    bool tared;               /* a tare is being subtracted */
+    uint8_t taken;            /* samples of the tare that runs */
+    uint64_t tare_due;        /* us, DC_NEVER while none runs */
+    float baseline[DC_TAXELS]; /* N */
+    float sum[DC_TAXELS];      /* N, of the tare that runs */
+    uint8_t live[DC_TAXELS];   /* samples in `sum` */
+} dc_pads;
+
+/* What became of a tare. */
+typedef enum { DC_TARE_NONE, DC_TARE_DONE, DC_TARE_REFUSED } dc_tare_result;
+
+void dc_pads_reset(dc_pads *pads);
+
+/* Subtract the tare from raw forces; NaN stays NaN, and dc_put_samples clips what falls below 0. */
+void dc_pads_apply(const dc_pads *pads, float forces[DC_TAXELS]);
+
+/* Begin a tare; false where one runs or something touches a pad. `forces` is room for a sampling. */
+bool dc_pads_start_tare(dc_pads *pads, const dc_hardware *hardware, uint64_t now, float forces[DC_TAXELS]);
+
+/* Take the tare's sample that is due, and say whether it has ended. */
+dc_tare_result dc_pads_poll_tare(dc_pads *pads, const dc_hardware *hardware, uint64_t now, float forces[DC_TAXELS]);
+
+/* Whether any live taxel carries DC_CONTACT_FORCE or more after the present tare. */
+bool dc_pads_loaded(const dc_pads *pads, const float raw[DC_TAXELS]);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,89 @@
+#include "dc_payload.h"
+
+#include "dc_bytes.h"
+#include "dc_float.h"
+#include "dc_packet.h"
+
+#define FULL_SCALE_BITS 0x41200000u /* of 10.0f; floats that are not negative are ordered as their bits */
+
+/* Half goes to the even code, as everywhere in IEEE 754. In integers: a Cortex-M3 has no floating-point unit, and this
+ * is done 200 times per frame. `scaled` is not negative and below 65535. */
+static uint16_t nearest(float scaled)
+{
+    const uint32_t bits = dc_bits_of_float(scaled);
+    const uint32_t exponent = bits >> 23;
+    if (exponent < 126u)
+        return 0; /* below one half */
+    const uint32_t mantissa = (bits & 0x7FFFFFu) | 0x800000u;
+    const uint32_t shift = 150u - exponent; /* 8 to 24 */
+    const uint32_t whole = mantissa >> shift, half = 1u << (shift - 1u);
+    const uint32_t rest = mantissa & ((1u << shift) - 1u);
+    return (uint16_t)(whole + (rest > half || (rest == half && (whole & 1u)) ? 1u : 0u));
+}
+
+static uint16_t code_of(float force, uint16_t top, float scale)
+{
+    if (dc_is_nan(force))
+        return top;
+    if (dc_is_negative(force))
+        return 0;
+    if (dc_bits_of_float(force) >= FULL_SCALE_BITS)
+        return (uint16_t)(top - 1u);
+    return nearest(force * scale);
+}
+
+size_t dc_put_samples(uint8_t *to, const float forces[DC_TAXELS], uint8_t format)
+{
+    const uint16_t top = format == DC_U8 ? 0xFFu : format == DC_U12 ? 0xFFFu : 0xFFFFu;
+    const float scale = (float)(top - 1u) / DC_FULL_SCALE;
+    switch (format) {
+    case DC_U8:
+        for (size_t i = 0; i < DC_TAXELS; i++)
+            to[i] = (uint8_t)code_of(forces[i], top, scale);
+        return DC_TAXELS;
+    case DC_U12:
+        for (size_t i = 0; i < DC_TAXELS; i += 2, to += 3) {
+            const uint16_t a = code_of(forces[i], top, scale), b = code_of(forces[i + 1], top, scale);
+            to[0] = (uint8_t)(a & 0xFFu);
+            to[1] = (uint8_t)(a >> 8 | (b & 15u) << 4);
+            to[2] = (uint8_t)(b >> 4);
+        }
+        return DC_TAXELS * 3u / 2u;
+    case DC_U16:
+        for (size_t i = 0; i < DC_TAXELS; i++)
+            dc_put_u16(to + 2 * i, code_of(forces[i], top, scale));
+        return DC_TAXELS * 2u;
+    default:
+        return 0;
+    }
+}
+
+size_t dc_put_power(uint8_t *to, float battery, float target, float current, bool closed, uint8_t fault)
+{
+    dc_put_f32(to, battery);
+    dc_put_f32(to + 4, target);
+    dc_put_f32(to + 8, current);
+    to[12] = closed ? 1u : 0u;
+    to[13] = fault;
+    dc_put_u16(to + 14, 0);
+    return DC_POWER_SIZE;
+}
+
+size_t dc_put_hello(uint8_t *to, uint32_t boot_id, float rate)
+{
+    to[0] = DC_VERSION;
+    to[1] = DC_MINOR;
+    to[2] = DC_ROWS;
+    to[3] = DC_COLUMNS;
+    dc_put_u32(to + 4, boot_id);
+    dc_put_f32(to + 8, rate);
+    return DC_HELLO_SIZE;
+}
+
+size_t dc_put_ack(uint8_t *to, uint8_t type, uint8_t error, uint16_t sequence)
+{
+    to[0] = type;
+    to[1] = error;
+    dc_put_u16(to + 2, sequence);
+    return DC_ACK_SIZE;
+}

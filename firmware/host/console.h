@@ -1,0 +1,25 @@
+/* A board on a bench, steered by lines of text; docs/firmware.md lists the commands. */
+#ifndef CONSOLE_H
+#define CONSOLE_H
+
+#include <stdio.h>
+
+#include "bench.h"
+
+struct console {
+    struct bench bench;
+    dc_board board;
+    dc_hardware hardware;
+    dc_config config; /* of the next boot */
+    bool stepped;     /* time passes by command instead of by itself */
+};
+
+/* Boot a board. `seed` determines noise and boot ids; `now` is us. */
+void console_init(struct console *console, uint64_t now, uint64_t seed, bool stepped);
+
+void console_boot(struct console *console);
+
+/* Carry out one line (it is cut up) and write one line of answer. */
+void console_command(struct console *console, char *line, FILE *answer);
+
+#endif

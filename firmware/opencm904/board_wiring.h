@@ -1,0 +1,70 @@
+/* Where everything is connected and what its readings mean: THE PART TO FILL IN for a real board.
+ *
+ * As delivered nothing is wired. The board then speaks the whole link, but every taxel is dead, every voltage and
+ * current unknown (NaN), a probe measures nothing and a close is refused. What is filled in works. */
+#ifndef BOARD_WIRING_H
+#define BOARD_WIRING_H
+
+#include <math.h>
+#include <stdint.h>
+
+const uint8_t UNWIRED = 255;
+
+/* The link. Serial3 is a UART on pins 24 (TX) and 25 (RX), 3.3 V; Serial is USB. */
+#define LINK_UART Serial3
+#define LINK_OVER_USB 0
+const uint32_t LINK_BAUD = 1000000; /* exact with the core's 36 and 72 MHz peripheral clocks */
+
+/* Two pads of 10 x 10. Four address pins select the row that is driven and four the column that is sensed, on both pads
+ * at once (two 16-channel analog multiplexers each); each pad has one analog output. Lowest bit first; row 0 is at +y,
+ * column 0 at +x of the end effector. */
+const uint8_t PIN_ROW[4] = {UNWIRED, UNWIRED, UNWIRED, UNWIRED};
+const uint8_t PIN_COLUMN[4] = {UNWIRED, UNWIRED, UNWIRED, UNWIRED};
+const uint8_t PIN_PAD_LEFT = UNWIRED;  /* the pad at +x; analog pins are 0 to 9 */
+const uint8_t PIN_PAD_RIGHT = UNWIRED; /* the pad at -x */
+const uint32_t TAXEL_SETTLE_US = 3;    /* from the address to a steady output */
+const float TAXEL_ZERO = 0.0f;         /* counts of 4096 without force */
+const float TAXEL_SCALE = NAN;         /* N per count */
+const uint16_t TAXEL_LOWEST = 0;       /* counts; a taxel outside of these two is dead: a broken line lies at a rail */
+const uint16_t TAXEL_HIGHEST = 4095;
+
+/* Analog readings of the power stage: value = (counts - zero) * scale. A reversed target needs a zero in the range. */
+struct AnalogInput {
+  uint8_t pin;
+  float zero;  /* counts of 4096 */
+  float scale; /* V or A per count */
+};
+const AnalogInput BATTERY = {UNWIRED, 0.0f, NAN};
+const AnalogInput TARGET = {UNWIRED, 0.0f, NAN};  /* at the electrodes */
+const AnalogInput OUTPUT_SIDE = {UNWIRED, 0.0f, NAN}; /* between the stage and the contactor */
+const AnalogInput CURRENT = {UNWIRED, 0.0f, NAN}; /* positive into the target */
+
+/* Digital signals of the power stage, all active high. Each output needs a pull-down of its own: while the processor is
+ * in reset, starts or is being flashed its pins float, and that must mean off. */
+const uint8_t PIN_CONTACTOR = UNWIRED;
+const uint8_t PIN_PRECHARGE = UNWIRED;
+const uint8_t PIN_FEEDBACK = UNWIRED;   /* auxiliary contact: high = closed */
+const uint8_t PIN_OVERCURRENT = UNWIRED; /* comparator: high = trip */
+const uint8_t PIN_LIMIT = UNWIRED;      /* PWM into the current limiter */
+const float LIMIT_FULL_SCALE = NAN;     /* A at 100 % */
+
+/* The probe: a source of at most 5 V and 50 mA that PIN_PROBE connects to the electrodes, and the current it drives. */
+const uint8_t PIN_PROBE = UNWIRED;
+const AnalogInput PROBE_VOLTAGE = {UNWIRED, 0.0f, NAN};
+const AnalogInput PROBE_CURRENT = {UNWIRED, 0.0f, NAN};
+const uint32_t PROBE_SETTLE_US = 100000; /* from switching it on until it is measured; at most 200 000 */
+const float PROBE_OPEN_CURRENT = 1e-4f;  /* A, below it the circuit is open */
+
+/* Limits of this installation; the electrodes carry 18 A. */
+const float CURRENT_LIMIT = 18.0f;
+const float LOWEST_TARGET = 10.0f;  /* V */
+const float HIGHEST_TARGET = 30.0f;
+
+/* Longest time between two polls, us: three scans of both pads (two of a tare, one of a frame) and the arithmetic.
+ * Measure it on the board. */
+const uint32_t POLL_PERIOD_US = 12000;
+
+/* Counts of a 40 kHz / 32 clock that is good to about half: 24 to 48 ms without a poll reset the board. */
+const uint16_t WATCHDOG_COUNTS = 45;
+
+#endif

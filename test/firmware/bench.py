@@ -1,0 +1,139 @@
+"""A board on the host program's bench and a host that speaks only when told, in simulated microseconds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from deltacharger_driver.board_payloads import Ack, Power, decode_ack, decode_power
+from deltacharger_driver.board_protocol import Packet, PacketDecoder, PacketType, encode_packet
+
+from .board_host import BoardHost
+
+MS = 1000
+S = 1_000_000
+STRONG = "battery 45", "target 22", "resistance 1"  # a circuit that drives 23 A if nobody limits them
+
+
+class Bench:
+    """Board, plant and wire.
+
+    Args:
+        program: path of board_host.
+        start: us on the board's 32-bit counter at boot.
+        settings: commands before the boot, e.g. format=1.
+    """
+
+    def __init__(self, program: Path, start: int = 0, **settings: float) -> None:
+        self.host = BoardHost(program, start)
+        self.now = self.booted = start  # us
+        self.packets: list[Packet] = []
+        self.decoder = PacketDecoder()
+        self.beating = False
+        self._sequence = 0
+        self._beat = start
+        for name, value in settings.items():
+            self.host.command(f"{name} {value}")
+        self._hear(self.host.sent(f"boot {start}"))
+
+    def close(self) -> None:
+        """End the program; nothing that it sent may have been damaged."""
+        self.host.close()
+        assert self.decoder.counters.damaged == 0
+
+    def set(self, *lines: str) -> None:
+        """Do something to the bench, e.g. 'press 8'."""
+        for line in lines:
+            self.host.command(line)
+
+    def send(self, *packets: tuple[int, bytes]) -> list[Packet]:
+        """Send packets in one piece and return what comes at once."""
+        wire = b""
+        for type, payload in packets:
+            self._sequence = (self._sequence + 1) % 65536
+            wire += encode_packet(Packet(type, payload, self._sequence))
+        return self._hear(self.host.sent(f"wire {wire.hex()}"))
+
+    def run(self, duration: int) -> list[Packet]:
+        """Let us pass, with a heartbeat every 20 ms while `beating`, and return what came."""
+        start, until = len(self.packets), self.now + duration
+        while self.beating:
+            self._beat = max(self._beat, self.now)
+            if self._beat > until:
+                break
+            self._advance(self._beat)
+            self.send((PacketType.HEARTBEAT, b""))
+            self._beat += 20 * MS
+        self._advance(until)
+        return self.packets[start:]
+
+    def jump(self, instant: int) -> list[Packet]:
+        """Set the counter; nobody polls meanwhile."""
+        self.now = instant
+        return self._hear(self.host.sent(f"jump {instant}"))
+
+    def _advance(self, until: int) -> None:
+        self.now = until
+        self._hear(self.host.sent(f"advance {until}"))
+
+    def _hear(self, data: bytes) -> list[Packet]:
+        new = self.decoder.feed(data)
+        self.packets += new
+        return new
+
+    def ask(self, type: int, payload: bytes = b"", wait: int = 0) -> Ack:
+        """Send a command and return its answer, which comes once and within `wait` us."""
+        packets = self.send((type, payload))
+        sequence = self._sequence
+        if wait:
+            packets = packets + self.run(wait)
+        (answer,) = [ack for ack in acks(packets) if (ack.type, ack.sequence) == (type, sequence)]
+        return answer
+
+    def power(self) -> Power:
+        """The last POWER packet."""
+        return decode_power([p for p in self.packets if p.type == PacketType.POWER][-1].payload)
+
+    def state(self, name: str) -> float:
+        """One value of the host program's `state`."""
+        return self.host.state()[name]
+
+    def probe(self) -> Ack:
+        """Probe and wait for the answer."""
+        return self.ask(PacketType.PROBE, wait=160 * MS)
+
+    def open(self) -> int:
+        """Command an opening and return the error."""
+        return self.ask(PacketType.CONTACTOR, b"\0").error
+
+    def close_contactor(self) -> int:
+        """Command a close and return the error."""
+        return self.ask(PacketType.CONTACTOR, b"\1").error
+
+    def charge(self, duration: int = 1 * S) -> Bench:
+        """Heartbeat, probe, close, and let current flow."""
+        self.beating = True
+        self.run(0)
+        assert self.probe().error == 0
+        assert self.close_contactor() == 0
+        self.run(duration)
+        state = self.host.state()
+        assert (state["contactor"], state["commanded"], state["fault"]) == (1, 1, 0)
+        return self
+
+    def run_until(self, name: str, value: float, longest: int, step: int = 1 * MS) -> int:
+        """Let time pass until the state is so, and return the us that it took."""
+        start = self.now
+        while self.state(name) != value:
+            assert self.now - start < longest, f"{name} is not {value} after {longest} us"
+            self.run(step)
+        return self.now - start
+
+
+def acks(packets: list[Packet]) -> list[Ack]:
+    """The ACKs among packets."""
+    return [decode_ack(packet.payload) for packet in packets if packet.type == PacketType.ACK]
+
+
+def tactile(packets: list[Packet]) -> list[Packet]:
+    """The TACTILE packets among packets."""
+    return [packet for packet in packets if packet.type == PacketType.TACTILE]

@@ -1,0 +1,226 @@
+"""The firmware's C core as a process, and as what the driver's tests expect of the emulated board."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from deltacharger_driver import cobs
+from deltacharger_driver.board_protocol import COLUMNS, ROWS, SampleFormat
+from deltacharger_driver.wire_faults import WireFaults
+
+
+class BoardHost:
+    """`board_host --step`: one line in, one line out; time passes by command only.
+
+    Args:
+        program: path of the built program.
+        now: us on the board's counter at the start.
+        seed: of noise and boot ids.
+    """
+
+    def __init__(self, program: Path, now: int = 0, seed: int = 1) -> None:
+        self._process = subprocess.Popen(
+            [program, "--seed", str(seed), "--step", str(now)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self._lock = threading.Lock()
+        self.idle = 0  # us until the board wants to be polled, as of the last answer that let time pass
+
+    def command(self, line: str) -> str:
+        """Send a line and return the answer."""
+        with self._lock:
+            assert self._process.stdin is not None
+            assert self._process.stdout is not None
+            try:
+                self._process.stdin.write(line + "\n")
+                self._process.stdin.flush()
+            except BrokenPipeError:
+                pass
+            answer = self._process.stdout.readline()
+        assert answer, f"the board died of '{line[:80]}':\n{self._ended()}"
+        assert not answer.startswith("error"), f"{line[:80]}: {answer}"
+        return answer.rstrip("\n")
+
+    def sent(self, line: str) -> bytes:
+        """Send a line that lets time pass and return what the board sent to the host."""
+        _, data, _, idle = self.command(line).split(" ")
+        self.idle = int(idle)
+        return bytes.fromhex(data)
+
+    def state(self) -> dict[str, float]:
+        """Return what the board and the bench are doing."""
+        _, *pairs = self.command("state").split(" ")
+        return {name: float(value) for name, value in (pair.split("=") for pair in pairs)}
+
+    def close(self) -> None:
+        """End the process; a sanitizer's finding or anything else on its standard error is a failure."""
+        if self._process.poll() is None:
+            self._process.communicate("quit\n", timeout=10.0)
+        errors = self._ended()
+        assert self._process.returncode == 0, errors
+        assert not errors, errors
+
+    def _ended(self) -> str:
+        self._process.wait(timeout=10.0)
+        if self._process.stderr is None or self._process.stderr.closed:
+            return ""
+        return self._process.stderr.read()
+
+
+class FirmwarePlant:
+    """What the driver's tests do to `BenchPlant`, done to the bench inside the host program.
+
+    Args:
+        offset: N added to every taxel, as before a tare.
+        noise: N standard deviation.
+        seed: not used; the board's seed determines the noise.
+        clock: not used; the board's time is the bench's.
+    """
+
+    def __init__(
+        self, offset: float = 0.12, noise: float = 0.02, seed: int = 0, clock: Callable[[], float] | None = None
+    ) -> None:
+        self.left = np.zeros((ROWS, COLUMNS))
+        self.right = np.zeros((ROWS, COLUMNS))
+        self.battery = 26.0
+        self.target = 24.0
+        self.resistance = 2.0
+        self.detected = 0
+        self.offset = offset
+        self.noise = noise
+        self.board: FirmwareBoard | None = None
+
+    def press(self, force: float) -> None:
+        """Press both pads with `force` N each on the four taxels in the middle."""
+        for pad in (self.left, self.right):
+            pad[:] = 0.0
+            pad[4:6, 4:6] = force / 4.0
+
+    def settings(self) -> dict[str, str]:
+        """Return every setting as the host program's command and value."""
+        pads = np.stack((self.left, self.right)).astype("<f4").tobytes().hex()
+        numbers = {
+            name: repr(float(getattr(self, name)))
+            for name in ("offset", "noise", "battery", "target", "resistance", "detected")
+        }
+        return {"pads": pads, **numbers}
+
+    def read_power(self) -> tuple[float, float, float, bool, int]:
+        """Return battery V, target V, charge A, contactor closed and the detected fault at the board's present time."""
+        assert self.board is not None
+        state = self.board.host.state()
+        target = math.nan if math.isinf(self.resistance) else self.target
+        return self.battery, target, state["current"], bool(state["contactor"]), self.detected
+
+
+class FirmwareBoard:
+    """The firmware behind `BoardEmulator`'s methods, for the driver's tests and for a `PseudoTerminal`.
+
+    Thread-safe. Time is the caller's, in s.
+    """
+
+    program: ClassVar[Path]
+    started: ClassVar[list[FirmwareBoard]] = []
+
+    def __init__(
+        self,
+        plant: FirmwarePlant,
+        sample_format: SampleFormat = SampleFormat.U12,
+        probe_time: float = 0.150,
+        seed: int | None = None,
+    ) -> None:
+        plant.board = self
+        self.host = BoardHost(self.program, seed=1 if seed is None else seed)
+        self.started.append(self)
+        self.faults = WireFaults(seed)
+        self._plant = plant
+        self._known: dict[str, str] = {}
+        self._lock = threading.RLock()
+        self._boot_wanted = True
+        self._polled = 0
+        self.host.command(f"format {int(sample_format)}")
+        self.host.command(f"probe_time {round(probe_time * 1e6)}")
+
+    @property
+    def contactor_commanded(self) -> bool:
+        """Whether a close was accepted and nothing has opened the contactor since."""
+        return bool(self.host.state()["commanded"])
+
+    @property
+    def fault(self) -> int:
+        """The latched fault, 0 none."""
+        return int(self.host.state()["fault"])
+
+    @property
+    def unknown_types(self) -> int:
+        """Packets of types that the board does not know."""
+        return int(self.host.state()["unknown"])
+
+    @property
+    def counters(self) -> Counters:
+        """What the board's decoder met."""
+        state = self.host.state()
+        return Counters(int(state["version"]), int(state["refused"]))
+
+    def reboot(self) -> None:
+        """Let the board boot at its next turn."""
+        self._boot_wanted = True
+
+    def trip(self, fault: int) -> None:
+        """Let the power stage open at once and latch a fault."""
+        self.host.command(f"trip {int(fault)}")
+
+    def set_dead(self, pad: int, row: int, column: int, dead: bool = True) -> None:
+        """Let a taxel die or live again: pad 0 is left, 1 right."""
+        self.host.command(f"dead {pad} {row} {column} {int(dead)}")
+
+    def receive(self, data: bytes, now: float) -> bytes:
+        """Take bytes from the host at `now` and return what the board sends."""
+        with self._lock:
+            sent = self.poll(now)
+            return sent if self.faults.deaf else sent + self._damaged(self.host.sent(f"wire {data.hex()}"))
+
+    def poll(self, now: float) -> bytes:
+        """Return what the board sends unasked at `now`."""
+        with self._lock:
+            self._tell_plant()
+            self._polled = round(now * 1e6)
+            line = f"{'boot' if self._boot_wanted else 'advance'} {self._polled}"
+            self._boot_wanted = False
+            return self._damaged(self.host.sent(line))
+
+    def next_event(self, now: float) -> float:
+        """Return the seconds until `poll` has something to do."""
+        with self._lock:
+            if self._boot_wanted:
+                return 0.0
+            return max((self._polled + self.host.idle) * 1e-6 - now, 0.0)
+
+    def _tell_plant(self) -> None:
+        for name, value in self._plant.settings().items():
+            if self._known.get(name) != value:
+                self.host.command(f"{name} {value}")
+                self._known[name] = value
+
+    def _damaged(self, data: bytes) -> bytes:
+        """Apply the wire's faults packet by packet; the firmware sends whole ones."""
+        pieces = [piece for piece in data.split(b"\0") if piece]
+        return b"".join(self.faults.apply(b"\0" + piece + b"\0", cobs.decode(piece)[1]) for piece in pieces)
+
+
+class Counters:
+    """The part of `DecoderCounters` that the driver's tests look at."""
+
+    def __init__(self, version_errors: int, refused_version: int) -> None:
+        self.version_errors = version_errors
+        self.refused_version = None if refused_version < 0 else refused_version

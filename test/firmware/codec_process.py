@@ -1,0 +1,75 @@
+"""The firmware's codec as a process; firmware/host/codec.c says what goes over its pipes."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+from pathlib import Path
+
+from deltacharger_driver.board_protocol import Packet
+
+_HEAD = struct.Struct("<cI")
+_SIZE = struct.Struct("<I")
+_PACKET = struct.Struct("<BHQBB")
+_LISTED = struct.Struct("<HBHQBB")
+_COUNTERS = struct.Struct("<5Ih")
+
+
+class CodecProcess:
+    """Encodes and decodes in C."""
+
+    def __init__(self, program: Path) -> None:
+        self._process = subprocess.Popen(
+            [program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+
+    def ask(self, operation: str, body: bytes = b"") -> bytes:
+        """Send a request and return the answer."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(_HEAD.pack(operation.encode(), len(body)) + body)
+        self._process.stdin.flush()
+        head = self._process.stdout.read(_SIZE.size)
+        assert len(head) == _SIZE.size, f"the codec died:\n{self._errors()}"
+        return self._process.stdout.read(_SIZE.unpack(head)[0])
+
+    def new_decoder(self, longest: int = 1024) -> None:
+        """Begin a new stream."""
+        self.ask("r", struct.pack("<H", longest))
+
+    def feed(self, data: bytes) -> list[Packet]:
+        """Take the next bytes of the stream and return the packets that they complete."""
+        answer = self.ask("d", data)
+        packets, position = [], 0
+        while position < len(answer):
+            size, type, sequence, time, flags, sample_format = _LISTED.unpack_from(answer, position)
+            position += _LISTED.size
+            packets.append(Packet(type, answer[position : position + size], sequence, time, flags, sample_format))
+            position += size
+        return packets
+
+    def counters(self) -> tuple[int, ...]:
+        """Return packets, cobs_errors, crc_errors, length_errors, version_errors, refused_version (-1 none)."""
+        return _COUNTERS.unpack(self.ask("c"))
+
+    def encode(self, packet: Packet) -> bytes:
+        """Return the bytes on the wire."""
+        head = _PACKET.pack(packet.type, packet.sequence, packet.device_time_us, packet.flags, packet.format)
+        return self.ask("e", head + packet.payload)
+
+    def close(self) -> None:
+        """End the process; a sanitizer's finding is a failure."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        errors = self._errors()
+        assert self._process.returncode == 0, errors
+        assert not errors, errors
+
+    def _errors(self) -> str:
+        assert self._process.stderr is not None
+        errors = self._process.stderr.read().decode()
+        self._process.wait(timeout=10.0)
+        for pipe in (self._process.stdout, self._process.stderr):
+            assert pipe is not None
+            pipe.close()
+        return errors

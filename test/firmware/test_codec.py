@@ -1,0 +1,266 @@
+"""The firmware's codec against the driver's, byte for byte and in both directions."""
+
+from __future__ import annotations
+
+import random
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from deltacharger_driver import cobs
+from deltacharger_driver.board_payloads import (
+    Ack,
+    Hello,
+    Power,
+    decode_samples,
+    encode_ack,
+    encode_hello,
+    encode_power,
+    encode_samples,
+)
+from deltacharger_driver.board_protocol import (
+    FULL_SCALE,
+    Packet,
+    PacketDecoder,
+    PacketType,
+    SampleFormat,
+    encode_packet,
+)
+
+from .codec_process import CodecProcess
+
+FORMATS = [SampleFormat.U8, SampleFormat.U12, SampleFormat.U16]
+MUTATED = 120_000
+
+packets = st.builds(
+    Packet,
+    type=st.integers(0, 255),
+    payload=st.binary(max_size=600),
+    sequence=st.integers(0, 65535),
+    device_time_us=st.integers(0, 2**64 - 1),
+    flags=st.integers(0, 255),
+    format=st.integers(0, 255),
+)
+
+
+@pytest.fixture(scope="module")
+def codec(programs: Path) -> Iterator[CodecProcess]:
+    codec = CodecProcess(programs / "codec")
+    yield codec
+    codec.close()
+
+
+def counted(decoder: PacketDecoder) -> tuple[int, ...]:
+    met = decoder.counters
+    refused = -1 if met.refused_version is None else met.refused_version
+    return met.packets, met.cobs_errors, met.crc_errors, met.length_errors, met.version_errors, refused
+
+
+def assert_same(codec: CodecProcess, chunks: list[bytes]) -> list[Packet]:
+    """Feed a stream to both decoders and return what both accepted."""
+    codec.new_decoder()
+    theirs = PacketDecoder()
+    accepted = []
+    for chunk in chunks:
+        expected = theirs.feed(chunk)
+        assert codec.feed(chunk) == expected
+        accepted += expected
+    assert codec.counters() == counted(theirs)
+    return accepted
+
+
+def random_packet(source: random.Random, type: int | None = None, size: int | None = None) -> Packet:
+    """A packet whose payload is all zeros, has none, or is in between: what COBS distinguishes."""
+    size = source.choice((0, 1, 4, 16, 64, 200, 300, 400, source.randrange(600))) if size is None else size
+    fill = source.choice((b"\0", b"\1", b"\0\1\xff", bytes(range(256)), bytes(range(1, 256))))
+    return Packet(
+        source.randrange(256) if type is None else type,
+        bytes(source.choices(fill, k=size)),
+        source.randrange(65536),
+        source.randrange(2**64),
+        source.randrange(256),
+        source.randrange(256),
+    )
+
+
+@settings(max_examples=200)
+@given(packets)
+@example(Packet(1, b"\1" * 234))  # with header and checksum a full run of 254 may end anywhere
+@example(Packet(1, b"\1" * 508))
+def test_packets_are_encoded_alike(codec: CodecProcess, packet: Packet) -> None:
+    assert codec.encode(packet) == encode_packet(packet)
+
+
+@pytest.mark.parametrize("type", [*PacketType, 0, 13, 255])
+def test_every_type_at_every_size(codec: CodecProcess, type: int) -> None:
+    source = random.Random(type)
+    sent = [random_packet(source, type, size) for size in range(0, 520, 7)]
+    wires = [codec.encode(packet) for packet in sent]
+    assert wires == [encode_packet(packet) for packet in sent]
+    assert assert_same(codec, wires) == sent
+
+
+@pytest.mark.parametrize("sample_format", FORMATS)
+def test_samples_are_written_alike(codec: CodecProcess, sample_format: SampleFormat) -> None:
+    random_numbers = np.random.default_rng(sample_format)
+    for scale in (0.01, 1.0, 9.0, 12.0, 1e6):
+        for _ in range(20):
+            forces = random_numbers.uniform(-0.2 * scale, scale, 200).astype(np.float32)
+            forces[random_numbers.random(200) < 0.1] = np.nan
+            written = codec.ask("s", bytes([sample_format]) + forces.astype("<f4").tobytes())
+            assert written == encode_samples(forces[:100], forces[100:], sample_format)
+
+
+@pytest.mark.parametrize("sample_format", FORMATS)
+def test_every_code_half_between_codes_and_the_edges(codec: CodecProcess, sample_format: SampleFormat) -> None:
+    top = sample_format.top
+    halves = np.arange(0, 2 * top, dtype=np.float32) * np.float32(FULL_SCALE / (top - 1) / 2)
+    edges = np.array([np.nan, -np.nan, np.inf, -np.inf, -0.0, -1e-30, 1e-30, 10.0, np.nextafter(10, 0), 3e38], "f4")
+    forces = np.concatenate((halves, np.nextafter(halves, np.float32(np.inf)), edges))
+    forces = np.concatenate((forces, np.zeros(-len(forces) % 200, np.float32))).reshape(-1, 200)
+    for row in forces:
+        written = codec.ask("s", bytes([sample_format]) + row.astype("<f4").tobytes())
+        assert written == encode_samples(row[:100], row[100:], sample_format)
+        left, right = decode_samples(written, sample_format)
+        back, clipped = np.ravel((left, right)), np.clip(row, 0.0, 10.0)
+        assert np.array_equal(np.isnan(back), np.isnan(row))
+        assert np.nanmax(np.abs(back - clipped)) <= FULL_SCALE / (top - 1) / 2 + 1e-6
+
+
+@given(st.floats(width=32), st.floats(width=32), st.floats(width=32), st.booleans(), st.integers(0, 255))
+def test_power_is_written_alike(
+    codec: CodecProcess, battery: float, target: float, current: float, closed: bool, fault: int
+) -> None:
+    body = struct.pack("<fffBB", battery, target, current, closed, fault)
+    assert codec.ask("p", body) == encode_power(Power(battery, target, current, closed, fault))
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(width=32), st.integers(0, 255), st.integers(0, 65535))
+def test_hello_and_ack_are_written_alike(
+    codec: CodecProcess, boot_id: int, rate: float, type: int, sequence: int
+) -> None:
+    assert codec.ask("h", struct.pack("<If", boot_id, rate)) == encode_hello(Hello(1, 0, 10, 10, boot_id, rate))
+    error = sequence % 5
+    assert codec.ask("a", struct.pack("<BBH", type, error, sequence)) == encode_ack(Ack(type, error, sequence))
+
+
+@settings(max_examples=300)
+@given(st.binary(max_size=700))
+@example(b"")
+@example(b"\0")
+@example(b"\3\1\0")
+@example(b"\xff" + b"\7" * 254 + b"\1")
+def test_cobs_is_read_alike(codec: CodecProcess, stuffed: bytes) -> None:
+    try:
+        expected = b"\1" + cobs.decode(stuffed)
+    except cobs.CobsError:
+        expected = b"\0"
+    assert codec.ask("u", stuffed) == expected
+
+
+def test_packets_survive_a_cut_at_every_byte(codec: CodecProcess) -> None:
+    source = random.Random(1)
+    sent = [random_packet(source, size=size) for size in (0, 20, 260)]
+    stream = b"".join(encode_packet(packet) for packet in sent)
+    for cut in range(len(stream) + 1):
+        assert assert_same(codec, [stream[:cut], stream[cut:]]) == sent
+    assert assert_same(codec, [stream[i : i + 1] for i in range(len(stream))]) == sent
+
+
+def test_a_truncated_or_duplicated_packet_costs_only_itself(codec: CodecProcess) -> None:
+    source = random.Random(2)
+    packet, follower = random_packet(source, size=60), Packet(PacketType.PING, b"next", 1)
+    wire, following = encode_packet(packet), encode_packet(follower)
+    for cut in range(len(wire) - 1):
+        assert assert_same(codec, [wire[:cut], following]) == [follower]
+        assert assert_same(codec, [wire[len(wire) - cut :], following]) == [follower]
+    assert assert_same(codec, [wire, wire, following]) == [packet, packet, follower]
+
+
+def test_every_flipped_bit_is_noticed(codec: CodecProcess) -> None:
+    wire = encode_packet(random_packet(random.Random(3), size=40))
+    for bit in range(8, 8 * (len(wire) - 1)):
+        damaged = bytearray(wire)
+        damaged[bit // 8] ^= 1 << bit % 8
+        assert assert_same(codec, [bytes(damaged)]) == []
+
+
+@settings(max_examples=60)
+@given(st.lists(st.binary(max_size=3000), max_size=6))
+def test_garbage_is_taken_alike_and_never_outlasts_the_next_packet(codec: CodecProcess, pieces: list[bytes]) -> None:
+    good = Packet(PacketType.PING, b"hello")
+    assert assert_same(codec, [*pieces, b"\0" + encode_packet(good)])[-1] == good
+
+
+@pytest.mark.parametrize("version", [0, 2, 255])
+def test_another_major_version_is_refused_named_and_counted(codec: CodecProcess, version: int) -> None:
+    assert assert_same(codec, [encode_packet(Packet(PacketType.START), version)]) == []
+    assert codec.counters()[4:] == (1, version)
+
+
+@pytest.mark.parametrize("length", [1022, 1023, 1024, 1025, 5000])
+def test_pieces_up_to_the_longest_are_read_and_longer_ones_counted(codec: CodecProcess, length: int) -> None:
+    piece = cobs.encode(encode_body(length))[:length]
+    follower = encode_packet(Packet(PacketType.START))
+    assert_same(codec, [b"\0" + piece + b"\0", follower])
+    assert_same(codec, [bytes([byte]) for byte in b"\0" + piece + b"\0" + follower])
+
+
+def encode_body(size: int) -> bytes:
+    """Bytes without zeros that make a stuffed piece of about `size`."""
+    return bytes(1 + index % 255 for index in range(size))
+
+
+def mutate(source: random.Random, wire: bytearray) -> bytearray:
+    """Damage a packet once: a bit, a byte, a zero, a cut, a gap, noise, a repetition."""
+    if not wire:
+        return wire
+    at = source.randrange(len(wire))
+    kind = source.randrange(8)
+    if kind == 0:
+        wire[at] ^= 1 << source.randrange(8)
+    elif kind == 1:
+        wire[at] = source.randrange(256)
+    elif kind == 2:
+        wire[at] = 0
+    elif kind == 3:
+        del wire[at:]
+    elif kind == 4:
+        del wire[: at + 1]
+    elif kind == 5:
+        del wire[at : at + source.randrange(1, 20)]
+    elif kind == 6:
+        wire[at:at] = source.randbytes(source.randrange(1, 20))
+    else:
+        wire += wire[at:]
+    return wire
+
+
+def test_a_hundred_thousand_mutated_packets_are_judged_alike(codec: CodecProcess) -> None:
+    """Nothing that was not sent is accepted, and both decoders accept and count the same."""
+    source = random.Random(4)
+    originals = [random_packet(source) for _ in range(1500)]
+    wires = [encode_packet(packet) for packet in originals]
+    sent = set(originals)
+    codec.new_decoder()
+    theirs = PacketDecoder()
+    accepted = 0
+    for _ in range(MUTATED // 400):
+        stream = bytearray()
+        for _ in range(400):
+            wire = bytearray(source.choice(wires))
+            for _ in range(source.randrange(1, 4)):
+                wire = mutate(source, wire)
+            stream += wire
+        expected = theirs.feed(bytes(stream))
+        assert codec.feed(bytes(stream)) == expected
+        assert sent.issuperset(expected)
+        accepted += len(expected)
+    assert codec.counters() == counted(theirs)
+    assert theirs.counters.damaged > MUTATED // 2
+    assert accepted > 0  # an insertion before the first delimiter leaves a packet intact

@@ -1,0 +1,55 @@
+"""What the core may use, and what a million bytes of nonsense do to it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from .conftest import FIRMWARE
+
+CORE = FIRMWARE / "deltacharger_board" / "src"
+SOURCES = sorted(CORE.glob("*.c"))
+ALLOWED_HEADERS = {"stdbool.h", "stddef.h", "stdint.h", "string.h"}
+ALLOWED_FUNCTIONS = {"memchr", "memcpy", "memmove", "memset"}
+
+
+@pytest.mark.parametrize("path", [*SOURCES, *sorted(CORE.glob("*.h"))], ids=lambda path: path.name)
+def test_the_core_includes_no_hardware_and_no_operating_system(path: Path) -> None:
+    assert set(re.findall(r"#include <(.*)>", path.read_text())) <= ALLOWED_HEADERS
+
+
+def test_the_core_calls_nothing_but_memory_functions(compiler: str, tmp_path: Path) -> None:
+    if shutil.which("nm") is None:
+        pytest.skip("no nm to list what the objects call")
+    subprocess.run([compiler, "-std=c99", "-O1", "-c", *SOURCES], cwd=tmp_path, check=True)
+    objects = sorted(tmp_path.glob("*.o"))
+    listing = subprocess.run(["nm", *objects], capture_output=True, text=True, check=True).stdout
+    defined = set(re.findall(r" [TDBR] (\w+)", listing))
+    called = set(re.findall(r" U (\w+)", listing)) - defined
+    assert {name for name in called if not name.startswith("__")} <= ALLOWED_FUNCTIONS
+    # Every byte of state is in the caller's dc_board: two boards can share a processor.
+    assert not re.findall(r" [bBdDC] (\w+)", listing)
+
+
+def test_every_header_stands_alone_in_c_and_in_cpp(compiler: str, tmp_path: Path) -> None:
+    modes = [(compiler, "c", "-std=c99")]
+    if shutil.which("c++"):
+        modes.append(("c++", "c++", "-std=c++11"))
+    for header in CORE.glob("*.h"):
+        for program, language, standard in modes:
+            command = [program, standard, "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", f"-I{CORE}"]
+            text = f'#include "{header.name}"\n#include "{header.name}"\n'
+            subprocess.run([*command, "-x", language, "-"], input=text, text=True, check=True, cwd=tmp_path)
+
+
+def test_fuzzing_finds_nothing(programs: Path) -> None:
+    ended = subprocess.run([programs / "fuzz", "200000", "11"], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stderr == ""
+    accepted, closes = (int(number) for number in re.findall(r"(\d+) (?:accepted|closes)", ended.stdout))
+    assert accepted > 20_000
+    assert closes > 500

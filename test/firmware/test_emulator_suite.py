@@ -1,0 +1,17 @@
+"""The tests of the emulated board, run on the firmware: both must do the same."""
+
+from __future__ import annotations
+
+import pytest
+
+from .borrowed import borrowed_tests, on_firmware
+
+NOT_OF_THE_BOARD = {
+    "test_a_late_poll_sends_what_was_sampled_and_a_very_late_one_says_overrun",  # a real board cannot sample the past
+    "test_wire_faults_hit_the_packets_they_are_told_to",  # a hook of the emulator
+    "test_an_unknown_wire_fault_is_refused",
+}
+
+pytestmark = pytest.mark.usefixtures("firmware_boards")
+
+globals().update(borrowed_tests(on_firmware("test_board_emulator"), NOT_OF_THE_BOARD))
