@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 DISCOVERY = 5.0  # s; a charger that runs is found in 0.25…3 s, and starting a second one beside it would be worse
 _LOOK = 3.3  # s in each of two domains where a charger may be; who misses the first announcement waits 3 s for the next
-_NEIGHBOUR = 1.5  # s to notice a charger that runs already
+_NEIGHBOUR = _LOOK  # s to notice a charger that runs already
 START_UP = 60.0  # s until the actions of a scene's own charger answer
 
 
