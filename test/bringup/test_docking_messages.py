@@ -138,7 +138,7 @@ def test_motion_dies_with_docking_node(rig: Rig, number: int) -> None:
     _, far = rig.travels(0.5)
     assert far < 0.3 * SPEED, "a fifth of a second of the line, and a loaded machine's pauses"
     _, creep = rig.travels(1.0)
-    assert creep < 0.0005
+    assert creep < 0.15 * SPEED, "the line would have gone on at full speed"
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
