@@ -29,9 +29,23 @@ _ACK = struct.Struct("<BBH")
 _PROBE = struct.Struct("<ff")
 _RATE = struct.Struct("<f")
 _LAST_FAULT = max(Fault)
-_SAMPLE_BYTES = {SampleFormat.U8: 200, SampleFormat.U12: 300, SampleFormat.U16: 400}
+_WORD_SHIFTS = np.array((0, 12), np.uint32)  # two codes of 12 bit in every three bytes
+_SAMPLE_BYTES: dict[int, int] = {SampleFormat.U8: 200, SampleFormat.U12: 300, SampleFormat.U16: 400}
 
 Taxels = npt.NDArray[np.float32]
+
+
+def _forces(sample_format: SampleFormat) -> Taxels:
+    """Return the force, N, of every code of a format; NaN for the highest, a dead taxel."""
+    top = sample_format.top
+    forces = np.arange(top + 1, dtype=np.float32) * np.float32(FULL_SCALE / (top - 1))
+    forces[top] = np.nan
+    return forces
+
+
+_FORCES: dict[int, Taxels] = {
+    sample_format: _forces(sample_format) for sample_format in (SampleFormat.U8, SampleFormat.U12, SampleFormat.U16)
+}
 
 
 @dataclass(frozen=True)
@@ -97,32 +111,27 @@ def encode_samples(left: npt.ArrayLike, right: npt.ArrayLike, sample_format: Sam
     return packed.tobytes()
 
 
-def decode_samples(payload: bytes, sample_format: int) -> tuple[Taxels, Taxels]:
+def decode_samples(payload: bytes, sample_format: int) -> Taxels:
     """Read the payload of a TACTILE packet.
 
     Returns:
-        Left and right, each (10, 10) N, row-major from the top row, NaN = dead.
+        (2, 10, 10) N: left and right, row-major from the top row, NaN = dead.
 
     Raises:
         PacketError: unknown format, or a length that does not belong to it.
     """
-    expected = _SAMPLE_BYTES.get(sample_format)  # type: ignore[call-overload]
-    if expected is None:
+    expected = _SAMPLE_BYTES.get(sample_format, 0)
+    if not expected:
         raise PacketError(PacketType.TACTILE, f"sample format {sample_format} is not known")
     if len(payload) != expected:
         raise PacketError(PacketType.TACTILE, f"{len(payload)} bytes of samples instead of {expected}")
+    codes: npt.NDArray[Any]
     if sample_format == SampleFormat.U12:
-        packed = np.frombuffer(payload, np.uint8).reshape(TAXELS, 3).astype(np.uint16)
-        codes = np.empty(2 * TAXELS, np.uint16)
-        codes[0::2] = packed[:, 0] | (packed[:, 1] & 15) << 8
-        codes[1::2] = packed[:, 1] >> 4 | packed[:, 2] << 4
+        words: npt.NDArray[np.uint32] = np.ndarray((TAXELS, 1), "<u4", payload + b"\0", strides=(3, 1))
+        codes = words >> _WORD_SHIFTS & 0xFFF
     else:
         codes = np.frombuffer(payload, np.uint8 if sample_format == SampleFormat.U8 else "<u2")
-    top = SampleFormat(sample_format).top
-    forces = codes.astype(np.float32) * np.float32(FULL_SCALE / (top - 1))
-    forces[codes == top] = np.nan
-    pads = forces.reshape(2, ROWS, COLUMNS)
-    return pads[0], pads[1]
+    return _FORCES[sample_format].take(codes).reshape(2, ROWS, COLUMNS)
 
 
 def encode_power(power: Power) -> bytes:

@@ -120,13 +120,13 @@ class BoardReceiver:
         self._requests.rebooted()
         self._call(self._on_boot)
 
-    def _take_tactile(self, packet: Packet, pads: tuple[Taxels, Taxels], when: float, received: float) -> None:
+    def _take_tactile(self, packet: Packet, pads: Taxels, when: float, received: float) -> None:
         sequence = self._tactile_sequence.update(packet.sequence)
         if sequence is None:
             return
         self.counters.tactile += 1
         tared, overrun = bool(packet.flags & FLAG_TARED), bool(packet.flags & FLAG_OVERRUN)
-        sample = TactileSample(when, sequence, packet.device_time_us, *pads, tared, overrun)
+        sample = TactileSample(when, sequence, packet.device_time_us, pads, tared, overrun)
         self._call(self._on_tactile, sample)
 
     def _take_power(self, packet: Packet, power: Power, when: float, received: float) -> None:

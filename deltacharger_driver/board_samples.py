@@ -15,8 +15,8 @@ class TactileSample:
         time: sampling instant, s on the host's monotonic clock.
         sequence: unwrapped, rising over a reboot; gaps are lost frames.
         device_time_us: us on the board's clock at the sampling instant.
-        left: (10, 10) N, float32, row 0 at +y, column 0 at +x of end_effector; NaN = dead. The pad at +x.
-        right: the same for the pad at -x.
+        pads: (2, 10, 10) N, float32: left, which is the pad at +x, and right; row 0 at +y, column 0 at +x of
+            end_effector; NaN = dead.
         tared: the board subtracts a tare.
         overrun: the board lost samplings before this one.
     """
@@ -24,10 +24,21 @@ class TactileSample:
     time: float
     sequence: int
     device_time_us: int
-    left: Taxels
-    right: Taxels
+    pads: Taxels
     tared: bool
     overrun: bool
+
+    @property
+    def left(self) -> Taxels:
+        """(10, 10) N of the pad at +x."""
+        pads: Taxels = self.pads[0]
+        return pads
+
+    @property
+    def right(self) -> Taxels:
+        """(10, 10) N of the pad at -x."""
+        pads: Taxels = self.pads[1]
+        return pads
 
 
 @dataclass(frozen=True)

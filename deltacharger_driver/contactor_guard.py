@@ -103,7 +103,7 @@ class ContactorGuard:
 
     def observe_tactile(self, sample: TactileSample) -> None:
         """Take note of a tactile frame."""
-        touched = bool((sample.left >= CONTACT_FORCE).any() or (sample.right >= CONTACT_FORCE).any())
+        touched = bool((sample.pads >= CONTACT_FORCE).any())
         with self._lock:
             self._frame_time = sample.time
             if touched:

@@ -44,7 +44,7 @@ STATUS_ERRORS = {
     4: "value out of range, or goals locked by the bus watchdog",
     5: "wrong number of bytes",
     6: "value beyond its limit register",
-    7: "register is read-only or locked while torque is on",
+    7: "register does not exist, is read-only or is locked while torque is on",
 }
 """Error number of a status packet → what it means."""
 ALERT = 0x80
@@ -160,6 +160,8 @@ REGISTERS: dict[str, Register] = {
 }
 """The control table by name; the indirect registers are `indirect_address` and `indirect_data`."""
 
+LARGEST_CURRENT = REGISTERS["current_limit"].high * CURRENT_UNIT
+"""A, the largest that the registers accept."""
 INDIRECT_COUNT = 56
 
 
@@ -213,9 +215,8 @@ def current_to_counts(current: float) -> int:
     Raises:
         RangeError: beyond what the registers accept, or not finite.
     """
-    limit = REGISTERS["current_limit"].high * CURRENT_UNIT
-    if not -limit <= current <= limit:
-        raise RangeError("current", current, -limit, limit, " A")
+    if not -LARGEST_CURRENT <= current <= LARGEST_CURRENT:
+        raise RangeError("current", current, -LARGEST_CURRENT, LARGEST_CURRENT, " A")
     return int(current / CURRENT_UNIT + math.copysign(1e-9, current))
 
 

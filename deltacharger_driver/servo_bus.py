@@ -21,7 +21,7 @@ from deltacharger_driver.mx64 import (
     ticks_to_angle,
 )
 from deltacharger_driver.servo_link import ServoLink
-from deltacharger_driver.servo_protocol import LinkCounters
+from deltacharger_driver.servo_protocol import LinkCounters, sync_write_packet
 from deltacharger_driver.servo_setup import configure, restart_watchdog, set_up, watchdog_tripped
 from deltacharger_driver.servo_snapshot import (
     READ_ADDRESS,
@@ -56,6 +56,7 @@ class ServoBus:
         self.settings = settings
         self._link = ServoLink(settings.port, settings.baud_rate, settings.reply_margin)
         self._count = len(settings.ids)
+        self._largest_counts = current_to_counts(settings.current_max)
         self._cycle = 0
         self._last_sent = -math.inf
         self._look_at_watchdogs = False
@@ -116,12 +117,26 @@ class ServoBus:
         Raises:
             PortGone: the port vanished.
         """
+        return self._read(b"")
+
+    def exchange(self, angles: Sequence[float], currents: Sequence[float]) -> Snapshot:
+        """Send the goals as `write_goals` does and return the state as `read` does, at half the cost of both.
+
+        Raises:
+            RangeError, PortGone: as both.
+        """
+        return self._read(self._goal_packet(angles, currents))
+
+    def _read(self, ahead: bytes) -> Snapshot:
+        """Read all servos; packets `ahead`, which nobody answers, go out with the first question."""
         self._note_silence()
         ids = self.settings.ids
         if not any(self._missed):
-            replies = self._link.sync_read(ids, READ_ADDRESS, READ_LENGTH)
+            replies = self._link.sync_read(ids, READ_ADDRESS, READ_LENGTH, ahead)
         else:
             replies = {}
+            if ahead:
+                self._link.send(ahead)
             for index, servo in enumerate(ids):
                 if not self._missing(index) or (self._cycle + index) % _RETRY_EVERY == 0:
                     replies.update(self._link.sync_read((servo,), READ_ADDRESS, READ_LENGTH))
@@ -138,14 +153,19 @@ class ServoBus:
             RangeError: a bound above `current_max`, or a value that the registers cannot hold; nothing is sent.
             PortGone: the port vanished.
         """
+        packet = self._goal_packet(angles, currents)
+        self._note_silence()
+        self._link.send(packet)
+        self._last_sent = time.monotonic()
+
+    def _goal_packet(self, angles: Sequence[float], currents: Sequence[float]) -> bytes:
+        """Return the packet that writes goal and bound of every servo."""
         settings = self.settings
         rows = []
         for index, (angle, current) in enumerate(zip(angles, currents, strict=True)):
             ticks = angle_to_ticks(angle, settings.zero_ticks[index], settings.direction[index])
             rows.append((settings.ids[index], _WRITE_LAYOUT.pack(self._bound(current), ticks)))
-        self._note_silence()
-        self._link.sync_write(WRITE_ADDRESS, WRITE_LENGTH, rows)
-        self._last_sent = time.monotonic()
+        return sync_write_packet(WRITE_ADDRESS, WRITE_LENGTH, rows)
 
     def enable_torque(self, currents: Sequence[float]) -> Snapshot:
         """Switch all servos on, holding where they are: goal := present position first.
@@ -190,7 +210,8 @@ class ServoBus:
             PortGone: the port vanished; the servos stop by their watchdog.
         """
         register = REGISTERS["torque_enable"]
-        self._link.sync_write(register.address, register.size, [(servo, b"\0") for servo in self.settings.ids])
+        off = [(servo, b"\0") for servo in self.settings.ids]
+        self._link.send(sync_write_packet(register.address, register.size, off))
         for index, servo in enumerate(self.settings.ids):
             with contextlib.suppress(NoAnswer, CorruptReply, ServoFault):
                 self._link.write(servo, "torque_enable", 0, hurry=self._missed[index] > 0)
@@ -259,10 +280,10 @@ class ServoBus:
 
     def _bound(self, current: float) -> int:
         """Return a current bound in counts; compared there, so that arithmetic may miss the largest by a rounding."""
-        largest = self.settings.current_max
-        if not current >= 0.0 or current_to_counts(current) > current_to_counts(largest):
-            raise RangeError("current bound", current, 0.0, largest, " A")
-        return current_to_counts(current)
+        counts = current_to_counts(current) if current >= 0.0 else -1
+        if not 0 <= counts <= self._largest_counts:
+            raise RangeError("current bound", current, 0.0, self.settings.current_max, " A")
+        return counts
 
     def _verify_goal(self, index: int, angles: Sequence[float], currents: Sequence[float]) -> None:
         """Write the goal of one servo with confirmation, so that switching on cannot jump."""

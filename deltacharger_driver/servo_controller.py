@@ -175,10 +175,12 @@ class ServoController:
 
     def _exchange(self) -> None:
         """Send goals, read the state, and act on what it says."""
-        if self._phase is not Phase.OFF:
+        if self._phase is Phase.OFF:
+            snapshot = self.bus.read()
+        else:
             self._advance()
-            self.bus.write_goals(self._goals.angles, self._goals.bounds)
-        snapshot = self._snapshot = self.bus.read()
+            snapshot = self.bus.exchange(self._goals.angles, self._goals.bounds)
+        self._snapshot = snapshot
         self._memory.learn(snapshot)
         self._check_watchdogs()
         if self._phase is Phase.ON:

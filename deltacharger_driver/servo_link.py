@@ -15,6 +15,7 @@ from deltacharger_driver.servo_protocol import LinkCounters, ServoProtocol
 
 ATTEMPTS = 3
 """How often a read or write is tried before it fails; reads and writes of registers may be repeated without harm."""
+_TAKES_NOTHING = "it takes no more bytes"
 
 
 class ServoLink:
@@ -167,34 +168,28 @@ class ServoLink:
         """
         self._check_owner()
         register = REGISTERS[name]
-        self._sent(
-            self._protocol.writeTxOnly(
-                self._handler, servo, register.address, register.size, list(register.to_bytes(value))
-            )
+        result = self._protocol.writeTxOnly(
+            self._handler, servo, register.address, register.size, list(register.to_bytes(value))
         )
+        if result != COMM_SUCCESS:
+            raise PortGone(self.port, _TAKES_NOTHING)
 
-    def sync_read(self, servos: Sequence[int], address: int, length: int) -> dict[int, tuple[int, bytes]]:
+    def sync_read(
+        self, servos: Sequence[int], address: int, length: int, ahead: bytes = b""
+    ) -> dict[int, tuple[int, bytes]]:
         """Return error byte and data of each servo that answered; see `ServoProtocol.sync_read`."""
         self._begin(hurry=True)
-        return self._protocol.sync_read(self._handler, servos, address, length)
+        return self._protocol.sync_read(self._handler, servos, address, length, ahead)
 
-    def sync_write(self, address: int, length: int, rows: Sequence[tuple[int, bytes]]) -> None:
-        """Write `length` bytes to several servos with one packet; servos never confirm it.
-
-        Args:
-            address: of the first register.
-            length: bytes per servo.
-            rows: (id, data) of each servo.
+    def send(self, packets: bytes) -> None:
+        """Send packets that nobody answers (`servo_protocol.sync_write_packet`).
 
         Raises:
             PortGone: the port vanished or takes nothing.
         """
         self._check_owner()
-        parameters: list[int] = []
-        for servo, data in rows:
-            parameters.append(servo)
-            parameters += data
-        self._sent(self._protocol.syncWriteTxOnly(self._handler, address, length, parameters, len(parameters)))
+        if not self._protocol.send(self._handler, packets):
+            raise PortGone(self.port, _TAKES_NOTHING)
 
     def reboot(self, servo: int) -> None:
         """Restart a servo: its torque goes off, latched errors are cleared, what is not in EEPROM is lost.
@@ -223,10 +218,6 @@ class ServoLink:
         caller = threading.current_thread()
         if self._owner is not caller:
             raise WrongThread(self._owner.name if self._owner else "none (it is closed)", caller.name)
-
-    def _sent(self, result: int) -> None:
-        if result != COMM_SUCCESS:
-            raise PortGone(self.port, "it takes no more bytes")
 
     def _failure(self, servo: int, action: str, result: int, attempts: int) -> DriverError:
         device = f"servo {servo}"

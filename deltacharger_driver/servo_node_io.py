@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 from array import array
 from typing import Any, Generic, TypeVar
 
@@ -20,11 +19,25 @@ from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from deltacharger_bringup.flat_message import FlatPublisher
+from deltacharger_bringup.stamps import Stamps
 from deltacharger_driver.servo_report import ServoReport
 from deltacharger_driver.trajectory import Waypoint
 
 JOINTS = ("limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint")
 _FRAME = "charger_base"
+_STATE_FIELDS = (
+    "position",
+    "velocity",
+    "current",
+    "voltage",
+    "temperature",
+    "hardware_error",
+    "torque_enabled",
+    "valid",
+    "thermal_reserve",
+)
+_LISTENERS_EVERY = 10  # cycles between two looks whether anybody listens to joint_states
 _HOLDER = "servo_node"  # anyone may open; the name only says who did
 _OPEN_CURRENT = 0.5  # A, below it a charge current counts as none (docs/docking.md)
 
@@ -112,7 +125,7 @@ class ContactorClient:
 
 
 class StatePublishers:
-    """servo_state and joint_states from reports; the messages are kept and filled anew.
+    """servo_state and joint_states from reports.
 
     Args:
         node: the publisher.
@@ -121,36 +134,43 @@ class StatePublishers:
     """
 
     def __init__(self, node: Node, qos: QoSProfile, torque_constant: float) -> None:
-        self._node = node
         self._torque_constant = torque_constant
-        self._states = node.create_publisher(ServoState, "servo_state", qos)
-        self._joints = node.create_publisher(JointState, "joint_states", 10)
-        self._state, self._joint = ServoState(name=list(JOINTS)), JointState(name=list(JOINTS))
-        self._state.header.frame_id = self._joint.header.frame_id = _FRAME
+        self._cycle = 0
+        self._joints_wanted = False
+        count = len(JOINTS)
+        zero, short_zero, none = array("d", [0.0] * count), array("f", [0.0] * count), [False] * count
+        state = ServoState(name=list(JOINTS), position=zero, velocity=zero, current=zero)
+        state.voltage = state.temperature = state.thermal_reserve = short_zero
+        state.hardware_error, state.torque_enabled, state.valid = array("B", bytes(count)), none, none
+        joint = JointState(name=list(JOINTS), position=zero, velocity=zero, effort=zero)
+        state.header.frame_id = joint.header.frame_id = _FRAME
+        stamps = Stamps(node.get_clock())
+        state_topic = node.create_publisher(ServoState, "servo_state", qos)
+        self._states = FlatPublisher(state_topic, state, _STATE_FIELDS, stamps)
+        self._joint_topic = node.create_publisher(JointState, "joint_states", 10)
+        self._joints = FlatPublisher(self._joint_topic, joint, ("position", "velocity", "effort"), stamps)
 
     def publish(self, report: ServoReport) -> None:
         """Publish the state after a cycle; joint_states only where all angles are known and somebody listens."""
-        state = self._state
-        nanoseconds = self._node.get_clock().now().nanoseconds - int((time.monotonic() - report.time) * 1e9)
-        stamp = state.header.stamp
-        stamp.sec, stamp.nanosec = divmod(max(nanoseconds, 0), 1_000_000_000)
-        state.position = array("d", report.angle)
-        state.velocity = array("d", report.velocity)
-        state.current = array("d", report.current)
-        state.voltage = array("f", report.voltage)
-        state.temperature = array("f", report.temperature)
-        state.hardware_error = array("B", report.hardware_error)
-        state.torque_enabled = list(report.torque_enabled)
-        state.valid = list(report.valid)
-        state.thermal_reserve = array("f", report.thermal_reserve)
-        self._states.publish(state)
-        if not math.isnan(sum(report.angle)) and self._joints.get_subscription_count():
-            joint = self._joint
-            joint.header.stamp = stamp
-            joint.position = state.position
-            joint.velocity = state.velocity
-            joint.effort = array("d", [current * self._torque_constant for current in report.current])
-            self._joints.publish(joint)
+        position, velocity = array("d", report.angle), array("d", report.velocity)
+        self._states.publish(
+            report.time,
+            position,
+            velocity,
+            array("d", report.current),
+            array("f", report.voltage),
+            array("f", report.temperature),
+            bytes(report.hardware_error),
+            bytes(report.torque_enabled),
+            bytes(report.valid),
+            array("f", report.thermal_reserve),
+        )
+        if self._cycle % _LISTENERS_EVERY == 0:
+            self._joints_wanted = self._joint_topic.get_subscription_count() > 0
+        self._cycle += 1
+        if self._joints_wanted and not math.isnan(sum(report.angle)):
+            effort = array("d", [current * self._torque_constant for current in report.current])
+            self._joints.publish(report.time, position, velocity, effort)
 
 
 def waypoint(point: JointTrajectoryPoint) -> Waypoint:

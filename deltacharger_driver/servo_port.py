@@ -43,7 +43,7 @@ def latency_timer(port: str) -> float:
 
 
 class ServoPort(PortHandler):  # type: ignore[misc]
-    """The SDK's port handler: waits in `select`, keeps time by the monotonic clock, and reports a pulled cable.
+    """The SDK's port handler: waits in `poll`, keeps time by the monotonic clock, and reports a pulled cable.
 
     Every method that receives raises `WrongDevice` where the first bytes after the opening are the board's.
 
@@ -64,6 +64,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         self.latency = USB_LATENCY
         self.margin = reply_margin
         self._descriptor = -1
+        self._poller = select.poll()
         self._buffer = bytearray()
         self._board: PacketDecoder | None = None
 
@@ -82,6 +83,8 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         else:
             self.ser = open_serial(str(self.port_name), cflag_baud)
             self._descriptor = self.ser.fileno()
+            self._poller = select.poll()
+            self._poller.register(self._descriptor, select.POLLIN)
             self._board = PacketDecoder()
             self.latency = latency_timer(self.port_name)
             self.is_open = True
@@ -136,10 +139,8 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         """
         if length <= 0:
             return b""
-        if not self._buffer:
-            self._wait(max(self.packet_timeout - self.getTimeSinceStart(), 0.0) * 1e-3)
-        data = bytes(self._buffer[:length])
-        del self._buffer[:length]
+        data = bytes(self.received()[:length])
+        self.discard(len(data))
         return data
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
@@ -154,6 +155,20 @@ class ServoPort(PortHandler):  # type: ignore[misc]
             return 0
         except HANG_UPS as error:
             raise self._gone(error) from error
+
+    def received(self) -> bytes | bytearray:
+        """Return what has come and was not taken; where that is nothing, wait for it as `readPort` does.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        if not self._buffer:
+            self._wait(max(self.packet_timeout - self.getTimeSinceStart(), 0.0) * 1e-3)
+        return self._buffer
+
+    def discard(self, length: int) -> None:
+        """Take the first `length` bytes of what has come."""
+        del self._buffer[:length]
 
     def getBytesAvailable(self) -> int:  # noqa: N802
         """Return how many bytes wait to be read."""
@@ -171,7 +186,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
     def _wait(self, timeout: float) -> bool:
         """Wait at most `timeout` s and take what has come into the buffer; return whether anything has."""
         try:
-            if not select.select((self._descriptor,), (), (), max(timeout, 0.0))[0]:
+            if not self._poller.poll(max(timeout, 0.0) * 1e3):
                 return False
             data = os.read(self._descriptor, 4096)
         except BlockingIOError:

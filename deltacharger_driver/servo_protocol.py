@@ -5,6 +5,8 @@ The class is the SDK's own with single methods replaced; docs/servos.md lists ea
 
 from __future__ import annotations
 
+import functools
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,11 +18,17 @@ from dynamixel_sdk.robotis_def import (
     INST_ACTION,
     INST_PING,
     INST_READ,
+    INST_SYNC_READ,
+    INST_SYNC_WRITE,
 )
 
 from deltacharger_driver.servo_port import ServoPort
 
 _ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
+_HEADER = b"\xff\xff\xfd\0"
+_STATUS = 0x55  # the instruction byte of a servo's answer
+_TO_STUFF = b"\xff\xff\xfd"  # inside a packet another FD follows it, so that it begins none
+_SHORTEST = 11  # bytes of a status packet without parameters
 
 
 @dataclass
@@ -64,6 +72,25 @@ def crc16(data: Sequence[int], crc: int = 0) -> int:
     return crc
 
 
+def instruction_packet(servo: int, instruction: int, parameters: bytes) -> bytes:
+    """Return an instruction as it stands on the wire, stuffed and with its checksum."""
+    body = (bytes((instruction,)) + parameters).replace(_TO_STUFF, _TO_STUFF + b"\xfd")
+    packet = _HEADER + struct.pack("<BH", servo, len(body) + 2) + body
+    return packet + struct.pack("<H", crc16(packet))
+
+
+def sync_write_packet(address: int, length: int, rows: Sequence[tuple[int, bytes]]) -> bytes:
+    """Return the instruction that writes `length` bytes to several servos, given as (id, data), at once."""
+    data = b"".join(bytes((servo,)) + values for servo, values in rows)
+    return instruction_packet(BROADCAST_ID, INST_SYNC_WRITE, struct.pack("<HH", address, length) + data)
+
+
+@functools.lru_cache(maxsize=16)
+def sync_read_packet(address: int, length: int, servos: tuple[int, ...]) -> bytes:
+    """Return the instruction that asks several servos for the same registers."""
+    return instruction_packet(BROADCAST_ID, INST_SYNC_READ, struct.pack("<HH", address, length) + bytes(servos))
+
+
 class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
     """The SDK's Protocol 2.0: stuffs what it sends, and takes a reply only where servo and length are those asked for.
 
@@ -100,15 +127,30 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
         del packet[_INSTRUCTION + len(body) + 2 :]
         return packet
 
+    def send(self, port: ServoPort, packets: bytes) -> bool:
+        """Send whole packets in one piece; return whether the port took them. What came before is discarded, after a
+        failure once the line has fallen silent.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        self._settle(port)
+        port.clearPort()
+        return port.writePort(packets) == len(packets)
+
     def txPacket(self, port: ServoPort, txpacket: list[int]) -> int:  # noqa: N802
         """Send an instruction; after a failure, wait for the line to fall silent first."""
-        if self._suspect:
-            self._suspect = False
-            port.drain()
+        self._settle(port)
         return int(super().txPacket(port, txpacket))
 
-    def rxPacket(self, port: ServoPort, fast_option: bool = False) -> tuple[list[int], int]:  # noqa: N802
+    def rxPacket(  # noqa: N802
+        self, port: ServoPort, fast_option: bool = False
+    ) -> tuple[Sequence[int], int]:
         """Receive one packet of whichever servo, and count what goes wrong."""
+        intact = self._take_intact(port)
+        if intact:
+            port.is_using = False
+            return intact, COMM_SUCCESS
         packet, result = super().rxPacket(port, fast_option)
         if result == COMM_RX_TIMEOUT:
             self.counters.timeouts += 1
@@ -117,7 +159,28 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
         self._suspect = self._suspect or result != COMM_SUCCESS
         return packet, int(result)
 
-    def txRxPacket(self, port: ServoPort, txpacket: list[int]) -> tuple[list[int] | None, int, int]:  # noqa: N802
+    def _settle(self, port: ServoPort) -> None:
+        if self._suspect:
+            self._suspect = False
+            port.drain()
+
+    @staticmethod
+    def _take_intact(port: ServoPort) -> bytes:
+        """Return the packet that has come, where nothing else stands before it and nothing in it is stuffed; else b''.
+
+        What is not as it always is remains for the SDK, which looks at every byte by itself and costs ten times that.
+        """
+        data = port.received()
+        end = _INSTRUCTION + int.from_bytes(data[_LENGTH:_INSTRUCTION], "little")
+        if len(data) < max(end, _SHORTEST) or not data.startswith(_HEADER) or data[_INSTRUCTION] != _STATUS:
+            return b""
+        packet = bytes(data[:end])
+        if packet.find(_TO_STUFF, _INSTRUCTION) >= 0 or crc16(packet[:-2]) != packet[-2] | packet[-1] << 8:
+            return b""
+        port.discard(end)
+        return packet
+
+    def txRxPacket(self, port: ServoPort, txpacket: list[int]) -> tuple[Sequence[int] | None, int, int]:  # noqa: N802
         """Send an instruction and return (reply, result, error byte).
 
         Another servo's reply, or one of another length, is discarded: it is a late answer to an older question.
@@ -143,7 +206,7 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
                 return reply, result, reply[_ERROR]
 
     def sync_read(
-        self, port: ServoPort, servos: Sequence[int], address: int, length: int
+        self, port: ServoPort, servos: Sequence[int], address: int, length: int, ahead: bytes = b""
     ) -> dict[int, tuple[int, bytes]]:
         """Ask several servos for the same registers at once.
 
@@ -156,6 +219,8 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
                 those behind a missing servo stay silent.
             address: of the first register.
             length: bytes.
+            ahead: packets that nobody answers, sent in one piece with the question: a second piece would cost more
+                than the packets themselves.
 
         Returns:
             error byte and data of each servo that answered.
@@ -164,8 +229,9 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
             PortGone: the port vanished.
         """
         replies: dict[int, tuple[int, bytes]] = {}
-        if self.syncReadTx(port, address, length, list(servos), len(servos), False) != COMM_SUCCESS:
+        if not self.send(port, ahead + sync_read_packet(address, length, tuple(servos))):
             return replies
+        port.setPacketTimeout((_SHORTEST + length) * len(servos))
         while len(replies) < len(servos):
             packet, result = self.rxPacket(port)
             if result == COMM_SUCCESS:
@@ -176,7 +242,7 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
                 break
         return replies
 
-    def _answers(self, reply: list[int], servo: int, expected: int) -> bool:
+    def _answers(self, reply: Sequence[int], servo: int, expected: int) -> bool:
         """Return whether `reply` is the answer of `servo` with `expected` bytes, or its refusal, which has none."""
         length = len(reply) - 11
         refused = length == 0 and reply[_ERROR] & 0x7F

@@ -7,7 +7,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from deltacharger_driver.errors import DriverError, RangeError
-from deltacharger_driver.mx64 import CURRENT_UNIT, REGISTERS, STALL_CURRENT, VOLTAGE_UNIT, indirect_data
+from deltacharger_driver.mx64 import (
+    CURRENT_UNIT,
+    LARGEST_CURRENT,
+    REGISTERS,
+    STALL_CURRENT,
+    VOLTAGE_UNIT,
+    indirect_data,
+)
 from deltacharger_driver.servo_port import REPLY_MARGIN
 
 WATCHDOG = 6
@@ -80,9 +87,8 @@ class BusSettings:
             raise DriverError(f"direction {self.direction}: each value is 1 or -1")
         if not 1 <= self.watchdog <= WATCHDOG:
             raise RangeError("watchdog", self.watchdog, 1, WATCHDOG, " × 20 ms")
-        if not 0.0 <= self.current_max <= REGISTERS["current_limit"].high * CURRENT_UNIT:
-            limit = REGISTERS["current_limit"].high * CURRENT_UNIT
-            raise RangeError("current_max", self.current_max, 0.0, limit, " A")
+        if not 0.0 <= self.current_max <= LARGEST_CURRENT:
+            raise RangeError("current_max", self.current_max, 0.0, LARGEST_CURRENT, " A")
 
 
 class Reading(NamedTuple):

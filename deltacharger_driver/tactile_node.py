@@ -170,7 +170,7 @@ class TactileNode(Node):
         values: dict[str, object] = {"rate": f"{self._frame_rate.rate():.1f} Hz", "late_frames": self._frame_rate.late}
         if frame is None or time.monotonic() - frame.time > STALE_FRAME:
             return self._status("tactile arrays", "no fresh frames", "", values)
-        dead = int(np.isnan(frame.left).sum() + np.isnan(frame.right).sum())
+        dead = int(np.isnan(frame.pads).sum())
         warning = ("" if frame.tared else "not tared; call tare in free air") or (f"{dead} dead taxels" if dead else "")
         return self._status("tactile arrays", "", warning, {**values, "tared": frame.tared, "dead_taxels": dead})
 

@@ -1,19 +1,29 @@
-"""What tactile_node says to ROS: tactile_frame and charger_power from samples. No message is built anew."""
+"""What tactile_node says to ROS: tactile_frame and charger_power from samples."""
 
 from __future__ import annotations
 
-import time
 from array import array
-from typing import Any
 
 from deltacharger.msg import ChargerPower, TactileFrame
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
+from deltacharger_bringup.flat_message import FlatPublisher
+from deltacharger_bringup.stamps import Stamps
 from deltacharger_driver.board_protocol import COLUMNS, ROWS
 from deltacharger_driver.board_samples import PowerSample, TactileSample
 
 _FRAME = "end_effector"
+_FRAME_FIELDS = ("sequence", "device_time_us", "left", "right", "tared")
+_POWER_FIELDS = (
+    "contactor_closed",
+    "battery_voltage",
+    "target_voltage",
+    "charge_current",
+    "probe_resistance",
+    "probe_age",
+    "fault",
+)
 
 
 class SamplePublishers:
@@ -26,38 +36,34 @@ class SamplePublishers:
     """
 
     def __init__(self, node: Node, qos: QoSProfile, pitch: float) -> None:
-        self._clock = node.get_clock()
-        self._frames = node.create_publisher(TactileFrame, "tactile_frame", qos_profile_sensor_data)
-        self._powers = node.create_publisher(ChargerPower, "charger_power", qos)
-        self._frame = TactileFrame(rows=ROWS, columns=COLUMNS, pitch=pitch)
-        self._power = ChargerPower()
-        self._frame.header.frame_id = self._power.header.frame_id = _FRAME
+        stamps = Stamps(node.get_clock())
+        taxels = array("f", bytes(4 * ROWS * COLUMNS))
+        frame = TactileFrame(rows=ROWS, columns=COLUMNS, pitch=pitch, left=taxels, right=taxels)
+        power = ChargerPower()
+        frame.header.frame_id = power.header.frame_id = _FRAME
+        frames = node.create_publisher(TactileFrame, "tactile_frame", qos_profile_sensor_data)
+        powers = node.create_publisher(ChargerPower, "charger_power", qos)
+        self._frames = FlatPublisher(frames, frame, _FRAME_FIELDS, stamps)
+        self._powers = FlatPublisher(powers, power, _POWER_FIELDS, stamps)
 
     def frame(self, sample: TactileSample) -> None:
         """Publish a tactile frame."""
-        message = self._frame
-        self._stamp(message.header.stamp, sample.time)
-        message.sequence = sample.sequence
-        message.device_time_us = sample.device_time_us
-        message.left = array("f", sample.left.tobytes())
-        message.right = array("f", sample.right.tobytes())
-        message.tared = sample.tared
-        self._frames.publish(message)
+        self._frames.publish(
+            sample.time,
+            array("Q", (sample.sequence,)),
+            array("Q", (sample.device_time_us,)),
+            sample.left.reshape(-1),
+            sample.right.reshape(-1),
+            bytes((sample.tared,)),
+        )
 
     def power(self, sample: PowerSample, probe_resistance: float, probe_age: float) -> None:
         """Publish the power stage with the last probe's ohm (NaN = none) and age in s (inf = none that counts)."""
-        message, power = self._power, sample.power
-        self._stamp(message.header.stamp, sample.time)
-        message.contactor_closed = power.contactor_closed
-        message.battery_voltage = power.battery_voltage
-        message.target_voltage = power.target_voltage
-        message.charge_current = power.charge_current
-        message.probe_resistance = probe_resistance
-        message.probe_age = probe_age
-        message.fault = power.fault
-        self._powers.publish(message)
-
-    def _stamp(self, stamp: Any, instant: float) -> None:
-        """Translate a monotonic instant (s) to the node's clock."""
-        nanoseconds = self._clock.now().nanoseconds - int((time.monotonic() - instant) * 1e9)
-        stamp.sec, stamp.nanosec = divmod(max(nanoseconds, 0), 1_000_000_000)
+        power = sample.power
+        measured = (power.battery_voltage, power.target_voltage, power.charge_current, probe_resistance, probe_age)
+        self._powers.publish(
+            sample.time,
+            bytes((power.contactor_closed,)),
+            *(array("f", (value,)) for value in measured),
+            bytes((power.fault,)),
+        )

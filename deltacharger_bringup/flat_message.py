@@ -1,0 +1,94 @@
+"""Messages of a fixed size, published as bytes in which only the numbers change."""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from collections.abc import Sequence
+from typing import Any
+
+from rclpy.publisher import Publisher
+from rclpy.serialization import serialize_message
+
+from deltacharger_bringup.stamps import Stamps
+
+_CODES = {"boolean": "?", "uint8": "B", "int32": "i", "uint32": "I", "uint64": "Q", "float": "f", "double": "d"}
+
+
+class FlatPublisher:
+    """Publishes one stamped message again and again with other numbers in it.
+
+    ROS serialises the message once, and then numbers are written over its bytes: that spares the conversion of every
+    field, which costs more than publishing itself. Where a field stands is found by setting it to a mark and looking
+    which bytes change; where a middleware shows no such place, messages are filled and published as usual.
+
+    Args:
+        publisher: of a type with a header.
+        message: every string set, every sequence as long as it shall be and zero.
+        fields: names of the fields that change, in the order of `publish`'s arguments; the stamp always does.
+        stamps: translates the instants of `publish`.
+
+    Attributes:
+        is_flat: whether the message goes out as bytes.
+    """
+
+    def __init__(self, publisher: Publisher[Any], message: Any, fields: Sequence[str], stamps: Stamps) -> None:
+        self._publisher = publisher
+        self._message = message
+        self._stamps = stamps
+        self._fields = [_Field(message, name) for name in fields]
+        self._buffer = bytearray(serialize_message(message))
+        stamp = [_Field(message.header.stamp, name) for name in ("sec", "nanosec")]
+        views = [field.find(message, self._buffer) for field in (*stamp, *self._fields)]
+        self._views = [view for view in views if view is not None]
+        self.is_flat = len(self._views) == len(views)
+
+    def publish(self, instant: float, *rows: Any) -> None:
+        """Publish the message, stamped `instant` (s, monotonic).
+
+        Args:
+            rows: what each field becomes, also one of a single number: a one-dimensional array of its type, of the
+                standard library or of numpy; bytes for uint8 and for booleans.
+        """
+        sec, nanosec = self._stamps.convert(instant)
+        if self.is_flat:
+            views = self._views
+            views[0][0], views[1][0] = sec, nanosec
+            for index, row in enumerate(rows, 2):
+                views[index][:] = row
+            self._publisher.publish(bytes(self._buffer))
+            return
+        stamp = self._message.header.stamp
+        stamp.sec, stamp.nanosec = sec, nanosec
+        for field, row in zip(self._fields, rows, strict=True):
+            field.set(row)
+        self._publisher.publish(self._message)
+
+
+class _Field:
+    """A field of numbers: of a message, or the stamp's."""
+
+    def __init__(self, owner: Any, name: str) -> None:
+        self._owner, self._name = owner, name
+        declared = owner.get_fields_and_field_types()[name]
+        self._is_sequence = declared.startswith("sequence")
+        self._code = _CODES[declared.removeprefix("sequence<").removesuffix(">")]
+
+    def set(self, row: Sequence[Any]) -> None:
+        """Set it to the numbers of `row`."""
+        values = [bool(value) for value in row] if self._code == "?" else array(self._code, row)
+        setattr(self._owner, self._name, values if self._is_sequence else values[0])
+
+    def find(self, message: Any, buffer: bytearray) -> memoryview[Any] | None:
+        """Return the field's part of the serialised `message`, which is `buffer`; None where it is not seen in it."""
+        kept = getattr(self._owner, self._name)
+        count = len(kept) if self._is_sequence else 1
+        mark = (b"\1" if self._code == "?" else b"ABCDEFGH"[: struct.calcsize(self._code)]) * count
+        self.set(struct.unpack(f"<{count}{self._code}", mark))
+        marked = serialize_message(message)
+        setattr(self._owner, self._name, kept)
+        start = marked.find(mark)
+        if start < 0 or marked != bytes(buffer[:start]) + mark + bytes(buffer[start + len(mark) :]):
+            return None
+        code: Any = "B" if self._code == "?" else self._code
+        return memoryview(buffer)[start : start + len(mark)].cast(code)
