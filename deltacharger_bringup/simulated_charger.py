@@ -7,6 +7,7 @@ Nothing here knows ROS.
 from __future__ import annotations
 
 import logging
+import math
 import shutil
 import tempfile
 import threading
@@ -27,6 +28,7 @@ from deltacharger_sim.world import World
 from deltacharger_tactile.source import ContactSource
 
 _log = logging.getLogger(__name__)
+_SERVO, _BOARD = "servo", "board"  # names of the ports
 
 
 class SimulatedCharger:
@@ -55,7 +57,7 @@ class SimulatedCharger:
         self._namespace = namespace
         self._temporary: Path | None = None
         self._terminals: list[PseudoTerminal] = []
-        self._taps: list[_Tap] = []
+        self._taps: dict[str, _Tap] = {}
         self._control: ControlServer | None = None
         self._registration: Registration | None = None
         self.faults: Faults | None = None
@@ -72,8 +74,8 @@ class SimulatedCharger:
         servos = ServoBusEmulator(plant, seed=self._simulation.seed)
         board = BoardEmulator(plant, seed=self._simulation.seed)
         try:
-            self.servo_port = self._serve(servos, folder / "servo")
-            self.board_port = self._serve(board, folder / "board")
+            self.servo_port = self._serve(servos, folder / _SERVO)
+            self.board_port = self._serve(board, folder / _BOARD)
             servos.line_speed = self._terminals[0].speed
             hardware = Hardware(servos, board, *self._terminals)
             self.faults = Faults(self._simulation.faults, hardware, time.monotonic)
@@ -109,6 +111,12 @@ class SimulatedCharger:
     ) -> None:
         self.stop()
 
+    @property
+    def board_heard(self) -> float:
+        """When the board's host last sent something, s, monotonic; -inf = never."""
+        tap = self._taps.get(_BOARD)
+        return -math.inf if tap is None else tap.last
+
     def errors(self) -> list[BaseException]:
         """Return what broke an emulator's thread; empty when both serve."""
         return [terminal.error for terminal in self._terminals if terminal.error is not None]
@@ -121,7 +129,7 @@ class SimulatedCharger:
         """Wait until no host has sent a byte for `quiet` (s), at most `timeout` (s) or until `hurry` is set."""
         deadline = time.monotonic() + timeout
         while True:
-            silence = time.monotonic() - max((tap.last for tap in self._taps), default=0.0)
+            silence = time.monotonic() - max((tap.last for tap in self._taps.values()), default=-math.inf)
             if silence >= quiet:
                 return True
             left = min(quiet - silence, deadline - time.monotonic())
@@ -140,7 +148,7 @@ class SimulatedCharger:
     def _serve(self, device: ByteDevice, link: Path) -> str:
         tap = _Tap(device)
         terminal = PseudoTerminal(tap, link).start()
-        self._taps.append(tap)
+        self._taps[link.name] = tap
         self._terminals.append(terminal)
         return terminal.path
 
@@ -150,7 +158,7 @@ class _Tap:
 
     def __init__(self, device: ByteDevice) -> None:
         self._device = device
-        self.last = 0.0
+        self.last = -math.inf
 
     def receive(self, data: bytes, now: float) -> bytes:
         self.last = now

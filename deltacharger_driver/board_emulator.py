@@ -15,6 +15,7 @@ import numpy as np
 from deltacharger_driver.board_payloads import (
     Ack,
     Hello,
+    decode_ping,
     decode_rate,
     encode_ack,
     encode_hello,
@@ -27,7 +28,6 @@ from deltacharger_driver.board_protocol import (
     DEFAULT_RATE,
     FLAG_OVERRUN,
     FLAG_TARED,
-    LONGEST_PING,
     MINOR,
     POWER_RATE,
     ROWS,
@@ -39,6 +39,7 @@ from deltacharger_driver.board_protocol import (
     PacketError,
     PacketType,
     SampleFormat,
+    check_header,
     encode_packet,
 )
 from deltacharger_driver.emulated_pads import EmulatedPads, PadPlant
@@ -139,7 +140,7 @@ class BoardEmulator:
             if self._advance(now) and not self.faults.deaf:
                 for packet in self._decoder.feed(data):
                     self._obey(packet, now)
-                self._finish(now)
+                    self._finish(now)  # an opening ends a probe: that is answered before another PROBE takes its place
             return self._flush(now)
 
     def poll(self, now: float) -> bytes:
@@ -250,25 +251,28 @@ class BoardEmulator:
         self._queue(PacketType.HELLO, now, encode_hello(hello))
 
     def _obey(self, packet: Packet, now: float) -> None:
-        handler = _COMMANDS.get(packet.type)
-        if packet.type == PacketType.HEARTBEAT:
-            if not packet.payload:
-                self._power.heartbeat(now)
-                if self._on_heartbeat is not None:
-                    self._on_heartbeat(now)
-        elif packet.type == PacketType.PING:
-            if len(packet.payload) <= LONGEST_PING:
-                self._queue(PacketType.PING, now, packet.payload)
-        elif handler is None:
+        command = _COMMANDS.get(packet.type)
+        if command is None:
             self.unknown_types += 1
             self._acknowledge(packet.type, packet.sequence, AckError.UNKNOWN, now)
-        else:
-            try:
-                error = handler(self, packet, now)
-            except PacketError:
-                error = AckError.BAD_PAYLOAD
-            if error is not None:
-                self._acknowledge(packet.type, packet.sequence, error, now)
+            return
+        error: AckError | None
+        try:
+            check_header(packet)
+            error = command(self, packet, now)
+        except PacketError:
+            error = AckError.BAD_PAYLOAD
+        if error is not None and packet.type not in _UNACKNOWLEDGED:
+            self._acknowledge(packet.type, packet.sequence, error, now)
+
+    def _heartbeat(self, packet: Packet, now: float) -> None:
+        _demand_empty(packet)
+        self._power.heartbeat(now)
+        if self._on_heartbeat is not None:
+            self._on_heartbeat(now)
+
+    def _ping(self, packet: Packet, now: float) -> None:
+        self._queue(PacketType.PING, now, decode_ping(packet.payload))
 
     def _hello(self, packet: Packet, now: float) -> AckError:
         _demand_empty(packet)
@@ -307,7 +311,7 @@ class BoardEmulator:
         if packet.payload == b"\1":
             return self._power.close(now)
         if packet.payload == b"\0":
-            self._power.open()
+            self._power.open(now)
             return AckError.DONE
         return AckError.BAD_PAYLOAD
 
@@ -325,6 +329,7 @@ def _demand_empty(packet: Packet) -> None:
         raise PacketError(packet.type, f"{len(packet.payload)} bytes instead of none")
 
 
+_UNACKNOWLEDGED = (PacketType.HEARTBEAT, PacketType.PING)
 _COMMANDS: dict[int, Callable[[BoardEmulator, Packet, float], AckError | None]] = {
     PacketType.HELLO: BoardEmulator._hello,
     PacketType.START: BoardEmulator._start,
@@ -333,4 +338,6 @@ _COMMANDS: dict[int, Callable[[BoardEmulator, Packet, float], AckError | None]] 
     PacketType.RATE: BoardEmulator._set_rate,
     PacketType.CONTACTOR: BoardEmulator._contactor,
     PacketType.PROBE: BoardEmulator._probe,
+    PacketType.HEARTBEAT: BoardEmulator._heartbeat,
+    PacketType.PING: BoardEmulator._ping,
 }

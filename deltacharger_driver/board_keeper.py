@@ -11,22 +11,11 @@ from deltacharger_driver.board_link import BoardLink
 from deltacharger_driver.board_samples import PowerSample, TactileSample
 from deltacharger_driver.contactor_guard import ContactorGuard
 from deltacharger_driver.errors import DriverError, NoAnswer, PortGone
-from deltacharger_driver.rate_meter import Lateness
 
 _SHORTEST_BACKOFF, _LONGEST_BACKOFF = 0.1, 0.5  # s
 _SILENCE = 1.0  # s without any packet: the cable is cut or the board hangs
 _STREAM_SILENCE = 0.5  # s without a frame while the rest works: the board does not know that it should stream
 _LONGEST_WAIT = 0.1  # s between looks
-
-
-class KeptLink(BoardLink):
-    """The link, with a look at its heartbeat."""
-
-    @property
-    def heartbeat_lateness(self) -> Lateness | None:
-        """How late the heartbeats of this connection were sent; None where there is none."""
-        heartbeat = self._heartbeat
-        return None if heartbeat is None else heartbeat.lateness
 
 
 class BoardKeeper:
@@ -67,7 +56,7 @@ class BoardKeeper:
         self._rebooted = False
         self._last_packet = self._last_frame = 0.0
         self.problem = f"{port}: not connected yet"
-        self.link = KeptLink(
+        self.link = BoardLink(
             port,
             baud_rate,
             on_tactile=self._take_tactile,

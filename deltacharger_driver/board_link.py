@@ -39,6 +39,7 @@ from deltacharger_driver.board_samples import LinkCounters, PowerSample, ProbeRe
 from deltacharger_driver.errors import NoAnswer, PortError, PortGone, WrongDevice
 from deltacharger_driver.heartbeat import Heartbeat
 from deltacharger_driver.port_identity import find_servos
+from deltacharger_driver.rate_meter import Lateness
 
 
 class BoardLink:
@@ -195,6 +196,12 @@ class BoardLink:
     def drift(self) -> float:
         """Drift of the board's clock against the host's as estimated now, s/s."""
         return self._receiver.drift
+
+    @property
+    def heartbeat_lateness(self) -> Lateness | None:
+        """How late the heartbeats of this connection were sent; None where there is none."""
+        heartbeat = self._heartbeat
+        return None if heartbeat is None else heartbeat.lateness
 
     def hello(self) -> Hello:
         """Ask the board who it is.

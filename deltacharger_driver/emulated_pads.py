@@ -41,8 +41,9 @@ class EmulatedPads:
     def reset(self) -> None:
         """Boot: the tare is forgotten."""
         self.tared = False
-        self._baseline: Forces = np.zeros((2, ROWS, COLUMNS))
+        self._baseline: Forces = np.full((2, ROWS, COLUMNS), np.nan)  # N; NaN = unknown
         self._tare_sum: Forces = np.zeros((2, ROWS, COLUMNS))
+        self._tare_live = np.zeros((2, ROWS, COLUMNS), int)  # samples in the sum
         self._tare_count = 0
         self.tare_due = math.inf
 
@@ -51,14 +52,16 @@ class EmulatedPads:
         self._dead[pad, row, column] = dead
 
     def sample(self) -> Forces:
-        """Return (2, 10, 10) N: left and right after the tare, not below 0; NaN = dead."""
-        return np.maximum(self._read() - self._baseline, 0.0)
+        """Return (2, 10, 10) N: left and right after the tare, not below 0; NaN = dead, or no sample in the tare."""
+        raw = self._read()
+        return np.maximum(raw - self._baseline if self.tared else raw, 0.0)
 
     def start_tare(self, now: float) -> AckError:
         """Begin a tare; DONE means that `poll_tare` will say how it ended."""
         if self.tare_due < math.inf or self._loaded(self._read()):
             return AckError.NOT_NOW
         self._tare_sum[:] = 0.0
+        self._tare_live[:] = 0
         self._tare_count = 0
         self.tare_due = now
         return AckError.DONE
@@ -71,9 +74,11 @@ class EmulatedPads:
                 self.tare_due = math.inf
                 return AckError.NOT_NOW
             self._tare_sum += np.nan_to_num(raw)
+            self._tare_live += ~np.isnan(raw)
             self._tare_count += 1
             if self._tare_count == TARE_SAMPLES:
-                self._baseline = self._tare_sum / TARE_SAMPLES
+                with np.errstate(invalid="ignore"):
+                    self._baseline = self._tare_sum / self._tare_live  # 0 / 0 is NaN: dead all the time
                 self.tared = True
                 self.tare_due = math.inf
                 return AckError.DONE
@@ -88,10 +93,10 @@ class EmulatedPads:
     def _loaded(self, raw: Forces) -> bool:
         """Whether any live taxel carries a load after the present tare.
 
-        Before the first tare a taxel's resting value is unknown, and may come near a newton by itself; each pad's own
-        median stands in for it, since contact covers a quarter of a pad.
+        A resting value that no tare has found may come near a newton by itself; each pad's own median stands in for it,
+        since contact covers a quarter of a pad.
         """
-        baseline = self._baseline if self.tared else _medians(raw)
+        baseline = np.where(np.isnan(self._baseline), _medians(raw), self._baseline)
         return bool((raw - baseline >= CONTACT_FORCE).any())  # NaN compares false
 
 

@@ -10,7 +10,7 @@ from deltacharger_driver.board_protocol import HEARTBEAT_TIMEOUT, PROBE_LIFETIME
 
 HEARTBEAT_LIMIT = HEARTBEAT_TIMEOUT - 0.005
 """s without a heartbeat that the contactor stays closed: the rest is what the board may need to notice and to open."""
-CHECK_PERIOD = 0.010  # s between looks at the power stage's own detectors while closed
+CHECK_PERIOD = 0.010  # s between looks at the power stage's own detectors while closed, and after an opening
 
 
 class PowerPlant(Protocol):
@@ -38,6 +38,7 @@ class EmulatedPower:
     Attributes:
         closed: a close was accepted and no opening followed (the plant may still pre-charge).
         fault: the latched fault, 0 none.
+        probe_aborted: something ended the probe that ran, and nobody has answered it yet.
 
     Args:
         plant: the physics.
@@ -74,16 +75,18 @@ class EmulatedPower:
             return AckError.NOT_NOW
         if now >= self._heartbeat_deadline or self.fault or now >= self._probe_deadline:
             return AckError.INTERLOCK
+        self._abort_probe()  # its circuit must be off the electrodes before they carry the battery
         self.closed = True
         self._seen_closed = False
         self._next_check = now + CHECK_PERIOD
         self._plant.close_contactor()
         return AckError.DONE
 
-    def open(self) -> None:
-        """Open as commanded, ramping down, and forget the latched fault."""
+    def open(self, now: float) -> None:
+        """Open as commanded, ramping down, and forget the latched fault; one that is still there comes back."""
         self._open(ramp=True)
         self.fault = int(Fault.NONE)
+        self._next_check = now + CHECK_PERIOD
 
     def trip(self, fault: int) -> None:
         """Open at once and latch `fault`; the first fault stays until the next opening command."""
@@ -97,6 +100,9 @@ class EmulatedPower:
     def _void(self) -> None:
         self.closed = False
         self._probe_deadline = -math.inf
+        self._abort_probe()
+
+    def _abort_probe(self) -> None:
         if self._probe_due < math.inf:
             self._probe_due = math.inf
             self.probe_aborted = True

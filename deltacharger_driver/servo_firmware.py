@@ -166,10 +166,7 @@ class ServoFirmware:
     def next_event(self, now: float) -> float:
         """Return the seconds until `tick` is needed; inf for never."""
         wait = _PROFILE_PERIOD if self._moving else math.inf
-        period = self.table.get("bus_watchdog")
-        if 0 < period < WATCHDOG_TRIPPED and math.isfinite(self._heard):
-            wait = min(wait, self._heard + period * WATCHDOG_UNIT - now + 1e-4)
-        return max(wait, 0.0)
+        return max(min(wait, self._watchdog_due() - now + 1e-4), 0.0)
 
     def measure(self, now: float) -> float:
         """Take the plant's state into the registers, latch what it causes, and return the angle, rad."""
@@ -259,9 +256,14 @@ class ServoFirmware:
         return table.get("profile_velocity") * VELOCITY_UNIT, table.get("profile_acceleration") * ACCELERATION_UNIT
 
     def _watch(self, now: float) -> None:
-        period = self.table.get("bus_watchdog")
-        if 0 < period < WATCHDOG_TRIPPED and now - self._heard > period * WATCHDOG_UNIT:
+        if now > self._watchdog_due():
             self.trip_watchdog(now)
+
+    def _watchdog_due(self) -> float:
+        """Return when silence trips the watchdog, s; inf = never. It watches only while torque is on (e-manual, 98)."""
+        period = self.table.get("bus_watchdog")
+        armed = 0 < period < WATCHDOG_TRIPPED and self.table.get("torque_enable")
+        return self._heard + period * WATCHDOG_UNIT if armed else math.inf
 
     def trip_watchdog(self, now: float) -> None:
         """Stop where it is and lock its goals, as after too long a silence; nothing where the watchdog is off."""

@@ -3,7 +3,7 @@
  * Request: u8 operation, u32 size, body. Answer: u32 size, body. Little-endian.
  *   r  u16 capacity                                     new decoder         -> nothing
  *   d  bytes of a stream                                decode              -> packets, see put_packet
- *   c  nothing                                          counters            -> u32 x 5, i16
+ *   c  nothing                                          counters            -> u32 x 6, i16
  *   e  u8 type, u16 sequence, u64 time, u8 flags, u8 format, payload        -> bytes on the wire
  *   s  u8 format, 200 f32                               samples             -> payload
  *   p  3 f32, u8 closed, u8 fault                       POWER               -> payload
@@ -88,8 +88,9 @@ static size_t counters(void)
     dc_put_u32(answer + 8, met->crc_errors);
     dc_put_u32(answer + 12, met->length_errors);
     dc_put_u32(answer + 16, met->version_errors);
-    dc_put_u16(answer + 20, (uint16_t)met->refused_version);
-    return 22;
+    dc_put_u32(answer + 20, met->header_errors);
+    dc_put_u16(answer + 24, (uint16_t)met->refused_version);
+    return 26;
 }
 
 static size_t unstuff(size_t size)

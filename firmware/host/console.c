@@ -205,6 +205,7 @@ static void tell_state(struct console *console, FILE *answer)
     const struct { const char *name; uint32_t count; } COUNTS[] = {
         {"packets", decoder->packets}, {"cobs", decoder->cobs_errors}, {"crc", decoder->crc_errors},
         {"length", decoder->length_errors}, {"version", decoder->version_errors},
+        {"header", decoder->header_errors},
         {"unknown", board->counters.unknown_types}, {"missed", board->counters.missed_samples},
         {"dropped_tactile", board->counters.dropped_tactile}, {"dropped_power", board->counters.dropped_power},
         {"dropped_answers", board->counters.dropped_answers},

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -92,6 +94,21 @@ def test_it_waits_until_its_hosts_are_quiet(tmp_path: Path) -> None:
         hurry.set()
         assert answer(charger.servo_port, 1)
         assert not charger.wait_until_quiet(5.0, 5.0, hurry)
+
+
+def test_it_says_when_its_board_last_heard_something(tmp_path: Path) -> None:
+    charger = SimulatedCharger(simulated(), tmp_path)
+    assert charger.board_heard == -math.inf
+    with charger:
+        assert answer(charger.servo_port, 1)
+        assert charger.board_heard == -math.inf
+        with serial.Serial(charger.board_port, 1_000_000) as board:
+            before = time.monotonic()
+            board.write(b"\0")
+            wait_until(lambda: charger.board_heard > before, "the byte's arrival")
+            first = charger.board_heard
+            board.write(b"\0")
+            wait_until(lambda: charger.board_heard > first, "the second byte's arrival")
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 0), (signal.SIGINT, 130)])

@@ -1,84 +1,27 @@
-"""The emulated board against docs/board-link.md, on board time: every `now` is passed in."""
+"""The emulated board against docs/board-link.md: packets, frames, boot; what else it does is in the files beside."""
 
 from __future__ import annotations
 
 import math
+import random
 import struct
+import zlib
 
 import numpy as np
 import pytest
 
-from deltacharger_driver.bench_plant import BenchPlant
-from deltacharger_driver.board_emulator import BoardEmulator
-from deltacharger_driver.board_payloads import Ack, Hello, Power, decode_ack, decode_hello, decode_power, decode_samples
-from deltacharger_driver.board_protocol import Fault, Packet, PacketDecoder, PacketType, SampleFormat, encode_packet
+from deltacharger_driver import cobs
+from deltacharger_driver.board_payloads import Hello, Power, decode_hello, decode_power
+from deltacharger_driver.board_protocol import Fault, Packet, PacketType, encode_packet
 
-STEP = 0.005
+from .board_bench import Bench, acks, tactile
 
-
-class Bench:
-    """A board, its plant and a host that only speaks when told; time passes by `run`."""
-
-    def __init__(self, sample_format: SampleFormat = SampleFormat.U12, **plant: float) -> None:
-        self.now = 100.0
-        self.plant = BenchPlant(clock=lambda: self.now, **plant)  # type: ignore[arg-type]
-        self.board = BoardEmulator(self.plant, sample_format, seed=7)
-        self.decoder = PacketDecoder()
-        self.packets: list[Packet] = []
-        self.sequence = 0
-        self.beating = False
-        self.hear(self.board.poll(self.now))
-        self.now += 1e-7  # what is due is due, whatever the last bit of the floats
-
-    def hear(self, data: bytes) -> list[Packet]:
-        new = self.decoder.feed(data)
-        self.packets += new
-        return new
-
-    def send(self, type: int, payload: bytes = b"", version: int = 1) -> list[Packet]:
-        self.sequence += 1
-        return self.hear(self.board.receive(encode_packet(Packet(type, payload, self.sequence), version), self.now))
-
-    def run(self, seconds: float) -> list[Packet]:
-        start = len(self.packets)
-        for number in range(round(seconds / STEP)):
-            self.now += STEP
-            if self.beating and number % 4 == 0:
-                self.send(PacketType.HEARTBEAT)
-            self.hear(self.board.poll(self.now))
-        return self.packets[start:]
-
-    def ack(self, type: int, payload: bytes = b"", wait: float = 0.0) -> Ack:
-        packets = self.send(type, payload) + (self.run(wait) if wait else [])
-        acks = [decode_ack(p.payload) for p in packets if p.type == PacketType.ACK]
-        assert [(a.type, a.sequence) for a in acks if a.type == type][:1] == [(type, self.sequence)] or self.beating
-        return next(a for a in acks if a.type == type)
-
-    def error(self, type: int, payload: bytes = b"", wait: float = 0.0) -> int:
-        return self.ack(type, payload, wait).error
-
-    def power(self) -> Power:
-        return decode_power([p for p in self.packets if p.type == PacketType.POWER][-1].payload)
-
-    def probe(self) -> Ack:
-        return self.ack(PacketType.PROBE, wait=0.2)
-
-    def close(self) -> int:
-        return self.error(PacketType.CONTACTOR, b"\1")
-
-    def closed(self) -> Bench:
-        """Heartbeat, probe, close, and wait until current flows."""
-        self.beating = True
-        assert self.probe().error == 0
-        assert self.close() == 0
-        self.run(0.3)
-        assert self.power().contactor_closed
-        assert self.power().charge_current == pytest.approx(1.0)
-        return self
-
-
-def tactile(packets: list[Packet]) -> list[Packet]:
-    return [p for p in packets if p.type == PacketType.TACTILE]
+COMMANDS = [
+    *[(type, b"") for type in (PacketType.HELLO, PacketType.START, PacketType.STOP, PacketType.TARE, PacketType.PROBE)],
+    (PacketType.RATE, struct.pack("<f", 60.0)),
+    (PacketType.CONTACTOR, b"\0"),
+    (PacketType.CONTACTOR, b"\1"),
+]
 
 
 def test_it_introduces_itself_on_boot_and_when_asked() -> None:
@@ -117,22 +60,6 @@ def test_sampling_instants_are_even_on_the_boards_clock() -> None:
     assert np.diff(times) == pytest.approx(1e6 / 120, abs=1.5)
 
 
-@pytest.mark.parametrize("sample_format", [SampleFormat.U8, SampleFormat.U12, SampleFormat.U16])
-def test_every_sample_format(sample_format: SampleFormat) -> None:
-    bench = Bench(sample_format, offset=0.0, noise=0.0)
-    bench.plant.left[0, 0] = 5.0
-    bench.plant.right[9, 9] = 50.0
-    bench.board.set_dead(1, 0, 9)
-    bench.send(PacketType.START)
-    packet = tactile(bench.run(0.1))[-1]
-    assert packet.format == sample_format
-    left, right = decode_samples(packet.payload, packet.format)
-    assert left[0, 0] == pytest.approx(5.0, abs=0.03)
-    assert right[9, 9] == 10.0
-    assert np.argwhere(np.isnan(right)).tolist() == [[0, 9]]
-    assert not np.isnan(left).any()
-
-
 def test_rate() -> None:
     bench = Bench()
     assert bench.error(PacketType.RATE, struct.pack("<f", 50.0)) == 0
@@ -141,225 +68,6 @@ def test_rate() -> None:
     for bad in (b"", b"\0" * 5, *(struct.pack("<f", hz) for hz in (0.0, -1.0, math.nan, math.inf, 1e6))):
         assert bench.error(PacketType.RATE, bad) == 1
     assert decode_hello(bench.send(PacketType.HELLO)[0].payload).rate == 50.0
-
-
-def test_tare_subtracts_clips_and_says_so() -> None:
-    bench = Bench(offset=0.5, noise=0.05)
-    bench.send(PacketType.START)
-    before = tactile(bench.run(0.1))[-1]
-    assert before.flags == 0
-    assert np.mean(decode_samples(before.payload, before.format)) == pytest.approx(0.5, abs=0.03)
-    assert bench.error(PacketType.TARE, wait=0.05) == 0
-    after = tactile(bench.run(0.1))[-1]
-    assert after.flags == 1
-    forces = np.stack(decode_samples(after.payload, after.format))
-    assert forces.min() == 0.0
-    assert forces.mean() < 0.05
-
-
-def test_tare_is_refused_in_contact_also_where_contact_comes_meanwhile() -> None:
-    bench = Bench()
-    bench.plant.press(8.0)
-    assert bench.error(PacketType.TARE) == 4
-    bench.plant.press(0.0)
-    bench.send(PacketType.TARE)
-    bench.run(0.01)
-    bench.plant.press(8.0)
-    (ack,) = [decode_ack(p.payload) for p in bench.run(0.05) if p.type == PacketType.ACK]
-    assert (ack.type, ack.error) == (PacketType.TARE, 4)
-    bench.plant.press(0.0)
-    assert bench.error(PacketType.TARE, wait=0.05) == 0
-
-
-def test_contact_counts_after_the_present_tare_and_ignores_dead_taxels() -> None:
-    bench = Bench(offset=0.9)
-    assert bench.error(PacketType.TARE, wait=0.05) == 0
-    bench.plant.left[5, 5] = 0.5  # 1.4 N raw
-    assert bench.error(PacketType.TARE, wait=0.05) == 0
-    bench.plant.left[5, 5] = 9.0
-    bench.board.set_dead(0, 5, 5)
-    assert bench.error(PacketType.TARE, wait=0.05) == 0
-
-
-def test_the_whole_close() -> None:
-    bench = Bench()
-    bench.run(0.1)
-    assert not bench.power().contactor_closed
-    bench.closed()
-    assert bench.error(PacketType.CONTACTOR, b"\0") == 0
-    bench.run(0.1)
-    assert not bench.power().contactor_closed
-    assert bench.power().charge_current == 0.0
-    assert bench.power().fault == 0
-
-
-def test_a_probe_is_answered_when_measured() -> None:
-    bench = Bench()
-    assert not any(p.type == PacketType.ACK for p in bench.send(PacketType.PROBE) + bench.run(0.14))
-    (packet,) = [p for p in bench.run(0.1) if p.type == PacketType.ACK]
-    ack = decode_ack(packet.payload)
-    assert (ack.type, ack.error, ack.sequence) == (PacketType.PROBE, 0, bench.sequence)
-    assert struct.unpack("<ff", ack.data) == (2.0, 24.0)
-
-
-def test_one_probe_at_a_time_and_none_while_closed() -> None:
-    bench = Bench()
-    bench.send(PacketType.PROBE)
-    assert bench.error(PacketType.PROBE) == 4
-    bench.run(0.2)
-    bench.closed()
-    assert bench.error(PacketType.PROBE) == 4
-
-
-def interlock(bench: Bench, case: str) -> int:
-    """Bring the board to where one condition of a close fails, and try."""
-    bench.beating = case != "no heartbeat"
-    if case == "short":
-        bench.plant.resistance = 0.9
-    elif case == "open circuit":
-        bench.plant.resistance = math.inf
-    elif case == "reverse polarity":
-        bench.plant.target = -24.0
-    if case != "no probe":
-        bench.probe()
-    if case == "old probe":
-        bench.run(2.0)
-    elif case == "voided probe":
-        bench.send(PacketType.CONTACTOR, b"\0")
-    elif case == "latched fault":
-        bench.board.trip(Fault.OVER_CURRENT)
-        bench.probe()
-    elif case == "lost heartbeat":
-        bench.beating = False
-        bench.run(0.11)
-    bench.run(0.02 if bench.beating else 0.0)
-    return bench.close()
-
-
-@pytest.mark.parametrize(
-    ("case", "error"),
-    [
-        ("everything right", 0),
-        ("no heartbeat", 3),
-        ("lost heartbeat", 3),
-        ("no probe", 3),
-        ("old probe", 3),
-        ("voided probe", 3),
-        ("latched fault", 3),
-        ("short", 3),
-        ("open circuit", 3),
-        ("reverse polarity", 3),
-    ],
-)
-def test_interlocks_of_a_close(case: str, error: int) -> None:
-    bench = Bench()
-    assert interlock(bench, case) == error
-    bench.run(0.2)
-    assert bench.power().contactor_closed == (error == 0)
-    expected = Fault.OVER_CURRENT if case == "latched fault" else Fault.NONE
-    assert bench.power().fault == expected  # what a probe finds refuses the close and sets no fault
-
-
-def test_closing_twice_is_not_now_and_opening_always_works() -> None:
-    bench = Bench().closed()
-    assert bench.close() == 4
-    for _ in range(3):
-        assert bench.error(PacketType.CONTACTOR, b"\0") == 0
-    assert bench.close() == 3  # the opening voided the probe
-
-
-@pytest.mark.parametrize("payload", [b"", b"\2", b"\1\0"])
-def test_contactor_payloads_that_mean_nothing(payload: bytes) -> None:
-    assert Bench().error(PacketType.CONTACTOR, payload) == 1
-
-
-def test_heartbeat_loss_opens_within_100_ms_and_latches_fault_8() -> None:
-    bench = Bench().closed()
-    bench.beating = False
-    bench.send(PacketType.HEARTBEAT)
-    silent_since = bench.now
-    while bench.board.contactor_commanded:
-        bench.now += 0.001
-        bench.board.poll(bench.now)
-        assert bench.now - silent_since < 0.1005
-    assert bench.now - silent_since > 0.09
-    assert not bench.plant.read_power()[3]
-    bench.run(0.06)
-    assert bench.power().fault == Fault.HEARTBEAT_LOST
-
-
-@pytest.mark.parametrize(("gap", "survives"), [(0.090, True), (0.100, False)])
-def test_a_gap_between_heartbeats_of_90_ms_is_survived_and_one_of_100_ms_is_not(gap: float, survives: bool) -> None:
-    bench = Bench().closed()
-    bench.beating = False
-    for _ in range(20):
-        bench.send(PacketType.HEARTBEAT)
-        bench.now += gap
-    assert bench.board.contactor_commanded == survives
-
-
-def test_a_heartbeat_that_comes_too_late_does_not_save_the_contactor() -> None:
-    bench = Bench().closed()
-    bench.beating = False
-    bench.send(PacketType.HEARTBEAT)
-    bench.now += 0.15  # nobody polled meanwhile
-    bench.send(PacketType.HEARTBEAT)
-    assert not bench.board.contactor_commanded
-    assert bench.board.fault == Fault.HEARTBEAT_LOST
-
-
-def test_the_next_event_is_the_heartbeats_deadline() -> None:
-    bench = Bench().closed()
-    bench.send(PacketType.HEARTBEAT)
-    assert 0.0 < bench.board.next_event(bench.now) <= 0.1
-
-
-def test_no_heartbeat_while_open_is_no_fault() -> None:
-    bench = Bench()
-    bench.send(PacketType.HEARTBEAT)
-    bench.run(0.5)
-    assert bench.power().fault == 0
-
-
-@pytest.mark.parametrize("fault", [1, 2, 4, 5, 6, 7, 9])
-def test_a_detected_fault_opens_at_once_and_stays_until_the_next_opening_command(fault: int) -> None:
-    bench = Bench().closed()
-    bench.plant.detected = fault
-    bench.run(0.02)
-    assert not bench.plant.read_power()[3]
-    bench.plant.detected = 0
-    bench.run(0.5)
-    assert bench.power().fault == fault
-    bench.probe()
-    assert bench.close() == 3
-    bench.send(PacketType.CONTACTOR, b"\0")
-    bench.run(0.1)
-    assert bench.power().fault == 0
-    bench.closed()
-
-
-def test_the_first_fault_is_kept() -> None:
-    bench = Bench().closed()
-    bench.board.trip(Fault.SHORT_CIRCUIT)
-    bench.board.trip(Fault.OVER_CURRENT)
-    assert bench.board.fault == Fault.SHORT_CIRCUIT
-
-
-def test_a_fault_voids_the_probe() -> None:
-    bench = Bench()
-    bench.beating = True
-    bench.probe()
-    bench.board.trip(Fault.OVER_CURRENT)
-    bench.send(PacketType.CONTACTOR, b"\0")
-    assert bench.close() == 3
-
-
-def test_an_opening_ends_a_running_probe() -> None:
-    bench = Bench()
-    bench.send(PacketType.PROBE)
-    acks = [decode_ack(p.payload) for p in bench.send(PacketType.CONTACTOR, b"\0")]
-    assert {(a.type, a.error) for a in acks} == {(PacketType.CONTACTOR, 0), (PacketType.PROBE, 4)}
-    assert not any(p.type == PacketType.ACK for p in bench.run(0.3))
 
 
 def test_ping_returns_up_to_64_bytes_and_is_not_acknowledged() -> None:
@@ -388,6 +96,41 @@ def test_another_version_gets_no_answer_and_is_counted() -> None:
     assert bench.send(PacketType.HELLO, version=2) == []
     assert bench.board.counters.version_errors == 1
     assert bench.board.counters.refused_version == 2
+
+
+@pytest.mark.parametrize("at", [14, 15])
+def test_a_header_whose_reserved_bytes_are_not_0_is_dropped_and_counted(at: int) -> None:
+    bench = Bench()
+    body = bytearray(cobs.decode(encode_packet(Packet(PacketType.START))[1:-1])[:-4])
+    body[at] = 1
+    assert bench.receive(b"\0" + cobs.encode(bytes(body) + struct.pack("<I", zlib.crc32(body))) + b"\0") == []
+    assert bench.board.counters.header_errors == 1
+    assert not tactile(bench.run(0.1))
+
+
+@pytest.mark.parametrize(("flags", "format"), [(1, 0), (2, 0), (128, 0), (0, 1), (0, 2), (0, 200), (3, 3)])
+def test_a_packet_with_flags_or_a_format_is_a_bad_payload_and_does_nothing(flags: int, format: int) -> None:
+    bench = Bench()
+    for type, payload in COMMANDS:
+        (ack,) = acks(bench.send(type, payload, flags=flags, format=format))
+        assert (ack.type, ack.error, ack.sequence) == (type, 1, bench.sequence)
+    assert bench.send(PacketType.PING, b"x", flags=flags, format=format) == []
+    assert bench.send(PacketType.HEARTBEAT, flags=flags, format=format) == []
+    assert {p.type for p in bench.run(0.5)} == {PacketType.POWER}
+    (ack,) = acks(bench.send(PacketType.TACTILE, flags=flags, format=format))
+    assert ack.error == 2  # of a type the board does not know it judges nothing else
+
+
+def test_packets_in_one_piece_are_answered_as_if_they_came_one_by_one() -> None:
+    together, apart = Bench(), Bench()
+    source = random.Random(8)
+    for _ in range(40):
+        commands = source.choices(COMMANDS, k=6)
+        story = [acks(together.send_together(*commands)), acks([p for each in commands for p in apart.send(*each)])]
+        wait = source.choice((0.01, 0.05, 0.3))
+        story[0] += acks(together.run(wait))
+        story[1] += acks(apart.run(wait))
+        assert story[0] == story[1]
 
 
 def test_garbage_from_the_host_is_survived() -> None:

@@ -170,7 +170,7 @@ class FirmwareBoard:
     def counters(self) -> Counters:
         """What the board's decoder met."""
         state = self.host.state()
-        return Counters(int(state["version"]), int(state["refused"]))
+        return Counters(int(state["version"]), int(state["header"]), int(state["refused"]))
 
     def reboot(self) -> None:
         """Let the board boot at its next turn."""
@@ -221,6 +221,7 @@ class FirmwareBoard:
 class Counters:
     """The part of `DecoderCounters` that the driver's tests look at."""
 
-    def __init__(self, version_errors: int, refused_version: int) -> None:
+    def __init__(self, version_errors: int, header_errors: int, refused_version: int) -> None:
         self.version_errors = version_errors
+        self.header_errors = header_errors
         self.refused_version = None if refused_version < 0 else refused_version

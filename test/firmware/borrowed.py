@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
+import sys
 from pathlib import Path
 from types import ModuleType
 
 from .board_host import FirmwareBoard, FirmwarePlant
 
-DRIVER_TESTS = Path(__file__).resolve().parents[1] / "driver"
+_PACKAGE = "tests_on_firmware"
+_ANOTHER = {"BoardEmulator": FirmwareBoard, "BenchPlant": FirmwarePlant}
 
 
 def on_firmware(name: str) -> ModuleType:
-    """Return a test module of the driver whose board is the firmware and whose bench is the host program's."""
-    spec = importlib.util.spec_from_file_location(f"firmware_{name}", DRIVER_TESTS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    vars(module).update(BoardEmulator=FirmwareBoard, BenchPlant=FirmwarePlant)
+    """Return a test module of the driver whose board is the firmware and whose bench is the host program's.
+
+    It is loaded anew, and with it what it imports from beside it; the driver's own modules stay as they are.
+    """
+    if _PACKAGE not in sys.modules:
+        package = ModuleType(_PACKAGE)
+        package.__path__ = [str(Path(__file__).resolve().parents[1])]
+        sys.modules[_PACKAGE] = package
+    module = importlib.import_module(f"{_PACKAGE}.driver.{name}")
+    for loaded in [each for path, each in sys.modules.items() if path.startswith(f"{_PACKAGE}.")]:
+        vars(loaded).update({key: value for key, value in _ANOTHER.items() if key in vars(loaded)})
     return module
 
 

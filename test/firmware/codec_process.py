@@ -12,7 +12,7 @@ _HEAD = struct.Struct("<cI")
 _SIZE = struct.Struct("<I")
 _PACKET = struct.Struct("<BHQBB")
 _LISTED = struct.Struct("<HBHQBB")
-_COUNTERS = struct.Struct("<5Ih")
+_COUNTERS = struct.Struct("<6Ih")
 
 
 class CodecProcess:
@@ -49,7 +49,7 @@ class CodecProcess:
         return packets
 
     def counters(self) -> tuple[int, ...]:
-        """Return packets, cobs_errors, crc_errors, length_errors, version_errors, refused_version (-1 none)."""
+        """Return packets, COBS, CRC, length, version and header errors, and the refused version (-1 none)."""
         return _COUNTERS.unpack(self.ask("c"))
 
     def encode(self, packet: Packet) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import struct
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -55,10 +56,18 @@ def codec(programs: Path) -> Iterator[CodecProcess]:
     codec.close()
 
 
+def with_reserved(packet: Packet, reserved: int) -> bytes:
+    """Bytes on the wire of a packet whose header ends with `reserved`, checksum and all."""
+    body = bytearray(cobs.decode(encode_packet(packet)[1:-1])[:-4])
+    body[14:16] = struct.pack("<H", reserved)
+    return b"\0" + cobs.encode(bytes(body) + struct.pack("<I", zlib.crc32(body))) + b"\0"
+
+
 def counted(decoder: PacketDecoder) -> tuple[int, ...]:
     met = decoder.counters
     refused = -1 if met.refused_version is None else met.refused_version
-    return met.packets, met.cobs_errors, met.crc_errors, met.length_errors, met.version_errors, refused
+    errors = met.cobs_errors, met.crc_errors, met.length_errors, met.version_errors, met.header_errors
+    return met.packets, *errors, refused
 
 
 def assert_same(codec: CodecProcess, chunks: list[bytes]) -> list[Packet]:
@@ -200,7 +209,15 @@ def test_garbage_is_taken_alike_and_never_outlasts_the_next_packet(codec: CodecP
 @pytest.mark.parametrize("version", [0, 2, 255])
 def test_another_major_version_is_refused_named_and_counted(codec: CodecProcess, version: int) -> None:
     assert assert_same(codec, [encode_packet(Packet(PacketType.START), version)]) == []
-    assert codec.counters()[4:] == (1, version)
+    assert codec.counters()[4:] == (1, 0, version)
+
+
+@pytest.mark.parametrize("reserved", [1, 0x100, 0xFFFF])
+def test_a_header_whose_reserved_bytes_are_not_0_is_dropped_and_counted(codec: CodecProcess, reserved: int) -> None:
+    follower = Packet(PacketType.PING, b"next", 1)
+    damaged = with_reserved(Packet(PacketType.START), reserved)
+    assert assert_same(codec, [damaged, encode_packet(follower)]) == [follower]
+    assert codec.counters() == (1, 0, 0, 0, 0, 1, -1)
 
 
 @pytest.mark.parametrize("length", [1022, 1023, 1024, 1025, 5000])

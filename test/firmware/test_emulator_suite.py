@@ -15,3 +15,5 @@ NOT_OF_THE_BOARD = {
 pytestmark = pytest.mark.usefixtures("firmware_boards")
 
 globals().update(borrowed_tests(on_firmware("test_board_emulator"), NOT_OF_THE_BOARD))
+globals().update(borrowed_tests(on_firmware("test_board_emulator_contactor"), set()))
+globals().update(borrowed_tests(on_firmware("test_board_emulator_pads"), set()))

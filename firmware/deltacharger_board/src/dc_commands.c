@@ -68,14 +68,15 @@ static uint8_t plain_command(dc_board *board, const dc_packet *packet)
 
 void dc_board_obey(dc_board *board, const dc_packet *packet)
 {
+    const bool plain = packet->flags == 0 && packet->format == DC_NO_FORMAT; /* only TACTILE has either */
     uint8_t error;
     switch (packet->type) {
     case DC_HEARTBEAT:
-        if (packet->size == 0)
+        if (plain && packet->size == 0)
             dc_contactor_heartbeat(&board->contactor, board->clock.now);
         return;
     case DC_PING:
-        if (packet->size <= DC_LONGEST_PING)
+        if (plain && packet->size <= DC_LONGEST_PING)
             (void)dc_board_send(board, DC_PING, packet->payload, packet->size);
         return;
     case DC_HELLO:
@@ -83,13 +84,13 @@ void dc_board_obey(dc_board *board, const dc_packet *packet)
     case DC_STOP:
     case DC_TARE:
     case DC_PROBE:
-        error = plain_command(board, packet);
+        error = plain ? plain_command(board, packet) : DC_BAD_PAYLOAD;
         break;
     case DC_RATE:
-        error = set_rate(board, packet);
+        error = plain ? set_rate(board, packet) : DC_BAD_PAYLOAD;
         break;
     case DC_CONTACTOR:
-        error = switch_contactor(board, packet);
+        error = plain ? switch_contactor(board, packet) : DC_BAD_PAYLOAD;
         break;
     default:
         dc_count(&board->counters.unknown_types, 1);

@@ -68,6 +68,10 @@ static bool read_piece(dc_decoder *decoder, dc_packet *packet)
         counters->refused_version = bytes[0];
         return false;
     }
+    if (dc_get_u16(bytes + 14) != 0) {
+        dc_count(&counters->header_errors, 1);
+        return false;
+    }
     packet->type = bytes[1];
     packet->sequence = dc_get_u16(bytes + 2);
     packet->device_time_us = dc_get_u64(bytes + 4);

@@ -78,6 +78,7 @@ typedef struct {
     uint32_t crc_errors;
     uint32_t length_errors;
     uint32_t version_errors;
+    uint32_t header_errors;  /* intact packets whose reserved bytes are not 0 */
     int16_t refused_version; /* the last one refused, -1 none */
 } dc_decoder_counters;
 

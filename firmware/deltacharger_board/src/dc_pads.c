@@ -9,13 +9,17 @@
 void dc_pads_reset(dc_pads *pads)
 {
     memset(pads, 0, sizeof *pads);
+    for (size_t i = 0; i < DC_TAXELS; i++)
+        pads->baseline[i] = DC_NAN;
     pads->tare_due = DC_NEVER;
 }
 
 void dc_pads_apply(const dc_pads *pads, float forces[DC_TAXELS])
 {
+    if (!pads->tared)
+        return;
     for (size_t i = 0; i < DC_TAXELS; i++)
-        forces[i] -= pads->baseline[i];
+        forces[i] = dc_is_nan(pads->baseline[i]) ? DC_NAN : forces[i] - pads->baseline[i];
 }
 
 /* Floats as integers of the same order, and back: a Cortex-M3 compares those ten times faster. */
@@ -60,14 +64,22 @@ static float median(const float pad[DC_PAD])
     return (value_of(keys[(count - 1) / 2]) + value_of(keys[count / 2])) / 2.0f;
 }
 
+static bool any_unknown(const float baseline[DC_PAD])
+{
+    for (size_t i = 0; i < DC_PAD; i++)
+        if (dc_is_nan(baseline[i]))
+            return true;
+    return false;
+}
+
 bool dc_pads_loaded(const dc_pads *pads, const float raw[DC_TAXELS])
 {
     for (size_t pad = 0; pad < DC_TAXELS; pad += DC_PAD) {
-        /* Before the first tare resting values are unknown and may come near a newton by themselves; the pad's median
-         * stands in for them, since contact covers a quarter of a pad. */
-        const float resting = pads->tared ? 0.0f : median(raw + pad);
+        /* A resting value that no tare has found may come near a newton by itself; the pad's median stands in for it,
+         * since contact covers a quarter of a pad. */
+        const float resting = any_unknown(pads->baseline + pad) ? median(raw + pad) : 0.0f;
         for (size_t i = pad; i < pad + DC_PAD; i++) {
-            const float baseline = pads->tared ? pads->baseline[i] : resting;
+            const float baseline = dc_is_nan(pads->baseline[i]) ? resting : pads->baseline[i];
             if (!dc_is_nan(raw[i]) && raw[i] - baseline >= DC_CONTACT_FORCE)
                 return true;
         }
@@ -92,7 +104,7 @@ bool dc_pads_start_tare(dc_pads *pads, const dc_hardware *hardware, uint64_t now
 static void finish(dc_pads *pads)
 {
     for (size_t i = 0; i < DC_TAXELS; i++)
-        pads->baseline[i] = pads->live[i] > 0 ? pads->sum[i] / (float)pads->live[i] : 0.0f;
+        pads->baseline[i] = pads->live[i] > 0 ? pads->sum[i] / (float)pads->live[i] : DC_NAN;
     pads->tared = true;
     pads->tare_due = DC_NEVER;
 }

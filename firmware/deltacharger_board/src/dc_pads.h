@@ -19,7 +19,7 @@ typedef struct {
     bool tared;               /* a tare is being subtracted */
     uint8_t taken;            /* samples of the tare that runs */
     uint64_t tare_due;        /* us, DC_NEVER while none runs */
-    float baseline[DC_TAXELS]; /* N */
+    float baseline[DC_TAXELS]; /* N; NaN = unknown: no tare yet, or dead in every sample of the last */
     float sum[DC_TAXELS];      /* N, of the tare that runs */
     uint8_t live[DC_TAXELS];   /* samples in `sum` */
 } dc_pads;
@@ -29,7 +29,8 @@ typedef enum { DC_TARE_NONE, DC_TARE_DONE, DC_TARE_REFUSED } dc_tare_result;
 
 void dc_pads_reset(dc_pads *pads);
 
-/* Subtract the tare from raw forces; NaN stays NaN, and dc_put_samples clips what falls below 0. */
+/* Subtract the tare from raw forces: NaN where dead or where the tare knows no baseline; dc_put_samples clips what
+ * falls below 0. */
 void dc_pads_apply(const dc_pads *pads, float forces[DC_TAXELS]);
 
 /* Begin a tare; false where one runs or something touches a pad. `forces` is room for a sampling. */

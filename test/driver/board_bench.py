@@ -1,0 +1,93 @@
+"""A board on board time: every `now` is passed in. Its tests run on the firmware as well (test/firmware)."""
+
+from __future__ import annotations
+
+import pytest
+
+from deltacharger_driver.bench_plant import BenchPlant
+from deltacharger_driver.board_emulator import BoardEmulator
+from deltacharger_driver.board_payloads import Ack, Power, decode_ack, decode_power
+from deltacharger_driver.board_protocol import Packet, PacketDecoder, PacketType, SampleFormat, encode_packet
+
+STEP = 0.005
+
+
+class Bench:
+    """A board, its plant and a host that only speaks when told; time passes by `run`."""
+
+    def __init__(self, sample_format: SampleFormat = SampleFormat.U12, **plant: float) -> None:
+        self.now = 100.0
+        self.plant = BenchPlant(clock=lambda: self.now, **plant)  # type: ignore[arg-type]
+        self.board = BoardEmulator(self.plant, sample_format, seed=7)
+        self.decoder = PacketDecoder()
+        self.packets: list[Packet] = []
+        self.sequence = 0
+        self.beating = False
+        self.hear(self.board.poll(self.now))
+        self.now += 1e-7  # what is due is due, whatever the last bit of the floats
+
+    def hear(self, data: bytes) -> list[Packet]:
+        new = self.decoder.feed(data)
+        self.packets += new
+        return new
+
+    def send(self, type: int, payload: bytes = b"", version: int = 1, flags: int = 0, format: int = 0) -> list[Packet]:
+        self.sequence += 1
+        packet = Packet(type, payload, self.sequence, flags=flags, format=format)
+        return self.receive(encode_packet(packet, version))
+
+    def send_together(self, *commands: tuple[int, bytes]) -> list[Packet]:
+        """Send packets in one piece of bytes."""
+        wire = b""
+        for type, payload in commands:
+            self.sequence += 1
+            wire += encode_packet(Packet(type, payload, self.sequence))
+        return self.receive(wire)
+
+    def receive(self, wire: bytes) -> list[Packet]:
+        return self.hear(self.board.receive(wire, self.now))
+
+    def run(self, seconds: float) -> list[Packet]:
+        start = len(self.packets)
+        for number in range(round(seconds / STEP)):
+            self.now += STEP
+            if self.beating and number % 4 == 0:
+                self.send(PacketType.HEARTBEAT)
+            self.hear(self.board.poll(self.now))
+        return self.packets[start:]
+
+    def ack(self, type: int, payload: bytes = b"", wait: float = 0.0) -> Ack:
+        packets = self.send(type, payload) + (self.run(wait) if wait else [])
+        answers = [a for a in acks(packets) if a.type == type]
+        assert answers[0].sequence == self.sequence or self.beating
+        return answers[0]
+
+    def error(self, type: int, payload: bytes = b"", wait: float = 0.0) -> int:
+        return self.ack(type, payload, wait).error
+
+    def power(self) -> Power:
+        return decode_power([p for p in self.packets if p.type == PacketType.POWER][-1].payload)
+
+    def probe(self) -> Ack:
+        return self.ack(PacketType.PROBE, wait=0.2)
+
+    def close(self) -> int:
+        return self.error(PacketType.CONTACTOR, b"\1")
+
+    def closed(self) -> Bench:
+        """Heartbeat, probe, close, and wait until current flows."""
+        self.beating = True
+        assert self.probe().error == 0
+        assert self.close() == 0
+        self.run(0.3)
+        assert self.power().contactor_closed
+        assert self.power().charge_current == pytest.approx(1.0)
+        return self
+
+
+def tactile(packets: list[Packet]) -> list[Packet]:
+    return [p for p in packets if p.type == PacketType.TACTILE]
+
+
+def acks(packets: list[Packet]) -> list[Ack]:
+    return [decode_ack(p.payload) for p in packets if p.type == PacketType.ACK]

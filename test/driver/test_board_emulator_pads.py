@@ -1,0 +1,108 @@
+"""The emulated board's tactile arrays against docs/board-link.md: formats, tare, dead taxels."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from deltacharger_driver.board_payloads import decode_samples
+from deltacharger_driver.board_protocol import PacketType, SampleFormat
+
+from .board_bench import Bench, acks, tactile
+
+
+@pytest.mark.parametrize("sample_format", [SampleFormat.U8, SampleFormat.U12, SampleFormat.U16])
+def test_every_sample_format(sample_format: SampleFormat) -> None:
+    bench = Bench(sample_format, offset=0.0, noise=0.0)
+    bench.plant.left[0, 0] = 5.0
+    bench.plant.right[9, 9] = 50.0
+    bench.board.set_dead(1, 0, 9)
+    bench.send(PacketType.START)
+    packet = tactile(bench.run(0.1))[-1]
+    assert packet.format == sample_format
+    left, right = decode_samples(packet.payload, packet.format)
+    assert left[0, 0] == pytest.approx(5.0, abs=0.03)
+    assert right[9, 9] == 10.0
+    assert np.argwhere(np.isnan(right)).tolist() == [[0, 9]]
+    assert not np.isnan(left).any()
+
+
+def test_tare_subtracts_clips_and_says_so() -> None:
+    bench = Bench(offset=0.5, noise=0.05)
+    bench.send(PacketType.START)
+    before = tactile(bench.run(0.1))[-1]
+    assert before.flags == 0
+    assert np.mean(decode_samples(before.payload, before.format)) == pytest.approx(0.5, abs=0.03)
+    assert bench.error(PacketType.TARE, wait=0.05) == 0
+    after = tactile(bench.run(0.1))[-1]
+    assert after.flags == 1
+    forces = np.stack(decode_samples(after.payload, after.format))
+    assert forces.min() == 0.0
+    assert forces.mean() < 0.05
+
+
+def test_tare_is_refused_in_contact_also_where_contact_comes_meanwhile() -> None:
+    bench = Bench()
+    bench.plant.press(8.0)
+    assert bench.error(PacketType.TARE) == 4
+    bench.plant.press(0.0)
+    bench.send(PacketType.TARE)
+    bench.run(0.01)
+    bench.plant.press(8.0)
+    (ack,) = acks(bench.run(0.05))
+    assert (ack.type, ack.error) == (PacketType.TARE, 4)
+    bench.plant.press(0.0)
+    assert bench.error(PacketType.TARE, wait=0.05) == 0
+
+
+def test_contact_counts_after_the_present_tare_and_ignores_dead_taxels() -> None:
+    bench = Bench(offset=0.9)
+    assert bench.error(PacketType.TARE, wait=0.05) == 0
+    bench.plant.left[5, 5] = 0.5  # 1.4 N raw
+    assert bench.error(PacketType.TARE, wait=0.05) == 0
+    bench.plant.left[5, 5] = 9.0
+    bench.board.set_dead(0, 5, 5)
+    assert bench.error(PacketType.TARE, wait=0.05) == 0
+
+
+def frame(bench: Bench) -> npt.NDArray[np.float32]:
+    """Forces of a new frame, (2, 10, 10) N."""
+    bench.send(PacketType.START)
+    packet = tactile(bench.run(0.1))[-1]
+    return np.stack(decode_samples(packet.payload, packet.format))
+
+
+def test_a_taxel_that_is_dead_for_part_of_a_tare_is_tared_by_the_samples_it_gave() -> None:
+    bench = Bench(offset=0.5, noise=0.0)
+    bench.send(PacketType.TARE)
+    bench.run(0.01)
+    bench.board.set_dead(0, 3, 4)
+    bench.run(0.01)
+    bench.board.set_dead(0, 3, 4, False)
+    assert [ack.error for ack in acks(bench.run(0.02))] == [0]
+    assert frame(bench) == pytest.approx(0.0, abs=0.003)
+    bench.plant.left[3, 4] = 2.0
+    assert frame(bench)[0, 3, 4] == pytest.approx(2.0, abs=0.003)
+
+
+def test_a_taxel_that_was_dead_all_through_a_tare_stays_unknown_until_the_next() -> None:
+    bench = Bench(offset=0.5, noise=0.0)
+    bench.board.set_dead(1, 7, 2)
+    assert bench.error(PacketType.TARE, wait=0.05) == 0
+    bench.board.set_dead(1, 7, 2, False)
+    assert np.argwhere(np.isnan(frame(bench))).tolist() == [[1, 7, 2]]
+    assert bench.error(PacketType.TARE, wait=0.05) == 0
+    assert frame(bench) == pytest.approx(0.0, abs=0.003)
+
+
+def test_a_taxel_without_a_baseline_counts_as_contact_above_its_pads_median() -> None:
+    bench = Bench(offset=0.9, noise=0.0)
+    bench.board.set_dead(0, 5, 5)
+    assert bench.error(PacketType.TARE, wait=0.05) == 0
+    bench.board.set_dead(0, 5, 5, False)
+    bench.plant.left[5, 5] = 1.1
+    assert bench.error(PacketType.TARE) == 4
+    bench.plant.left[5, 5] = 0.9  # 1.8 N raw
+    assert bench.error(PacketType.TARE, wait=0.05) == 0
+    assert frame(bench)[0, 5, 5] == pytest.approx(0.0, abs=0.003)

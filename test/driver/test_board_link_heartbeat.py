@@ -1,0 +1,27 @@
+"""What `BoardLink` tells about its heartbeat."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from deltacharger_driver.board_emulator import BoardEmulator
+from deltacharger_driver.board_link import BoardLink
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
+
+from .servo_bench import until
+
+
+def test_how_late_heartbeats_were_is_told_while_there_is_a_connection(board: BoardEmulator) -> None:
+    with PseudoTerminal(board) as cable:
+        link = BoardLink(cable.path)
+        assert link.heartbeat_lateness is None
+        link.open()
+        lateness = link.heartbeat_lateness
+        assert lateness is not None
+        assert math.isnan(lateness.largest)
+        link.keep_alive(time.monotonic() + 1.0)
+        until(lambda: link.counters.heartbeats >= 3)
+        assert 0.0 <= lateness.percentile(0.5) <= lateness.largest
+        link.close()
+        assert link.heartbeat_lateness is None
