@@ -1,0 +1,47 @@
+"""Options of the whole suite: where the driver's contract finds real devices, and what it may do with them."""
+
+from __future__ import annotations
+
+import argparse
+
+import pytest
+
+DEVICES = ("servo", "board")
+
+
+def _port(text: str) -> tuple[str, str]:
+    device, _, path = text.partition("=")
+    if device not in DEVICES or not path:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' names no device's port; write servo=PATH or board=PATH, such as servo=/dev/deltacharger_servo"
+        )
+    return device, path
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("deltacharger", "the driver's contract on real hardware (test/driver/contract)")
+    group.addoption(
+        "--port",
+        action="append",
+        type=_port,
+        default=[],
+        metavar="DEVICE=PATH",
+        help="run the contract on a real device in place of the emulators: servo=PATH or board=PATH, each at most once",
+    )
+    group.addoption(
+        "--move",
+        action="store_true",
+        help="with --port servo=PATH: switch torque on and move each servo by a few degrees",
+    )
+    group.addoption(
+        "--close-contactor",
+        action="store_true",
+        help="with --port board=PATH: close the contactor onto a load that is connected to the electrodes",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    named = [device for device, _ in config.getoption("--port")]
+    for device in DEVICES:
+        if named.count(device) > 1:
+            raise pytest.UsageError(f"--port {device}=PATH is given {named.count(device)} times; give it once")

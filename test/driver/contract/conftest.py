@@ -1,0 +1,186 @@
+"""The devices that the contract runs on, and the host's end of each."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from deltacharger_driver.board_link import BoardLink
+from deltacharger_driver.errors import DriverError
+from deltacharger_driver.servo_bus import ServoBus
+from deltacharger_driver.servo_link import ServoLink
+from deltacharger_driver.servo_setup import set_up
+
+from .host import BoardHost
+from .sites import BoardSite, ServoSite, emulated_board, emulated_servos, firmware_board
+
+FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "board_kind" in metafunc.fixturenames:
+        kinds = ["port"] if metafunc.config.getoption("--port") else ["emulator", "firmware"]
+        metafunc.parametrize("board_kind", kinds)
+
+
+@pytest.fixture(scope="session")
+def ports(pytestconfig: pytest.Config) -> dict[str, str]:
+    """The paths given with --port, by device; empty over the emulators."""
+    return dict(pytestconfig.getoption("--port"))
+
+
+class Real:
+    """A device on a port that was given, opened once beforehand.
+
+    Args:
+        device: "servo" or "board".
+        path: of its port; None where none was given.
+        open: opens it and closes it again.
+    """
+
+    def __init__(self, device: str, path: str | None, open: Callable[[str], None]) -> None:
+        self.path = path or ""
+        self._problem = f"no --port {device}=PATH was given"
+        self._told = path is None
+        if path is not None:
+            self._problem = ""
+            try:
+                open(path)
+            except DriverError as error:
+                self._problem = str(error)
+
+    def demand(self) -> str:
+        """Return the path. Where the device cannot be had, the first test that wants it fails with the driver's reason,
+        and the others are skipped with it."""
+        if self._problem and self._told:
+            pytest.skip(self._problem)
+        if self._problem:
+            self._told = True
+            pytest.fail(self._problem, pytrace=False)
+        return self.path
+
+
+def _open_servos(path: str) -> None:
+    bus = ServoBus(ServoSite(path, real=True).settings)
+    bus.open()
+    bus.close()
+
+
+def _open_board(path: str) -> None:
+    with BoardLink(path):
+        pass
+
+
+@pytest.fixture(scope="session")
+def real_servos(ports: dict[str, str]) -> Real:
+    """The servos on the port that was given."""
+    return Real("servo", ports.get("servo"), _open_servos)
+
+
+@pytest.fixture(scope="session")
+def real_board(ports: dict[str, str]) -> Real:
+    """The board on the port that was given."""
+    return Real("board", ports.get("board"), _open_board)
+
+
+@pytest.fixture(scope="session")
+def firmware_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The firmware's host program, built once."""
+    compiler = os.environ.get("CC", "cc")
+    if shutil.which(compiler) is None:
+        pytest.skip(f"no C compiler: '{compiler}' is not on the PATH")
+    program = tmp_path_factory.mktemp("firmware") / "board_host"
+    command = ["make", "-C", str(FIRMWARE), f"CC={compiler}", f"BUILD={program.parent}", str(program)]
+    built = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stdout + built.stderr
+    return program
+
+
+@pytest.fixture
+def servo_site(request: pytest.FixtureRequest, ports: dict[str, str]) -> Iterator[ServoSite]:
+    """The servos of this run."""
+    if ports:
+        yield ServoSite(request.getfixturevalue("real_servos").demand(), real=True)
+    else:
+        with emulated_servos() as site:
+            yield site
+
+
+@pytest.fixture
+def board_site(request: pytest.FixtureRequest, board_kind: str, tmp_path: Path) -> Iterator[BoardSite]:
+    """The board of this run."""
+    if board_kind == "port":
+        yield BoardSite(request.getfixturevalue("real_board").demand(), real=True)
+    elif board_kind == "emulator":
+        with emulated_board() as site:
+            yield site
+    else:
+        with firmware_board(request.getfixturevalue("firmware_program"), tmp_path / "board") as site:
+            yield site
+
+
+@pytest.fixture
+def may_move(pytestconfig: pytest.Config, ports: dict[str, str]) -> None:
+    """Skip on real servos, unless they may be moved."""
+    if "servo" in ports and not pytestconfig.getoption("--move"):
+        pytest.skip("switches torque on and moves the arm by a few degrees: only with --move")
+
+
+@pytest.fixture
+def load_connected(pytestconfig: pytest.Config) -> bool:
+    """Whether somebody says that a load is connected to a real board's electrodes."""
+    return bool(pytestconfig.getoption("--close-contactor"))
+
+
+@pytest.fixture
+def may_close(ports: dict[str, str], load_connected: bool) -> None:
+    """Skip on a real board, unless its contactor may be closed."""
+    if "board" in ports and not load_connected:
+        pytest.skip("asks for the contactor to be closed: only with --close-contactor, and a load connected")
+
+
+@pytest.fixture
+def bus(servo_site: ServoSite) -> Iterator[ServoBus]:
+    """The servos set up for the cycle, torque off; it is off again in the end."""
+    bus = ServoBus(servo_site.settings)
+    bus.open(scan=False)
+    yield bus
+    with contextlib.suppress(DriverError):
+        bus.disable_torque()
+    bus.close()
+
+
+@pytest.fixture
+def link(servo_site: ServoSite) -> Iterator[ServoLink]:
+    """The servos' registers, set up, torque off; it is off again in the end."""
+    settings = servo_site.settings
+    link = ServoLink(settings.port, settings.baud_rate, settings.reply_margin)
+    link.open()
+    try:
+        set_up(link, settings, scan=False)
+        yield link
+        for servo in settings.ids:
+            with contextlib.suppress(DriverError):
+                link.write(servo, "torque_enable", 0)
+    finally:
+        link.close()
+
+
+@pytest.fixture
+def host(board_site: BoardSite) -> Iterator[BoardHost]:
+    """The board greeted: contactor open, no fault, no stream, rate of a boot; the same in the end."""
+    host = BoardHost(board_site.path)
+    host.link.open()
+    try:
+        host.settle()
+        yield host
+        with contextlib.suppress(DriverError):
+            host.settle()
+    finally:
+        host.link.close()

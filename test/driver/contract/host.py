@@ -1,0 +1,73 @@
+"""The host's end of a board: the driver's link and guard, and everything that they were told."""
+
+from __future__ import annotations
+
+import time
+
+from deltacharger_driver.board_link import BoardLink
+from deltacharger_driver.board_protocol import DEFAULT_RATE
+from deltacharger_driver.board_samples import PowerSample, TactileSample
+from deltacharger_driver.contactor_guard import ContactorGuard
+
+from .sites import until
+
+
+class BoardHost:
+    """A link, a guard and what came.
+
+    Attributes:
+        frames: tactile frames since the last `stream`.
+        arrivals: when each of them reached the callback, s, monotonic.
+        powers: readings of the power stage since the beginning.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.frames: list[TactileSample] = []
+        self.arrivals: list[float] = []
+        self.powers: list[PowerSample] = []
+        self.link = BoardLink(path, on_tactile=self._take_tactile, on_power=self._take_power)
+        self.guard = ContactorGuard(self.link)
+
+    def _take_tactile(self, sample: TactileSample) -> None:
+        self.arrivals.append(time.monotonic())
+        self.frames.append(sample)
+        self.guard.observe_tactile(sample)
+
+    def _take_power(self, sample: PowerSample) -> None:
+        self.powers.append(sample)
+        self.guard.observe_power(sample)
+
+    def settle(self) -> None:
+        """Bring the board to where a boot would leave it, but for the tare."""
+        self.link.stop_heartbeat()
+        self.link.contactor(False)
+        self.link.stop()
+        self.link.set_rate(DEFAULT_RATE)
+        self.frames.clear()
+        self.arrivals.clear()
+
+    def stream(self, count: int) -> list[TactileSample]:
+        """Let the board stream until `count` frames have come, and return all up to its STOP."""
+        self.frames.clear()
+        self.arrivals.clear()
+        self.link.start()
+        until(lambda: len(self.frames) >= count, f"{count} tactile frames")
+        self.link.stop()
+        return list(self.frames)
+
+    def next_powers(self, count: int) -> list[PowerSample]:
+        """Wait for the next `count` readings of the power stage."""
+        first = len(self.powers)
+        until(lambda: len(self.powers) >= first + count, f"{count} POWER packets")
+        return self.powers[first : first + count]
+
+    def await_contactor(self, closed: bool) -> PowerSample:
+        """Wait until the power stage says that its contactor is closed, or open."""
+        first = len(self.powers)
+
+        def seen() -> PowerSample | None:
+            return next((s for s in self.powers[first:] if s.power.contactor_closed == closed), None)
+
+        sample = until(seen, f"the contactor to be {'closed' if closed else 'open'}")
+        assert sample is not None
+        return sample

@@ -1,0 +1,138 @@
+"""Where the contract runs: emulated devices behind pseudo-terminals, or real ones on their ports.
+
+A site says how to reach a device and what is known of it beforehand; no test asks for more.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from deltacharger_driver.bench_arm import BenchArm
+from deltacharger_driver.bench_plant import BenchPlant
+from deltacharger_driver.board_emulator import BoardEmulator
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.servo_emulator import ServoBusEmulator
+from deltacharger_driver.servo_port import REPLY_MARGIN
+from deltacharger_driver.servo_snapshot import BusSettings
+
+LARGEST_CURRENT = 3.0  # A, servo_node's default
+DEAD_TAXEL = (0, 3, 4)  # pad, row, column of the one that every emulated board has
+LOAD = 2.0  # ohm between an emulated board's electrodes once a load is connected
+_EMULATOR_MARGIN = 0.5  # s until a reply counts as lost
+_CHANCES = 3
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class ServoSite:
+    """Three servos on a port.
+
+    Attributes:
+        path: of the port.
+        real: it was given with --port.
+    """
+
+    path: str
+    real: bool
+
+    @property
+    def settings(self) -> BusSettings:
+        """Wiring and mounting as from the drawing; an emulator beside the tests is given more time than a servo."""
+        margin = REPLY_MARGIN if self.real else _EMULATOR_MARGIN
+        return BusSettings(self.path, reply_margin=margin, current_max=LARGEST_CURRENT)
+
+
+@dataclass(frozen=True)
+class BoardSite:
+    """A board on a port.
+
+    Attributes:
+        path: of the port.
+        real: it was given with --port.
+        dead: (pad, row, column) of its dead taxels; None where nobody knows.
+        connect_load: connects a load to the electrodes; on a real board somebody has done so.
+    """
+
+    path: str
+    real: bool
+    dead: frozenset[tuple[int, int, int]] | None = None
+    connect_load: Callable[[], object] = lambda: None
+
+
+def until(condition: Callable[[], T], what: str, seconds: float = 20.0) -> T:
+    """Wait until `condition` gives something true, and return that."""
+    deadline = time.monotonic() + seconds
+    while not (result := condition()):
+        assert time.monotonic() < deadline, f"waited {seconds:g} s for {what}"
+        time.sleep(0.002)
+    return result
+
+
+def holds(site: ServoSite | BoardSite, law: Callable[[], None]) -> None:
+    """Let a law about time hold at once on real devices. An emulator shares this computer's processors, whose pauses
+    are none of its doing: there one of three attempts must show the law."""
+    for left in reversed(range(1 if site.real else _CHANCES)):
+        try:
+            law()
+            return
+        except AssertionError:
+            if not left:
+                raise
+
+
+@contextlib.contextmanager
+def emulated_servos() -> Iterator[ServoSite]:
+    """Serve emulated servos; their arms stand at different angles, so that none is taken for another."""
+    emulator = ServoBusEmulator(BenchArm((-0.7, -0.5, 0.2)))
+    with PseudoTerminal(emulator) as terminal:
+        emulator.line_speed = terminal.speed
+        yield ServoSite(terminal.path, real=False)
+    assert terminal.error is None
+
+
+@contextlib.contextmanager
+def emulated_board() -> Iterator[BoardSite]:
+    """Serve an emulated board whose electrodes touch nothing."""
+    plant = BenchPlant()
+    plant.resistance = math.inf
+    emulator = BoardEmulator(plant)
+    emulator.set_dead(*DEAD_TAXEL)
+    with PseudoTerminal(emulator) as terminal:
+        yield BoardSite(terminal.path, False, frozenset({DEAD_TAXEL}), lambda: setattr(plant, "resistance", LOAD))
+    assert terminal.error is None
+
+
+@contextlib.contextmanager
+def firmware_board(program: Path, port: Path) -> Iterator[BoardSite]:
+    """Run the firmware's host program as `emulated_board`."""
+    process = subprocess.Popen(
+        [program, "--pty", str(port)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+    def command(line: str) -> None:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(line + "\n")
+        process.stdin.flush()
+        assert process.stdout.readline() == "ok\n"
+
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == f"ready {port}\n"
+        command("resistance inf")
+        command(f"dead {' '.join(map(str, DEAD_TAXEL))} 1")
+        yield BoardSite(str(port), False, frozenset({DEAD_TAXEL}), lambda: command(f"resistance {LOAD}"))
+        _, errors = process.communicate("quit\n", timeout=10.0)
+        assert (process.returncode, errors) == (0, "")
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()

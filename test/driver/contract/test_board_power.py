@@ -1,0 +1,78 @@
+"""What must hold of a healthy board's power stage while nobody asks for its contactor to be closed."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from itertools import pairwise
+
+import pytest
+
+from deltacharger_driver.board_protocol import POWER_RATE, Fault
+from deltacharger_driver.contactor_lease import LeaseRefused
+
+from .host import BoardHost
+from .sites import BoardSite, holds
+
+LARGEST_VOLTAGE = 60.0  # V
+LEAKAGE = 0.5  # A that an open contactor may seem to let through
+
+
+def test_power_comes_unasked_at_its_rate_with_values_that_can_be(host: BoardHost, board_site: BoardSite) -> None:
+    def law() -> None:
+        samples = host.next_powers(30)
+        steps = [later.time - earlier.time for earlier, later in pairwise(samples)]
+        assert statistics.median(steps) * POWER_RATE == pytest.approx(1.0, rel=0.05)
+        assert host.link.counters.lost_power == 0
+        for power in (sample.power for sample in samples):
+            assert power.contactor_closed is False
+            assert power.fault == Fault.NONE
+            assert math.isnan(power.battery_voltage) or 0.0 < power.battery_voltage < LARGEST_VOLTAGE
+            assert math.isnan(power.target_voltage) or abs(power.target_voltage) < LARGEST_VOLTAGE
+            assert math.isnan(power.charge_current) or abs(power.charge_current) < LEAKAGE
+
+    holds(board_site, law)
+
+
+def test_an_opening_is_never_refused(host: BoardHost) -> None:
+    for _ in range(3):
+        host.link.contactor(False)
+    assert not any(sample.power.contactor_closed for sample in host.next_powers(3))
+
+
+def test_a_probe_answers_in_time_and_another_may_follow(host: BoardHost, board_site: BoardSite) -> None:
+    def law() -> None:
+        retries = host.link.counters.retries
+        for _ in range(3):
+            began = time.monotonic()
+            result = host.link.probe()
+            assert began < result.time <= time.monotonic()
+            assert result.resistance >= 0.0, "the board measured nothing"
+            assert math.isnan(result.target_voltage) or abs(result.target_voltage) < LARGEST_VOLTAGE
+        assert host.link.counters.retries == retries
+        assert all(sample.power.fault == Fault.NONE for sample in host.next_powers(2))
+
+    holds(board_site, law)
+
+
+def test_a_probe_in_the_open_air_finds_an_open_circuit(
+    host: BoardHost, board_site: BoardSite, load_connected: bool
+) -> None:
+    if board_site.real and load_connected:
+        pytest.skip("with --close-contactor a load is connected to the electrodes")
+    assert math.isinf(host.link.probe().resistance), "the electrodes must touch nothing"
+
+
+def test_the_guard_refuses_a_close_where_nothing_touches_the_pads(host: BoardHost) -> None:
+    host.next_powers(1)
+    with pytest.raises(LeaseRefused, match="probe"):
+        host.guard.close("contract", 0.2)
+    host.link.tare()
+    host.link.start()
+    host.guard.probe()
+    with pytest.raises(LeaseRefused, match=r"no contact|open circuit|short|polarity"):
+        host.guard.close("contract", 0.2)
+    host.link.stop()
+    assert host.link.counters.heartbeats == 0
+    assert not any(sample.power.contactor_closed for sample in host.next_powers(3))

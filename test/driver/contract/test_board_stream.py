@@ -1,0 +1,187 @@
+"""What must hold of the tactile side of a healthy board whose pads nothing touches."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from deltacharger_driver.board_errors import CommandRefused
+from deltacharger_driver.board_protocol import COLUMNS, CONTACT_FORCE, FULL_SCALE, ROWS, VERSION, AckError
+from deltacharger_driver.board_samples import TactileSample
+from deltacharger_driver.port_identity import identify
+
+from .host import BoardHost
+from .sites import BoardSite, holds, until
+
+STRETCH = 120  # frames
+SETTLED = 40  # frames whose stamps must follow the board's clock
+STAMP_STEP = 0.002  # s
+RESTING = 0.05  # N, median of a tared pad
+OPEN_AGAIN = "import sys; from deltacharger_driver.board_link import BoardLink; BoardLink(sys.argv[1]).open()"
+
+
+def seconds(frames: list[TactileSample]) -> float:
+    """Time from the first to the last frame on the board's clock."""
+    return (frames[-1].device_time_us - frames[0].device_time_us) * 1e-6
+
+
+def test_the_port_is_known_as_that_of_the_board(board_site: BoardSite) -> None:
+    def law() -> None:
+        found = identify(board_site.path, speeds=())
+        assert found.kind == "board", found.details
+
+    holds(board_site, law)
+
+
+def test_it_introduces_itself_and_is_the_same_board_each_time(host: BoardHost) -> None:
+    hello = host.link.hello()
+    assert (hello.major, hello.rows, hello.columns) == (VERSION, ROWS, COLUMNS)
+    assert host.link.hello() == hello
+    assert host.link.counters.reboots == 0
+
+
+def test_pings_come_back(host: BoardHost, board_site: BoardSite) -> None:
+    def law() -> None:
+        retries = host.link.counters.retries
+        trips = [host.link.ping(bytes(range(length))) for length in range(64 + 1)]
+        assert min(trips) > 0.0
+        assert host.link.counters.retries == retries
+
+    holds(board_site, law)
+
+
+@pytest.mark.parametrize("rate", [30.0, 60.0, 120.0])
+def test_frames_come_at_the_rate_that_was_asked_for_by_the_boards_clock(host: BoardHost, rate: float) -> None:
+    host.link.set_rate(rate)
+    assert host.link.hello().rate == rate
+    frames = host.stream(40)
+    assert (frames[-1].sequence - frames[0].sequence) / seconds(frames) == pytest.approx(rate, rel=0.02)
+
+
+@pytest.mark.parametrize("rate", [0.0, -60.0, 1e6])
+def test_a_rate_that_it_does_not_have_is_refused_and_the_old_one_stays(host: BoardHost, rate: float) -> None:
+    host.link.set_rate(60.0)
+    with pytest.raises(CommandRefused, match="does not sample at") as refusal:
+        host.link.set_rate(rate)
+    assert refusal.value.error == AckError.BAD_PAYLOAD
+    assert host.link.hello().rate == 60.0
+
+
+def lost_in_silence(frames: list[TactileSample]) -> list[int]:
+    """Numbers of the frames before which others are missing, without the board having said so."""
+    pairs = pairwise(frames)
+    return [after.sequence for before, after in pairs if after.sequence != before.sequence + 1 and not after.overrun]
+
+
+def test_no_frame_is_lost_damaged_or_repeated(host: BoardHost, board_site: BoardSite) -> None:
+    def law() -> None:
+        counters, decoder = host.link.counters, host.link.decoder_counters
+        frames = host.stream(STRETCH)
+        assert lost_in_silence(frames) == []
+        assert not board_site.real or not any(frame.overrun for frame in frames), "the board does not keep up"
+        assert all(earlier.device_time_us < later.device_time_us for earlier, later in pairwise(frames))
+        assert host.link.counters.duplicates == counters.duplicates
+        assert host.link.counters.bad_payloads == 0
+        assert host.link.decoder_counters.damaged == decoder.damaged
+        assert host.link.decoder_counters.header_errors == 0
+
+    holds(board_site, law)
+
+
+def test_the_boards_clock_counts_microseconds(host: BoardHost, board_site: BoardSite) -> None:
+    def law() -> None:
+        frames = host.stream(2 * STRETCH)
+        of_board = np.array([frame.device_time_us for frame in frames]) * 1e-6
+        of_host = np.array(host.arrivals)
+        ratios = (of_board[STRETCH:] - of_board[:-STRETCH]) / (of_host[STRETCH:] - of_host[:-STRETCH])
+        assert np.median(ratios) == pytest.approx(1.0, rel=0.02)  # the median: this computer pauses now and then
+
+    holds(board_site, law)
+
+
+def test_stamps_on_the_hosts_clock_follow_the_boards_clock(host: BoardHost) -> None:
+    host.link.start()
+
+    def settled() -> bool:
+        frames = host.frames[-SETTLED:]
+        steps = np.diff([frame.time for frame in frames])
+        of_board = np.diff([frame.device_time_us * 1e-6 for frame in frames])
+        return len(frames) == SETTLED and bool((steps > 0.0).all() and (np.abs(steps - of_board) < STAMP_STEP).all())
+
+    until(settled, f"{SETTLED} frames whose stamps follow the board's clock within {STAMP_STEP * 1e3:g} ms")
+    host.link.stop()
+    assert all(frame.time <= arrival for frame, arrival in zip(host.frames, host.arrivals, strict=True))
+
+
+def test_it_streams_between_start_and_stop_only(host: BoardHost, board_site: BoardSite) -> None:
+    host.next_powers(2)
+    assert host.frames == []
+
+    def law() -> None:
+        first = host.stream(20)
+        host.next_powers(4)
+        assert len(host.frames) == len(first)
+        host.link.start()
+        host.link.start()  # also where it streams already
+        again = host.stream(20)
+        assert again[0].sequence > first[-1].sequence
+        host.link.stop()
+        host.link.stop()
+
+    holds(board_site, law)
+
+
+def test_the_numbers_go_on_over_stop_and_start(host: BoardHost, board_site: BoardSite) -> None:
+    def law() -> None:
+        first, second = host.stream(20), host.stream(20)
+        assert lost_in_silence([*first, *second]) == []
+
+    holds(board_site, law)
+
+
+def test_a_taxel_is_dead_always_or_never_and_a_dead_one_has_no_force(host: BoardHost, board_site: BoardSite) -> None:
+    forces = np.array([(frame.left, frame.right) for frame in host.stream(STRETCH // 2)])
+    dead = np.isnan(forces)
+    assert (dead.all(axis=0) == dead.any(axis=0)).all()
+    alive = ~dead[0]
+    assert alive.any(axis=(1, 2)).all(), "a pad has no live taxel; look at its cable"
+    assert (forces[:, alive] >= 0.0).all()
+    assert (forces[:, alive] <= FULL_SCALE).all()
+    if board_site.dead is not None:
+        assert {tuple(map(int, place)) for place in np.argwhere(~alive)} == board_site.dead
+
+
+def test_a_tare_brings_untouched_pads_to_zero_and_every_frame_says_so(host: BoardHost) -> None:
+    host.link.tare()
+    frames = host.stream(STRETCH // 2)
+    assert all(frame.tared for frame in frames)
+    for side in ("left", "right"):
+        forces = np.array([getattr(frame, side) for frame in frames])
+        assert np.nanmedian(forces) < RESTING, f"{side} pad"
+        assert np.nanmax(forces) < CONTACT_FORCE, f"{side} pad"
+
+
+def test_a_second_host_finds_the_board_as_the_first_left_it(host: BoardHost) -> None:
+    boot = host.link.hello().boot_id
+    host.link.tare()
+    before = host.stream(5)[-1]
+    host.link.close()
+    same = host.link.open().boot_id == boot  # some boards boot when their port is opened
+    after = host.stream(5)[0]
+    assert after.tared == same
+    assert after.sequence > before.sequence
+    assert not same or after.device_time_us > before.device_time_us
+
+
+def test_another_program_cannot_have_the_port(host: BoardHost, board_site: BoardSite) -> None:
+    command = [sys.executable, "-c", OPEN_AGAIN, board_site.path]
+    began = time.monotonic()
+    meanwhile = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
+    assert meanwhile.returncode != 0
+    assert "the port is in use by another program" in meanwhile.stderr
+    assert host.link.ping() < time.monotonic() - began

@@ -1,0 +1,120 @@
+"""What must hold of a healthy board's contactor with a load connected. On a real one with --close-contactor only."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from deltacharger_driver.board_errors import CommandRefused
+from deltacharger_driver.board_payloads import probe_problem
+from deltacharger_driver.board_protocol import (
+    HEARTBEAT_TIMEOUT,
+    POWER_RATE,
+    PROBE_LIFETIME,
+    AckError,
+    Fault,
+)
+
+from .host import BoardHost
+from .sites import BoardSite, holds, until
+
+pytestmark = pytest.mark.usefixtures("may_close")
+
+LONGEST_CLOSE = 5.0  # s; whatever a test does, its heartbeat stops then
+SEEN_WITHIN = HEARTBEAT_TIMEOUT + 2.0 / POWER_RATE  # s from the last heartbeat to a POWER packet that says open
+
+
+@pytest.fixture
+def loaded(host: BoardHost, board_site: BoardSite) -> BoardHost:
+    """A board whose electrodes carry a load."""
+    board_site.connect_load()
+    result = host.link.probe()
+    problem = probe_problem(result.resistance, result.target_voltage)
+    assert not problem, f"--close-contactor needs a load between the electrodes: {problem}"
+    host.link.contactor(False)
+    return host
+
+
+def close(host: BoardHost) -> None:
+    """Probe and close as whoever wants energy must."""
+    host.link.contactor(False)
+    host.link.probe()
+    host.link.keep_alive(time.monotonic() + LONGEST_CLOSE)
+    host.link.contactor(True)
+    host.await_contactor(closed=True)
+
+
+def refused(host: BoardHost) -> int:
+    """Ask for a close that must be refused, and return the board's reason."""
+    with pytest.raises(CommandRefused, match="the board refused CONTACTOR") as refusal:
+        host.link.contactor(True)
+    return refusal.value.error
+
+
+def stays_open(host: BoardHost) -> bool:
+    return not any(sample.power.contactor_closed for sample in host.next_powers(4))
+
+
+def test_no_close_without_a_heartbeat(loaded: BoardHost) -> None:
+    loaded.link.probe()
+    assert refused(loaded) == AckError.INTERLOCK
+    assert stays_open(loaded)
+
+
+def test_no_close_without_a_probe_since_the_last_opening(loaded: BoardHost) -> None:
+    loaded.link.probe()
+    loaded.link.contactor(False)
+    loaded.link.keep_alive(time.monotonic() + LONGEST_CLOSE)
+    assert refused(loaded) == AckError.INTERLOCK
+    assert stays_open(loaded)
+
+
+def test_no_close_after_the_probe_has_grown_old(loaded: BoardHost) -> None:
+    result = loaded.link.probe()
+    loaded.link.keep_alive(time.monotonic() + LONGEST_CLOSE)
+    until(lambda: time.monotonic() > result.time + PROBE_LIFETIME, "the probe to grow old")
+    assert refused(loaded) == AckError.INTERLOCK
+    assert stays_open(loaded)
+
+
+def test_closed_it_says_so_and_measures_and_open_it_needs_a_new_probe(loaded: BoardHost) -> None:
+    close(loaded)
+    for power in (sample.power for sample in loaded.next_powers(10)):
+        assert power.contactor_closed
+        assert power.fault == Fault.NONE
+        assert abs(power.charge_current) < 20.0  # also: it was measured
+    assert refused(loaded) == AckError.NOT_NOW
+    with pytest.raises(CommandRefused, match="the contactor is closed") as refusal:
+        loaded.link.probe()
+    assert refusal.value.error == AckError.NOT_NOW
+    loaded.link.contactor(False)
+    opened = loaded.await_contactor(closed=False)
+    assert opened.power.fault == Fault.NONE
+    assert refused(loaded) == AckError.INTERLOCK
+    assert stays_open(loaded)
+
+
+def test_a_heartbeat_that_stops_opens_it_within_its_time(loaded: BoardHost, board_site: BoardSite) -> None:
+    def law() -> None:
+        close(loaded)
+        assert all(sample.power.contactor_closed for sample in loaded.next_powers(10))
+        loaded.link.stop_heartbeat()
+        stopped = time.monotonic()
+        opened = loaded.await_contactor(closed=False)
+        assert opened.time - stopped < SEEN_WITHIN
+        assert opened.power.fault == Fault.HEARTBEAT_LOST
+        assert refused(loaded) == AckError.INTERLOCK
+        loaded.link.contactor(False)
+        assert loaded.next_powers(2)[-1].power.fault == Fault.NONE, "an opening clears the latched fault"
+
+    holds(board_site, law)
+
+
+def test_a_host_that_goes_leaves_it_open(loaded: BoardHost) -> None:
+    close(loaded)
+    loaded.link.close()
+    time.sleep(SEEN_WITHIN)  # the silence itself
+    loaded.powers.clear()
+    loaded.link.open()
+    assert stays_open(loaded)

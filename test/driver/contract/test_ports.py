@@ -1,0 +1,72 @@
+"""How the contract finds its devices: the options themselves, in runs of their own against emulators on given ports."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from .sites import emulated_board, emulated_servos
+
+HERE = Path(__file__).parent
+REPOSITORY = HERE.parents[2]
+
+
+@pytest.fixture(autouse=True)
+def only_over_the_emulators(ports: dict[str, str]) -> None:
+    if ports:
+        pytest.skip("says nothing about devices")
+
+
+def run(*words: str) -> tuple[int, str, dict[str, int]]:
+    """Run the contract's shortest tests and return exit code, output, and how many of each outcome."""
+    chosen = ["-k", "the_port_is_known or torque_is_off or no_close_without_a_heartbeat"]
+    command = [sys.executable, "-m", "pytest", str(HERE), *chosen, "-p", "no:cacheprovider", "--color=no", *words]
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False, timeout=100.0)
+    output = done.stdout + done.stderr
+    counts = re.findall(r"(\d+) (passed|failed|errors?|skipped)", output.splitlines()[-1] if output else "")
+    return done.returncode, output, {outcome.rstrip("s"): int(number) for number, outcome in counts}
+
+
+@pytest.mark.parametrize("given", ["/dev/ttyUSB0", "board="])
+def test_a_port_that_names_no_device_is_told_how_to_write_it(given: str) -> None:
+    code, output, _ = run("--port", given)
+    assert code == pytest.ExitCode.USAGE_ERROR
+    assert f"'{given}' names no device's port; write servo=PATH or board=PATH" in output
+
+
+def test_a_device_has_one_port() -> None:
+    code, output, _ = run("--port", "servo=/dev/ttyUSB0", "--port", "servo=/dev/ttyUSB1")
+    assert code == pytest.ExitCode.USAGE_ERROR
+    assert "--port servo=PATH is given 2 times" in output
+
+
+def test_what_is_not_given_and_what_moves_is_skipped_with_the_reason() -> None:
+    with emulated_servos() as site:
+        code, output, counts = run(f"--port=servo={site.path}")
+        assert (code, counts) == (0, {"passed": 1, "skipped": 4}), output
+        assert "only with --move" in output
+        assert "no --port board=PATH was given" in output
+
+
+def test_what_is_allowed_runs() -> None:
+    with emulated_servos() as servos, emulated_board() as board:
+        board.connect_load()
+        ports = (f"--port=servo={servos.path}", f"--port=board={board.path}")
+        code, output, counts = run(*ports, "--move", "--close-contactor")
+        assert code == 0, output
+        assert counts["passed"] == 5
+        assert "skipped" not in counts
+
+
+def test_swapped_and_missing_ports_are_told_once_in_the_drivers_words(tmp_path: Path) -> None:
+    with emulated_servos() as servos:
+        nothing = tmp_path / "nothing"
+        code, output, counts = run(f"--port=board={servos.path}", f"--port=servo={nothing}")
+        assert (code, counts["error"]) == (1, 2), output
+        assert "passed" not in counts
+        assert f"{servos.path}: here is the servos, not the board" in output
+        assert f"{nothing}: there is no such port" in output

@@ -1,0 +1,222 @@
+"""What must hold of three healthy MX-64 without torque; nothing here moves them."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import pytest
+
+from deltacharger_driver.errors import DriverError, ServoFault
+from deltacharger_driver.mx64 import (
+    CURRENT_UNIT,
+    MODE_CURRENT_POSITION,
+    MODEL,
+    REGISTERS,
+    VELOCITY_UNIT,
+    VOLTAGE_UNIT,
+    WATCHDOG_TRIPPED,
+)
+from deltacharger_driver.port_identity import identify
+from deltacharger_driver.servo_bus import ServoBus
+from deltacharger_driver.servo_link import ServoLink
+from deltacharger_driver.servo_setup import configure, restart_watchdog
+from deltacharger_driver.servo_snapshot import (
+    READ_ADDRESS,
+    READ_BLOCK,
+    READ_LENGTH,
+    WATCHDOG,
+    WRITE_ADDRESS,
+    BusSettings,
+    Snapshot,
+    has_restarted,
+)
+
+from .sites import ServoSite, holds, until
+
+OLDEST_FIRMWARE = 39
+CYCLES = 200
+RATE = 100.0  # Hz, of servo_node
+SET_UP = {
+    "torque_enable": 0,
+    "status_return_level": 2,
+    "return_delay": 0,
+    "drive_mode": 0,
+    "operating_mode": MODE_CURRENT_POSITION,
+    "secondary_id": 255,
+    "homing_offset": 0,
+    "profile_acceleration": 0,
+    "profile_velocity": 0,
+    "hardware_error": 0,
+}
+JITTER = {
+    "present_current": 30,
+    "present_velocity": 5,
+    "present_position": 4,
+    "input_voltage": 3,
+    "temperature": 1,
+}
+"""Counts by which what is measured may differ between two readings at rest; 0 for any other register."""
+OPEN_AGAIN = (
+    "import sys; from deltacharger_driver.servo_link import ServoLink; ServoLink(sys.argv[1], 1_000_000).open()"
+)
+
+
+def test_the_port_is_known_as_that_of_the_three_servos(servo_site: ServoSite) -> None:
+    settings = servo_site.settings
+
+    def law() -> None:
+        found = identify(servo_site.path, speeds=(settings.baud_rate,), ids=settings.ids)
+        assert found.kind == "servos", found.details
+        assert {servo.servo for servo in found.servos} == set(settings.ids), found.details
+
+    holds(servo_site, law)
+
+
+def test_each_is_an_mx_64_with_firmware_that_speaks_protocol_2(link: ServoLink, servo_site: ServoSite) -> None:
+    for servo in servo_site.settings.ids:
+        assert link.ping(servo, attempts=2) == link.read(servo, "model") == MODEL
+        assert link.read(servo, "firmware") >= OLDEST_FIRMWARE
+        assert link.read(servo, "id") == servo
+
+
+def test_the_set_up_stands_in_the_registers(link: ServoLink, servo_site: ServoSite) -> None:
+    for servo in servo_site.settings.ids:
+        assert {name: link.read(servo, name) for name in SET_UP} == SET_UP, f"servo {servo}"
+        assert link.read(servo, "bus_watchdog") in (WATCHDOG, WATCHDOG_TRIPPED)  # a pause of this computer trips it
+
+
+def test_the_block_of_the_cycle_says_what_the_registers_say(link: ServoLink, servo_site: ServoSite) -> None:
+    for servo in servo_site.settings.ids:
+        data = link.read_bytes(servo, READ_ADDRESS, READ_LENGTH)
+        for name in READ_BLOCK:
+            size = REGISTERS[name].size
+            in_block, data = REGISTERS[name].from_bytes(data[:size]), data[size:]
+            difference = abs(in_block - link.read(servo, name))
+            assert difference <= JITTER.get(name, 0), f"servo {servo}: {name} differs by {difference}"
+
+
+def test_goals_written_to_the_block_of_the_cycle_reach_their_registers(link: ServoLink, servo_site: ServoSite) -> None:
+    goals = {servo: (10 + servo, link.read(servo, "present_position") + servo) for servo in servo_site.settings.ids}
+    for servo in goals:
+        restart_watchdog(link, servo)  # a tripped one would lock them
+    current, position = REGISTERS["goal_current"], REGISTERS["goal_position"]
+    for servo, (amount, ticks) in goals.items():
+        link.write_bytes(servo, WRITE_ADDRESS, current.to_bytes(amount) + position.to_bytes(ticks))
+    found = {servo: (link.read(servo, "goal_current"), link.read(servo, "goal_position")) for servo in goals}
+    assert found == goals
+
+
+def test_cycles_follow_each_other_without_a_missed_reply(bus: ServoBus, servo_site: ServoSite) -> None:
+    where = until(lambda: (s := bus.read()).complete and s, "the first snapshot").angle
+
+    def law() -> None:
+        before = replace(bus.counters)
+        snapshots, took = [], []
+        for _ in range(CYCLES):
+            begin = time.monotonic()
+            snapshots.append(bus.exchange(where, (0.0, 0.0, 0.0)))
+            took.append(time.monotonic() - begin)
+            assert begin < snapshots[-1].time <= time.monotonic()
+        assert all(snapshot.complete for snapshot in snapshots), f"{bus.counters}"
+        assert bus.counters == before
+        times = [snapshot.time for snapshot in snapshots]
+        assert times == sorted(set(times))
+        for snapshot in snapshots:
+            check_values(snapshot, servo_site.settings)
+        median = statistics.median(took)
+        assert not servo_site.real or median < 1.0 / RATE, (
+            f"a cycle takes {median * 1e3:.1f} ms, more than {RATE:g} Hz allow; look at the adapter's latency timer"
+        )
+
+    holds(servo_site, law)
+
+
+def check_values(snapshot: Snapshot, settings: BusSettings) -> None:
+    """Fail where a value is none that a servo at rest, at 12 V, can have."""
+    for index, servo in enumerate(settings.ids):
+        about = f"servo {servo}: {snapshot}"
+        assert -math.pi <= snapshot.angle[index] <= math.pi, about
+        assert abs(snapshot.velocity[index]) <= REGISTERS["velocity_limit"].high * VELOCITY_UNIT, about
+        assert abs(snapshot.current[index]) <= JITTER["present_current"] * CURRENT_UNIT, about
+        low, high = (REGISTERS[name].default * VOLTAGE_UNIT for name in ("min_voltage", "max_voltage"))
+        assert low <= snapshot.voltage[index] <= high, about
+        assert 0.0 <= snapshot.temperature[index] < REGISTERS["temperature_limit"].default, about
+        assert snapshot.hardware_error[index] == 0, about
+        assert snapshot.torque_enabled[index] is False, about
+
+
+def test_a_register_that_does_not_exist_is_refused_by_name(link: ServoLink, servo_site: ServoSite) -> None:
+    for servo in servo_site.settings.ids:
+        with pytest.raises(ServoFault, match=f"servo {servo}: read 2 bytes at 700: register does not exist"):
+            link.read_bytes(servo, 700, 2)  # the last one is 661
+
+
+@pytest.mark.parametrize(
+    ("name", "step", "words"),
+    [
+        ("present_position", 0, "read-only"),
+        ("model", 0, "read-only"),
+        ("goal_current", 1, "limit|range"),  # one more than the servo's current limit
+    ],
+)
+def test_a_write_that_is_not_allowed_is_refused_by_name(
+    link: ServoLink, servo_site: ServoSite, name: str, step: int, words: str
+) -> None:
+    for servo in servo_site.settings.ids:
+        restart_watchdog(link, servo)
+        before = link.read(servo, name)
+        value = link.read(servo, "current_limit") + step if step else before
+        with pytest.raises(ServoFault, match=words) as caught:
+            link.write(servo, name, value)
+        assert caught.value.servo == servo
+        assert caught.value.action == f"write {name} = {value}"
+        assert abs(link.read(servo, name) - before) <= JITTER.get(name, 0)
+
+
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_a_restart_loses_the_set_up_and_keeps_what_is_in_eeprom(
+    link: ServoLink, servo_site: ServoSite, index: int
+) -> None:
+    settings = servo_site.settings
+    servo = settings.ids[index]
+    link.reboot(servo)
+
+    def back() -> bool:
+        try:
+            return link.ping(servo) == MODEL
+        except DriverError:
+            return False
+
+    until(back, f"servo {servo} to come back from its restart")
+    assert has_restarted(link.read_bytes(servo, READ_ADDRESS, READ_LENGTH))
+    assert (link.read(servo, "torque_enable"), link.read(servo, "bus_watchdog")) == (0, 0)
+    assert link.read(servo, "operating_mode") == MODE_CURRENT_POSITION
+    configure(link, servo, settings)
+    assert {name: link.read(servo, name) for name in SET_UP} == SET_UP
+
+
+def test_a_restart_in_the_cycle_is_noticed_and_mended(bus: ServoBus, servo_site: ServoSite) -> None:
+    bus.read()
+    bus.reboot(1)
+    noticed = until(lambda: (s := bus.read()).rebooted[1] and s, "the restart to be noticed")
+    assert not noticed.valid[1]
+    assert math.isnan(noticed.angle[1])
+    assert noticed.rebooted == (False, True, False)
+    bus.configure(1)
+    after = until(lambda: (s := bus.read()).complete and s, "all servos to answer again")
+    assert after.rebooted == after.torque_enabled == (False, False, False)
+
+
+def test_another_program_cannot_have_the_port_and_then_it_can(bus: ServoBus, servo_site: ServoSite) -> None:
+    command = [sys.executable, "-c", OPEN_AGAIN, servo_site.path]
+    meanwhile = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
+    assert meanwhile.returncode != 0
+    assert "the port is in use by another program" in meanwhile.stderr
+    bus.close()
+    afterwards = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60.0)
+    assert afterwards.returncode == 0, afterwards.stderr
