@@ -9,16 +9,16 @@ from __future__ import annotations
 import argparse
 import importlib
 import math
-import re
 import signal
 import sys
 from collections.abc import Sequence
 from types import FrameType
-from typing import Any, NoReturn
 
 from deltacharger_bringup.cli_calibrate_options import add_kinematics
-from deltacharger_bringup.cli_output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, tell, write_json
-from deltacharger_bringup.cli_types import DEGREES, MILLIMETRES, POSITIVE, SEED, between, deadline, namespace, whole
+from deltacharger_bringup.cli_hardware_options import add_doctor, add_fault, add_simulate
+from deltacharger_bringup.cli_output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
+from deltacharger_bringup.cli_parser import Parser, Version, add_command
+from deltacharger_bringup.cli_types import DEGREES, MILLIMETRES, POSITIVE, SEED, deadline, namespace, whole
 
 DEFAULT_SCENE = "simulated"
 DEFAULT_PICTURE = "dock.png"
@@ -65,7 +65,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 def _run(words: list[str]) -> int:
     if words and (words[0] in _LATER or (words[1:2] and words[1] in _LATER_ACTIONS.get(words[0], ()))):
         return _refuse_later(words)
-    _Parser.wants_json = "--json" in words
+    Parser.wants_json = "--json" in words
     parser = build_parser()
     options = parser.parse_args(words)
     if not hasattr(options, "run"):
@@ -97,45 +97,16 @@ def _ros_problem(error: Exception) -> str:
     return ros_problem(error)
 
 
-class _Parser(argparse.ArgumentParser):
-    """Tells a wrong usage as the one JSON object too, where the words ask for one, and reads `-8e1` as a number."""
-
-    wants_json = False
-
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
-
-    def error(self, message: str) -> NoReturn:
-        if _Parser.wants_json:
-            write_json({"success": False, "error": message})
-        super().error(message)
-
-
-class _Version(argparse.Action):
-    """Print the installed version, looked up only where it is asked for."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
-        from importlib.metadata import PackageNotFoundError, version
-
-        try:
-            text = version("deltacharger")
-        except PackageNotFoundError:  # a colcon workspace
-            text = "unknown, not installed with pip"
-        tell(f"deltacharger {text}")
-        parser.exit()
-
-
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of the whole command."""
-    parser: argparse.ArgumentParser = _Parser(
+    parser: argparse.ArgumentParser = Parser(
         prog="deltacharger",
         description="Run, try and inspect DeltaCharger, a robot's arm that docks to other robots and charges them.",
         epilog="Exit codes: 0 done, 1 the job failed, 2 wrong usage or input, 130 interrupted. "
         "Simulated scenes use ROS_DOMAIN_ID=87 on this machine only, unless ROS_DOMAIN_ID and "
         "ROS_AUTOMATIC_DISCOVERY_RANGE are set.",
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
+    parser.add_argument("--version", action=Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     _add_up(commands)
     _add_dock(commands)
@@ -152,18 +123,6 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _command(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser],
-    name: str,
-    run: tuple[str, str],
-    text: str,
-) -> argparse.ArgumentParser:
-    parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-    parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
-    parser.set_defaults(run=run)
-    return parser
-
-
 def _add_scene_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", metavar="NAME|FILE", help=f"packaged scene or YAML file (default: {DEFAULT_SCENE})")
 
@@ -175,7 +134,7 @@ def _add_namespace(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_up(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = _command(
+    parser = add_command(
         commands,
         "up",
         ("deltacharger_bringup.cli_charger", "up"),
@@ -186,7 +145,7 @@ def _add_up(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
 
 
 def _add_dock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = _command(
+    parser = add_command(
         commands,
         "dock",
         ("deltacharger_bringup.cli_dock", "dock"),
@@ -216,7 +175,7 @@ def _add_dock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 
 def _add_undock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = _command(
+    parser = add_command(
         commands,
         "undock",
         ("deltacharger_bringup.cli_charger", "undock"),
@@ -232,65 +191,51 @@ def _add_scene(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     parser = commands.add_parser("scene", help="list, check or explain scenes", description="Inspect scenes.")
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     module = "deltacharger_bringup.cli_scene"
-    _command(actions, "list", (module, "list_scenes"), "name every packaged scene")
-    check = _command(actions, "check", (module, "check"), "say whether scenes are well-formed, and what is wrong")
+    add_command(actions, "list", (module, "list_scenes"), "name every packaged scene")
+    check = add_command(actions, "check", (module, "check"), "say whether scenes are well-formed, and what is wrong")
     check.add_argument("scenes", nargs="*", metavar="NAME|FILE", help="default: every packaged scene")
-    explain = _command(actions, "explain", (module, "explain"), "show what a scene sets and every key it could set")
+    explain = add_command(actions, "explain", (module, "explain"), "show what a scene sets and every key it could set")
     explain.add_argument("scene", nargs="?", default=DEFAULT_SCENE, metavar="NAME|FILE")
     explain.add_argument("--all", action="store_true", help="also the keys that the scene leaves at their default")
 
 
 def _add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = _command(
+    parser = add_command(
         commands,
         "simulate",
         ("deltacharger_bringup.cli_simulate", "simulate"),
         "serve the emulated servos and board of a scene on two ports, without ROS; says 'ready' with their paths",
     )
     _add_scene_option(parser)
-    parser.add_argument(
-        "--directory", required=True, metavar="DIR", help="where the ports appear, as DIR/servo and DIR/board"
-    )
-    parser.add_argument("--record", metavar="FILE", help="at the end, write what really happened in the world as JSON")
+    add_simulate(parser)
 
 
 def _add_fault(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = _command(
+    parser = add_command(
         commands,
         "fault",
         ("deltacharger_bringup.cli_fault", "fault"),
         "let something go wrong with the emulated hardware of a charger that runs",
     )
-    parser.add_argument("kind", nargs="?", metavar="KIND", help="what; --list names them all")
-    parser.add_argument("--for-s", type=POSITIVE, default=0.0, metavar="S", help="how long (default: until --clear)")
-    parser.add_argument("--amount", type=between(-1e9, 1e9), metavar="A", help="how much, in the unit of its kind")
-    parser.add_argument("--servo", type=whole(1, 3), default=0, metavar="N", help="id, where it concerns one servo")
-    parser.add_argument("--list", action="store_true", help="name every kind, and what goes wrong at present")
-    parser.add_argument("--clear", action="store_true", help="end everything that lasts")
-    parser.add_argument("--directory", metavar="DIR", help="of the ports (default: the charger of the ROS domain)")
+    add_fault(parser)
     _add_namespace(parser)
 
 
 def _add_doctor(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = _command(
+    parser = add_command(
         commands,
         "doctor",
         ("deltacharger_bringup.cli_doctor", "doctor"),
         "say what is wrong with this computer, its ports and what is plugged in, and how to mend it",
     )
     _add_scene_option(parser)
-    parser.add_argument("--servo-port", metavar="PORT", help="of the servos, instead of the scene's")
-    parser.add_argument("--board-port", metavar="PORT", help="of the board, instead of the scene's")
-    speeds = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
-    text = "write this speed (bit/s) to servos that speak another one, torque off; needs --servo-port"
-    parser.add_argument("--set-baud", type=int, choices=speeds, metavar="BAUD", help=text)
-    parser.add_argument("--ids", type=whole(0, 252), nargs="+", metavar="ID", help="of --set-baud (default: all)")
+    add_doctor(parser)
 
 
 def _add_calibrate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = commands.add_parser("calibrate", help="fit this one charger's dimensions", description="Calibrate.")
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    kinematics = _command(
+    kinematics = add_command(
         actions,
         "kinematics",
         ("deltacharger_bringup.cli_calibrate", "kinematics"),
@@ -305,7 +250,7 @@ def _add_calibrate(commands: argparse._SubParsersAction[argparse.ArgumentParser]
 def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = commands.add_parser("report", help="measure a part and write a page", description="Measure and report.")
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    kinematics = _command(
+    kinematics = add_command(
         actions,
         "kinematics",
         ("deltacharger_bringup.cli_report", "kinematics"),

@@ -1,6 +1,6 @@
 """Does the board introduce itself, stream whole frames from live taxels, and is its power stage sane?
 
-The stream is started for two seconds and stopped again; one probe is made (≤ 5 V, ≤ 50 mA). Nothing else is asked of
+The stream is started for a while and stopped again; one probe is made (≤ 5 V, ≤ 50 mA). Nothing else is asked of
 it: no tare, no contactor, no heartbeat.
 """
 
@@ -27,12 +27,13 @@ _PINGS = 20
 _CABLE_ADVICE = "look at plugs and cables; close what keeps this computer busy"
 
 
-def examine_board(path: str, baud_rate: int) -> Iterator[Finding]:
+def examine_board(path: str, baud_rate: int, watched: float = WATCHED) -> Iterator[Finding]:
     """Greet the board of a port, watch its stream, read its power stage, probe once.
 
     Args:
         path: of the port; nobody else may have it open.
         baud_rate: bit/s.
+        watched: s of stream.
     """
     from deltacharger_driver.board_errors import BoardMismatch
     from deltacharger_driver.board_link import BoardLink
@@ -55,7 +56,7 @@ def examine_board(path: str, baud_rate: int) -> Iterator[Finding]:
         return
     try:
         yield from _firmware(link, hello)
-        yield from _stream(link, hello, frames)
+        yield from _stream(link, hello, frames, watched)
         yield from _power(powers)
         yield from _probe(link)
     finally:
@@ -75,17 +76,17 @@ def _firmware(link: BoardLink, hello: Hello) -> Iterator[Finding]:
         yield hint("board", f"its firmware is older than this driver ({hello.major}.{MINOR})", "flash the present one")
 
 
-def _stream(link: BoardLink, hello: Hello, frames: list[Any]) -> Iterator[Finding]:
+def _stream(link: BoardLink, hello: Hello, frames: list[Any], watched: float) -> Iterator[Finding]:
     before, damaged = link.counters, link.decoder_counters.damaged
     link.start()
     began = time.monotonic()
-    while time.monotonic() - began < WATCHED and link.gone is None:
+    while time.monotonic() - began < watched and link.gone is None:
         time.sleep(0.05)
     link.stop()
     lost = link.counters.lost_tactile - before.lost_tactile
     damaged = link.decoder_counters.damaged - damaged
     if len(frames) < 2:
-        text = f"{len(frames)} frames in {WATCHED:g} s after the start of the stream"
+        text = f"{len(frames)} frames in {watched:g} s after the start of the stream"
         yield wrong("tactile link", text, "restart the board; flash its firmware again where that does not help")
         return
     span = frames[-1].time - frames[0].time

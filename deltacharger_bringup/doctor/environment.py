@@ -14,6 +14,7 @@ from typing import Any
 
 from deltacharger_bringup import environment
 from deltacharger_bringup.doctor.findings import Finding, hint, install, ok, wrong
+from deltacharger_bringup.doctor.ros_probe import ALONE
 
 _OLDEST_PYTHON = (3, 10)
 _MODULES = ("numpy", "scipy", "yaml", "serial", "dynamixel_sdk")
@@ -106,6 +107,8 @@ class RosProbe:
     def __init__(self) -> None:
         command = [sys.executable, "-m", "deltacharger_bringup.doctor.ros_probe"]
         self._domain_works = not environment.domain_problem()
+        if not self._domain_works:
+            command.append(ALONE)
         variables = dict(os.environ) if self._domain_works else {**os.environ, "ROS_DOMAIN_ID": "0"}
         self._process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=variables

@@ -21,7 +21,9 @@ _SUPPLY_ADVICE = "check the 12 V supply, the cable and its plugs"
 _FIRMWARE_ADVICE = "update its firmware to 39 or later (Protocol 2.0) with the vendor's wizard"
 
 
-def examine_servos(path: str, baud_rate: int, ids: Sequence[int], current_max: float) -> Iterator[Finding]:
+def examine_servos(
+    path: str, baud_rate: int, ids: Sequence[int], current_max: float, speeds: Sequence[int] = ()
+) -> Iterator[Finding]:
     """Find all servos of a port and look into those that the charger uses.
 
     Args:
@@ -29,10 +31,11 @@ def examine_servos(path: str, baud_rate: int, ids: Sequence[int], current_max: f
         baud_rate: at which they should answer, bit/s.
         ids: of limbs 0, 1, 2.
         current_max: A, the largest current bound that will be asked of them.
+        speeds: at which they are looked for, bit/s; none = every one that servos know.
     """
-    from deltacharger_driver.port_identity import identify
+    from deltacharger_driver.port_identity import SERVO_SPEEDS, identify
 
-    found = identify(path, ids=ids, patience=_PATIENCE)
+    found = identify(path, speeds or SERVO_SPEEDS, ids, _PATIENCE)
     if found.kind != "servos":
         yield _none(found)
         return

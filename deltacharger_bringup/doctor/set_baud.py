@@ -18,21 +18,22 @@ _COMES_BACK = 1.0  # s until a servo answers at its new speed
 _STEP = 0.05  # s
 
 
-def set_baud(path: str, baud: int, ids: Sequence[int] | None) -> Iterator[Finding]:
+def set_baud(path: str, baud: int, ids: Sequence[int] | None, speeds: Sequence[int] = ()) -> Iterator[Finding]:
     """Write the speed of servos that speak another one; nothing else but torque off is written.
 
     Args:
         path: of the port; nobody else may have it open.
         baud: new speed, a value of mx64.SPEEDS, bit/s.
         ids: which servos; None = every one that answers.
+        speeds: at which they are looked for, bit/s; none = every one that servos know.
 
     Yields:
         one finding per servo, ok where it speaks `baud` now.
     """
-    from deltacharger_driver.port_identity import identify
+    from deltacharger_driver.port_identity import SERVO_SPEEDS, identify
 
     wanted = None if ids is None else list(dict.fromkeys(ids))
-    found = identify(path, ids=wanted or (1, 2, 3), patience=_PATIENCE)
+    found = identify(path, speeds or SERVO_SPEEDS, wanted or (1, 2, 3), _PATIENCE)
     if found.kind == "board":
         yield wrong("servos", f"{path}: here is the board, not the servos", "give the servos' port")
         return

@@ -2,69 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 
 from deltacharger_driver.bench_arm import BenchArm
-from deltacharger_driver.bench_plant import BenchPlant
-from deltacharger_driver.board_emulator import BoardEmulator
 from deltacharger_driver.board_link import BoardLink
 from deltacharger_driver.board_port import BoardPort
 from deltacharger_driver.board_protocol import Packet, PacketType, encode_packet
 from deltacharger_driver.errors import HandshakeError, NoAnswer, PortMissing, WrongDevice
-from deltacharger_driver.mx64 import REGISTERS
 from deltacharger_driver.port_identity import SERVO_SPEEDS, find_servos, identify
 from deltacharger_driver.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servo_bus import ServoBus
-from deltacharger_driver.servo_emulator import ServoBusEmulator, terminal_speed
+from deltacharger_driver.servo_emulator import ServoBusEmulator
 from deltacharger_driver.servo_packets import status
 from deltacharger_driver.servo_snapshot import BusSettings
 
-
-@pytest.fixture
-def servos() -> ServoBusEmulator:
-    return ServoBusEmulator(BenchArm())
-
-
-@pytest.fixture
-def servo_port(servos: ServoBusEmulator) -> Iterator[str]:
-    with PseudoTerminal(servos) as terminal:
-        servos.line_speed = lambda: terminal_speed(terminal.path)
-        yield terminal.path
-
-
-@pytest.fixture
-def board_port() -> Iterator[str]:
-    with PseudoTerminal(BoardEmulator(BenchPlant())) as terminal:
-        yield terminal.path
-
-
-class Babbler:
-    """A device that answers everything by the same."""
-
-    def __init__(self, answer: bytes) -> None:
-        self._answer = answer
-
-    def receive(self, data: bytes, now: float) -> bytes:
-        return self._answer
-
-    def poll(self, now: float) -> bytes:
-        return b""
-
-    def next_event(self, now: float) -> float:
-        return math.inf
-
-
-def written(servos: ServoBusEmulator) -> list[int]:
-    """Everything that a host could have written."""
-    return [
-        servos.servo(servo).table.get(name)
-        for servo in (1, 2, 3)
-        for name, register in REGISTERS.items()
-        if register.writable
-    ]
+from ..emulated_ports import Babbler, written
 
 
 def test_servos_are_found_at_the_speed_of_each(servos: ServoBusEmulator, servo_port: str) -> None:

@@ -12,48 +12,20 @@ import pytest
 
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.calibration import Calibration, calibrate, describe, find_outliers, fit
-from deltacharger_kinematics.calibration_data import TICK, Encoder, Measurements, read_measurements
-from deltacharger_kinematics.calibration_plan import plan, read_plan, write_plan
+from deltacharger_kinematics.calibration_data import TICK, Measurements, read_measurements
 from deltacharger_kinematics.calibration_problem import COUNT, NAMES, Problem, Uncertainty, numbers, rms, with_numbers
-from deltacharger_kinematics.calibration_recording import Recording
 from deltacharger_kinematics.calibration_table import CalibrationError
 from deltacharger_kinematics.geometry import LimbAdjustment
 from deltacharger_kinematics.geometry_file import load_geometry, save_geometry
 
-NOMINAL = DeltaGeometry()
-STATED = Uncertainty()
-MILLIMETRE = 1e-3
-POSES = plan(NOMINAL)
-POINTS = np.array([pose.position for pose in POSES])
-KEPT = np.array([pose.held_out for pose in POSES])
+from .measured_arms import KEPT, MILLIMETRE, NOMINAL, POINTS, STATED, drawn_arm, measured, write
+
 BOX = np.random.default_rng(9).uniform(NOMINAL.workspace_min, NOMINAL.workspace_max, (200, 3))
 BOX_ANGLES = Delta(NOMINAL).inverse(BOX).angles
-HEADER = "x_mm,y_mm,z_mm,ticks_0,ticks_1,ticks_2"
-
-
-def drawn_arm(seed: int) -> DeltaGeometry:
-    return with_numbers(NOMINAL, numbers(NOMINAL) + np.random.default_rng(seed).normal(size=COUNT) * STATED.tolerances)
-
-
-def measured(
-    arm: DeltaGeometry, points: np.ndarray = POINTS, noise: float = 0.05 * MILLIMETRE, seed: int = 1, play: float = 0.0
-) -> Measurements:
-    random = np.random.default_rng(seed)
-    angles = Delta(NOMINAL).inverse(points).angles
-    there = Delta(arm).forward(angles + play * random.choice([-1.0, 1.0], angles.shape)).position
-    kept = KEPT if points is POINTS else None
-    return Measurements(there + random.normal(size=there.shape) * noise, angles, kept, tuple(range(2, len(points) + 2)))
 
 
 def workspace_error(arm: DeltaGeometry, model: DeltaGeometry) -> float:
     return rms(Delta(arm).forward(BOX_ANGLES).position - Delta(model).forward(BOX_ANGLES).position)
-
-
-def write(path: Path, rows: Measurements, encoder: Encoder | None = None, header: str = HEADER) -> Path:
-    ticks = (encoder or Encoder()).ticks(rows.angles)
-    lines = [",".join(f"{v:.6f}" for v in (*p / MILLIMETRE, *t)) for p, t in zip(rows.positions, ticks, strict=True)]
-    path.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
-    return path
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -285,175 +257,6 @@ def test_angles_that_the_arm_cannot_have_are_refused_with_their_lines() -> None:
 def test_uncertainties_are_positive(name: str, value: float) -> None:
     with pytest.raises(CalibrationError, match=name):
         replace(STATED, **{name: value})
-
-
-# What stands in a file.
-
-GOOD = "1,2,3,2048,2100,2000"
-
-
-def read(tmp_path: Path, text: str | bytes, encoder: Encoder | None = None) -> Measurements:
-    path = tmp_path / "data.csv"
-    path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return read_measurements(path, encoder)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        f"{HEADER}\n{GOOD}\n",
-        f"\ufeff{HEADER}\r\n{GOOD}\r\n\r\n",
-        f"{HEADER}\r{GOOD}",
-        f"# made on Monday\n\n {HEADER.replace(',', ' , ')}\n{GOOD}\n,,,,,\n# end\n",
-        '"# comment, quoted"\n"x_mm","y_mm",z_mm,ticks_0,ticks_1,ticks_2\n"1",2,3,2048,2100,2000\n',
-        f"{HEADER.replace(',', ';')}\n1,0;2,0;3,0;2048;2100;2000\n",
-        f"{HEADER.replace(',', ';')};;\n1.0;2.0;3.0;2048;2100;2000;;\n",
-        f"{HEADER.replace(',', chr(9))}\n{GOOD.replace(',', chr(9))}\n",
-        "x_m,y_m,z_m,ticks_0,ticks_1,ticks_2\n0.001,2e-3,+.003,2048.0,2100,2000\n",
-        f"pose,target_x_mm,{HEADER},goal_ticks_0\n1,,{GOOD},\n",
-    ],
-)
-def test_files_as_editors_and_spreadsheets_write_them(tmp_path: Path, text: str) -> None:
-    rows = read(tmp_path, text)
-    assert np.allclose(rows.positions, [[0.001, 0.002, 0.003]], atol=1e-15)
-    assert np.allclose(rows.angles, [[0.0, 52 * TICK, -48 * TICK]], atol=1e-15)
-
-
-def test_angles_instead_of_ticks(tmp_path: Path) -> None:
-    for unit, factor in (("deg", 1.0), ("rad", math.pi / 180.0)):
-        header = f"x_mm,y_mm,z_mm,angle_0_{unit},angle_1_{unit},angle_2_{unit},held_out"
-        rows = read(tmp_path, f"{header}\n1,2,3,{10 * factor},{-20 * factor},{30 * factor},1\n")
-        assert np.allclose(rows.angles, np.radians([[10.0, -20.0, 30.0]]))
-        assert rows.held_out is not None
-        assert rows.held_out.tolist() == [True]
-        assert rows.angle_stddev == 0.0
-
-
-def test_zero_ticks_and_direction_come_from_the_file_or_the_caller_but_not_both_ways(tmp_path: Path) -> None:
-    stated = (
-        f"# zero_ticks 2000 2048 2048\n# direction: 1 1 -1\n# direction of the probe: from above\n{HEADER}\n{GOOD}\n"
-    )
-    encoder = Encoder((2000, 2048, 2048), (1, 1, -1))
-    assert read(tmp_path, stated).encoder == encoder
-    assert read(tmp_path, stated).angles[0].tolist() == [48 * TICK, 52 * TICK, 48 * TICK]
-    assert read(tmp_path, stated, encoder).encoder == encoder
-    assert read(tmp_path, f"{HEADER}\n{GOOD}\n", encoder).encoder == encoder
-    with pytest.raises(CalibrationError, match="the file states"):
-        read(tmp_path, stated, Encoder())
-    with pytest.raises(CalibrationError, match="not ticks_0"):
-        read(tmp_path, "x_mm,y_mm,z_mm,angle_0_deg,angle_1_deg,angle_2_deg\n1,2,3,10,20,30\n", Encoder())
-    with pytest.raises(CalibrationError, match=r"line 1: .* three whole numbers"):
-        read(tmp_path, f"# zero_ticks 2048 2048\n{HEADER}\n{GOOD}\n")
-    with pytest.raises(CalibrationError, match="direction"):
-        Encoder(direction=(1, 0, 1))
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "the file is empty"),
-        ("# only a comment\n", "the file is empty"),
-        (f"{HEADER}\n", "a header and no rows"),
-        (f"{HEADER}\n1,2,x,2048,2100,2000\n", "line 2: z_mm is 'x'"),
-        (f"# c\n{HEADER}\n{GOOD}\n1,,3,2048,2100,2000\n", "line 4: y_mm is empty"),
-        (f"{HEADER}\n1,2,nan,2048,2100,2000\n", "line 2: z_mm is 'nan'"),
-        (f"{HEADER}\n1,2,1e999,2048,2100,2000\n", "line 2: z_mm is '1e999'"),
-        (f"{HEADER}\n1,2,1_0,2048,2100,2000\n", "line 2: z_mm is '1_0'"),
-        (f"{HEADER}\n1,2,３,2048,2100,2000\n", "line 2: z_mm"),
-        (f"{HEADER}\n1,5,2,5,3,5,2048,2100,2000\n", "9 cells for 6 columns; are there decimal commas"),
-        (f"{HEADER}\n1,2,3,2048,2100\n", "line 2: 5 cells for 6 columns"),
-        (f'{HEADER}\n"1,5",2,3,2048,2100,2000\n', "line 2: x_mm is '1,5'"),
-        (f'{HEADER}\n1,2,"3\n,2048,2100,2000\n', "line 2: .* must end on its own line"),
-        (f"{HEADER.replace(',', ';')}\n1.000,5;2;3;2048;2100;2000\n", "line 2: x_mm is '1.000,5'"),
-        ("x_mm,y_mm,ticks_0,ticks_1,ticks_2\n", "column 'z_mm' is missing"),
-        ("ticks_0,ticks_1,ticks_2\n", "columns of the measured positions are missing"),
-        ("x_mm,y_mm,z_mm\n1,2,3\n", "columns of the arm angles are missing"),
-        (f"{HEADER},x_m\n", "measured positions are given twice"),
-        (f"{HEADER},angle_0_deg\n{GOOD},1\n", "the arm angles are given twice"),
-        (f"{HEADER},x_mm\n", "column 'x_mm' appears 2 times"),
-        (f"{HEADER},ticks0\n", "unknown column 'ticks0'; did you mean 'ticks_0'"),
-        (f"{HEADER},operator\n", "unknown column 'operator'"),
-        (f"{HEADER},held_out\n{GOOD},yes\n", "line 2: held_out is 'yes'"),
-        (f"{HEADER}\n1,2,3,6048,2100,2000\n", "line 2: ticks_0 is 6048: more than half a turn"),
-        ("x_mm,y_mm,z_mm,angle_0_rad,angle_1_rad,angle_2_rad\n1,2,3,0.5,-41.5,0.1\n", "angle_1_rad is -41.5: radians"),
-        ("x_mm,y_mm,z_mm,angle_0_deg,angle_1_deg,angle_2_deg\n1,2,3,2048,2,3\n", "is it ticks"),
-        ("x_mm,y_mm,z_mm,angle_0_deg,angle_1_deg,angle_2_deg\n1,2,3,0.5,-0.7,1.1\n", "is it radians"),
-        (b"\xff\xfex\x00", "UTF-16"),
-        (f"{HEADER}\n1,2,\xb3,2048,2100,2000\n".encode("latin-1"), "line 2 is not UTF-8"),
-        (b"x_mm\x00", "zero bytes"),
-        (f"{HEADER}\n" + f"{GOOD}\n" * 10_001, "10001 rows are more than"),
-        (b"#" * 10_000_001, "larger than 10 MB"),
-    ],
-)
-def test_what_is_doubtful_in_a_file_is_refused_with_its_line(tmp_path: Path, text: str | bytes, message: str) -> None:
-    with pytest.raises(CalibrationError, match=message):
-        read(tmp_path, text)
-
-
-def test_a_file_gives_what_the_measurements_give(tmp_path: Path) -> None:
-    encoder = Encoder((2100, 1990, 2048), (1, -1, 1))
-    rows = measured(drawn_arm(5))
-    again = read_measurements(write(tmp_path / "data.csv", rows, encoder), encoder)
-    assert np.allclose(again.positions, rows.positions, atol=1e-9)
-    assert np.allclose(again.angles, rows.angles, atol=1e-9)
-    assert again.lines == rows.lines
-
-
-# Plans and recordings.
-
-
-def test_a_plan_spans_the_workspace_and_is_read_back_as_written(tmp_path: Path) -> None:
-    path = tmp_path / "plan.csv"
-    write_plan(path, POSES, NOMINAL, Encoder())
-    again = read_plan(path)
-    assert [(pose.number, pose.held_out) for pose in again] == [(pose.number, pose.held_out) for pose in POSES]
-    assert np.allclose([pose.position for pose in again], POINTS, atol=1e-6)
-    assert (len(POSES), KEPT.sum()) == (36, 9)
-    assert (Delta(NOMINAL).inverse(POINTS).status == 0).all()
-    assert len(np.unique(POINTS, axis=0)) == 36
-    assert plan(NOMINAL, seed=1) != POSES
-    with pytest.raises(CalibrationError, match=r"line 6: x_mm is empty"):
-        read_measurements(path)
-
-
-def test_a_plan_beyond_the_reach_is_refused(tmp_path: Path) -> None:
-    wide = replace(NOMINAL, workspace_max=(0.4, 0.06, 0.11))
-    with pytest.raises(CalibrationError, match=r"pose 2: .*JOINT_LIMIT"):
-        write_plan(tmp_path / "plan.csv", plan(wide), wide, Encoder())
-    assert not (tmp_path / "plan.csv").exists()
-
-
-@pytest.mark.parametrize("text", ["pose,held_out\n1,0\n", "target_x_mm\n3\n", ""])
-def test_what_is_no_plan_is_refused(tmp_path: Path, text: str) -> None:
-    (tmp_path / "plan.csv").write_text(text)
-    with pytest.raises(CalibrationError):
-        read_plan(tmp_path / "plan.csv")
-
-
-def test_a_recording_is_a_file_of_measurements_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    path, encoder, rows = tmp_path / "measured.csv", Encoder(direction=(1, -1, 1)), measured(drawn_arm(5))
-
-    def record(recording: Recording, poses: range) -> None:
-        for index in poses:
-            first, second, third = map(float, encoder.ticks(rows.angles[index]))
-            x, y, z = map(float, rows.positions[index])
-            recording.append(POSES[index], (first, second, third), (x, y, z))
-
-    record(Recording(path, encoder), range(10))
-    path.write_bytes(path.read_bytes().rstrip(b"\n"))  # as an editor leaves it
-    resumed = Recording(path, encoder)
-    assert resumed.done == set(range(1, 11))
-    record(resumed, range(10, 36))
-    again = read_measurements(path)
-    assert np.allclose(again.positions, rows.positions, atol=1e-7)
-    assert np.allclose(again.angles, rows.angles, atol=0.006 * TICK)
-    assert again.held_out is not None
-    assert (again.held_out == KEPT).all()
-    with pytest.raises(CalibrationError, match="other zero ticks"):
-        Recording(path, Encoder())
-    other = write(tmp_path / "other.csv", rows)
-    with pytest.raises(CalibrationError, match="no recording"):
-        Recording(other, encoder)
 
 
 def test_a_fit_leaves_everything_but_the_limbs_alone() -> None:

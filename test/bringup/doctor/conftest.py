@@ -1,0 +1,7 @@
+"""What the doctor looks at: emulated hardware behind real pseudo-terminals."""
+
+from __future__ import annotations
+
+from ...emulated_ports import board, board_port, servo_port, servos, silent_port
+
+__all__ = ("board", "board_port", "servo_port", "servos", "silent_port")

@@ -1,0 +1,75 @@
+"""What the doctor says of a board, healthy and broken in every way it names."""
+
+from __future__ import annotations
+
+import pytest
+
+from deltacharger_bringup.doctor.board import examine_board
+from deltacharger_bringup.doctor.findings import Finding
+from deltacharger_driver.bench_plant import BenchPlant
+from deltacharger_driver.board_emulator import BoardEmulator
+from deltacharger_driver.board_link import BoardLink
+from deltacharger_driver.board_protocol import Fault
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
+
+from .found import one, only
+
+
+def board_findings(port: str, watched: float = 0.5) -> list[Finding]:
+    return list(examine_board(port, 1_000_000, watched))
+
+
+def test_a_healthy_board_is_ok_and_left_as_it_was(board: BoardEmulator, board_port: str) -> None:
+    found = board_findings(board_port)
+    assert not only(found, "wrong")
+    assert "0 of" in one(found, "ok", "tactile link").message
+    assert {f.part for f in found} == {"board", "tactile link", "left pad", "right pad", "tare", "power", "probe"}
+    assert not board.contactor_commanded
+    assert "not done" in one(found, "ok", "tare").message
+
+
+def test_dead_taxels_are_named_and_too_many_are_wrong(board: BoardEmulator, board_port: str) -> None:
+    board.set_dead(0, 3, 7)
+    for column in range(4):
+        board.set_dead(1, 0, column)
+    found = board_findings(board_port)
+    assert "row 3 column 7" in one(found, "hint", "left pad").message
+    assert "4 of 100" in one(found, "wrong", "right pad").message
+
+
+def test_lost_frames_are_counted(board: BoardEmulator, board_port: str) -> None:
+    board.faults.probability["drop"] = 0.1
+    finding = one(board_findings(board_port, 1.0), "wrong", "tactile link")
+    assert " 0 of" not in finding.message
+    assert "cables" in finding.remedy
+
+
+def test_a_slow_board_is_hinted_at(board: BoardEmulator, board_port: str) -> None:
+    board.faults.delay = 0.04
+    assert "heartbeats" in one(board_findings(board_port), "hint", "board").message
+
+
+def test_a_latched_fault_is_wrong(board: BoardEmulator, board_port: str) -> None:
+    with BoardLink(board_port):  # it has booted, which would clear the fault
+        board.trip(Fault.OVER_CURRENT)
+    found = board_findings(board_port)
+    assert "over current" in one(found, "wrong", "power").message
+
+
+@pytest.mark.parametrize(
+    ("resistance", "level", "words"), [(0.2, "wrong", "short circuit"), (25.0, "hint", "a target is connected")]
+)
+def test_the_probe_is_judged(resistance: float, level: str, words: str) -> None:
+    plant = BenchPlant()
+    plant.resistance = resistance
+    with PseudoTerminal(BoardEmulator(plant)) as terminal:
+        assert words in one(board_findings(terminal.path), level, "probe").message
+
+
+@pytest.mark.parametrize(
+    ("fixture", "words"), [("servo_port", "here are the servos"), ("silent_port", "no answer to HELLO")]
+)
+def test_where_the_board_is_not(request: pytest.FixtureRequest, fixture: str, words: str) -> None:
+    found = board_findings(request.getfixturevalue(fixture))
+    assert [finding.level for finding in found] == ["wrong"]
+    assert words in found[0].message

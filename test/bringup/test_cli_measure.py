@@ -1,0 +1,237 @@
+"""`deltacharger calibrate kinematics --plan … --measure …`: a person, a plan, and a running charger made of mocks."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_bringup.cli_measure import position_of
+from deltacharger_kinematics import Delta, DeltaGeometry
+from deltacharger_kinematics.calibration_data import Encoder, read_measurements
+from deltacharger_kinematics.calibration_plan import Pose, write_plan
+
+from .conftest import DEADLINE, Process, new_namespace, wait_until
+
+NOMINAL = DeltaGeometry()
+MEASURE = ("calibrate", "kinematics")
+
+
+@pytest.mark.parametrize(
+    ("text", "position"),
+    [
+        ("1 2 3", (1, 2, 3)),
+        ("1,5 -2,5 3", (1.5, -2.5, 3)),
+        ("1.5,-2.5,3", (1.5, -2.5, 3)),
+        ("1; 2; 3", (1, 2, 3)),
+        ("1 2", None),
+        ("1,2,3,4", None),
+        ("1 2 x", None),
+        ("1 2 nan", None),
+        ("", None),
+    ],
+)
+def test_positions_as_people_type_them(text: str, position: tuple[float, ...] | None) -> None:
+    assert position_of(text) == (None if position is None else pytest.approx([1e-3 * value for value in position]))
+
+
+class Operator(Process):
+    """`--measure` with a person at its terminal."""
+
+    def __init__(self, *words: str) -> None:
+        reading, self._writing = os.pipe()
+        before = os.dup(0)
+        os.dup2(reading, 0)
+        try:
+            super().__init__(*words)
+        finally:
+            os.dup2(before, 0)
+            os.close(before)
+            os.close(reading)
+        self._answered = 0
+
+    def wait_for_question(self) -> None:
+        wait_until(lambda: self._questions() > self._answered or self.process.poll() is not None, "a question")
+        assert self._questions() > self._answered, self.err
+
+    def _questions(self) -> int:
+        return sum(line.endswith(":") for line in list(self.err))
+
+    def answer(self, text: str | Callable[[], str]) -> None:
+        self.wait_for_question()
+        self._answered += 1
+        os.write(self._writing, f"{text if isinstance(text, str) else text()}\n".encode())
+
+    def hang_up(self) -> None:
+        os.close(self._writing)
+
+
+class Charger:
+    """A charger of mocks in its own process, and what its servos say."""
+
+    def __init__(self, process: Process, namespace: str, node: Any) -> None:
+        from deltacharger.msg import ServoState
+
+        from deltacharger_bringup import qos
+
+        self.process, self.namespace = process, namespace
+        self.state: Any = None
+        node.create_subscription(ServoState, f"/{namespace}/servo_state", self._on_state, qos.LATEST)
+
+    def _on_state(self, message: Any) -> None:
+        self.state = message
+
+    def torque(self) -> bool:
+        return self.state is not None and any(self.state.torque_enabled)
+
+    def position(self) -> np.ndarray:
+        return np.asarray(Delta(NOMINAL).forward(np.array(self.state.position)).position)
+
+
+@pytest.fixture(scope="module")
+def charger(quick_file: Path) -> Iterator[Charger]:
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.node import Node
+
+    from deltacharger_bringup.node_support import Spinner
+
+    namespace, context = new_namespace(), Context()
+    rclpy.init(context=context, args=[])
+    process = Process(
+        sys.executable, "-m", "deltacharger_bringup.cli", "up", "--scene", str(quick_file), "--namespace", namespace
+    )
+    spinner = Spinner(Node("listener", context=context, use_global_arguments=False))
+    try:
+        charger = Charger(process, namespace, spinner.node)
+        process.wait_for_line("ready", process.err)
+        wait_until(lambda: charger.state is not None, "servo_state")
+        yield charger
+    finally:
+        spinner.close()
+        rclpy.try_shutdown(context=context)
+        assert process.end(signal.SIGTERM) == 0
+
+
+@pytest.fixture
+def short_plan(tmp_path: Path) -> Path:
+    """Four poses, clear of the mock's target."""
+    poses = [Pose(n, n == 4, (0.01 * n, -0.005 * n, 0.010 + 0.005 * n)) for n in range(1, 5)]
+    write_plan(tmp_path / "plan.csv", poses, NOMINAL, Encoder())
+    return tmp_path / "plan.csv"
+
+
+@pytest.fixture
+def operator(charger: Charger, short_plan: Path) -> Iterator[Callable[..., Operator]]:
+    running: list[Operator] = []
+
+    def begin(*words: str) -> Operator:
+        paths = ("--plan", str(short_plan), "--measure", str(short_plan.with_name("measured.csv")))
+        command = (sys.executable, "-m", "deltacharger_bringup.cli", *MEASURE, *paths)
+        running.append(Operator(*command, "--namespace", charger.namespace, *words))
+        return running[-1]
+
+    yield begin
+    for each in running:
+        if each.process.poll() is None:
+            each.process.kill()
+            each.process.wait(DEADLINE)
+    wait_until(lambda: not charger.torque(), "torque off")
+
+
+def place(charger: Charger) -> Callable[[], str]:
+    """Return what reads off where the arm is, as a person types it."""
+    return lambda: " ".join(f"{1000 * value:.3f}" for value in charger.position())
+
+
+def test_measured_poses_are_recorded_one_by_one_and_resumed(
+    operator: Callable[..., Operator], charger: Charger, short_plan: Path
+) -> None:
+    path = short_plan.with_name("measured.csv")
+    person = operator("--json")
+    person.answer("what?")
+    person.answer("1 2")
+    person.wait_for_question()
+    first = charger.position()
+    assert charger.torque()
+    person.answer("900 0 0")  # a slip, and asked for again
+    person.answer(place(charger))
+    person.answer("s")
+    person.answer(place(charger))
+    person.answer("q")
+    assert person.end() == 0, person.err
+    assert json.loads(person.out[0]) == {
+        "success": True,
+        "written": str(path),
+        "measured": 2,
+        "skipped": 1,
+        "remaining": 2,
+    }
+    rows = read_measurements(path)
+    assert np.allclose(rows.positions[0], first, atol=1e-4)
+    assert np.allclose(rows.positions, Delta(NOMINAL).forward(rows.angles).position, atol=1e-4)
+    assert np.allclose(rows.positions[0], (0.01, -0.005, 0.015), atol=3e-3)
+    wait_until(lambda: not charger.torque(), "torque off")
+    assert math.dist(charger.position(), (0.0, 0.0, 0.0)) < 0.01
+
+    again = operator()
+    again.answer(place(charger))
+    again.wait_for_line("pose 4", again.err)
+    again.answer(place(charger))
+    assert again.end() == 0, again.err
+    assert any("2 of 4 poses already" in line for line in again.err)
+    rows = read_measurements(path)
+    assert len(rows) == 4
+    assert rows.held_out is not None
+    assert rows.held_out.sum() == 1
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, "end of input"])
+def test_whatever_ends_it_the_torque_goes_off_and_what_was_measured_is_kept(
+    operator: Callable[..., Operator], charger: Charger, short_plan: Path, how: signal.Signals | str
+) -> None:
+    person = operator("--json")
+    person.wait_for_question()
+    assert charger.torque()
+    person.answer(place(charger))
+    person.wait_for_question()
+    if isinstance(how, signal.Signals):
+        assert person.end(how) == 130, person.err
+    else:
+        person.hang_up()
+        assert person.end() == 1, person.err
+    assert json.loads(person.out[0])["success"] is False
+    wait_until(lambda: not charger.torque(), "torque off")
+    assert len(read_measurements(short_plan.with_name("measured.csv"))) == 1
+
+
+def test_a_docking_that_begins_meanwhile_keeps_the_arm(
+    operator: Callable[..., Operator], charger: Charger, deltacharger: tuple[str, ...], quick_file: Path
+) -> None:
+    person = operator()
+    person.wait_for_question()
+    goal = ("--scene", str(quick_file), "--namespace", charger.namespace, "--no-picture", "--no-charge", "--json")
+    dock = Process(*deltacharger, "dock", *goal)
+    assert person.end() == 1
+    assert any("docking_node is at work" in line for line in person.err)
+    assert dock.end() == 0, dock.err  # nobody took its torque away
+    second = operator()
+    assert second.end() == 1  # docked
+    assert charger.torque()
+    undock = Process(*deltacharger, "undock", "--scene", str(quick_file), "--namespace", charger.namespace)
+    assert undock.end() == 0, undock.err
+
+
+def test_without_a_charger_it_is_1(operator: Callable[..., Operator], charger: Charger) -> None:
+    person = operator("--namespace", "nobody_here")
+    assert person.end() == 1
+    assert any("deltacharger up" in line for line in person.err)
+    assert not charger.torque()

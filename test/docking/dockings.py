@@ -1,0 +1,49 @@
+"""Chargers in virtual time for tests of the docking machine."""
+
+from __future__ import annotations
+
+import math
+
+from deltacharger_bringup.virtual_charger import GOAL, TICK, VirtualCharger
+from deltacharger_docking.codes import State
+from deltacharger_docking.observation import DockGoal
+from deltacharger_sim.parameters import TargetParameters, WorldParameters
+
+MILLIMETRE = 1e-3
+
+
+def charger(x: float = 3.0, y: float = -2.0, degrees: float = 2.0, seed: int = 1, **kwargs: object) -> VirtualCharger:
+    """A charger whose target is (x, y) mm and some degrees off from where the goal says."""
+    target = TargetParameters(x=x * MILLIMETRE, y=y * MILLIMETRE, roll=math.radians(degrees))
+    world = WorldParameters(target=target, **{k: v for k, v in kwargs.items() if k in ("circuit", "servo", "contact")})
+    return VirtualCharger(world, kwargs.get("parameters"), seed)
+
+
+def assert_safe_at_home(run: VirtualCharger) -> None:
+    """The contactor is open, nothing was ever shorted, the arm is back and its torque off."""
+    truth, record = run.world.snapshot(), run.world.record
+    assert not truth.contactor_closed
+    assert truth.charge_current == 0.0
+    assert record.energised_shorts == 0
+    assert record.energised_unsafe == 0.0
+    assert math.dist(truth.position, run.parameters.home) < 3 * MILLIMETRE
+    assert not run.observe().torque_enabled
+    assert run.machine.status.state is State.IDLE
+
+
+def moving_in(state: State, **kwargs: object) -> VirtualCharger:
+    """A charger whose platform has just begun to move in that state; in ALIGN sideways, off the magnets."""
+    run = charger(6, 6, **kwargs)
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.machine.status.state is state, 60.0)
+    if state is State.ALIGN:
+        run.until(lambda: run.world.snapshot().position[0] > 1.0 * MILLIMETRE, 10.0)
+    run.until(lambda: moves(run, 3 * TICK), 10.0)
+    return run
+
+
+def moves(run: VirtualCharger, seconds: float) -> bool:
+    """Whether the platform moves by more than 5 mm/s in the `seconds` to come."""
+    before = run.world.snapshot().position
+    run.run(seconds)
+    return math.dist(before, run.world.snapshot().position) > 0.005 * seconds

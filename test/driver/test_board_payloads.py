@@ -1,0 +1,213 @@
+"""What packets carry: samples, power, introductions, probes; round trips, bounds, and what no board sends."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deltacharger_driver.board_payloads import (
+    Ack,
+    Hello,
+    Power,
+    decode_ack,
+    decode_hello,
+    decode_ping,
+    decode_power,
+    decode_probe,
+    decode_rate,
+    decode_samples,
+    encode_ack,
+    encode_hello,
+    encode_power,
+    encode_probe,
+    encode_rate,
+    encode_samples,
+    probe_problem,
+)
+from deltacharger_driver.board_protocol import FULL_SCALE, Packet, PacketError, PacketType, SampleFormat, encode_packet
+from deltacharger_driver.board_receiver import BoardReceiver
+from deltacharger_driver.board_requests import Requests
+
+FORMATS = [SampleFormat.U8, SampleFormat.U12, SampleFormat.U16]
+
+
+def test_u12_puts_two_samples_into_three_bytes() -> None:
+    left = np.full((10, 10), np.nan)
+    right = np.zeros((10, 10))
+    left[0, 0], left[0, 1] = 0xABC * FULL_SCALE / 4094, 0x123 * FULL_SCALE / 4094
+    payload = encode_samples(left, right, SampleFormat.U12)
+    assert payload[:3].hex() == "bc3a12"
+    assert payload[3:150] == b"\xff" * 147
+    assert payload[150:] == bytes(150)
+
+
+@pytest.mark.parametrize("sample_format", FORMATS)
+def test_top_code_is_dead_and_one_below_is_full_scale(sample_format: SampleFormat) -> None:
+    left = np.zeros((10, 10))
+    left[0, :4] = [np.nan, 10.0, 25.0, -3.0]
+    back, _ = decode_samples(encode_samples(left, left, sample_format), sample_format)
+    assert math.isnan(back[0, 0])
+    assert back[0, 1:4].tolist() == [10.0, 10.0, 0.0]
+    assert back.dtype == np.float32
+    assert back.shape == (10, 10)
+
+
+@pytest.mark.parametrize(
+    ("sample_format", "sizes"),
+    [(SampleFormat.U8, {223}), (SampleFormat.U12, {323, 324}), (SampleFormat.U16, {423, 424})],
+)
+def test_sizes_on_the_wire(sample_format: SampleFormat, sizes: set[int]) -> None:
+    random = np.random.default_rng(1)
+    seen = set()
+    for scale in (0.0, 1.0, 12.0):
+        for _ in range(20):
+            pads = random.uniform(0.0, scale, (2, 10, 10))
+            payload = encode_samples(pads[0], pads[1], sample_format)
+            seen.add(len(encode_packet(Packet(1, payload, 0xFFFF, 2**40, 1, sample_format))))
+    assert seen <= sizes
+
+
+@pytest.mark.parametrize("sample_format", FORMATS)
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=30)
+def test_samples_round_trip_within_half_a_code(sample_format: SampleFormat, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    pads = random.uniform(0.0, FULL_SCALE, (2, 10, 10))
+    dead = random.random(pads.shape) < 0.1
+    pads[dead] = np.nan
+    back = np.stack(decode_samples(encode_samples(pads[0], pads[1], sample_format), sample_format))
+    assert np.array_equal(np.isnan(back), dead)
+    assert np.nanmax(np.abs(back - pads)) <= FULL_SCALE / (sample_format.top - 1) / 2 + 1e-6
+
+
+measured = st.floats(width=32, allow_infinity=False)
+
+
+@given(measured, measured, measured, st.booleans(), st.integers(0, 9))
+def test_power_round_trip(battery: float, target: float, current: float, closed: bool, fault: int) -> None:
+    back = decode_power(encode_power(Power(battery, target, current, closed, fault)))
+    np.testing.assert_equal(
+        [back.battery_voltage, back.target_voltage, back.charge_current], [battery, target, current]
+    )
+    assert (back.contactor_closed, back.fault) == (closed, fault)
+
+
+POWER = struct.pack("<fffBBH", 26.5, math.nan, 2.0, 1, 9, 0)
+
+
+def spoiled(payload: bytes, at: int, data: bytes) -> bytes:
+    return payload[:at] + data + payload[at + len(data) :]
+
+
+@pytest.mark.parametrize(
+    ("at", "data", "told"),
+    [
+        (0, struct.pack("<f", math.inf), "battery_V is inf"),
+        (4, struct.pack("<f", -math.inf), "target_V is -inf"),
+        (8, struct.pack("<f", math.inf), "charge_A is inf"),
+        (12, b"\2", "contactor is 2"),
+        (12, b"\7", "contactor is 7"),
+        (13, b"\x0a", "fault 10"),
+        (13, b"\xff", "fault 255"),
+        (14, b"\1", "are 1 instead of 0"),
+        (15, b"\x80", "are 32768 instead of 0"),
+    ],
+)
+def test_a_power_that_no_board_reports_is_refused_by_name(at: int, data: bytes, told: str) -> None:
+    assert decode_power(POWER).fault == 9
+    with pytest.raises(PacketError, match=told):
+        decode_power(spoiled(POWER, at, data))
+
+
+@pytest.mark.parametrize("rate", [math.inf, -math.inf, math.nan, -1.0])
+def test_a_rate_is_finite_and_not_negative(rate: float) -> None:
+    with pytest.raises(PacketError, match="Hz"):
+        decode_rate(encode_rate(rate))
+    with pytest.raises(PacketError, match="Hz"):
+        decode_hello(encode_hello(Hello(1, 0, 10, 10, 1, rate)))
+
+
+def test_a_probe_may_find_an_open_circuit_or_nothing_but_no_other_infinity() -> None:
+    assert decode_probe(encode_probe(math.inf, 0.0)) == (math.inf, 0.0)
+    assert all(map(math.isnan, decode_probe(encode_probe(math.nan, math.nan))))
+    for resistance, voltage in ((-math.inf, 0.0), (25.0, math.inf), (25.0, -math.inf), (math.inf, math.inf)):
+        with pytest.raises(PacketError):
+            decode_probe(encode_probe(resistance, voltage))
+
+
+def test_a_ping_carries_at_most_64_bytes() -> None:
+    assert decode_ping(bytes(64)) == bytes(64)
+    with pytest.raises(PacketError, match="65"):
+        decode_ping(bytes(65))
+
+
+def bad_packets(time: int) -> list[Packet]:
+    """Intact packets that no board sends."""
+    return [
+        Packet(PacketType.POWER, spoiled(POWER, 13, b"\x0a"), 1, time),
+        Packet(PacketType.POWER, POWER, 2, time, format=1),
+        Packet(PacketType.HELLO, encode_hello(Hello(1, 0, 10, 10, 99, math.inf)), 0, time),
+        Packet(PacketType.ACK, b"\1", 0, time),
+        Packet(PacketType.PING, bytes(65), 0, time),
+        Packet(PacketType.TACTILE, bytes(200), 0, time),
+    ]
+
+
+def test_a_packet_that_no_board_sends_leaves_no_trace_but_a_count() -> None:
+    powers, boots = [], []
+    receiver = BoardReceiver(Requests(), None, powers.append, lambda: boots.append(True))
+    hello = encode_hello(Hello(1, 0, 10, 10, 7, 120.0))
+    receiver.take(Packet(PacketType.HELLO, hello, 0, 5_000_000), 100.0)
+    for packet in bad_packets(0) + bad_packets(2**63):  # a clock that fell, which is a reboot, and one far ahead
+        receiver.take(packet, 100.0)
+    assert receiver.snapshot().bad_payloads == 12
+    assert (powers, boots, receiver.snapshot().reboots) == ([], [], 0)
+    receiver.take(Packet(PacketType.POWER, POWER, 0, 5_100_000), 100.1)
+    assert powers[0].time == pytest.approx(100.1)
+    assert receiver.snapshot().lost_power == 0
+
+
+def test_other_payloads_round_trip() -> None:
+    hello = Hello(1, 3, 10, 10, 2**32 - 1, 120.0)
+    assert decode_hello(encode_hello(hello)) == hello
+    ack = Ack(11, 4, 65535, b"data")
+    assert decode_ack(encode_ack(ack)) == ack
+    assert decode_probe(encode_probe(math.inf, -24.0)) == (math.inf, -24.0)
+    assert decode_rate(encode_rate(60.0)) == 60.0
+
+
+@pytest.mark.parametrize("decode", [decode_power, decode_hello, decode_ack, decode_probe, decode_rate])
+def test_payloads_of_the_wrong_length_are_refused(decode: object) -> None:
+    with pytest.raises(PacketError, match="bytes instead of"):
+        decode(b"\1\2")  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(("length", "sample_format"), [(300, 1), (299, 2), (200, 3), (200, 0), (200, 9)])
+def test_samples_of_the_wrong_length_or_format_are_refused(length: int, sample_format: int) -> None:
+    with pytest.raises(PacketError):
+        decode_samples(bytes(length), sample_format)
+
+
+@pytest.mark.parametrize(
+    ("resistance", "voltage", "word"),
+    [
+        (25.0, 24.0, ""),
+        (1.0, 0.0, ""),
+        (0.99, 24.0, "short"),
+        (0.0, 0.0, "short"),
+        (math.inf, 0.0, "open circuit"),
+        (math.inf, math.nan, "open circuit"),
+        (5.0, -0.1, "polarity"),
+        (math.nan, 24.0, "nothing"),
+        (5.0, math.nan, "nothing"),
+    ],
+)
+def test_what_a_probe_allows(resistance: float, voltage: float, word: str) -> None:
+    problem = probe_problem(resistance, voltage)
+    assert word in problem
+    assert bool(problem) == bool(word)

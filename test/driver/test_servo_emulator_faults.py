@@ -1,0 +1,225 @@
+"""What goes wrong with emulated servos as it does with real ones: errors, watchdogs, supply, collisions."""
+
+from __future__ import annotations
+
+import math
+import random
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from deltacharger_driver.bench_arm import BenchArm
+from deltacharger_driver.control_table import OK, RANGE, RESULT_FAIL
+from deltacharger_driver.errors import DriverError, HandshakeError
+from deltacharger_driver.mx64 import REGISTERS, TORQUE_CONSTANT, indirect_address, indirect_data
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.servo_bus import ServoBus
+from deltacharger_driver.servo_controller import ServoController
+from deltacharger_driver.servo_emulator import ServoBusEmulator
+from deltacharger_driver.servo_faults import collide
+from deltacharger_driver.servo_firmware import ServoFirmware
+from deltacharger_driver.servo_packets import BROADCAST, PING, READ, REBOOT, SYNC_READ, SYNC_WRITE, WRITE
+from deltacharger_driver.servo_snapshot import BusSettings
+
+from .servo_bench import OVERLOAD
+from .servo_host import Host, parse, words
+
+
+def test_a_latched_error_takes_the_torque_and_only_a_reboot_clears_it(host: Host) -> None:
+    host.write(1, "operating_mode", 5)
+    host.write(1, "torque_enable", 1)
+    host.bus.raise_hardware_error(1, OVERLOAD)
+    assert not host.arm.torque_enabled()[0]
+    assert host.read(1, "hardware_error") == OVERLOAD
+    assert host.ask(1, PING)[0][1] == 0x80
+    assert host.write(1, "torque_enable", 1) == RESULT_FAIL
+    assert host.ask(1, REBOOT)[0][0] == 1
+    assert host.ask(1, PING) == []
+    host.advance(0.5)
+    assert host.ask(1, PING)[0][1] == 0
+    assert host.read(1, "hardware_error") == 0
+    assert host.read(1, "operating_mode") == 5
+    assert host.write(1, "torque_enable", 1) == OK
+
+
+def test_heat_shuts_down_and_low_voltage_only_reports(host: Host) -> None:
+    for servo in (1, 2):
+        host.write(servo, "operating_mode", 5)
+        host.write(servo, "torque_enable", 1)
+    host.arm.temperature[0] = 81.0
+    host.arm.voltage[1] = 9.0
+    assert host.read(1, "hardware_error") == 1 << 2
+    assert host.read(2, "hardware_error") == 1
+    assert host.arm.torque_enabled()[:2] == [False, True]
+    host.ask(1, REBOOT)
+    host.advance(0.5)
+    assert host.read(1, "hardware_error") == 1 << 2  # still hot
+
+
+def test_a_reboot_loses_ram_and_indirect_addresses(host: Host) -> None:
+    host.ask(1, WRITE, words(indirect_address(0), 144, 145))
+    host.write(1, "bus_watchdog", 6)
+    host.ask(1, REBOOT)
+    host.advance(0.5)
+    assert host.ask(1, READ, words(indirect_data(0), 2))[0][2] == b"\0\0"
+    assert host.read(1, "bus_watchdog") == 0
+
+
+def test_the_watchdog_stops_the_servo_and_locks_its_goals(host: Host) -> None:
+    host.write(1, "operating_mode", 5)
+    host.write(1, "goal_current", 100)
+    host.write(1, "bus_watchdog", 6)
+    host.write(1, "torque_enable", 1)
+    host.write(1, "goal_position", 2048)
+    host.advance(0.115)
+    host.read(1, "present_position")  # any instruction will do
+    host.advance(0.115)
+    assert host.arm.commands[0][1] == 0.0
+    host.advance(0.01)
+    on, reference, _ = host.arm.commands[0]
+    assert on
+    assert reference == pytest.approx(host.arm.angles[0], abs=0.05)
+    assert reference < -0.1
+    assert host.read(1, "bus_watchdog") == 255
+    assert host.write(1, "goal_position", 2048) == RANGE
+    assert host.write(1, "goal_current", 10) == RANGE
+    assert host.write(1, "bus_watchdog", 6) == RANGE
+    assert host.write(1, "bus_watchdog", 0) == OK
+    assert host.arm.commands[0][1] == reference
+    assert host.write(1, "goal_position", 2048) == OK
+
+
+def test_unknown_faults_and_servos_are_named(host: Host) -> None:
+    with pytest.raises(DriverError, match="explode"):
+        host.bus.faults.next_reply("explode", 1)
+    with pytest.raises(DriverError, match="7"):
+        host.bus.servo(7)
+
+
+def test_a_late_reply_comes_when_it_is_due(host: Host) -> None:
+    host.bus.faults.delay = 0.05
+    assert host.send(1, PING) == b""
+    assert host.bus.next_event(host.now) == pytest.approx(0.05)
+    assert host.advance(0.049) == b""
+    assert parse(host.advance(0.002))
+    assert host.bus.next_event(host.now) == math.inf
+
+
+def test_the_supply_sags_under_load_and_the_error_that_this_latches_stays(host: Host) -> None:
+    host.arm.supply_resistance = 0.5
+    for servo in (1, 2):
+        host.write(servo, "operating_mode", 5)
+        host.write(servo, "torque_enable", 1)
+    host.arm.load[0] = host.arm.load[1] = 2.0 * TORQUE_CONSTANT
+    host.advance(3.0)
+    assert host.read(1, "input_voltage") == pytest.approx(100, abs=1)
+    assert host.read(1, "hardware_error") == 0
+    host.arm.load[1] = 4.0 * TORQUE_CONSTANT
+    host.advance(3.0)
+    assert host.read(1, "input_voltage") < 95
+    host.arm.load[0] = host.arm.load[1] = 0.0
+    host.advance(3.0)
+    assert host.read(1, "input_voltage") == 120
+    assert host.read(1, "hardware_error") == 1
+
+
+def test_two_servos_with_one_id_act_as_one_and_answer_over_each_other(host: Host) -> None:
+    host.bus.alter(2, lambda servo: servo.table.set("id", 1))
+    assert host.ask(3, PING) == []
+    clean = 0
+    for _ in range(50):
+        data = host.send(1, READ, words(REGISTERS["present_position"].address, 4))
+        try:
+            clean += bool(parse(data))
+        except (AssertionError, IndexError):
+            assert data
+    assert clean == 0
+    assert [reply[0] for reply in parse(host.send(BROADCAST, SYNC_READ, words(132, 4) + bytes((2,))))] == [2]
+    host.send(BROADCAST, SYNC_WRITE, words(65, 1) + bytes((1, 1)))
+    host.bus.alter(2, lambda servo: servo.table.set("id", 3))
+    assert [host.read(servo, "led") for servo in (1, 2, 3)] == [1, 0, 1]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_collision_on_the_line_is_what_zeros_over_ones_make_of_it(seed: int) -> None:
+    source = random.Random(seed)
+    first, second = source.randbytes(14), source.randbytes(9)
+    assert collide(first, b"", source) == first
+    assert collide(first, b"\xff", source)  # a start bit, at least, goes into it
+    both = collide(first, second, source)
+    assert both != first
+    assert 0 < len(both) <= len(first) + 1
+
+
+def test_deaf_servos_stop_by_their_watchdog_and_hear_again(host: Host) -> None:
+    host.write(1, "operating_mode", 5)
+    host.write(1, "bus_watchdog", 6)
+    host.write(1, "torque_enable", 1)
+    host.bus.faults.deaf = True
+    assert host.ask(1, PING) == []
+    host.advance(0.2)
+    host.bus.faults.deaf = False
+    assert host.read(1, "bus_watchdog") == 255
+
+
+def test_a_watchdog_trips_at_once_where_it_is_armed(host: Host) -> None:
+    host.bus.alter(0, lambda servo: servo.trip_watchdog(host.now))
+    assert host.read(1, "bus_watchdog") == 0
+    host.write(1, "bus_watchdog", 6)
+    host.bus.alter(0, lambda servo: servo.trip_watchdog(host.now))
+    assert host.read(1, "bus_watchdog") == 255
+
+
+def test_damage_befalls_the_servos_that_it_is_ordered_for(host: Host) -> None:
+    host.bus.faults.rate_of = {2: {"drop": 1.0}}
+    assert [bool(host.ask(servo, PING)) for servo in (1, 2, 3)] == [True, False, True]
+
+
+def test_a_supply_that_sags_below_its_limit_is_told_and_latched(host: Host) -> None:
+    def limit(servo: ServoFirmware) -> None:
+        servo.supply_limit = 9.0
+
+    host.bus.alter(1, limit)
+    assert host.read(2, "input_voltage") == 90
+    assert [host.read(servo, "hardware_error") for servo in (1, 2)] == [0, 1]
+
+
+def test_a_supply_too_weak_for_the_load_makes_the_driver_stop_all(tmp_path: Path) -> None:
+    arm = BenchArm()
+    arm.supply_resistance = 1.0
+    events: list[tuple[object, ...]] = []
+    with PseudoTerminal(ServoBusEmulator(arm), tmp_path / "servo") as terminal:
+        controller = ServoController(
+            BusSettings(terminal.path), 2.8, TORQUE_CONSTANT, lambda *event: events.append(event)
+        )
+
+        def cycle_until(condition: Callable[[], object]) -> None:
+            end = time.monotonic() + 20.0
+            while not condition():
+                assert time.monotonic() < end, events
+                controller.cycle()
+                time.sleep(0.005)
+
+        controller.open()
+        try:
+            request = controller.request("torque_on")
+            cycle_until(lambda: request.wait(0.0))
+            assert request.success, request.message
+            cycle_until(lambda: all(arm.torque_enabled()))
+            arm.load[:] = [1.2 * TORQUE_CONSTANT] * 3  # 3.6 A in all: 12 V sag to 8.4 V
+            cycle_until(lambda: not any(arm.torque_enabled()))
+            assert any("voltage" in str(event) for event in events), events
+        finally:
+            controller.close()
+
+
+def test_the_driver_names_an_id_that_two_servos_have_and_one_that_none_has(tmp_path: Path) -> None:
+    emulator = ServoBusEmulator(BenchArm())
+    emulator.alter(2, lambda servo: servo.table.set("id", 2))
+    with PseudoTerminal(emulator, tmp_path / "servo") as terminal, pytest.raises(HandshakeError) as caught:
+        ServoBus(BusSettings(terminal.path)).open(scan=False)
+    faults = " / ".join(caught.value.faults)
+    assert "servo 2 answers unintelligibly; two servos with this id" in faults
+    assert "servo 3" in faults

@@ -1,0 +1,137 @@
+"""How the emulated servos move and what they measure: modes, profiles, offsets, limits, status."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from deltacharger_driver.control_table import LIMIT, OK
+from deltacharger_driver.mx64 import CURRENT_UNIT, TICK, VELOCITY_UNIT
+
+from .servo_host import Host
+
+
+def test_measurements_in_register_units(host: Host) -> None:
+    host.write(1, "operating_mode", 5)
+    host.write(1, "torque_enable", 1)
+    host.arm.load[0] = -0.6
+    host.advance(2.0)
+    assert host.read(1, "present_position") == 2048 + round(host.arm.angles[0] / TICK)
+    assert host.read(1, "present_current") * CURRENT_UNIT == pytest.approx(0.41, abs=0.01)
+    assert host.read(1, "input_voltage") == 120
+    assert host.read(1, "temperature") == 30
+
+
+def test_torque_is_held_where_the_goal_is_and_the_goal_current_bounds_it(host: Host) -> None:
+    host.write(2, "operating_mode", 5)
+    assert host.arm.commands[1] is None or not host.arm.commands[1][0]
+    host.write(2, "goal_current", 100)
+    host.write(2, "torque_enable", 1)
+    on, reference, limit = host.arm.commands[1]
+    assert on
+    assert reference == pytest.approx(-0.7, abs=TICK)
+    assert limit == pytest.approx(100 * CURRENT_UNIT)
+    host.write(2, "goal_position", 2048 + 100)
+    assert host.arm.commands[1][1] == pytest.approx(100 * TICK)
+
+
+def test_modes_without_a_position_loop_give_no_torque(host: Host) -> None:
+    host.write(1, "operating_mode", 0)
+    host.write(1, "torque_enable", 1)
+    assert not host.arm.torque_enabled()[0]
+
+
+def test_nothing_is_commanded_twice(host: Host) -> None:
+    calls = []
+    host.arm.command_servo = lambda *command: calls.append(command)
+    host.write(1, "operating_mode", 5)
+    host.write(1, "torque_enable", 1)
+    for _ in range(5):
+        host.write(1, "goal_position", 2100)
+        host.read(1, "present_position")
+    references = [call[2] for call in calls if call[1]]
+    assert references.count(52 * TICK) == 1
+
+
+def test_profile_velocity_and_acceleration_shape_the_reference(host: Host) -> None:
+    host.write(1, "operating_mode", 5)
+    host.write(1, "profile_velocity", 50)
+    host.write(1, "profile_acceleration", 20)
+    host.write(1, "torque_enable", 1)
+    start = host.arm.commands[0][1]
+    host.write(1, "goal_position", host.read(1, "present_position") + 1000)
+    references = [start]
+    while len(references) < 3000 and (not references[1:] or host.read(1, "moving_status") & 2):
+        host.advance(0.005)
+        references.append(host.arm.commands[0][1])
+    speeds = [(b - a) / 0.005 for a, b in itertools.pairwise(references)]
+    assert references[-1] == pytest.approx(start + 1000 * TICK, abs=TICK)
+    assert max(speeds) == pytest.approx(50 * VELOCITY_UNIT, rel=0.05)
+    assert min(speeds) > -1e-9
+    assert max(references) <= references[-1] + 1e-3
+    changes = [abs(b - a) / 0.005 for a, b in itertools.pairwise(speeds[1:-2])]
+    assert max(changes) < 20 * 0.3745 * 1.6
+
+
+def test_the_homing_offset_is_added_to_what_is_told_and_taken_off_what_is_ordered(host: Host) -> None:
+    host.write(1, "operating_mode", 5)
+    actual = host.read(1, "present_position")
+    assert host.write(1, "homing_offset", 300) == OK
+    assert host.read(1, "present_position") == actual + 300
+    host.write(1, "torque_enable", 1)
+    host.write(1, "goal_position", actual + 300 + 50)
+    host.advance(2.0)
+    assert host.read(1, "present_position") == pytest.approx(actual + 350, abs=1)
+    assert host.arm.angles[0] == pytest.approx((actual + 50 - 2048) * TICK, abs=2 * TICK)
+
+
+def test_mode_3_ignores_a_homing_offset_beyond_a_quarter_turn(host: Host) -> None:
+    actual = host.read(1, "present_position")
+    for offset, heeded in ((1024, True), (1025, False), (-1024, True), (-1025, False)):
+        assert host.write(1, "homing_offset", offset) == OK
+        assert host.read(1, "present_position") == actual + offset * heeded
+    host.write(1, "operating_mode", 5)
+    assert host.read(1, "present_position") == actual - 1025
+
+
+def test_mode_3_keeps_goals_within_its_limits_and_the_other_modes_do_not(host: Host) -> None:
+    assert host.write(1, "min_position", 1000) == OK
+    assert host.write(1, "max_position", 3000) == OK
+    for goal, error in ((999, LIMIT), (1000, OK), (3000, OK), (3001, LIMIT), (-1, LIMIT)):
+        assert host.write(1, "goal_position", goal) == error
+    for mode in (4, 5):
+        assert host.write(1, "operating_mode", mode) == OK
+        assert host.write(1, "goal_position", -5000) == OK
+
+
+@pytest.mark.parametrize(
+    ("velocity", "acceleration", "distance", "shape"),
+    [(0, 0, 200, 0b00), (50, 0, 200, 0b01), (200, 1, 200, 0b10), (20, 20, 1000, 0b11)],
+)
+def test_moving_and_moving_status_follow_a_move(
+    host: Host, velocity: int, acceleration: int, distance: int, shape: int
+) -> None:
+    host.write(1, "operating_mode", 5)
+    assert (host.read(1, "moving"), host.read(1, "moving_status")) == (0, 0)
+    host.write(1, "profile_velocity", velocity)
+    host.write(1, "profile_acceleration", acceleration)
+    host.write(1, "torque_enable", 1)
+    host.advance(0.5)  # from between two counts to the nearest
+    assert host.read(1, "moving_status") & 0b1011 == 0b0001  # in position
+    host.write(1, "goal_position", host.read(1, "present_position") + distance)
+    host.advance(0.02)
+    assert host.read(1, "moving_status") >> 4 == shape
+    assert host.read(1, "moving_status") & 0b0011 == (0b0010 if velocity else 0b0000)
+    assert host.read(1, "moving") == 1
+    host.advance(10.0)
+    assert (host.read(1, "moving"), host.read(1, "moving_status") & 0b1011) == (0, 0b0001)
+
+
+def test_a_servo_that_cannot_follow_says_so(host: Host) -> None:
+    host.write(1, "operating_mode", 5)
+    host.write(1, "goal_current", 10)
+    host.write(1, "torque_enable", 1)
+    host.arm.load[0] = 3.0
+    host.advance(2.0)
+    assert host.read(1, "moving_status") & 0b1001 == 0b1000

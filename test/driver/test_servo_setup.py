@@ -1,0 +1,205 @@
+"""The servo bus opens: every servo is set up as it should or named with all that is wrong with it."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import pytest
+
+from deltacharger_driver.bench_arm import BenchArm
+from deltacharger_driver.control_table import ControlTable
+from deltacharger_driver.errors import DriverError, HandshakeError
+from deltacharger_driver.mx64 import TICK
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.servo_bus import ServoBus
+from deltacharger_driver.servo_emulator import ServoBusEmulator, terminal_speed
+from deltacharger_driver.servo_snapshot import BusSettings
+
+
+def test_after_opening_torque_is_off_and_every_register_is_as_it_should(
+    bus: ServoBus, emulator: ServoBusEmulator
+) -> None:
+    for servo in (1, 2, 3):
+        table = emulator.servo(servo).table
+        assert table.get("torque_enable") == 0
+        assert table.get("return_delay") == 0
+        assert table.get("operating_mode") == 5
+        assert table.get("bus_watchdog") == 6
+        assert table.get("homing_offset") == 0
+    snapshot = bus.read()
+    assert snapshot.complete
+    assert snapshot.angle == pytest.approx((-0.7, -0.5, 0.2), abs=TICK)
+    assert snapshot.velocity == (0.0, 0.0, 0.0)
+    assert snapshot.voltage == pytest.approx((12.0, 12.0, 12.0))
+    assert snapshot.temperature == (30.0, 30.0, 30.0)
+    assert snapshot.hardware_error == (0, 0, 0)
+    assert snapshot.torque_enabled == (False, False, False)
+    assert time.monotonic() - snapshot.time < 1.0
+
+
+def test_id_speed_and_offset_are_never_written_and_eeprom_only_once(
+    closed: ServoBus, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = []
+    write = ControlTable.write
+
+    def spy(table: ControlTable, address: int, data: bytes) -> Any:
+        written.extend(range(address, address + len(data)))
+        return write(table, address, data)
+
+    monkeypatch.setattr(ControlTable, "write", spy)
+    closed.open()
+    closed.read()
+    assert not {7, 8, 12, 13, 20, 21, 22, 23} & set(written)
+    closed.close()
+    written.clear()
+    closed.open()
+    assert not [address for address in written if address < 64]
+
+
+def test_a_servo_left_with_torque_is_switched_off(closed: ServoBus, emulator: ServoBusEmulator, arm: BenchArm) -> None:
+    table = emulator.servo(2).table
+    table.set("operating_mode", 5)
+    table.set("torque_enable", 1)
+    closed.open()
+    assert arm.torque_enabled() == [False, False, False]
+    assert table.get("torque_enable") == 0
+
+
+def test_all_faults_come_in_one_message(closed: ServoBus, emulator: ServoBusEmulator, terminal: PseudoTerminal) -> None:
+    emulator.line_speed = lambda: terminal_speed(terminal.path)
+    emulator.set_speed(1, 1)
+    emulator.faults.missing = {2}
+    emulator.use_protocol_1(3)
+    with pytest.raises(HandshakeError) as caught:
+        closed.open()
+    faults = caught.value.faults
+    assert len(faults) == 3
+    assert "servo 1 answers at 57600" in faults[0]
+    assert "--set-baud" in faults[0]
+    assert "servo 2 does not answer at any speed" in faults[1]
+    assert "servo 3 speaks Protocol 1.0" in faults[2]
+    assert "firmware" in faults[2]
+    assert all(fault in str(caught.value) for fault in faults)
+    assert isinstance(caught.value, ConnectionError)
+    assert not closed.is_open
+
+
+def test_old_firmware_at_the_factory_speed_is_found_too(
+    closed: ServoBus, emulator: ServoBusEmulator, terminal: PseudoTerminal
+) -> None:
+    emulator.line_speed = lambda: terminal_speed(terminal.path)
+    for servo in (1, 2, 3):
+        emulator.set_speed(servo, 1)
+        emulator.use_protocol_1(servo)
+    with pytest.raises(HandshakeError) as caught:
+        closed.open()
+    assert [("57600" in fault, "Protocol 1.0" in fault) for fault in caught.value.faults] == [(True, True)] * 3
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("model", 1020, "1020"),
+        ("homing_offset", 12, "zero_ticks"),
+        ("drive_mode", 1, "direction"),
+        ("secondary_id", 5, "another servo"),
+        ("temperature_limit", 100, "60 to 80"),
+        ("temperature_limit", 40, "60 to 80"),
+        ("min_voltage", 125, "95 to 110"),
+        ("max_voltage", 120, "130 to 160"),
+        ("pwm_limit", 400, "885"),
+        ("current_limit", 297, "current_max"),
+        ("shutdown", 32, "overheating.*52|overheating.*36"),
+        ("shutdown", 4, "overload.*36"),
+        ("shutdown", 0, "overheating and overload.*36"),
+    ],
+)
+def test_a_servo_that_is_not_as_expected_is_named_and_left_as_it_is(
+    closed: ServoBus, emulator: ServoBusEmulator, name: str, value: int, told: str
+) -> None:
+    emulator.servo(2).table.set(name, value)
+    with pytest.raises(HandshakeError, match=f"servo 2.*({told})") as caught:
+        closed.open()
+    assert len(caught.value.faults) == 1
+    assert emulator.servo(2).table.get(name) == value
+    assert not closed.is_open
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("shutdown", 36), ("shutdown", 61), ("temperature_limit", 70), ("min_voltage", 110), ("current_limit", 1220)],
+)
+def test_harmless_choices_are_accepted(closed: ServoBus, emulator: ServoBusEmulator, name: str, value: int) -> None:
+    emulator.servo(1).table.set(name, value)
+    closed.open()
+    assert closed.read().complete
+
+
+def test_faults_of_all_servos_come_at_once_and_the_good_one_is_set_up(
+    closed: ServoBus, emulator: ServoBusEmulator, arm: BenchArm
+) -> None:
+    emulator.servo(1).table.set("homing_offset", 12)
+    emulator.servo(1).table.set("shutdown", 0)
+    emulator.servo(1).table.set("torque_enable", 1)
+    emulator.servo(3).table.set("current_limit", 297)
+    with pytest.raises(HandshakeError) as caught:
+        closed.open()
+    assert [fault[:7] for fault in caught.value.faults] == ["servo 1", "servo 1", "servo 3"]
+    assert emulator.servo(1).table.get("torque_enable") == 0
+    assert emulator.servo(2).table.get("bus_watchdog") in (6, 255)  # armed; it trips once the port is closed
+    assert emulator.servo(3).table.get("operating_mode") == 3
+
+
+def test_a_missing_servo_does_not_hide_the_settings_of_another(closed: ServoBus, emulator: ServoBusEmulator) -> None:
+    emulator.faults.missing = {1}
+    emulator.servo(2).table.set("drive_mode", 1)
+    with pytest.raises(HandshakeError) as caught:
+        closed.open(scan=False)
+    assert ["does not answer" in fault for fault in caught.value.faults] == [True, False]
+
+
+def test_one_refusal_does_not_hide_the_next(
+    closed: ServoBus, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = ControlTable.write
+
+    def refuse(table: ControlTable, address: int, data: bytes) -> Any:
+        if table is emulator.servo(2).table and address in (9, 108):
+            return 6, {}
+        return write(table, address, data)
+
+    monkeypatch.setattr(ControlTable, "write", refuse)
+    with pytest.raises(HandshakeError) as caught:
+        closed.open()
+    assert ["return_delay" in fault for fault in caught.value.faults] == [True, False]
+    assert "profile_acceleration" in caught.value.faults[1]
+
+
+def test_a_waiting_registered_write_is_found_at_the_set_up(closed: ServoBus, emulator: ServoBusEmulator) -> None:
+    emulator.servo(3).table.set("registered", 1)
+    with pytest.raises(HandshakeError, match=r"servo 3.*registered = 1.*restart it"):
+        closed.open()
+
+
+def test_two_servos_with_one_id_are_suspected(closed: ServoBus, emulator: ServoBusEmulator) -> None:
+    emulator.faults.servos = {2}
+    emulator.faults.rate["corrupt"] = 1.0
+    with pytest.raises(HandshakeError, match="two servos with this id"):
+        closed.open(scan=False)
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_servo_told_to_keep_quiet_is_told_to_answer(closed: ServoBus, emulator: ServoBusEmulator, level: int) -> None:
+    emulator.servo(3).table.set("status_return_level", level)
+    closed.open()
+    assert emulator.servo(3).table.get("status_return_level") == 2
+
+
+@pytest.mark.parametrize(
+    "settings", [{"ids": (1, 1, 2)}, {"ids": (1, 2)}, {"direction": (1, 0, 1)}, {"watchdog": 7}, {"watchdog": 0}]
+)
+def test_impossible_settings_are_refused(settings: dict[str, Any]) -> None:
+    with pytest.raises(DriverError):
+        BusSettings("/dev/null", **settings)

@@ -1,0 +1,149 @@
+"""What one cycle of the bus reads: a value is right or not there, whatever the line does to it."""
+
+from __future__ import annotations
+
+import math
+import struct
+import time
+from typing import Any
+
+import pytest
+
+from deltacharger_driver.errors import RangeError
+from deltacharger_driver.servo_bus import UNKNOWN_AFTER, ServoBus
+from deltacharger_driver.servo_emulator import ServoBusEmulator
+from deltacharger_driver.servo_packets import status
+from deltacharger_driver.servo_snapshot import READ_LENGTH, decode_block, has_restarted
+
+from .servo_bench import until
+
+GOOD_BLOCK = (1, 0, -119, 5, 2048, 120, 30, 2, 0)  # torque, error, current, velocity, ticks, voltage, temperature, …
+
+
+def block(**changed: int) -> bytes:
+    names = ("torque", "error", "current", "velocity", "ticks", "voltage", "temperature", "level", "registered")
+    values = dict(zip(names, GOOD_BLOCK, strict=True)) | changed
+    return struct.pack("<BBhiiHBBB", *values.values())
+
+
+def test_the_block_is_read_by_layout() -> None:
+    reading = decode_block(block())
+    assert (reading.torque_enabled, reading.hardware_error, reading.current, reading.velocity) == (True, 0, -119, 5)
+    assert (reading.ticks, reading.voltage, reading.temperature) == (2048, 120, 30)
+    assert len(block()) == READ_LENGTH == 17
+
+
+@pytest.mark.parametrize(
+    ("changed", "name"),
+    [
+        ({"torque": 2}, "torque_enable"),
+        ({"current": 2048}, "present_current"),
+        ({"current": -32768}, "present_current"),
+        ({"voltage": 39}, "input_voltage"),
+        ({"voltage": 301}, "input_voltage"),
+        ({"temperature": 126}, "temperature"),
+        ({"level": 1}, "status_return_level"),
+        ({"registered": 1}, "registered"),
+    ],
+)
+def test_what_no_servo_reports_is_refused_by_name(changed: dict[str, int], name: str) -> None:
+    with pytest.raises(RangeError) as caught:
+        decode_block(block(**changed))
+    assert caught.value.name == name
+    assert not has_restarted(block(**changed))
+
+
+@pytest.mark.parametrize(
+    "changed", [{"current": 2047}, {"current": -2047}, {"voltage": 40}, {"voltage": 300}, {"temperature": 125}]
+)
+def test_the_edges_of_what_servos_report_are_accepted(changed: dict[str, int]) -> None:
+    assert decode_block(block(**changed))
+
+
+def test_a_restarted_servo_is_told_by_its_lost_set_up_not_by_its_supply() -> None:
+    assert has_restarted(bytes(READ_LENGTH))
+    assert not has_restarted(block(voltage=0))
+
+
+def test_a_burst_across_the_last_byte_and_the_checksum_does_not_reach_the_snapshot(
+    bus: ServoBus, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def struck(*fields: Any) -> bytes:
+        reply = status(*fields)
+        return reply[:-3] + bytes((reply[-3] ^ 0x03, reply[-2] ^ 0x0A, reply[-1]))
+
+    monkeypatch.setattr("deltacharger_driver.servo_emulator.status", struck)
+    assert bus._link.read(1, "temperature") == 30 ^ 0x03  # the checksum does not see it
+    assert bus.read().valid == (False, False, False)
+    assert bus.counters.implausible == 3
+    assert bus.counters.corrupt == 0
+
+
+@pytest.mark.parametrize(("register", "value"), [("temperature", 200), ("input_voltage", 0), ("present_current", 3000)])
+def test_an_impossible_value_is_counted_and_nothing_of_its_reply_is_used(
+    bus: ServoBus, emulator: ServoBusEmulator, register: str, value: int
+) -> None:
+    servo = emulator.servo(2)
+    measure = servo.measure
+
+    def mistaken(now: float) -> float:
+        angle = measure(now)
+        servo.table.set(register, value)
+        return angle
+
+    servo.measure = mistaken
+    snapshot = bus.read()
+    assert snapshot.valid == (True, False, True)
+    assert snapshot.rebooted == (False, False, False)
+    assert bus.counters.implausible == 1
+    for values in (snapshot.angle, snapshot.velocity, snapshot.current, snapshot.voltage, snapshot.temperature):
+        assert math.isnan(values[1])
+    until(lambda: bus.read().missing[1])
+    servo.measure = measure
+    until(lambda: bus.read().complete)
+
+
+def test_a_lost_reply_is_nan_and_the_next_cycle_is_whole_again(bus: ServoBus, emulator: ServoBusEmulator) -> None:
+    emulator.faults.next_reply("drop", 2)
+    snapshot = bus.read()
+    assert snapshot.valid == (True, False, True)
+    assert math.isnan(snapshot.angle[1])
+    assert math.isnan(snapshot.current[1])
+    assert math.isnan(snapshot.voltage[1])
+    assert snapshot.missed == (0, 1, 0)
+    assert not math.isnan(sum(value for value in (snapshot.angle[0], snapshot.angle[2])))
+    assert bus.read().complete
+
+
+@pytest.mark.parametrize("missing", [1, 2, 3])
+def test_a_missing_servo_is_the_only_one_that_is_not_valid(
+    bus: ServoBus, emulator: ServoBusEmulator, missing: int
+) -> None:
+    emulator.faults.missing = {missing}
+    snapshots = [bus.read() for _ in range(UNKNOWN_AFTER + 2)]
+    expected = tuple(servo != missing for servo in (1, 2, 3))
+    assert [snapshot.valid for snapshot in snapshots[1:]] == [expected] * (UNKNOWN_AFTER + 1)
+    assert snapshots[-1].missed[missing - 1] == UNKNOWN_AFTER + 2
+    emulator.faults.missing = set()
+    until(lambda: bus.read().complete)
+
+
+def test_waiting_for_a_missing_servo_does_not_slow_the_others(bus: ServoBus, emulator: ServoBusEmulator) -> None:
+    emulator.faults.missing = {2}
+    until(lambda: bus.read().missing[1])
+    begin = time.monotonic()
+    for _ in range(50):
+        bus.read()
+    assert time.monotonic() - begin < 0.5  # the full wait in each cycle would take more than a second
+
+
+@pytest.mark.parametrize("fault", ["corrupt", "truncate", "garbage", "duplicate", "drop"])
+def test_under_any_noise_a_value_is_right_or_not_there(bus: ServoBus, emulator: ServoBusEmulator, fault: str) -> None:
+    emulator.faults.rate[fault] = 0.3
+    for _ in range(40):
+        snapshot = bus.read()
+        for valid, voltage, temperature in zip(snapshot.valid, snapshot.voltage, snapshot.temperature, strict=True):
+            assert not valid or (voltage == pytest.approx(12.0) and temperature == 30.0)
+            assert valid or math.isnan(voltage)
+    emulator.faults.rate.clear()
+    until(lambda: bus.read().complete)

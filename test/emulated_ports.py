@@ -1,0 +1,75 @@
+"""Emulated servos, an emulated board and a device that is neither, each behind a real pseudo-terminal.
+
+A conftest.py beside the tests that want these fixtures names them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import pytest
+
+from deltacharger_driver.bench_arm import BenchArm
+from deltacharger_driver.bench_plant import BenchPlant
+from deltacharger_driver.board_emulator import BoardEmulator
+from deltacharger_driver.mx64 import REGISTERS
+from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.servo_emulator import ServoBusEmulator, terminal_speed
+
+IDS = (1, 2, 3)
+
+
+class Babbler:
+    """A device that answers everything by the same; b"" is a cable with nothing behind it."""
+
+    def __init__(self, answer: bytes) -> None:
+        self._answer = answer
+
+    def receive(self, data: bytes, now: float) -> bytes:
+        return self._answer
+
+    def poll(self, now: float) -> bytes:
+        return b""
+
+    def next_event(self, now: float) -> float:
+        return math.inf
+
+
+def written(servos: ServoBusEmulator) -> dict[tuple[int, str], int]:
+    """Everything that a host could have written, of each servo."""
+    return {
+        (servo, name): servos.servo(servo).table.get(name)
+        for servo in IDS
+        for name, register in REGISTERS.items()
+        if register.writable
+    }
+
+
+@pytest.fixture
+def servos() -> ServoBusEmulator:
+    return ServoBusEmulator(BenchArm())
+
+
+@pytest.fixture
+def servo_port(servos: ServoBusEmulator) -> Iterator[str]:
+    with PseudoTerminal(servos) as terminal:
+        servos.line_speed = lambda: terminal_speed(terminal.path)
+        yield terminal.path
+
+
+@pytest.fixture
+def board() -> BoardEmulator:
+    return BoardEmulator(BenchPlant())
+
+
+@pytest.fixture
+def board_port(board: BoardEmulator) -> Iterator[str]:
+    with PseudoTerminal(board) as terminal:
+        yield terminal.path
+
+
+@pytest.fixture
+def silent_port() -> Iterator[str]:
+    with PseudoTerminal(Babbler(b"")) as terminal:
+        yield terminal.path
