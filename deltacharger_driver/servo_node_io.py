@@ -19,8 +19,7 @@ from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from deltacharger_bringup.flat_message import FlatPublisher
-from deltacharger_bringup.stamps import Stamps
+from deltacharger_driver.flat_node_io import FlatPublisher, Stamps
 from deltacharger_driver.servo_report import ServoReport
 from deltacharger_driver.trajectory import Waypoint
 

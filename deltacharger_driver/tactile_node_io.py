@@ -8,10 +8,9 @@ from deltacharger.msg import ChargerPower, TactileFrame
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
-from deltacharger_bringup.flat_message import FlatPublisher
-from deltacharger_bringup.stamps import Stamps
 from deltacharger_driver.board_protocol import COLUMNS, ROWS
 from deltacharger_driver.board_samples import PowerSample, TactileSample
+from deltacharger_driver.flat_node_io import FlatPublisher, Stamps
 
 _FRAME = "end_effector"
 _FRAME_FIELDS = ("sequence", "device_time_us", "left", "right", "tared")

@@ -14,9 +14,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
-from deltacharger_bringup import flat_message
-from deltacharger_bringup.flat_message import FlatPublisher
-from deltacharger_bringup.stamps import Stamps
+from deltacharger_driver import flat_node_io
+from deltacharger_driver.flat_node_io import FlatPublisher, Stamps
 
 from .conftest import wait_until
 
@@ -86,8 +85,8 @@ def test_one_message_leaves_no_trace_in_the_next() -> None:
 
 @pytest.mark.parametrize("spoil", [lambda data: data[::-1], lambda data: bytes(byte ^ 0xA5 for byte in data)])
 def test_a_middleware_that_serialises_otherwise_gets_messages(spoil: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    serialise = flat_message.serialize_message
-    monkeypatch.setattr(flat_message, "serialize_message", lambda message: spoil(serialise(message)))
+    serialise = flat_node_io.serialize_message
+    monkeypatch.setattr(flat_node_io, "serialize_message", lambda message: spoil(serialise(message)))
     assert is_as_ordered(published(flat=False))
 
 
