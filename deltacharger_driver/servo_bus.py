@@ -60,6 +60,8 @@ class ServoBus:
         self._cycle = 0
         self._last_sent = -math.inf
         self._look_at_watchdogs = False
+        self._goals: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+        self._goal_bytes = b""
         self._forget()
 
     @property
@@ -159,13 +161,17 @@ class ServoBus:
         self._last_sent = time.monotonic()
 
     def _goal_packet(self, angles: Sequence[float], currents: Sequence[float]) -> bytes:
-        """Return the packet that writes goal and bound of every servo."""
+        """Return the packet that writes goal and bound of every servo; an arm that holds sends the same again."""
+        goals = tuple(angles), tuple(currents)
+        if goals == self._goals:
+            return self._goal_bytes
         settings = self.settings
         rows = []
         for index, (angle, current) in enumerate(zip(angles, currents, strict=True)):
             ticks = angle_to_ticks(angle, settings.zero_ticks[index], settings.direction[index])
             rows.append((settings.ids[index], _WRITE_LAYOUT.pack(self._bound(current), ticks)))
-        return sync_write_packet(WRITE_ADDRESS, WRITE_LENGTH, rows)
+        self._goals, self._goal_bytes = goals, sync_write_packet(WRITE_ADDRESS, WRITE_LENGTH, rows)
+        return self._goal_bytes
 
     def enable_torque(self, currents: Sequence[float]) -> Snapshot:
         """Switch all servos on, holding where they are: goal := present position first.

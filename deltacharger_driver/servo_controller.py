@@ -269,11 +269,8 @@ class ServoController:
         self._rebooting = None
 
     def _serve_requests(self) -> None:
-        while True:
-            try:
-                request = self._requests.get_nowait()
-            except queue.Empty:
-                return
+        while not self._requests.empty():
+            request = self._requests.get_nowait()
             try:
                 if self._phase is Phase.DISCONNECTED:
                     request.finish(False, self._connection_fault or "not connected")

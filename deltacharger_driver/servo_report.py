@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from deltacharger_driver.mx64 import describe_hardware_error
 from deltacharger_driver.servo_bus import UNKNOWN_AFTER
@@ -23,8 +23,7 @@ class Phase(enum.Enum):
     STOPPING = "stopping"
 
 
-@dataclass(frozen=True)
-class ServoReport:
+class ServoReport(NamedTuple):
     """The servos after one cycle, in the order of the ids.
 
     Attributes:

@@ -134,8 +134,7 @@ def decode_block(data: bytes) -> Reading:
     return Reading(bool(torque), error, current, velocity, ticks, voltage, temperature)
 
 
-@dataclass(frozen=True)
-class Snapshot:
+class Snapshot(NamedTuple):
     """The servos in one cycle, in the order of the ids. What was not measured is NaN, never 0.
 
     Attributes:
