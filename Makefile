@@ -35,8 +35,20 @@ colcon: $(INSTALLED)  ## build as a ROS workspace package and load an interface 
 	  | grep -q $(COLCON)/install
 	test -x $(COLCON)/install/deltacharger/lib/deltacharger/docking_node
 
-bench: $(INSTALLED)  ## rates, gaps, docking time, memory
-	$(BIN)/python benchmarks/charger.py
+# The last two judge by their exit status too: a target that is missed there must not hide the other figures.
+bench: $(INSTALLED)  ## what charger and driver keep up with, about 20 minutes; QUICK=1: the same in 5
+	@echo '== the simulated charger in one process: 1 minute'
+	$(BIN)/python benchmarks/charger.py --seconds 10
+	@echo '== CPU of the driver: $(if $(QUICK),1 minute,2 minutes)'
+	$(BIN)/python benchmarks/driver_cost.py --seconds $(if $(QUICK),5,10)
+	@echo '== ports unplugged and plugged in again: $(if $(QUICK),half a minute,2 minutes)'
+	$(BIN)/python benchmarks/driver_reconnect.py --replugs $(if $(QUICK),5,20)
+	@echo '== charging beside a busy core: $(if $(QUICK),2 minutes,11 minutes)'
+	$(BIN)/python benchmarks/driver_long.py --seconds $(if $(QUICK),60,600)
+	@echo '== nodes killed and stopped: $(if $(QUICK),half a minute,5 minutes)'
+	-$(BIN)/python benchmarks/driver_kill.py --tactile $(if $(QUICK),2 --dockings 0,5 --dockings 1)
+	@echo '== $(if $(QUICK),50 000,a million) damaged packets per codec: $(if $(QUICK),seconds,2 minutes)'
+	-$(BIN)/python benchmarks/driver_fuzz.py --packets $(if $(QUICK),50000,1000000)
 
 $(INSTALLED): $(SOURCES)
 	python3 -m venv $(VENV)

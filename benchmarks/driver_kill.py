@@ -1,9 +1,13 @@
-"""How soon the contactor is open after a node was killed or stopped, nodes and emulated hardware as real processes.
+"""How soon the contactor is open and the arm at rest after a node was killed or stopped.
 
-Targets: 100 ms after tactile_node, 350 ms after docking_node or servo_node; SIGKILL and SIGSTOP alike. The emulated
-hardware runs in a process of its own, so that nothing on the host's side can starve it together with the node. How well
-it kept up itself is told as well: the time between the last byte that it heard and its opening, which a board on time
-holds to 95 ms where nobody orders an opening, and the longest pause of its watching thread.
+Nodes and emulated hardware are processes of their own, so that nothing on the host's side can starve the hardware
+together with the node; SIGKILL and SIGSTOP alike. Targets: the contactor opens within 100 ms after tactile_node and
+350 ms after docking_node or servo_node; a line of the arm (0.12 m/s, struck on the way) goes on for at most 200 ms.
+
+How well the hardware kept up itself is told as well: the time between the last byte that its board heard and its
+opening, which a board on time holds to 95 ms where nobody orders an opening, and the longest pause of its watching
+thread. The line has ended when the arm is within 0.2 mm of its last place along it; the arm rests when that is so in
+all directions. A servo whose watchdog has tripped holds where it is, without the lead that bore its load, and sags.
 
 python benchmarks/driver_kill.py [--tactile 10] [--dockings 1] [--json]
 """
@@ -12,40 +16,39 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
 import random
-import shutil
 import signal
 import statistics
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import driver_processes as processes
+from driver_processes import CannotMeasure, Figure, Role, at_most
+
 from deltacharger_bringup import environment
 
 environment.prepare()
 environment.isolate()
 
-LIMITS = {"tactile_node": 0.100, "docking_node": 0.350, "servo_node": 0.350}  # s
+LIMITS = {"tactile_node": 100.0, "docking_node": 350.0, "servo_node": 350.0}  # ms until the contactor is open
+LINE_LIMIT = 200.0  # ms
 SIGNALS = (signal.SIGKILL, signal.SIGSTOP)
-PATIENCE = 60.0  # s
 ATTEMPTS = 3
-LOOK = 0.001  # s between two looks of the emulator at its contactor
+LOOK = 0.001  # s between two looks of the emulated hardware at its contactor or arm
 SEED = 74  # of the instants within heartbeat and cycle at which nodes are killed
-
-
-Hooks = tuple[Callable[[], bool], Callable[[], None], Callable[[], float]]
-"""Whether the contactor is closed; press on the pads; when the board last heard something, s."""
+MOVING = 0.020  # m along the line from home: the arm is at full speed
+TRACK = 0.45  # s that the arm is watched after a kill; 0.5 s without tactile frames send it home
+NEAR = 0.0002  # m
 
 
 class Ear:
-    """A board that remembers when it last heard something."""
+    """A board that remembers when it last heard something, s, monotonic."""
 
     def __init__(self, device: Any) -> None:
         self._device = device
@@ -54,124 +57,100 @@ class Ear:
 
     def receive(self, data: bytes, now: float) -> bytes:
         """Pass bytes on."""
-        self.last = time.monotonic()
+        self.last = now
         return bytes(self._device.receive(data, now))
 
 
-class NotCharging(Exception):
-    """The charger did not come to charge, so there was nothing to measure."""
-
-
-def emulate(kind: str, folder: Path) -> None:
-    """Serve emulated hardware until stdin ends; orders come as lines, answers go out as JSON."""
-    with contextlib.ExitStack() as stack:
-        is_closed, press, heard = (_bench if kind == "bench" else _world)(stack, folder)
-        print(json.dumps("ready"), flush=True)
-        for line in sys.stdin:
-            order = line.strip()
-            if order == "press":
-                press()
-                print(json.dumps("pressed"), flush=True)
-            else:
-                print(json.dumps({**_watch(is_closed, order == "closed"), "heard": heard()}), flush=True)
-
-
-def _bench(stack: contextlib.ExitStack, folder: Path) -> Hooks:
+def emulate_bench(folder: Path) -> None:
+    """Serve a board on a bench plant until stdin ends."""
     from deltacharger_driver.bench_plant import BenchPlant
     from deltacharger_driver.board_emulator import BoardEmulator
     from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
     plant = BenchPlant()
     board = Ear(BoardEmulator(plant))
-    stack.enter_context(PseudoTerminal(board, folder / "board"))
-    return lambda: plant.read_power()[3], lambda: plant.press(20.0), lambda: board.last
+
+    def watch(closed: bool) -> dict[str, float]:
+        return {**_until(lambda: plant.read_power()[3] is closed), "heard": board.last}
+
+    with PseudoTerminal(board, folder / "board"):
+        orders = {"press": lambda: plant.press(20.0), "closed": lambda: watch(True), "open": lambda: watch(False)}
+        processes.serve(orders)
 
 
-def _world(stack: contextlib.ExitStack, folder: Path) -> Hooks:
+def emulate_world(folder: Path) -> None:
+    """Serve the simulated scene's hardware until stdin ends."""
     from deltacharger_bringup.scene import load_scene
     from deltacharger_bringup.simulated_charger import SimulatedCharger
 
-    charger = stack.enter_context(SimulatedCharger(load_scene("simulated"), folder))
-    tap = charger._taps[-1]  # the board's, which is served last
-    return lambda: charger.world.circuit.closed, lambda: None, lambda: tap.last
+    with SimulatedCharger(load_scene("simulated"), folder) as charger:
+        world = charger.world
+
+        def watch_opening() -> dict[str, float]:
+            return {**_until(lambda: not world.circuit.closed), "heard": charger.board_heard}
+
+        def track() -> list[tuple[float, float, float, float]]:
+            places, end = [], time.monotonic() + TRACK
+            while time.monotonic() < end:
+                x, y, z = world.snapshot().position
+                places.append((time.monotonic(), x, y, z))
+                time.sleep(LOOK)
+            return places
+
+        def watch_start() -> bool:
+            _until(lambda: world.snapshot().position[2] > MOVING)
+            return bool(world.snapshot().position[2] > MOVING)
+
+        processes.serve({"open": watch_opening, "moving": watch_start, "track": track})
 
 
-def _watch(is_closed: Callable[[], bool], wanted: bool) -> dict[str, float]:
-    """Wait until the contactor is as wanted; return when that was and the longest pause of this process (s)."""
-    last, pause, end = time.monotonic(), 0.0, time.monotonic() + PATIENCE
-    while is_closed() is not wanted and last < end:
+def _until(condition: Callable[[], bool]) -> dict[str, float]:
+    """Wait for a condition; return when it came true and the longest pause of this process (s)."""
+    last, pause, end = time.monotonic(), 0.0, time.monotonic() + processes.PATIENCE
+    while not condition() and last < end:
         time.sleep(LOOK)
         now = time.monotonic()
         last, pause = now, max(pause, now - last)
     return {"at": time.monotonic(), "pause": pause}
 
 
-class Emulator:
-    """The emulated hardware in its process."""
-
-    def __init__(self, kind: str, folder: Path) -> None:
-        command = [sys.executable, __file__, "--emulate", kind, "--folder", str(folder)]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        self._read()
-
-    def ask(self, order: str) -> Any:
-        """Give an order and return the answer."""
-        self.begin(order)
-        return self._read()
-
-    def begin(self, order: str) -> None:
-        """Give an order whose answer `end` returns."""
-        assert self._process.stdin is not None
-        self._process.stdin.write(order + "\n")
-        self._process.stdin.flush()
-
-    def end(self) -> Any:
-        """Return the answer to `begin`."""
-        return self._read()
-
-    def close(self) -> None:
-        """End the process."""
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(10.0)
-        self._process.kill()
-
-    def _read(self) -> Any:
-        assert self._process.stdout is not None
-        line = self._process.stdout.readline()
-        if not line:
-            raise SystemExit("the emulated hardware ended; see its message above")
-        return json.loads(line)
+def hardware(kind: str, folder: Path) -> Role:
+    """Start emulated hardware: `bench` or `world`."""
+    return Role(__file__, "--emulate", kind, "--folder", str(folder))
 
 
-def start(name: str, parameters: dict[str, Any]) -> subprocess.Popen[bytes]:
-    """Start a node as a process of its own."""
-    from deltacharger_bringup.node_table import NODES
-
-    command = [sys.executable, "-c", f"import sys; from {NODES[name].module} import main; sys.exit(main())"]
-    for key, value in parameters.items():
-        command += ["-p", f"{key}:={value}"] if "--ros-args" in command else ["--ros-args", "-p", f"{key}:={value}"]
-    return subprocess.Popen([*command, "--ros-args", "--log-level", "fatal"])
-
-
-def end(process: subprocess.Popen[bytes]) -> None:
-    """End a node, also one that is stopped."""
-    if process.poll() is None:
-        process.kill()
-        process.wait()
-
-
-def strike(emulator: Emulator, process: subprocess.Popen[bytes], number: int) -> dict[str, float]:
-    """Send the signal at a random moment; return the s to the open contactor, and how the emulator kept up."""
-    emulator.begin("open")
+def strike_charging(role: Role, pid: int, number: int) -> dict[str, float]:
+    """Send the signal at a random moment; return the ms to the open contactor, and how the hardware kept up."""
+    role.begin("open")
     time.sleep(0.3 + random.random() * 0.1)
     at = time.monotonic()
-    process.send_signal(number)
-    answer = emulator.end()
+    os.kill(pid, number)
+    answer = role.end()
     if answer["at"] < at:
-        raise NotCharging("the contactor opened by itself before the kill")
-    return {"seconds": answer["at"] - at, "pause": answer["pause"], "silence": answer["at"] - answer["heard"]}
+        raise CannotMeasure("the contactor opened by itself before the kill")
+    silence = answer["at"] - answer["heard"]
+    return {"open": 1e3 * (answer["at"] - at), "silence": 1e3 * silence, "pause": 1e3 * answer["pause"]}
+
+
+def strike_moving(role: Role, pid: int, number: int) -> dict[str, float]:
+    """Send the signal on the way; return the ms until the line has ended and until the arm rests, and the way (mm)."""
+    if not role.ask("moving"):
+        raise CannotMeasure("the arm did not set out")
+    role.begin("track")
+    time.sleep(random.random() * 0.02)
+    at = time.monotonic()
+    os.kill(pid, number)
+    places = [place for place in role.end() if place[0] >= at]
+    last, first = places[-1], places[0]
+    line = [time for time, _, _, z in places if abs(z - last[3]) > NEAR]
+    rest = [place[0] for place in places if max(abs(a - b) for a, b in zip(place[1:], last[1:], strict=True)) > NEAR]
+    if last[3] - first[3] < NEAR:
+        raise CannotMeasure("the arm was not on its way when it was struck")
+    return {
+        "line": 1e3 * (max(line, default=at) - at),
+        "rest": 1e3 * (max(rest, default=at) - at),
+        "way": 1e3 * (max(place[3] for place in places) - first[3]),
+    }
 
 
 @contextlib.contextmanager
@@ -201,138 +180,143 @@ def call(client: Any, kind: Any, name: str, group: Any) -> None:
     """Call a service that must succeed."""
     service = client.create_client(kind, name, callback_group=group)
     answered = threading.Event()
-    if not service.wait_for_service(PATIENCE):
-        raise NotCharging(f"nobody serves {name}")
+    if not service.wait_for_service(processes.PATIENCE):
+        raise CannotMeasure(f"nobody serves {name}")
     future = service.call_async(kind.Request())
     future.add_done_callback(lambda done: answered.set())
     if not answered.wait(10.0) or not future.result().success:
-        raise NotCharging(f"{name} failed: {future.result()}")
+        raise CannotMeasure(f"{name} failed: {future.result()}")
 
 
-def kill_tactile(number: int, folder: Path) -> dict[str, float]:
+def kill_alone(name: str, number: int, folder: Path) -> dict[str, float]:
     """tactile_node alone on a bench plant; the lease is held from here."""
     import rclpy
     from deltacharger.srv import Probe
     from rclpy.callback_groups import ReentrantCallbackGroup
     from std_srvs.srv import Trigger
 
-    from deltacharger_bringup.node_support import Spinner
-
-    emulator = Emulator("bench", folder)
-    process = start("tactile_node", {"port": folder / "board"})
-    spinner = Spinner(rclpy.create_node("benchmark"))
-    group = ReentrantCallbackGroup()
-    try:
-        call(spinner.node, Trigger, "tare", group)
-        emulator.ask("press")
+    with contextlib.ExitStack() as stack:
+        role = stack.enter_context(hardware("bench", folder))
+        node = processes.start_node(name, {"port": folder / "board"})
+        stack.callback(processes.end, node)
+        client, group = rclpy.create_node("benchmark"), ReentrantCallbackGroup()
+        stack.enter_context(processes.spinning(client))
+        call(client, Trigger, "tare", group)
+        role.ask("press")
         time.sleep(0.2)
-        call(spinner.node, Probe, "probe", group)
-        with holding(spinner.node, group):
-            emulator.ask("closed")
-            return strike(emulator, process, number)
-    finally:
-        spinner.close()
-        end(process)
-        emulator.close()
+        call(client, Probe, "probe", group)
+        stack.enter_context(holding(client, group))
+        role.ask("closed")
+        return strike_charging(role, node.pid, number)
 
 
-def kill_while_charging(name: str, number: int, folder: Path) -> dict[str, float]:
-    """All nodes of the simulated scene; the node dies while docking_node charges."""
-    from deltacharger_bringup.client import ChargerClient
-    from deltacharger_bringup.outcomes import DockRequest, Pose
+@contextlib.contextmanager
+def charger(folder: Path) -> Iterator[tuple[Role, dict[str, int]]]:
+    """Start the simulated scene's hardware and nodes; yields the hardware and the nodes' process ids."""
     from deltacharger_bringup.scene import load_scene
 
-    scene = load_scene("simulated")
     ports = {"servo": str(folder / "servo"), "board": str(folder / "board")}
-    emulator = Emulator("world", folder)
-    nodes = {each: start(each, scene.node_parameters(each, ports)) for each in scene.start_order()}
-    try:
-        with ChargerClient() as client:
-            if not client.wait_until_ready(PATIENCE):
-                raise NotCharging("the charger is not ready")
-            outcome = client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), deadline=180.0)
-        if not outcome.success:
-            raise NotCharging(f"docking failed: {outcome.error_message}")
-        return strike(emulator, nodes[name], number)
-    finally:
-        for process in nodes.values():
-            end(process)
-        emulator.close()
+    with hardware("world", folder) as role, processes.nodes_of(load_scene("simulated"), ports) as nodes:
+        yield role, {name: node.pid for name, node in nodes.items()}
 
 
-def attempt(name: str, number: int, alone: bool) -> dict[str, float]:
-    """One kill; where the charger did not come to charge, which is another matter, it is tried again."""
-    for left in reversed(range(ATTEMPTS)):
-        folder = Path(tempfile.mkdtemp(prefix="deltacharger-"))
+def kill_charging(name: str, number: int, folder: Path) -> dict[str, float]:
+    """All nodes of the simulated scene; the node dies while docking_node charges."""
+    with charger(folder) as (role, pids):
+        processes.charge()
+        return strike_charging(role, pids[name], number)
+
+
+def kill_moving(name: str, number: int, folder: Path) -> dict[str, float]:
+    """All nodes of the simulated scene; the node dies on the way to the target."""
+    with charger(folder) as (role, pids):
+        client = subprocess.Popen([sys.executable, __file__, "--emulate", "client"])
         try:
-            return kill_tactile(number, folder) if alone else kill_while_charging(name, number, folder)
-        except NotCharging as error:
-            print(f"{error}; attempts left: {left}", file=sys.stderr, flush=True)
+            return strike_moving(role, pids[name], number)
         finally:
-            shutil.rmtree(folder, ignore_errors=True)
-    raise SystemExit("the charger never came to charge")
+            processes.end(client)
 
 
-def run(tactile: int, dockings: int) -> list[dict[str, Any]]:
-    """Return one row per node and signal."""
+def charge() -> None:
+    """Ask for a charge whose end does not matter."""
+    with contextlib.suppress(CannotMeasure):
+        processes.charge()
+
+
+def attempt(kill: Callable[[str, int, Path], dict[str, float]], name: str, number: int) -> dict[str, float]:
+    """One kill; where the charger did not come to what was to be ended, which is another matter, it is tried again."""
+    for left in reversed(range(ATTEMPTS)):
+        try:
+            with processes.folder() as folder:
+                return kill(name, number, folder)
+        except CannotMeasure as error:
+            processes.progress(f"{error}; attempts left: {left}")
+    raise SystemExit("the charger never came to what was to be ended")
+
+
+def figures_of(label: str, name: str, runs: list[dict[str, float]]) -> list[Figure]:
+    """Return the figures of several kills of one kind."""
+    values = {key: [run[key] for run in runs] for key in runs[0]}
+    count = f", largest of {len(runs)}"
+    if "open" in values:
+        return [
+            at_most(f"{label}: contactor open{count}", max(values["open"]), "ms", LIMITS[name]),
+            Figure(f"{label}: median", statistics.median(values["open"]), "ms"),
+            Figure(f"{label}: longest silence before an opening", max(values["silence"]), "ms"),
+            Figure(f"{label}: longest pause of the hardware", max(values["pause"]), "ms"),
+        ]
+    return [
+        at_most(f"{label}: line ended{count}", max(values["line"]), "ms", LINE_LIMIT),
+        Figure(f"{label}: arm at rest{count}", max(values["rest"]), "ms"),
+        Figure(f"{label}: way along the line{count}", max(values["way"]), "mm"),
+    ]
+
+
+def run(alone: int, dockings: int) -> list[Figure]:
+    """Kill everything in every way and return the figures."""
     import rclpy
 
     random.seed(SEED)
     rclpy.init()
-    cases = [("tactile_node", "alone", tactile), *((name, "charging", dockings) for name in LIMITS)]
-    rows = []
-    for name, chain, rounds in cases:
+    cases = [("tactile_node", "alone", kill_alone, alone)]
+    cases += [(name, "charging", kill_charging, dockings) for name in LIMITS]
+    cases += [(name, "moving", kill_moving, dockings) for name in LIMITS]
+    figures: list[Figure] = []
+    for name, chain, kill, rounds in cases:
         for number in SIGNALS if rounds else ():
+            label = f"{name} {number.name} {chain}"
             runs = []
             for turn in range(rounds):
-                print(f"{name} {chain} {number.name} {turn + 1}/{rounds}", file=sys.stderr, flush=True)
-                runs.append(attempt(name, number, chain == "alone"))
-            times = [each["seconds"] for each in runs]
-            rows.append(
-                {
-                    "load": os.getloadavg()[0],
-                    "node": name,
-                    "signal": number.name,
-                    "chain": chain,
-                    "runs": rounds,
-                    "median_ms": 1e3 * statistics.median(times),
-                    "largest_ms": 1e3 * max(times),
-                    "limit_ms": 1e3 * LIMITS[name],
-                    "silence_ms": 1e3 * max(each["silence"] for each in runs),
-                    "emulator_pause_ms": 1e3 * max(each["pause"] for each in runs),
-                }
-            )
-            print(show(rows[-1]), file=sys.stderr, flush=True)
+                processes.progress(f"{label} {turn + 1}/{rounds}, load {os.getloadavg()[0]:.1f}")
+                runs.append(attempt(kill, name, number))
+            figures += figures_of(label, name, runs)
     rclpy.shutdown()
-    return rows
+    return figures
 
 
-def show(row: dict[str, Any]) -> str:
-    """Return a row in words."""
-    return (
-        f"{row['node']:<13} {row['signal']:<8} {row['chain']:<9} {row['runs']} runs: median {row['median_ms']:.0f} ms, "
-        f"largest {row['largest_ms']:.0f} ms of {row['limit_ms']:.0f} ms; longest silence before an opening "
-        f"{row['silence_ms']:.0f} ms, pause of the emulator {row['emulator_pause_ms']:.0f} ms, load {row['load']:.1f}"
-    )
+ROLES: dict[str, Callable[[Path], None]] = {
+    "bench": emulate_bench,
+    "world": emulate_world,
+    "client": lambda folder: charge(),
+}
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tactile", type=int, default=10, help="kills of tactile_node alone, per signal")
-    parser.add_argument("--dockings", type=int, default=1, help="kills of each node while charging, per signal")
+    parser.add_argument(
+        "--dockings", type=int, default=1, help="kills of each node on the way and charging, per signal"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
-    parser.add_argument("--emulate", choices=("bench", "world"), help=argparse.SUPPRESS)
-    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--emulate", choices=ROLES, help=argparse.SUPPRESS)
+    parser.add_argument("--folder", type=Path, default=Path(), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.emulate:
-        emulate(arguments.emulate, arguments.folder)
+        ROLES[arguments.emulate](arguments.folder)
         return 0
-    rows = run(arguments.tactile, arguments.dockings)
-    if arguments.json:
-        print(json.dumps({"rows": rows}))
-    else:
-        print("\n".join(show(row) for row in rows))
-    return 0 if all(row["largest_ms"] <= row["limit_ms"] for row in rows) else 1
+    figures = run(arguments.tactile, arguments.dockings)
+    processes.tell(figures, arguments.json)
+    return 1 if any(figure.met is False for figure in figures) else 0
 
 
 if __name__ == "__main__":

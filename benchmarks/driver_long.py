@@ -1,0 +1,254 @@
+"""What the driver keeps up with while the charger charges beside a busy core: one long run that measures all at once.
+
+Every node of the simulated scene and the emulated hardware are processes of their own, and one more spins at ordinary
+priority. The charger docks; from then on this counts tactile frames and servo states, compares each frame's stamp with
+the instant at which the emulated board says that it sampled, notes when heartbeats reached the board, and watches the
+contactor and the CPU. Where the contactor opens by itself, that is counted and the charger docks again.
+
+- Stamps are ROS time. Here they are put back on the monotonic clock, which the emulator uses too, by the difference of
+  both clocks at reception. Sampling instant = when the sampling was due, as a board's timer has it and as the packet
+  says; how late the emulator really came to sample is its own figure. The board's clock runs DRIFT too fast.
+- From the gaps between heartbeats follow the openings that other limits would have made: gaps longer than the limit,
+  per hour, and below what their true rate lies with 95 % certainty (Poisson).
+
+python benchmarks/driver_long.py [--seconds 600] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+import time
+from array import array
+from pathlib import Path
+from typing import Any
+
+import driver_processes as processes
+import numpy as np
+from driver_processes import CannotMeasure, CpuMeter
+from driver_record import DRIFT, evaluate
+
+from deltacharger_bringup import environment
+
+environment.prepare()
+environment.isolate()
+
+SETTLE = 5.0  # s between docking and measuring
+LOOK = 0.5  # s between two looks at the contactor
+TELL = 10.0  # s between two lines
+ATTEMPTS = 3  # to dock
+
+
+def emulate(folder: Path) -> None:
+    """Serve the simulated scene's hardware and keep a record until stdin ends."""
+    from deltacharger_bringup.scene import load_scene
+    from deltacharger_bringup.simulated_charger import SimulatedCharger
+    from deltacharger_driver.board_emulator import BoardEmulator
+    from deltacharger_driver.pseudo_terminal import PseudoTerminal
+    from deltacharger_driver.servo_emulator import ServoBusEmulator
+    from deltacharger_sim.shared_world import SharedWorld
+
+    processes.take_priority()
+    scene = load_scene("simulated")
+    assert scene.simulation is not None
+    seed, plant = scene.simulation.seed, SharedWorld(SimulatedCharger(scene).world)
+    samples, beats = array("d"), array("d")
+    board: BoardEmulator = BoardEmulator(
+        plant,
+        seed=seed,
+        drift=DRIFT,
+        on_sample=lambda *sample: samples.extend(sample),
+        on_heartbeat=lambda at: beats.extend((at, board.contactor_commanded)),
+    )
+    servos = ServoBusEmulator(plant, seed=seed)
+    with PseudoTerminal(servos, folder / "servo") as cable, PseudoTerminal(board, folder / "board"):
+        servos.line_speed = cable.speed
+        processes.serve(
+            {
+                "look": lambda: {"closed": board.contactor_commanded, "fault": board.fault},
+                "record": lambda: {"samples": samples.tolist(), "beats": beats.tolist()},
+            }
+        )
+
+
+class Listener:
+    """Everything that the driver publishes, while `listening`.
+
+    Attributes:
+        frames: sequence, device time (us) and stamp (s, monotonic) of each tactile frame.
+        states: stamp (s, monotonic) of each servo state.
+        docking: the last docking_state.
+        values: what /diagnostics says, by the entry's name.
+    """
+
+    def __init__(self, node: Any) -> None:
+        from deltacharger.msg import DockingState, ServoState, TactileFrame
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+        from deltacharger_bringup.qos import STATE
+
+        self.listening = False
+        self.docking = DockingState()
+        self.frames, self.states = array("d"), array("d")
+        self.values: dict[str, dict[str, str]] = {}
+        patient = QoSProfile(depth=500, reliability=ReliabilityPolicy.BEST_EFFORT)  # this process may be starved
+        node.create_subscription(TactileFrame, "tactile_frame", self._on_frame, patient)
+        node.create_subscription(ServoState, "servo_state", self._on_state, QoSProfile(depth=500))
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        node.create_subscription(DockingState, "docking_state", lambda state: setattr(self, "docking", state), STATE)
+
+    def _on_frame(self, message: Any) -> None:
+        if self.listening:
+            self.frames.extend((message.sequence, message.device_time_us, _monotonic(message.header.stamp)))
+
+    def _on_state(self, message: Any) -> None:
+        if self.listening:
+            self.states.append(_monotonic(message.header.stamp))
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            self.values[status.name.rpartition(": ")[2]] = {value.key: value.value for value in status.values}
+
+    def wait_until_idle(self) -> str:
+        """Wait until docking_node does nothing and return what failed last."""
+        end = time.monotonic() + processes.PATIENCE
+        while self.docking.state != self.docking.STATE_IDLE and time.monotonic() < end:
+            time.sleep(LOOK)
+        return str(self.docking.error_message)
+
+    def counter(self, part: str, key: str) -> float:
+        """Return a counter of /diagnostics, NaN where nobody told it."""
+        return float(self.values.get(part, {}).get(key, "nan"))
+
+
+def _monotonic(stamp: Any) -> float:
+    """Return a stamp on the monotonic clock, s, by the present difference of both clocks."""
+    for _ in range(5):
+        before, now, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        if after - before < 10_000:  # else this thread was interrupted in between
+            break
+    return 1e-9 * float(stamp.sec * 1_000_000_000 + stamp.nanosec - now + (before + after) // 2)
+
+
+class Watch:
+    """The contactor during the run, and the line that tells how far it is."""
+
+    def __init__(self, hardware: processes.Role, listener: Listener, seconds: float) -> None:
+        self._hardware, self._listener, self._seconds = hardware, listener, seconds
+        self.openings: list[dict[str, Any]] = []
+        self.charged = 0.0  # s
+
+    def run(self) -> None:
+        """Look at the contactor until the time is over; dock again where it opened."""
+        began = looked = told = time.monotonic()
+        while time.monotonic() - began < self._seconds:
+            time.sleep(LOOK)
+            state, now = self._hardware.ask("look"), time.monotonic()
+            if state["closed"]:
+                self.charged += now - looked
+            else:
+                why = self._listener.wait_until_idle()
+                self.openings.append({"at": now - began, "fault": state["fault"], "message": why})
+                processes.progress(f"the contactor opened by itself, fault {state['fault']}: {why}; docking again")
+                try:
+                    dock(self._listener)
+                except CannotMeasure as error:
+                    processes.progress(f"ending early: {error}")
+                    return
+            looked = time.monotonic()
+            if now - told >= TELL:
+                told = now
+                self._tell(now - began)
+
+    def _tell(self, elapsed: float) -> None:
+        frames = len(self._listener.frames) // 3
+        lost = self._listener.frames[-3] - self._listener.frames[0] + 1 - frames if frames else 0
+        processes.progress(
+            f"{elapsed:.0f}/{self._seconds:.0f} s: {frames} frames, {lost:.0f} lost, "
+            f"{len(self._listener.states)} servo states, {len(self.openings)} openings, load {os.getloadavg()[0]:.1f}"
+        )
+
+
+def dock(listener: Listener) -> None:
+    """Come to charge; tried again where it fails, which is another matter."""
+    for left in reversed(range(ATTEMPTS)):
+        try:
+            listener.wait_until_idle()
+            processes.charge()
+            return
+        except CannotMeasure as error:
+            processes.progress(f"{error}; attempts left: {left}")
+    raise CannotMeasure("the charger did not come to charge")
+
+
+def run(seconds: float) -> dict[str, Any]:
+    """Return what happened, as recorded on both sides."""
+    import rclpy
+
+    from deltacharger_bringup.scene import load_scene
+
+    with contextlib.ExitStack() as stack:
+        folder = stack.enter_context(processes.folder())
+        hardware = stack.enter_context(processes.Role(__file__, "--emulate", str(folder)))
+        ports = {name: str(folder / name) for name in ("servo", "board")}
+        nodes = stack.enter_context(processes.nodes_of(load_scene("simulated"), ports))
+        rclpy.init()
+        stack.callback(rclpy.try_shutdown)
+        listener = Listener(node := rclpy.create_node("benchmark"))
+        stack.enter_context(processes.spinning(node))
+        processes.progress("docking")
+        dock(listener)
+        stack.enter_context(processes.busy())
+        time.sleep(SETTLE)
+        counters = ("lost_tactile", "board link"), ("late_cycles", "servo bus")
+        before = {key: listener.counter(part, key) for key, part in counters}
+        meter = CpuMeter({**{name: each.pid for name, each in nodes.items()}, "emulated hardware": hardware.pid})
+        watch, began = Watch(hardware, listener, seconds), time.monotonic()
+        listener.listening = True
+        watch.run()
+        listener.listening = False
+        ended, percent = time.monotonic(), meter.percent()
+        time.sleep(1.1)  # for the diagnostics of the last second
+        return {
+            "asked": seconds,
+            "seconds": ended - began,
+            "span": (began, ended),
+            "cpu_percent": percent,
+            "load": os.getloadavg()[0],
+            "openings": watch.openings,
+            "charged": watch.charged,
+            "counters": {key: listener.counter(part, key) - before[key] for key, part in counters},
+            "frames": np.array(listener.frames).reshape(-1, 3),
+            "states": np.array(listener.states),
+            **{key: np.array(value) for key, value in hardware.ask("record").items()},
+        }
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=600.0, help="how long to measure while charging")
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
+    parser.add_argument("--save", type=Path, help="also keep the raw record here, as .npz")
+    parser.add_argument("--emulate", type=Path, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.emulate:
+        emulate(arguments.emulate)
+        return 0
+    try:
+        record = run(arguments.seconds)
+        if arguments.save:
+            np.savez(arguments.save, **{key: record[key] for key in ("frames", "states", "samples", "beats", "span")})
+        figures = evaluate(record)
+    except CannotMeasure as error:
+        processes.progress(f"nothing measured: {error}")
+        return 1
+    plain = {key: record[key] for key in ("seconds", "cpu_percent", "load", "openings", "charged", "counters")}
+    processes.tell(figures, arguments.json, **plain)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
