@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from statistics import median
 
-WINDOW = 8.0  # s of history
+WINDOW = 30.0  # s of history; at 8 s a loaded host's second of late packets tilts the line by milliseconds
 _BUCKET = 0.5  # s, one minimum each
 _SHORTEST_BASELINE = 2.5  # s of history before a drift is believed
 _LARGEST_DRIFT = 500e-6  # s/s; two poor crystals differ by 200e-6
@@ -16,15 +16,15 @@ class DeviceClock:
 
     Every packet gives `received - device_time`, the true offset plus a delay that is never negative. The
     minimum over the last seconds is the offset plus the shortest delay (Cristian, 1989; the one-way form of
-    NTP's clock filter). A slope through the minima of half-second buckets (the median of all pairs, after
-    Theil and Sen, so that a stalled host does not tilt it) follows the drift between the crystals; the line
-    is then lowered until no minimum lies beneath it.
+    NTP's clock filter). The drift between the crystals is followed by the line that lies under the minima of
+    all half-second buckets, as close to them as it can (an edge of their lower convex hull: Moon, Skelly and
+    Towsley, 1999), so that late packets do not tilt it.
 
     The shortest delay itself (wire time, 3.2 ms for a u12 packet at 1 Mbaud) cannot be seen from one side and
     remains in the result.
 
     Args:
-        window: s of history, 5–10.
+        window: s of history.
     """
 
     def __init__(self, window: float = WINDOW) -> None:
@@ -68,15 +68,34 @@ class DeviceClock:
         minima = self._minima
         drift = 0.0
         if minima[-1][0] - minima[0][0] >= _SHORTEST_BASELINE:
-            slopes = [
-                (later[1] - earlier[1]) / (later[0] - earlier[0])
-                for index, earlier in enumerate(minima)
-                for later in minima[index + 1 :]
-                if later[0] - earlier[0] >= _BUCKET
-            ]
-            drift = min(max(median(slopes), -_LARGEST_DRIFT), _LARGEST_DRIFT)
+            drift = min(max(_slope_beneath(minima), -_LARGEST_DRIFT), _LARGEST_DRIFT)
         self.drift = drift
         self.offset = min(delay - drift * time for time, delay in minima)
+
+
+def _slope_beneath(points: list[tuple[float, float]]) -> float:
+    """Return the slope of the line below all points from which they have the least distance in all.
+
+    It is the edge of their lower convex hull (Andrew, 1979) that spans their mean time.
+
+    Args:
+        points: (time, value), times rising, at least two.
+    """
+    hull: list[tuple[float, float]] = []
+    for time, value in points:
+        while len(hull) > 1 and _turns_right(hull[-2], hull[-1], (time, value)):
+            hull.pop()
+        hull.append((time, value))
+    mean = sum(time for time, _ in points) / len(points)
+    for (start, low), (end, high) in itertools.pairwise(hull):
+        if end >= mean:
+            return (high - low) / (end - start)
+    raise AssertionError("the last point is not before the mean")
+
+
+def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
+    """Whether b lies on or above the line from a to c."""
+    return (b[1] - a[1]) * (c[0] - a[0]) >= (c[1] - a[1]) * (b[0] - a[0])
 
 
 class SequenceUnwrapper:

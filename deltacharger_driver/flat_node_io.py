@@ -14,6 +14,7 @@ from rclpy.serialization import serialize_message
 
 _CODES = {"boolean": "?", "uint8": "B", "int32": "i", "uint32": "I", "uint64": "Q", "float": "f", "double": "d"}
 _LOOK = 0.1  # s between two looks at both clocks
+_LOOKS = 3  # of which the quickest counts: in one of a hundred the thread is interrupted between the clocks
 
 
 class Stamps:
@@ -36,8 +37,15 @@ class Stamps:
         now = time.monotonic()
         if now >= self._due:
             self._due = now + _LOOK
-            self._offset = self._clock.now().nanoseconds - int(now * 1e9)
+            self._offset = min(self._look() for _ in range(_LOOKS))[1]
         return divmod(max(int(instant * 1e9) + self._offset, 0), 1_000_000_000)
+
+    def _look(self) -> tuple[int, int]:
+        """Return how long, ns, a look at both clocks took, and by how much the node's is ahead."""
+        before = time.monotonic_ns()
+        there = int(self._clock.now().nanoseconds)
+        after = time.monotonic_ns()
+        return after - before, there - (before + after) // 2
 
 
 class FlatPublisher:

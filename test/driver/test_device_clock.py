@@ -42,6 +42,18 @@ def test_a_stalled_host_does_not_move_the_clock() -> None:
         assert stamp == pytest.approx(number / 120.0 + 50.0, abs=1e-4)
 
 
+@pytest.mark.parametrize("drift", [-100e-6, 0.0, 100e-6])
+def test_seconds_of_growing_delay_do_not_tilt_the_line(drift: float) -> None:
+    clock, delay = DeviceClock(), random.Random(5)
+    errors = []
+    for number in range(40 * 120):
+        true = number / 120.0
+        busy = max(true - 20.0, 0.0) * 0.001 if true < 26.0 else 0.0  # the host falls behind from 20 to 26 s
+        stamp = clock.update(true * (1.0 + drift), true + 0.0005 + busy + delay.expovariate(1.0 / 0.001))
+        errors.append(abs(stamp - true - 0.0005))
+    assert max(errors[600:]) < 0.001
+
+
 def test_never_later_than_the_reception() -> None:
     clock, delay = DeviceClock(), random.Random(3)
     for number in range(2000):
