@@ -112,6 +112,8 @@ def _board_share(kind: str, hardware: Hardware, order: Order) -> Undo:
 
 
 def _servo_missing(hardware: Hardware, order: Order) -> Undo:
+    # What has no supply has no torque either, and comes back as after a restart.
+    hardware.servos.alter(order.place, lambda servo: servo.reboot(order.now))
     hardware.servos.faults.missing.add(order.servo)
     return lambda: hardware.servos.faults.missing.discard(order.servo)
 
@@ -219,7 +221,7 @@ _TAXEL = Amount("a taxel, 0 to 99 left and 100 to 199 right, row by row from the
 _BOOT = Amount("a boot of 0 to 10 s", 0.0, 10.0, 0.0)
 
 KINDS: dict[str, Kind] = {
-    "servo_missing": Kind("the servo loses its supply", _servo_missing, servo=ONE),
+    "servo_missing": Kind("the servo loses its supply, and with it torque and set-up", _servo_missing, servo=ONE),
     "servo_reboot": Kind("the servo restarts by itself", _servo_reboot, lasts=False, servo=ONE),
     **{
         f"servo_{name}": Kind(

@@ -130,6 +130,12 @@ class Overcurrent(DockingError):
     retriable = True
 
 
+class ChargeOvercurrent(Overcurrent):
+    """More charge current flowed than the power stage allows. Example: its current limiter failed."""
+
+    retriable = False
+
+
 class ServoFailure(DockingError):
     """A servo is missing, silent or reports a hardware error."""
 
@@ -221,7 +227,8 @@ class ContactorWelded(DockingError):
     code = Code.CONTACTOR_WELDED
 
 
-# ChargerPower.fault to the error that docking reports; 8 (heartbeat lost) and 9 (over-current) have none of their own.
+# ChargerPower.fault to the error that docking reports: 1 to 7 are the codes 50x less 500. 8 (heartbeat lost) means that
+# the power stage heard nobody; 9 (over-current) is no short, which the stage tells apart, and bears the name it has.
 POWER_FAULTS: dict[int, type[DockingError]] = {
     1: NoChargeCurrent,
     2: ShortCircuit,
@@ -231,5 +238,5 @@ POWER_FAULTS: dict[int, type[DockingError]] = {
     6: ReverseCurrent,
     7: ContactorWelded,
     8: PowerStale,
-    9: ShortCircuit,
+    9: ChargeOvercurrent,
 }
