@@ -30,7 +30,7 @@ from deltacharger_driver.servo_snapshot import (
 )
 
 SERVO = 1
-BLOCK = struct.Struct("<BBhiiHBBB")
+BLOCK = struct.Struct("<BBhiiHBBBB")
 
 
 class Line:
@@ -104,6 +104,7 @@ def random_block(source: random.Random) -> bytes:
         source.randrange(1000, 3100),
         source.randrange(100, 130),
         source.randrange(15, 80),
+        6,
         2,
         0,
     )

@@ -227,16 +227,16 @@ class ContactorWelded(DockingError):
     code = Code.CONTACTOR_WELDED
 
 
-# ChargerPower.fault to the error that docking reports: 1 to 7 are the codes 50x less 500. 8 (heartbeat lost) means that
-# the power stage heard nobody; 9 (over-current) is no short, which the stage tells apart, and bears the name it has.
-POWER_FAULTS: dict[int, type[DockingError]] = {
-    1: NoChargeCurrent,
-    2: ShortCircuit,
-    3: PowerStale,
-    4: ReversePolarity,
-    5: VoltageOutOfRange,
-    6: ReverseCurrent,
-    7: ContactorWelded,
-    8: PowerStale,
-    9: ChargeOvercurrent,
+# ChargerPower.fault to the error that docking reports, and in words: 1 to 7 are the codes 50x less 500. 8 means that
+# the power stage heard nobody; 9 is no short, which the stage tells apart, and bears the name of what it is.
+POWER_FAULTS: dict[int, tuple[type[DockingError], str]] = {
+    1: (NoChargeCurrent, "no charge current"),
+    2: (ShortCircuit, "short circuit"),
+    3: (PowerStale, "stale measurements"),
+    4: (ReversePolarity, "reverse polarity"),
+    5: (VoltageOutOfRange, "voltage out of range"),
+    6: (ReverseCurrent, "reverse current"),
+    7: (ContactorWelded, "contactor welded"),
+    8: (PowerStale, "heartbeat lost"),
+    9: (ChargeOvercurrent, "over-current"),
 }

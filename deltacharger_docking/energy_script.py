@@ -7,6 +7,7 @@ import math
 from deltacharger_docking.clearance import Verdict, judge
 from deltacharger_docking.codes import (
     POWER_FAULTS,
+    ChargeOvercurrent,
     ContactorWelded,
     CriticalAngle,
     DockingError,
@@ -144,17 +145,41 @@ class Watch:
         self._was_closed = False
 
     def problem(self) -> DockingError | None:
-        """Return what went wrong, if anything did."""
-        context, observation = self._context, self._context.observation
-        parameters = context.parameters
+        """Return what went wrong, if anything did; the cause before what it brings about.
+
+        A servo that fails makes servo_node open the contactor, so the servos are looked at before the contactor.
+        """
+        observation = self._context.observation
         self._was_closed |= observation.contactor_closed
         if observation.power_fault:
-            kind = POWER_FAULTS.get(observation.power_fault, PowerStale)
-            return kind(f"the power stage opened the contactor with fault {observation.power_fault}")
+            kind, words = POWER_FAULTS.get(observation.power_fault, (PowerStale, f"fault {observation.power_fault}"))
+            return kind(f"the power stage opened the contactor: {words}")
+        return self._servo_problem() or self._power_problem() or self._contact_problem()
+
+    def _servo_problem(self) -> DockingError | None:
+        context, observation = self._context, self._context.observation
+        if observation.servo_age > _SERVO_SILENT:
+            return ServoFailure(
+                "servo_state stopped while the electrodes were live; check the servo bus and servo_node"
+            )
+        measured = (context.contact.value, *observation.angles, *observation.currents)  # the first is a median: it lags
+        if not all(map(math.isfinite, measured)):
+            return ServoFailure("the servos' currents or angles are not measured any more; check the servo bus")
+        if not observation.torque_enabled:
+            return ServoFailure("the servos lost their torque while the electrodes were live")
+        if observation.thermal_reserve < context.parameters.thermal_reserve_min:
+            return ServoFailure("the servos' thermal reserve is used up; let them cool and dock again")
+        return None
+
+    def _power_problem(self) -> DockingError | None:
+        observation, parameters = self._context.observation, self._context.parameters
+        refusal = observation.contactor_refusal
         if observation.power_age > parameters.power_age_max:
             return PowerStale("charger_power stopped; check the board's cable and tactile_node")
-        if observation.contactor_refusal:
-            return NoChargeCurrent(f"the contactor was not closed: {observation.contactor_refusal}")
+        if refusal and not self._was_closed:
+            return NoChargeCurrent(f"the contactor was not closed: {refusal}")
+        if refusal:
+            return PowerStale(f"the contactor's lease was not renewed: {refusal}")
         if self._was_closed and not observation.contactor_closed:
             return PowerStale("the contactor opened by itself: its lease or heartbeat was lost")
         if self._was_closed and not math.isfinite(observation.charge_current):
@@ -162,23 +187,17 @@ class Watch:
         if observation.charge_current < -_ZERO_CURRENT:
             return ReverseCurrent(f"{observation.charge_current:.1f} A flow out of the target")
         if observation.charge_current > parameters.charge_current_max:
-            return ShortCircuit(
+            return ChargeOvercurrent(
                 f"{observation.charge_current:.1f} A exceed the limit of {parameters.charge_current_max} A"
             )
-        if observation.servo_age > _SERVO_SILENT:
-            return ServoFailure(
-                "servo_state stopped while the electrodes were live; check the servo bus and servo_node"
-            )
-        if not math.isfinite(context.contact.value) or not math.isfinite(context.position[2]):
-            return ServoFailure("the servos' currents or angles are not measured any more; check the servo bus")
-        if observation.servo_age <= parameters.press_age_max:
-            lost = context.contact.value < CONTACT_LOST or context.position[2] < self._z - _RETREAT_LOST
-            if lost:
-                return NoContact("contact was lost while the electrodes were live; the target moved")
-        if not observation.torque_enabled:
-            return ServoFailure("the servos lost their torque while the electrodes were live")
-        if observation.thermal_reserve < parameters.thermal_reserve_min:
-            return ServoFailure("the servos' thermal reserve is used up; let them cool and dock again")
+        return None
+
+    def _contact_problem(self) -> DockingError | None:
+        context = self._context
+        if context.observation.servo_age > context.parameters.press_age_max:
+            return None
+        if context.contact.value < CONTACT_LOST or context.position[2] < self._z - _RETREAT_LOST:
+            return NoContact("contact was lost while the electrodes were live; the target moved")
         return None
 
 

@@ -14,7 +14,7 @@ from deltacharger_driver.mx64 import (
     REGISTERS,
     VELOCITY_UNIT,
     VOLTAGE_UNIT,
-    WATCHDOG_UNIT,
+    WATCHDOG_TRIPPED,
     angle_to_ticks,
     current_to_counts,
     describe_hardware_error,
@@ -22,7 +22,7 @@ from deltacharger_driver.mx64 import (
 )
 from deltacharger_driver.servo_link import ServoLink
 from deltacharger_driver.servo_protocol import LinkCounters, sync_write_packet
-from deltacharger_driver.servo_setup import configure, restart_watchdog, set_up, watchdog_tripped
+from deltacharger_driver.servo_setup import configure, restart_watchdog, set_up
 from deltacharger_driver.servo_snapshot import (
     READ_ADDRESS,
     READ_LENGTH,
@@ -40,7 +40,6 @@ MISSING_TIME = 0.2
 """s without a good reply, and `UNKNOWN_AFTER` cycles, after which it counts as missing: a pause of this computer alone
 is none of the servo's doing."""
 _RETRY_EVERY = 25  # cycles between two questions to a missing servo: waiting for it must not slow the others
-_WATCHDOG_EVERY = 100  # cycles between two looks at one servo's watchdog where nothing gave cause to look
 _WRITE_LAYOUT = struct.Struct("<hi")
 _UNKNOWN = (math.nan,) * 5
 
@@ -58,8 +57,6 @@ class ServoBus:
         self._count = len(settings.ids)
         self._largest_counts = current_to_counts(settings.current_max)
         self._cycle = 0
-        self._last_sent = -math.inf
-        self._look_at_watchdogs = False
         self._goals: tuple[tuple[float, ...], tuple[float, ...]] | None = None
         self._goal_bytes = b""
         self._forget()
@@ -91,7 +88,6 @@ class ServoBus:
         except BaseException:
             self._link.close()
             raise
-        self._last_sent = time.monotonic()
 
     def close(self) -> None:
         """Release the port. Does not touch the servos: switch torque off first. Never raises; safe to call twice."""
@@ -108,7 +104,6 @@ class ServoBus:
         self._rebooted[index] = False
         self._torque[index] = False
         self._missed[index] = min(self._missed[index], 1)  # ask it again in the next cycle
-        self._last_sent = time.monotonic()
 
     def read(self) -> Snapshot:
         """Return the state of all servos; a servo that gave no good reply is NaN and not valid.
@@ -131,7 +126,6 @@ class ServoBus:
 
     def _read(self, ahead: bytes) -> Snapshot:
         """Read all servos; packets `ahead`, which nobody answers, go out with the first question."""
-        self._note_silence()
         ids = self.settings.ids
         if not any(self._missed):
             replies = self._link.sync_read(ids, READ_ADDRESS, READ_LENGTH, ahead)
@@ -142,7 +136,7 @@ class ServoBus:
             for index, servo in enumerate(ids):
                 if not self._missing(index) or (self._cycle + index) % _RETRY_EVERY == 0:
                     replies.update(self._link.sync_read((servo,), READ_ADDRESS, READ_LENGTH))
-        now = self._last_sent = time.monotonic()
+        now = time.monotonic()
         self._cycle += 1
         return self._snapshot(now, replies)
 
@@ -156,9 +150,7 @@ class ServoBus:
             PortGone: the port vanished.
         """
         packet = self._goal_packet(angles, currents)
-        self._note_silence()
         self._link.send(packet)
-        self._last_sent = time.monotonic()
 
     def _goal_packet(self, angles: Sequence[float], currents: Sequence[float]) -> bytes:
         """Return the packet that writes goal and bound of every servo; an arm that holds sends the same again."""
@@ -222,7 +214,6 @@ class ServoBus:
             with contextlib.suppress(NoAnswer, CorruptReply, ServoFault):
                 self._link.write(servo, "torque_enable", 0, hurry=self._missed[index] > 0)
                 self._torque[index] = False
-        self._last_sent = time.monotonic()
 
     def reboot(self, index: int) -> None:
         """Restart servo `index`: torque off, latched errors cleared. It is away for a moment and must be set up again.
@@ -232,32 +223,6 @@ class ServoBus:
         """
         self._link.reboot(self.settings.ids[index])
         self._torque[index] = False
-
-    def tripped_watchdogs(self) -> tuple[int, ...]:
-        """Return the ids of servos that stopped because they heard nothing for too long.
-
-        Cheap enough for every cycle: it asks all servos after a silence long enough to trip them, and else one servo
-        a second.
-
-        Raises:
-            PortGone: the port vanished.
-        """
-        ids = self.settings.ids
-        if self._look_at_watchdogs:
-            suspects: Sequence[int] = ids
-        elif self._cycle % _WATCHDOG_EVERY == 0:
-            suspects = (ids[self._cycle // _WATCHDOG_EVERY % self._count],)
-        else:
-            return ()
-        self._look_at_watchdogs = False
-        tripped = []
-        for servo in suspects:
-            if self._missed[ids.index(servo)]:
-                continue
-            with contextlib.suppress(NoAnswer, CorruptReply, ServoFault):
-                if watchdog_tripped(self._link, servo):
-                    tripped.append(servo)
-        return tuple(tripped)
 
     def restart_watchdogs(self) -> None:
         """Clear and arm the watchdog of every servo that answers, so that it takes goals again.
@@ -275,14 +240,11 @@ class ServoBus:
         self._rebooted = [False] * self._count
         self._errors = [0] * self._count
         self._torque = [False] * self._count
+        self._tripped = [False] * self._count
 
     def _missing(self, index: int) -> bool:
         silent = time.monotonic() - self._seen[index]
         return self._missed[index] >= UNKNOWN_AFTER and silent >= MISSING_TIME
-
-    def _note_silence(self) -> None:
-        if time.monotonic() - self._last_sent > 0.75 * self.settings.watchdog * WATCHDOG_UNIT:
-            self._look_at_watchdogs = True
 
     def _bound(self, current: float) -> int:
         """Return a current bound in counts; compared there, so that arithmetic may miss the largest by a rounding."""
@@ -315,6 +277,7 @@ class ServoBus:
             temperature=temperature,
             hardware_error=tuple(self._errors),
             torque_enabled=tuple(self._torque),
+            watchdog_tripped=tuple(self._tripped),
             rebooted=tuple(self._rebooted),
             missed=tuple(self._missed),
             missing=tuple(map(self._missing, range(self._count))),
@@ -324,6 +287,7 @@ class ServoBus:
         """Take one servo's reply and return angle, velocity, current, voltage, temperature; NaN unless it is good."""
         data = b"" if reply is None else reply[1]
         self._missed[index] += 1
+        self._tripped[index] = False
         if len(data) != READ_LENGTH:
             return _UNKNOWN
         if has_restarted(data):
@@ -340,6 +304,7 @@ class ServoBus:
         self._rebooted[index] = False
         self._errors[index] = reading.hardware_error
         self._torque[index] = reading.torque_enabled
+        self._tripped[index] = reading.watchdog == WATCHDOG_TRIPPED
         sign = self.settings.direction[index]
         return (
             ticks_to_angle(reading.ticks, self.settings.zero_ticks[index], sign),

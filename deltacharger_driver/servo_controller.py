@@ -69,7 +69,7 @@ class ServoController:
         self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self._submitted: tuple[Trajectory, float] | None = None
         self._stop_at = math.inf
-        self._stop_reason = ""
+        self._stop_reason = self._unasked_stop = ""
         self._releasing: list[Request] = []  # wait until the contactor is open, then for torque off
         self._reopen_at = 0.0
         self._backoff = _BACKOFF_FIRST
@@ -89,6 +89,11 @@ class ServoController:
     def stop_reason(self) -> str:
         """Why the servos were stopped last."""
         return self._stop_reason
+
+    @property
+    def unasked_stop(self) -> str:
+        """Why torque went off without being asked for, until it is on again; '' where it did not."""
+        return self._unasked_stop
 
     @property
     def is_releasing(self) -> bool:
@@ -149,6 +154,7 @@ class ServoController:
         """Goal := present position and contactor open now, torque off after `STOP_TIME`; in the servos' thread only."""
         if self._phase is Phase.ON:
             self._begin_stop(reason, STOP_TIME)
+            self._unasked_stop = reason
             self._notify("error", f"stopping all servos: {reason}")
 
     def _begin_stop(self, reason: str, seconds: float) -> None:
@@ -182,7 +188,7 @@ class ServoController:
             snapshot = self.bus.exchange(self._goals.angles, self._goals.bounds)
         self._snapshot = snapshot
         self._memory.learn(snapshot)
-        self._check_watchdogs()
+        self._check_watchdogs(snapshot)
         if self._phase is Phase.ON:
             faults = self._faults()
             lost = [
@@ -197,8 +203,21 @@ class ServoController:
                 self.bus.write_goals(self._goals.angles, self._goals.bounds)
         elif self._phase is Phase.STOPPING and self._may_let_go():
             self._switch_off()
+        elif self._phase is Phase.OFF:
+            self._keep_off(snapshot)
         if self._phase is Phase.OFF:
             self._restore(snapshot)
+
+    def _keep_off(self, snapshot: Snapshot) -> None:
+        """Switch off a servo that did not hear it when it was told, as soon as it answers again."""
+        on = [
+            servo
+            for servo, valid, torque in zip(self._ids, snapshot.valid, snapshot.torque_enabled, strict=True)
+            if valid and torque
+        ]
+        if on:
+            self._notify("warning", f"servos {on} have torque that nobody ordered; switching it off")
+            self.bus.disable_torque()
 
     def _may_let_go(self) -> bool:
         """Whether torque may go off now: its time has come, or it was asked for and the contactor is open."""
@@ -213,8 +232,8 @@ class ServoController:
             self._goals.follow(*submitted, now)
         self._goals.advance(now)
 
-    def _check_watchdogs(self) -> None:
-        tripped = self.bus.tripped_watchdogs()
+    def _check_watchdogs(self, snapshot: Snapshot) -> None:
+        tripped = [servo for servo, stopped in zip(self._ids, snapshot.watchdog_tripped, strict=True) if stopped]
         if not tripped:
             return
         if self._phase is Phase.ON:
@@ -250,6 +269,8 @@ class ServoController:
                 self._notify("warning", f"servo {self._ids[index]} had restarted; set up again, torque off")
                 if self._rebooting is not None:
                     self._rebooting[2].discard(index)
+                elif self._unasked_stop:
+                    self._unasked_stop += f"; servo {self._ids[index]} has restarted by itself"
             except PortGone:
                 raise
             except DriverError as error:
@@ -300,6 +321,7 @@ class ServoController:
         snapshot = self.bus.enable_torque(self._goals.default)
         self._memory.learn(snapshot)
         self._goals.begin_at(snapshot.angle)
+        self._unasked_stop = ""
         with self._lock:
             self._submitted = None
             self._phase = Phase.ON
@@ -370,6 +392,7 @@ class ServoController:
     def _disconnect(self, error: PortError) -> None:
         self.bus.close()
         if self._phase in (Phase.ON, Phase.STOPPING):
+            self._unasked_stop = str(error)
             self._contactor.ask_open()
         with self._lock:
             self._phase = Phase.DISCONNECTED

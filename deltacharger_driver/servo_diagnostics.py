@@ -64,6 +64,8 @@ def bus_entry(
         level, message = WARN if controller.is_releasing else ERROR, controller.stop_reason
     elif refused:
         level, message = WARN, last_refusal
+    elif report.phase is Phase.OFF and controller.unasked_stop:
+        level, message = WARN, f"torque off: {controller.unasked_stop}"
     else:
         level, message = OK, report.phase.value
     return DiagnosticEntry(level, "servo bus", message, values)

@@ -20,7 +20,6 @@ from deltacharger_driver.mx64 import (
     MODEL,
     MODEL_PROTOCOL_1,
     REGISTERS,
-    WATCHDOG_TRIPPED,
     current_to_counts,
     indirect_address,
 )
@@ -232,15 +231,6 @@ def _prepare(link: ServoLink, servo: int, watchdog: int, faults: list[str]) -> N
         faults.append(f"servo {servo}: {error}; restart it, and look for another program on its bus")
     else:
         _set(link, servo, "bus_watchdog", watchdog, faults)
-
-
-def watchdog_tripped(link: ServoLink, servo: int) -> bool:
-    """Return whether the servo heard nothing for too long and has locked its goals; asked in a hurry.
-
-    Raises:
-        NoAnswer, CorruptReply, ServoFault, PortGone: it cannot be read.
-    """
-    return link.read(servo, "bus_watchdog", hurry=True) == WATCHDOG_TRIPPED
 
 
 def restart_watchdog(link: ServoLink, servo: int, watchdog: int = WATCHDOG) -> None:

@@ -13,6 +13,7 @@ from deltacharger_driver.mx64 import (
     REGISTERS,
     STALL_CURRENT,
     VOLTAGE_UNIT,
+    WATCHDOG_TRIPPED,
     indirect_data,
 )
 from deltacharger_driver.servo_port import REPLY_MARGIN
@@ -31,9 +32,10 @@ READ_BLOCK = (
     "present_position",
     "input_voltage",
     "temperature",
+    "bus_watchdog",
     *CONSTANT_BLOCK,
 )
-"""What one cycle reads, made contiguous by indirect addresses: 64, 70, 126, 128, 132, 144, 146, 68, 69."""
+"""What one cycle reads, made contiguous by indirect addresses: 64, 70, 126, 128, 132, 144, 146, 98, 68, 69."""
 WRITE_BLOCK = ("goal_current", "goal_position")
 """What one cycle writes, behind the read block, so that bound and goal always change together."""
 
@@ -48,7 +50,8 @@ CURRENT_SPAN = 2047
 """Counts of 3.36 mA that the servo's sensor can tell, either way."""
 LOWEST_VOLTAGE, HIGHEST_VOLTAGE = 40, 300
 """Units of 0.1 V: a servo does not run below, and the battery behind its regulator does not reach above."""
-_READ_LAYOUT = struct.Struct("<BBhiiHBBB")
+LONGEST_WATCHDOG = 127
+_READ_LAYOUT = struct.Struct("<BBhiiHBBBB")
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,7 @@ class Reading(NamedTuple):
     ticks: int
     voltage: int
     temperature: int
+    watchdog: int
 
 
 def has_restarted(data: bytes) -> bool:
@@ -117,7 +121,7 @@ def decode_block(data: bytes) -> Reading:
         RangeError: names the first value that no servo reports; nothing in the block can be trusted then.
         struct.error: another length.
     """
-    torque, error, current, velocity, ticks, voltage, temperature, *constants = _READ_LAYOUT.unpack(data)
+    torque, error, current, velocity, ticks, voltage, temperature, watchdog, *constants = _READ_LAYOUT.unpack(data)
     for (name, expected), found in zip(CONSTANT_BLOCK.items(), constants, strict=True):
         if found != expected:
             raise RangeError(name, found, expected, expected)
@@ -131,7 +135,9 @@ def decode_block(data: bytes) -> Reading:
         raise RangeError("input_voltage", voltage * VOLTAGE_UNIT, low, high, " V")
     if temperature > HOTTEST:
         raise RangeError("temperature", temperature, 0, HOTTEST, " °C")
-    return Reading(bool(torque), error, current, velocity, ticks, voltage, temperature)
+    if LONGEST_WATCHDOG < watchdog < WATCHDOG_TRIPPED:
+        raise RangeError("bus_watchdog", watchdog, 0, LONGEST_WATCHDOG)
+    return Reading(bool(torque), error, current, velocity, ticks, voltage, temperature, watchdog)
 
 
 class Snapshot(NamedTuple):
@@ -147,6 +153,7 @@ class Snapshot(NamedTuple):
         temperature: °C.
         hardware_error: latched error bits; the last known.
         torque_enabled: the last known.
+        watchdog_tripped: it heard nothing for too long, has stopped and takes no goals.
         rebooted: the servo answers but has lost its set-up; call `ServoBus.configure`.
         missed: cycles since the last good reply.
         missing: it gave none for so long that something must be wrong with it.
@@ -161,6 +168,7 @@ class Snapshot(NamedTuple):
     temperature: tuple[float, ...]
     hardware_error: tuple[int, ...]
     torque_enabled: tuple[bool, ...]
+    watchdog_tripped: tuple[bool, ...]
     rebooted: tuple[bool, ...]
     missed: tuple[int, ...]
     missing: tuple[bool, ...]

@@ -74,18 +74,16 @@ def _wait_for_effects(bench: Bench, row: Row, phase: Phase, mark: Mark, before: 
         if what in ("frames", "power"):
             _wait_for_silence(client, str(what).removesuffix("s"))
         else:
-            bench.wait(functools.partial(_is_unknown, client, what), f"{what} to be unknown")
+            bench.wait(functools.partial(_was_unknown, client, what, mark.host), f"{what} to be unknown")
     if not row.lets_go:
         bench.wait(lambda: world.time > mark.world + _GOES_ON, "the world to go on")
 
 
-def _is_unknown(client: FaultClient, what: int | str) -> bool:
-    """Whether a servo (its id) or "taxel N" is told as NaN."""
+def _was_unknown(client: FaultClient, what: int | str, since: float) -> bool:
+    """Whether a servo (its id) was told as NaN since then, or "taxel N" is."""
     if isinstance(what, str):
         return math.isnan(client.taxels()[int(what.removeprefix("taxel "))])
-    message, index = client.servo, what - 1
-    floats = (message.position, message.velocity, message.current, message.voltage, message.temperature)
-    return not message.valid[index] and all(math.isnan(column[index]) for column in floats)
+    return client.unknown_at.get(what, 0.0) > since
 
 
 def _wait_for_silence(client: FaultClient, topic: str) -> None:

@@ -46,6 +46,7 @@ class FaultClient(Node):
         self.power: Any = None
         self.heard = {"servo": 0, "frame": 0, "power": 0}
         self.untrue: list[str] = []
+        self.unknown_at: dict[int, float] = {}
         self.statuses: list[tuple[float, DiagnosticStatus]] = []
         latest = QoSProfile(depth=1)
         self.create_subscription(ServoState, "servo_state", self._on_servo, latest)
@@ -145,6 +146,8 @@ class FaultClient(Node):
         columns = [getattr(message, name) for name in _FLOATS]
         for index, row in enumerate(zip(*columns, strict=True)):
             unknown = [math.isnan(value) for value in row]
+            if all(unknown) and not message.valid[index]:
+                self.unknown_at[index + 1] = time.monotonic()
             if any(unknown) and not (all(unknown) and not message.valid[index]):
                 self.untrue.append(f"servo {index + 1}: {row}, valid {message.valid[index]}")
             if not any(unknown) and not (5.0 < row[3] < 16.0 and 20.0 < row[4] < 80.0 and abs(row[0]) < 1.5):

@@ -76,7 +76,7 @@ def _borne(kind: str, part: str, counted: str, amount: float) -> Row:
 
 SERVO_ROWS = (
     _stopped("servo_missing", "servo 2 does not answer", at_once=(2,), unknown=(2,)),
-    _stopped("servo_reboot", "servo 2", at_once=(2,), unknown=(2,)),
+    _stopped("servo_reboot", "servo 2", "has restarted", at_once=(2,), unknown=(2,)),
     _latched("servo_voltage", "input voltage"),
     _latched("servo_overheating", "overheating", at_once=(2,)),
     _latched("servo_encoder", "encoder"),

@@ -153,17 +153,15 @@ def test_the_servos_stop_by_themselves_when_the_host_is_silent(
     bus.enable_torque(BOUND)
     bus.write_goals((0.0, 0.0, 0.0), (0.2, 0.2, 0.2))
     until(lambda: emulator.servo(1).table.get("bus_watchdog") == 255)
-    bus.read()
-    assert bus.tripped_watchdogs() == (1, 2, 3)
+    assert bus.read().watchdog_tripped == (True, True, True)
     where = arm.commands[0][1]
     bus.write_goals((0.0, 0.0, 0.0), BOUND)
     bus.read()
     assert arm.commands[0][1] == where  # goals are locked until the watchdog is cleared
     bus.restart_watchdogs()
     bus.write_goals((0.0, 0.0, 0.0), BOUND)
-    bus.read()
+    assert bus.read().watchdog_tripped == (False, False, False)
     assert arm.commands[0][1] == 0.0
-    assert bus.tripped_watchdogs() == ()
 
 
 def test_a_pulled_cable_is_told_and_the_bus_opens_again(bus: ServoBus, terminal: PseudoTerminal, arm: BenchArm) -> None:

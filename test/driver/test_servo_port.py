@@ -156,7 +156,6 @@ def test_trap_5_fast_sync_read_is_never_sent(
         for _ in range(3):
             bus.write_goals((0.0, 0.0, 0.0), (0.5, 0.5, 0.5))
             bus.read()
-            bus.tripped_watchdogs()
     bus.disable_torque()
     bus.reboot(0)
     bus.close()

@@ -17,20 +17,21 @@ from deltacharger_driver.servo_snapshot import READ_LENGTH, decode_block, has_re
 
 from .servo_bench import until
 
-GOOD_BLOCK = (1, 0, -119, 5, 2048, 120, 30, 2, 0)  # torque, error, current, velocity, ticks, voltage, temperature, …
+GOOD_BLOCK = (1, 0, -119, 5, 2048, 120, 30, 6, 2, 0)
 
 
 def block(**changed: int) -> bytes:
-    names = ("torque", "error", "current", "velocity", "ticks", "voltage", "temperature", "level", "registered")
+    names = ("torque", "error", "current", "velocity", "ticks", "voltage", "temperature")
+    names += ("watchdog", "level", "registered")
     values = dict(zip(names, GOOD_BLOCK, strict=True)) | changed
-    return struct.pack("<BBhiiHBBB", *values.values())
+    return struct.pack("<BBhiiHBBBB", *values.values())
 
 
 def test_the_block_is_read_by_layout() -> None:
     reading = decode_block(block())
     assert (reading.torque_enabled, reading.hardware_error, reading.current, reading.velocity) == (True, 0, -119, 5)
     assert (reading.ticks, reading.voltage, reading.temperature) == (2048, 120, 30)
-    assert len(block()) == READ_LENGTH == 17
+    assert len(block()) == READ_LENGTH == 18
 
 
 @pytest.mark.parametrize(
@@ -42,6 +43,8 @@ def test_the_block_is_read_by_layout() -> None:
         ({"voltage": 39}, "input_voltage"),
         ({"voltage": 301}, "input_voltage"),
         ({"temperature": 126}, "temperature"),
+        ({"watchdog": 128}, "bus_watchdog"),
+        ({"watchdog": 254}, "bus_watchdog"),
         ({"level": 1}, "status_return_level"),
         ({"registered": 1}, "registered"),
     ],
@@ -54,7 +57,8 @@ def test_what_no_servo_reports_is_refused_by_name(changed: dict[str, int], name:
 
 
 @pytest.mark.parametrize(
-    "changed", [{"current": 2047}, {"current": -2047}, {"voltage": 40}, {"voltage": 300}, {"temperature": 125}]
+    "changed",
+    [{"current": 2047}, {"current": -2047}, {"voltage": 40}, {"voltage": 300}, {"temperature": 125}, {"watchdog": 255}],
 )
 def test_the_edges_of_what_servos_report_are_accepted(changed: dict[str, int]) -> None:
     assert decode_block(block(**changed))
