@@ -10,7 +10,7 @@ from typing import Any
 
 from rclpy.clock import Clock
 from rclpy.publisher import Publisher
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 _CODES = {"boolean": "?", "uint8": "B", "int32": "i", "uint32": "I", "uint64": "Q", "float": "f", "double": "d"}
 _LOOK = 0.1  # s between two looks at both clocks
@@ -53,7 +53,7 @@ class FlatPublisher:
 
     ROS serialises the message once, and then numbers are written over its bytes: that spares the conversion of every
     field, which costs more than publishing itself. Where a field stands is found by setting it to a mark and looking
-    which bytes change; where a middleware shows no such place, messages are filled and published as usual.
+    for it; where writing the mark there does not read back as the field, messages are filled and published as usual.
 
     Args:
         publisher: of a type with a header.
@@ -119,9 +119,22 @@ class _Field:
         mark = (b"\1" if self._code == "?" else b"ABCDEFGH"[: struct.calcsize(self._code)]) * count
         self.set(struct.unpack(f"<{count}{self._code}", mark))
         marked = serialize_message(message)
+        expected = _read(marked, type(message))
+        found = -1
+        while expected is not None and (found := marked.find(mark, found + 1)) >= 0:
+            written = bytes(buffer[:found]) + mark + bytes(buffer[found + len(mark) :])
+            if _read(written, type(message)) == expected:
+                break
         setattr(self._owner, self._name, kept)
-        start = marked.find(mark)
-        if start < 0 or marked != bytes(buffer[:start]) + mark + bytes(buffer[start + len(mark) :]):
+        if found < 0:
             return None
         code: Any = "B" if self._code == "?" else self._code
-        return memoryview(buffer)[start : start + len(mark)].cast(code)
+        return memoryview(buffer)[found : found + len(mark)].cast(code)
+
+
+def _read(data: bytes, kind: Any) -> Any:
+    """Return the message in `data`; None where there is none, as where a mark was written over a length."""
+    try:
+        return deserialize_message(data, kind)
+    except Exception:  # each middleware has its own
+        return None

@@ -12,10 +12,13 @@ import pytest
 from deltacharger.msg import ServoState, TactileFrame
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 
 from deltacharger_driver import flat_node_io
 from deltacharger_driver.flat_node_io import FlatPublisher, Stamps
+from deltacharger_driver.servo_node_io import StatePublishers
+from deltacharger_driver.tactile_node_io import SamplePublishers
 
 from .conftest import wait_until
 
@@ -100,6 +103,13 @@ def node(context: Any, namespace: str) -> Iterator[Node]:
     node = Node("subject", context=context, namespace=namespace, use_global_arguments=False)
     yield node
     node.destroy_node()
+
+
+def test_what_the_driver_publishes_all_the_time_is_flat(node: Node) -> None:
+    states = StatePublishers(node, QoSProfile(depth=1), 1.4)
+    samples = SamplePublishers(node, QoSProfile(depth=1), 0.0024)
+    publishers = [*vars(states).values(), *vars(samples).values()]
+    assert [each.is_flat for each in publishers if isinstance(each, FlatPublisher)] == [True] * 4
 
 
 def test_a_subscriber_hears_it(node: Node, context: Any) -> None:
