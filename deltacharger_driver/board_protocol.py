@@ -10,8 +10,8 @@ from __future__ import annotations
 import enum
 import struct
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from deltacharger_driver import cobs
 from deltacharger_driver.errors import DriverError
@@ -131,8 +131,7 @@ def fault_name(fault: int) -> str:
         return f"fault {fault}"
 
 
-@dataclass(frozen=True)
-class Packet:
+class Packet(NamedTuple):
     """One packet as it stands on the wire, its checksum verified.
 
     Attributes:
@@ -218,22 +217,20 @@ class PacketDecoder:
         self.counters.bytes += len(data)
         pieces = (self._rest + data).split(b"\0")
         self._rest = pieces.pop()
-        packets = list(self._decode(pieces))
+        packets = [packet for piece in pieces if (packet := self._decode(piece)) is not None]
         if len(self._rest) > self._longest:
             self._rest = b""
             self._overlong = True  # what follows up to the next delimiter belongs to the same damage
         return packets
 
-    def _decode(self, pieces: list[bytes]) -> Iterator[Packet]:
-        for piece in pieces:
-            if self._overlong or len(piece) > self._longest:
-                self._overlong = False
-                self.counters.length_errors += 1
-            elif piece:
-                packet = self._packet(piece)
-                if packet is not None:
-                    self.counters.packets += 1
-                    yield packet
+    def _decode(self, piece: bytes) -> Packet | None:
+        if self._overlong or len(piece) > self._longest:
+            self._overlong = False
+            self.counters.length_errors += 1
+            return None
+        packet = self._packet(piece) if piece else None
+        self.counters.packets += packet is not None
+        return packet
 
     def _packet(self, piece: bytes) -> Packet | None:
         try:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from deltacharger_driver.board_payloads import Power, Taxels
 
 
-@dataclass(frozen=True)
-class TactileSample:
+class TactileSample(NamedTuple):
     """One sampling of both pads.
 
     Attributes:

@@ -10,6 +10,7 @@ import contextlib
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,6 +23,7 @@ from deltacharger_driver.errors import DriverError, NoAnswer
 
 STALE_FRAME = 0.1  # s; a frame sampled longer ago says nothing about contact now
 STALE_POWER = 0.5  # s
+_FRAMES = 32  # kept; more than the 20 that come in STALE_FRAME at the highest rate
 _CONFIRM_TIME = 0.3  # s to see the contactor open after the board accepted the command
 
 
@@ -71,8 +73,7 @@ class ContactorGuard:
         self._commands = threading.Lock()  # one contactor command at a time
         self._probing = threading.Lock()
         self._power_seen = threading.Condition(self._lock)
-        self._frame_time = -math.inf
-        self._contact_time = -math.inf
+        self._frames: deque[TactileSample] = deque(maxlen=_FRAMES)
         self._power: PowerSample | None = None
         self._was_closed = False
         self._shut = False
@@ -103,11 +104,8 @@ class ContactorGuard:
 
     def observe_tactile(self, sample: TactileSample) -> None:
         """Take note of a tactile frame."""
-        touched = bool((sample.pads >= CONTACT_FORCE).any())
         with self._lock:
-            self._frame_time = sample.time
-            if touched:
-                self._contact_time = sample.time
+            self._frames.append(sample)
 
     def observe_power(self, sample: PowerSample) -> None:
         """Take note of the power stage; the lease ends where the board has opened by itself."""
@@ -128,7 +126,7 @@ class ContactorGuard:
         """Take note that the port vanished or the board rebooted: the contactor opens or is open."""
         with self._lock:
             self._lease.opened()
-            self._frame_time = self._contact_time = -math.inf
+            self._frames.clear()
             self._power = None
             self._was_closed = False
         self._link.stop_heartbeat()
@@ -181,11 +179,11 @@ class ContactorGuard:
             raise LeaseRefused(holder, f"the board opened and latched a fault: {fault}; open to clear it, then probe")
 
     def _check_contact(self, holder: str, now: float) -> None:
-        if now - self._frame_time > STALE_FRAME:
-            age = now - self._frame_time
+        age = now - self._frames[-1].time if self._frames else math.inf
+        if age > STALE_FRAME:
             told = "there are none" if math.isinf(age) else f"the last is {age * 1e3:.0f} ms old"
             raise LeaseRefused(holder, f"tactile frames are stale ({told}); nothing shows that the electrodes touch")
-        if now - self._contact_time > STALE_FRAME:
+        if not any(_feels(sample) for sample in reversed(self._frames) if now - sample.time <= STALE_FRAME):
             raise LeaseRefused(holder, f"no contact: no taxel reads {CONTACT_FORCE:g} N on either pad; dock first")
 
     def _begin(self, until: float) -> None:
@@ -284,3 +282,8 @@ class ContactorGuard:
     def _seen_open_since(self, instant: float) -> bool:
         power = self._power
         return power is not None and power.time >= instant and not power.power.contactor_closed
+
+
+def _feels(sample: TactileSample) -> bool:
+    """Whether a live taxel feels contact."""
+    return bool((sample.pads >= CONTACT_FORCE).any())

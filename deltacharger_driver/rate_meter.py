@@ -13,26 +13,26 @@ class RateMeter:
     """Counts events between two looks; one thread counts, another may look.
 
     Attributes:
-        late: events that came late, since the start.
+        total: events since the start.
+        late: those of them that came late.
 
     Args:
         clock: s, monotonic.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
-        self.late = 0
+        self.total = self.late = 0
         self._clock = clock
-        self._count = 0
         self._looked_at_count, self._looked_at = 0, clock()
 
     def count(self, late: bool = False) -> None:
         """Count one event."""
-        self._count += 1
+        self.total += 1
         self.late += late
 
     def rate(self) -> float:
         """Return the events per second, Hz, since the last call; NaN where no time has passed."""
-        count, now = self._count, self._clock()
+        count, now = self.total, self._clock()
         happened, elapsed = count - self._looked_at_count, now - self._looked_at
         self._looked_at_count, self._looked_at = count, now
         return happened / elapsed if elapsed > 0.0 else math.nan

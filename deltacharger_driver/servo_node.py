@@ -46,6 +46,7 @@ from deltacharger_driver.trajectory import JointLimits, check, check_age
 _RELIABLE_LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
 _DIAGNOSTICS_PERIOD = 1.0  # s
 _REFUSAL_PERIOD = 0.2  # s between two diagnostics where trajectories are refused
+_LISTEN_EVERY = 10  # cycles between two looks for a trajectory while it can only be refused
 _LATE = 0.5  # of a period; a cycle that begins later than that is late
 _SERVICE_TIMEOUT = 5.0  # s; a reboot takes up to 3
 
@@ -165,7 +166,8 @@ class ServoNode(Node):
                     return
             now = time.monotonic()
             self._cycles.count(late=now - due > _LATE * self._period)
-            self._take_trajectory()
+            if controller.phase is Phase.ON or self._cycles.total % _LISTEN_EVERY == 0:
+                self._take_trajectory()
             report = controller.cycle()
             if self.context.ok():
                 self._states.publish(report)
