@@ -37,6 +37,7 @@ JOINTS = ("limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint")
 CONTACT_FORCE = 1.0  # N; the pads' smallest reading (paper: 1–9 N)
 LEASE = 0.25  # s; longest lease that tactile_node grants
 _RENEWAL = 0.1  # s between renewals of the lease
+_DISCOVERY = 1.5  # s that a service may take to appear: nodes that start together find each other so late
 _HOLDER = "docking_node"
 
 
@@ -120,6 +121,7 @@ class Services:
         self._felt: tuple[Estimate | None, Misalignment] = None, _unknown()
         self._age = clock_age
         self._renewed = -math.inf
+        self._undelivered: list[tuple[Request, float]] = []  # and until when their services are waited for, s
         self._wanted = False
         self._clients: dict[Service, Any] = {
             Service.TORQUE_ON: node.create_client(SetBool, "set_torque", callback_group=group),
@@ -133,11 +135,26 @@ class Services:
         self._clients[Service.OPEN] = self._contactor
 
     def call(self, request: Request) -> None:
-        """Send a request; its reply appears in `take`."""
+        """Send a request; its reply appears in `take`. A service that is not there yet is waited for a moment."""
+        if self._clients[request.service].service_is_ready():
+            self._send(request)
+        else:
+            self._undelivered.append((request, time.monotonic() + _DISCOVERY))
+
+    def _deliver(self) -> None:
+        """Send what waits for its service, or tell that nobody serves it."""
+        waiting, self._undelivered = self._undelivered, []
+        for request, end in waiting:
+            client = self._clients[request.service]
+            if client.service_is_ready():
+                self._send(request)
+            elif time.monotonic() < end:
+                self._undelivered.append((request, end))
+            else:
+                self._put(Reply(request.number, False, f"no node serves {client.srv_name}"))
+
+    def _send(self, request: Request) -> None:
         client = self._clients[request.service]
-        if not client.service_is_ready():
-            self._put(Reply(request.number, False, f"no node serves {client.srv_name}"))
-            return
         message: Any
         if request.service in (Service.TORQUE_ON, Service.TORQUE_OFF):
             message = SetBool.Request(data=request.service is Service.TORQUE_ON)
@@ -154,6 +171,7 @@ class Services:
 
     def take(self) -> tuple[tuple[Reply, ...], str]:
         """Return the replies since the last call, and why the contactor was refused ('' = it was not)."""
+        self._deliver()
         with self._lock:
             replies, self._replies = tuple(self._replies), []
             return replies, self._refusal

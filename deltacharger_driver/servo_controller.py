@@ -96,6 +96,11 @@ class ServoController:
         return self._unasked_stop
 
     @property
+    def is_asked(self) -> bool:
+        """Whether the next cycle will serve a request."""
+        return not self._requests.empty()
+
+    @property
     def is_releasing(self) -> bool:
         """Whether the torque is about to go off because somebody asked for it."""
         return bool(self._releasing)

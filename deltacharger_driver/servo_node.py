@@ -166,8 +166,8 @@ class ServoNode(Node):
                     return
             now = time.monotonic()
             self._cycles.count(late=now - due > _LATE * self._period)
-            if controller.phase is Phase.ON or self._cycles.total % _LISTEN_EVERY == 0:
-                self._take_trajectory()
+            if controller.phase is Phase.ON or controller.is_asked or self._cycles.total % _LISTEN_EVERY == 0:
+                self._take_trajectory()  # what came before torque goes on is refused, not kept for then
             report = controller.cycle()
             if self.context.ok():
                 self._states.publish(report)
