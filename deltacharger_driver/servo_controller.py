@@ -20,6 +20,7 @@ from deltacharger_driver.servo_bus import ServoBus
 from deltacharger_driver.servo_goals import ServoGoals
 from deltacharger_driver.servo_report import Phase, ServoMemory, ServoReport, find_faults
 from deltacharger_driver.servo_requests import Contactor, NoContactor, Request
+from deltacharger_driver.servo_restarts import ServoRestarts
 from deltacharger_driver.servo_snapshot import BusSettings, Snapshot
 from deltacharger_driver.trajectory import Trajectory
 
@@ -27,7 +28,6 @@ STOP_TIME = 0.5  # s from "goal := present position" to torque off
 OPENING_TIME = 0.3  # s that torque stays on at most, by request, until the contactor is seen open
 _OPENING_LOOK = 0.005  # s between two looks at the contactor where no cycle does it
 _BACKOFF_FIRST, _BACKOFF_LONGEST = 0.25, 0.5  # s between two attempts to open a port that vanished
-_REBOOT_TIME = 3.0  # s until rebooted servos must be back
 _TRIPS, _TRIPS_WITHIN = 3, 2.0  # so many watchdog trips within so many s are a fault
 
 
@@ -74,9 +74,8 @@ class ServoController:
         self._reopen_at = 0.0
         self._backoff = _BACKOFF_FIRST
         self._connection_fault = ""
-        self._rebooting: tuple[Request, float, set[int]] | None = None  # outcome, deadline, servos still away
+        self._restarts = ServoRestarts(self.bus, notify, clock)
         self._trips: deque[float] = deque([-math.inf] * _TRIPS, maxlen=_TRIPS)
-        self._complaint = ""
         self._snapshot: Snapshot | None = None
         self._memory = ServoMemory(len(settings.ids))
 
@@ -195,17 +194,7 @@ class ServoController:
         self._memory.learn(snapshot)
         self._check_watchdogs(snapshot)
         if self._phase is Phase.ON:
-            faults = self._faults()
-            lost = [
-                servo
-                for servo, valid, on in zip(self._ids, snapshot.valid, snapshot.torque_enabled, strict=True)
-                if valid and not on
-            ]
-            if lost:
-                faults.append(f"servo {lost[0]} has switched its torque off by itself")
-            if faults:
-                self.stop("; ".join(faults))
-                self.bus.write_goals(self._goals.angles, self._goals.bounds)
+            self._stop_on_faults(snapshot)
         elif self._phase is Phase.STOPPING and self._may_let_go():
             self._switch_off()
         elif self._phase is Phase.OFF:
@@ -213,13 +202,29 @@ class ServoController:
         if self._phase is Phase.OFF:
             self._restore(snapshot)
 
+    def _stop_on_faults(self, snapshot: Snapshot) -> None:
+        """Stop where something stands in the way of moving, and tell the servos in this cycle already."""
+        faults = self._faults()
+        known = zip(self._ids, snapshot.valid, snapshot.torque_enabled, strict=True)
+        lost = [servo for servo, valid, torque in known if valid and not torque]
+        if lost:
+            faults.append(f"servo {lost[0]} has switched its torque off by itself")
+        if faults:
+            self.stop("; ".join(faults))
+            self.bus.write_goals(self._goals.angles, self._goals.bounds)
+
+    def _restore(self, snapshot: Snapshot) -> None:
+        """Set up again what has restarted; that may be why torque went."""
+        for servo in self._restarts.restore(snapshot):
+            if self._unasked_stop:
+                self._unasked_stop += f"; servo {servo} has restarted by itself"
+        if self._restarts.is_rebooting:
+            self._restarts.look(snapshot, self._faults())
+
     def _keep_off(self, snapshot: Snapshot) -> None:
         """Switch off a servo that did not hear it when it was told, as soon as it answers again."""
-        on = [
-            servo
-            for servo, valid, torque in zip(self._ids, snapshot.valid, snapshot.torque_enabled, strict=True)
-            if valid and torque
-        ]
+        known = zip(self._ids, snapshot.valid, snapshot.torque_enabled, strict=True)
+        on = [servo for servo, valid, torque in known if valid and torque]
         if on:
             self._notify("warning", f"servos {on} have torque that nobody ordered; switching it off")
             self.bus.disable_torque()
@@ -264,36 +269,6 @@ class ServoController:
             return [self._connection_fault or "not connected"]
         return find_faults(self._ids, self._snapshot) if self._snapshot is not None else []
 
-    def _restore(self, snapshot: Snapshot) -> None:
-        """Set restarted servos up again, torque off, and finish a reboot that was asked for."""
-        for index, rebooted in enumerate(snapshot.rebooted):
-            if not rebooted:
-                continue
-            try:
-                self.bus.configure(index)
-                self._notify("warning", f"servo {self._ids[index]} had restarted; set up again, torque off")
-                if self._rebooting is not None:
-                    self._rebooting[2].discard(index)
-                elif self._unasked_stop:
-                    self._unasked_stop += f"; servo {self._ids[index]} has restarted by itself"
-            except PortGone:
-                raise
-            except DriverError as error:
-                if str(error) != self._complaint:
-                    self._complaint = str(error)
-                    self._notify("warning", f"servo {self._ids[index]} had restarted: {error}")
-        if self._rebooting is None:
-            return
-        request, deadline, away = self._rebooting
-        if not away and snapshot.complete:
-            latched = self._faults()
-            request.finish(not latched, "; ".join(latched) or "rebooted and set up; torque is off")
-        elif self._clock() >= deadline:
-            request.finish(False, "; ".join(self._faults()) or "the servos did not come back in time")
-        else:
-            return
-        self._rebooting = None
-
     def _serve_requests(self) -> None:
         while not self._requests.empty():
             request = self._requests.get_nowait()
@@ -320,7 +295,7 @@ class ServoController:
             request.finish(False, f"stopping: {self._stop_reason}")
             return
         faults = self._faults()
-        if faults or self._rebooting is not None:
+        if faults or self._restarts.is_rebooting:
             request.finish(False, "; ".join(faults) or "the servos are being rebooted")
             return
         snapshot = self.bus.enable_torque(self._goals.default)
@@ -362,18 +337,10 @@ class ServoController:
         self._releasing.clear()
 
     def _reboot(self, request: Request) -> None:
-        if self._phase is not Phase.OFF:
+        if self._phase is Phase.OFF:
+            self._restarts.reboot(request, self._snapshot)
+        else:
             request.finish(False, f"{self._phase.value}; call set_torque with false first")
-            return
-        if self._rebooting is not None:
-            request.finish(False, "the servos are being rebooted already")
-            return
-        snapshot = self._snapshot
-        faulty = [i for i, bits in enumerate(snapshot.hardware_error) if bits] if snapshot is not None else []
-        away = set(faulty or range(len(self._ids)))
-        for index in sorted(away):
-            self.bus.reboot(index)
-        self._rebooting = (request, self._clock() + _REBOOT_TIME, away)
 
     def _reopen(self) -> None:
         now = self._clock()
@@ -411,9 +378,7 @@ class ServoController:
         self._notify("error", str(error))
 
     def _refuse_all(self, reason: str) -> None:
-        if self._rebooting is not None:
-            self._rebooting[0].finish(False, reason)
-            self._rebooting = None
+        self._restarts.refuse(reason)
         for request in self._releasing:
             request.finish(False, reason)
         self._releasing.clear()
