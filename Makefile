@@ -10,7 +10,7 @@ COLCON := build/colcon
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_DOMAIN_ID ?= 87
 
-.PHONY: dock test check lint types colcon bench clean
+.PHONY: dock test check lint types colcon trainers bench clean
 
 dock: $(INSTALLED)  ## dock in simulation and draw the run
 	$(BIN)/deltacharger dock --scene $(SCENE) --picture dock.png
@@ -34,6 +34,10 @@ colcon: $(INSTALLED)  ## build as a ROS workspace package and load an interface 
 	. $(COLCON)/install/local_setup.sh && $(BIN)/python -c 'import deltacharger.action as a; print(a.__file__)' \
 	  | grep -q $(COLCON)/install
 	test -x $(COLCON)/install/deltacharger/lib/deltacharger/docking_node
+
+# Of PyTorch the newest version that was tried; a build for the CPU is enough.
+trainers: $(INSTALLED)  ## what training the classifiers needs, else their tests are skipped
+	$(BIN)/python -m pip install --quiet torch==2.13.0 scikit-learn xgboost-cpu
 
 # The last two judge by their exit status too: a target that is missed there must not hide the other figures.
 bench: $(INSTALLED)  ## what charger and driver keep up with, about 20 minutes; QUICK=1: the same in 5

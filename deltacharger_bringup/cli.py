@@ -18,6 +18,7 @@ from deltacharger_bringup.cli_calibrate_options import add_kinematics
 from deltacharger_bringup.cli_hardware_options import add_doctor, add_fault, add_simulate
 from deltacharger_bringup.cli_output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
 from deltacharger_bringup.cli_parser import Parser, Version, add_command
+from deltacharger_bringup.cli_tactile_options import add_tactile
 from deltacharger_bringup.cli_types import DEGREES, MILLIMETRES, POSITIVE, SEED, deadline, namespace, whole
 
 DEFAULT_SCENE = "simulated"
@@ -25,7 +26,6 @@ DEFAULT_PICTURE = "dock.png"
 DEFAULT_REPORT = "report-kinematics"
 
 _LATER: dict[str, tuple[str, ...]] = {
-    "tactile": ("generate", "record", "train", "evaluate", "compare"),
     "vision": ("detect",),
     "campaign": (),
     "view": (),
@@ -34,7 +34,8 @@ _LATER: dict[str, tuple[str, ...]] = {
 """Commands of the interface that this version knows and does not have yet."""
 _LATER_ACTIONS: dict[str, tuple[str, ...]] = {
     "calibrate": ("camera", "tactile"),
-    "report": ("simulation", "vision", "footprint"),
+    "report": ("tactile", "simulation", "vision", "footprint"),
+    "tactile": ("record", "compare"),
 }
 """What is not there yet of commands that are."""
 
@@ -117,6 +118,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_doctor(commands)
     _add_calibrate(commands)
     _add_report(commands)
+    _add_tactile(commands)
     for name, parts in _LATER.items():
         what = f" ({'|'.join(parts)})" if parts else ""
         commands.add_parser(name, help=f"not yet available{what}", add_help=False)
@@ -264,6 +266,15 @@ def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     kinematics.add_argument("--seed", type=SEED, default=1, metavar="S", help="of every set (default: 1)")
     kinematics.add_argument("--quick", action="store_true", help="fewer points and shorter timings, for a first look")
     for name in _LATER_ACTIONS["report"]:
+        actions.add_parser(name, help="not yet available", add_help=False)
+
+
+def _add_tactile(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    text = "simulate tactile data, train and judge classifiers of misalignment"
+    parser = commands.add_parser("tactile", help=text, description=text[0].upper() + text[1:] + ".")
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    add_tactile(actions)
+    for name in _LATER_ACTIONS["tactile"]:
         actions.add_parser(name, help="not yet available", add_help=False)
 
 

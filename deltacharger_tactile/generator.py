@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,13 +100,19 @@ class Dataset:
         """Read what `save` wrote.
 
         Raises:
-            DatasetError: an array is missing.
+            FileNotFoundError: there is no such file.
+            DatasetError: it is no npz file, or an array is missing.
         """
-        with np.load(path, allow_pickle=False) as file:
-            missing = [name for name in (*_ARRAYS, "meta") if name not in file]
-            if missing:
-                raise DatasetError(str(path), f"no array {', '.join(missing)}; generate the data set anew")
-            return Dataset(meta=json.loads(str(file["meta"])), **{name: file[name] for name in _ARRAYS})
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                missing = [name for name in (*_ARRAYS, "meta") if name not in file]
+                if missing:
+                    raise DatasetError(str(path), f"no array {', '.join(missing)}; generate the data set anew")
+                return Dataset(meta=json.loads(str(file["meta"])), **{name: file[name] for name in _ARRAYS})
+        except (zipfile.BadZipFile, EOFError, ValueError, TypeError) as error:
+            if isinstance(error, DatasetError):
+                raise
+            raise DatasetError(str(path), "it is no data set in npz format; generate one") from error
 
 
 _ARRAYS = tuple(item.name for item in dataclasses.fields(Dataset) if item.name != "meta")

@@ -1,0 +1,111 @@
+"""Training of the paper's two networks with PyTorch, on CUDA where there is one."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_tactile.classifiers.classifier import Learnt, Progress
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.int64]
+Arrays = dict[str, NDArray[Any]]
+
+EPOCHS = 50
+"""Passes over the data, from the paper; so are cross entropy, ReduceLROnPlateau and the kinds of layers. Widths, batch
+and rate of learning are not in its text."""
+_DENSE = (512, 256, 128)  # widths of nn; narrower ones do worse on horizontal by one to three points
+_BATCH = 32
+_RATE = 1e-3
+_PATIENCE = 5  # epochs without a smaller loss until the rate is divided by ten
+
+
+def build(name: str, classes: int) -> Any:
+    """Return the network: `nn`, dense with batch normalisation; `cnn`, two convolutions and three dense layers."""
+    from torch import nn
+
+    if name == "nn":
+        layers: list[Any] = []
+        for width, following in itertools.pairwise((200, *_DENSE)):
+            layers += [nn.Linear(width, following), nn.BatchNorm1d(following), nn.ReLU()]
+        return nn.Sequential(*layers, nn.Linear(_DENSE[-1], classes))
+    return nn.Sequential(
+        nn.Unflatten(1, (2, 10, 10)),
+        nn.Conv2d(2, 16, 3, padding=1), nn.ReLU(),
+        nn.Conv2d(16, 32, 3, padding=1), nn.ReLU(),
+        nn.Flatten(),
+        nn.Linear(3200, 128), nn.ReLU(),
+        nn.Linear(128, 64), nn.ReLU(),
+        nn.Linear(64, classes),
+    )  # fmt: skip
+
+
+def train(name: str, inputs: Array, labels: Labels, seed: int, progress: Progress) -> Learnt:
+    """Train the network `name` on inputs (N, 200) N with labels (N,), every class from 0 on among them."""
+    import torch
+
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    generator = torch.Generator().manual_seed(seed)
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        model = build(name, int(labels.max()) + 1).to(device)
+        _learn(model, inputs, labels, generator, lambda epoch: progress(epoch / EPOCHS, f"{name}: epoch {epoch}"))
+    model.eval().double()  # what float32 rounds differs from library to library by more than the export may
+
+    def trainer_proba(values: Array) -> Array:
+        with torch.no_grad():
+            scores = model(torch.as_tensor(values, dtype=torch.float64, device=device))
+            return np.asarray(torch.softmax(scores, dim=1).cpu().numpy())
+
+    return Learnt("network", _export(model), trainer_proba)
+
+
+def _learn(model: Any, inputs: Array, labels: Labels, generator: Any, done: Callable[[int], None]) -> None:
+    import torch
+
+    device = next(model.parameters()).device
+    x = torch.as_tensor(inputs, dtype=torch.float32, device=device)
+    y = torch.as_tensor(labels, device=device)
+    loss_of = torch.nn.CrossEntropyLoss()
+    optimizer = torch.optim.Adam(model.parameters(), lr=_RATE)
+    scheduler = torch.optim.lr_scheduler.ReduceLROnPlateau(optimizer, patience=_PATIENCE)
+    model.train()
+    for epoch in range(EPOCHS):
+        total = 0.0
+        for rows in torch.randperm(len(x), generator=generator).split(_BATCH):
+            if len(rows) < 2:  # batch normalisation knows no spread of one
+                continue
+            optimizer.zero_grad()
+            loss = loss_of(model(x[rows]), y[rows])
+            loss.backward()
+            optimizer.step()
+            total += float(loss.detach()) * len(rows)
+        scheduler.step(total / len(x))
+        done(epoch + 1)
+
+
+def _export(model: Any) -> Arrays:
+    """Return the layers as arrays, batch normalisation folded into the dense layer before it."""
+    from torch import nn
+
+    arrays: dict[str, NDArray[Any]] = {}
+    counts = {"convolution": 0, "dense": 0}
+    last = ""
+    for layer in model:
+        if isinstance(layer, nn.BatchNorm1d):
+            scale = (layer.weight / (layer.running_var + layer.eps).sqrt()).detach().cpu().numpy()
+            shift = layer.bias.detach().cpu().numpy() - layer.running_mean.cpu().numpy() * scale
+            arrays[f"{last}_bias"] = arrays[f"{last}_bias"] * scale + shift
+            arrays[last] = arrays[last] * scale
+        elif isinstance(layer, nn.Linear | nn.Conv2d):
+            stem = "dense" if isinstance(layer, nn.Linear) else "convolution"
+            last = f"{stem}{counts[stem]}"
+            counts[stem] += 1
+            weight = layer.weight.detach().cpu().numpy()
+            arrays[last] = weight.T if stem == "dense" else weight.transpose(2, 3, 1, 0)
+            arrays[f"{last}_bias"] = layer.bias.detach().cpu().numpy()
+    return arrays

@@ -1,0 +1,122 @@
+"""Class probabilities from arrays, on numpy alone: what a trained classifier is once its trainer has gone.
+
+Each kind is a function of arrays (named as in the file) and inputs. Trees compare as their trainer did, in float32
+where it did, so that a reading on a threshold falls to the same side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Arrays = Mapping[str, NDArray[Any]]
+
+
+def softmax(scores: Array) -> Array:
+    """Return the softmax of scores (N, C) along the classes."""
+    shifted = np.exp(scores - scores.max(axis=1, keepdims=True))
+    return np.asarray(shifted / shifted.sum(axis=1, keepdims=True))
+
+
+def linear(arrays: Arrays, inputs: Array) -> Array:
+    """Softmax of `inputs` (N, F) @ `weights` (F, C) + `bias` (C)."""
+    return softmax(inputs @ arrays["weights"] + arrays["bias"])
+
+
+def one_against_rest(arrays: Arrays, inputs: Array) -> Array:
+    """Logistic of each class's score, divided by their sum."""
+    scores = inputs @ arrays["weights"] + arrays["bias"]
+    each = 1.0 / (1.0 + np.exp(-np.clip(scores, -500.0, 500.0)))
+    return np.asarray(each / each.sum(axis=1, keepdims=True))
+
+
+def neighbours(arrays: Arrays, inputs: Array) -> Array:
+    """Share of each class among the `count` nearest of `examples` (M, F) with `labels` (M,), Euclidean."""
+    examples, labels, count = arrays["examples"], arrays["labels"], int(arrays["count"])
+    squared = np.sum(inputs * inputs, axis=1)[:, None] - 2.0 * inputs @ examples.T + np.sum(examples * examples, axis=1)
+    nearest = np.argsort(squared, axis=1, kind="stable")[:, :count]
+    votes = np.zeros((len(inputs), int(arrays["classes"])))
+    np.add.at(votes, (np.arange(len(inputs))[:, None], labels[nearest]), 1.0 / count)
+    return votes
+
+
+def forest(arrays: Arrays, inputs: Array) -> Array:
+    """Mean over trees of the class shares in the leaf that each input reaches."""
+    return np.asarray(_leaves(arrays, inputs, arrays["value"]).mean(axis=1))
+
+
+def boosted(arrays: Arrays, inputs: Array) -> Array:
+    """Softmax of `base` (C,) plus the leaves of each class's trees; `owner` (T,) is the class of a tree."""
+    leaves = _leaves(arrays, inputs, arrays["value"])[:, :, 0]
+    scores = np.tile(np.asarray(arrays["base"], dtype=float), (len(inputs), 1))
+    for tree, owner in enumerate(arrays["owner"].tolist()):
+        scores[:, owner] += leaves[:, tree]
+    return softmax(scores)
+
+
+def _leaves(arrays: Arrays, inputs: Array, value: NDArray[Any]) -> Array:
+    """Return what stands in the leaf that each input (N, F) reaches in each tree: (N, T, K).
+
+    The nodes of all trees stand in one table: `feature` (negative in a leaf), `threshold`, `left`, `right`; `root` (T,)
+    is where each begins. All inputs walk down all trees at once. `strict` tells whether left means below the threshold
+    or at most at it.
+    """
+    feature, threshold = arrays["feature"], arrays["threshold"]
+    left, right = arrays["left"], arrays["right"]
+    readings = np.asarray(inputs, dtype=np.float32)
+    strict = bool(arrays["strict"])
+    node = np.broadcast_to(arrays["root"], (len(inputs), len(arrays["root"]))).copy()
+    rows = np.arange(len(inputs))[:, None]
+    while True:
+        split = feature[node]
+        inner = split >= 0
+        if not inner.any():
+            return np.asarray(value[node], dtype=float)
+        reading = readings[rows, np.maximum(split, 0)]
+        goes_left = reading < threshold[node] if strict else reading <= threshold[node]
+        node = np.where(inner, np.where(goes_left, left[node], right[node]), node)
+
+
+def network(arrays: Arrays, inputs: Array) -> Array:
+    """Softmax of a network: 3 × 3 convolutions over two channels where there are any, then dense layers, ReLU between.
+
+    Batch normalisation is folded into the weights. `convolution<i>` (3, 3, in, out), `dense<i>` (in, out), each with
+    its `…_bias`; dense layers see the planes flattened channel by channel, as PyTorch does.
+    """
+    values: NDArray[Any] = np.asarray(inputs, dtype=float)
+    if "convolution0" in arrays:
+        planes = values.reshape(len(values), 2, 10, 10).transpose(0, 2, 3, 1)
+        for name in _numbered(arrays, "convolution"):
+            planes = np.maximum(_convolve(planes, arrays[name]) + arrays[f"{name}_bias"], 0.0)
+        values = planes.transpose(0, 3, 1, 2).reshape(len(values), -1)
+    names = _numbered(arrays, "dense")
+    for name in names[:-1]:
+        values = np.maximum(values @ arrays[name] + arrays[f"{name}_bias"], 0.0)
+    return softmax(np.asarray(values @ arrays[names[-1]] + arrays[f"{names[-1]}_bias"]))
+
+
+def _convolve(planes: NDArray[Any], kernel: NDArray[Any]) -> NDArray[Any]:
+    """Correlate planes (N, H, W, in) with a kernel (3, 3, in, out), zeros around, same size."""
+    padded = np.pad(planes, ((0, 0), (1, 1), (1, 1), (0, 0)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))  # N, H, W, in, 3, 3
+    flat = windows.reshape(*windows.shape[:3], -1)
+    return np.asarray(flat @ kernel.transpose(2, 0, 1, 3).reshape(-1, kernel.shape[3]))
+
+
+def _numbered(arrays: Arrays, stem: str) -> list[str]:
+    return [f"{stem}{index}" for index in range(len(arrays)) if f"{stem}{index}" in arrays]
+
+
+KINDS: dict[str, Callable[[Arrays, Array], Array]] = {
+    "linear": linear,
+    "one_against_rest": one_against_rest,
+    "neighbours": neighbours,
+    "forest": forest,
+    "boosted": boosted,
+    "network": network,
+}
+"""What the `kind` of a file means."""

@@ -1,0 +1,56 @@
+"""Which frames are learnt from and which judge: by docking, by device, by session, or, as in the paper, at random."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_tactile.classifiers.labels import Examples
+from deltacharger_tactile.errors import DatasetError
+
+Rows = NDArray[np.int64]
+
+PAPER_SHARE = 0.67
+"""Of the dockings that the paper trains with."""
+
+
+def by_docking(examples: Examples, seed: int, share: float = PAPER_SHARE) -> tuple[Rows, Rows]:
+    """Split at random with all frames of a docking on one side; where each docking has one frame, the paper's split.
+
+    Args:
+        examples: what is split.
+        seed: of the split.
+        share: of the dockings that are learnt from.
+
+    Returns:
+        rows to learn from, rows to judge by.
+    """
+    random = np.random.default_rng([0x59117, seed])
+    groups = np.unique(examples.groups)
+    chosen = random.permutation(groups)[: round(share * len(groups))]
+    learns = np.isin(examples.groups, chosen)
+    return np.flatnonzero(learns), np.flatnonzero(~learns)
+
+
+def by_frame(examples: Examples, seed: int, share: float = PAPER_SHARE) -> tuple[Rows, Rows]:
+    """Split frames at random whatever their docking; flatters where a docking has several."""
+    order = np.random.default_rng([0xF4A3E, seed]).permutation(len(examples))
+    count = round(share * len(order))
+    return np.sort(order[:count]), np.sort(order[count:])
+
+
+def leave_one_out(examples: Examples, what: str) -> list[tuple[Rows, Rows]]:
+    """Return one split for each rig or session, which alone judges.
+
+    Args:
+        examples: what is split.
+        what: `rigs` or `sessions`.
+
+    Raises:
+        DatasetError: there is only one.
+    """
+    owners = getattr(examples, what)
+    every = np.unique(owners)
+    if len(every) < 2:
+        raise DatasetError(what, "there is only one; generate or record more of them")
+    return [(np.flatnonzero(owners != owner), np.flatnonzero(owners == owner)) for owner in every]

@@ -1,0 +1,104 @@
+"""`deltacharger tactile`: from a simulated data set to a judged classifier, and what is said where that cannot be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deltacharger_bringup.cli import main
+from deltacharger_bringup.cli_output import DONE, WRONG_INPUT
+from deltacharger_bringup.cli_tactile_options import MODELS
+from deltacharger_tactile.classifiers.classifier import NAMES
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("tactile") / "data.npz"
+    assert main(["tactile", "generate", "--rigs", "1", "--seed", "3", "--out", str(path)]) == DONE
+    return path
+
+
+def answer(capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
+    return dict(json.loads(capsys.readouterr().out.splitlines()[-1]))
+
+
+def test_the_command_knows_every_classifier() -> None:
+    assert set(MODELS) == set(NAMES)
+
+
+def test_a_data_set_has_the_fields_that_are_promised(data: Path) -> None:
+    with np.load(data, allow_pickle=False) as file:
+        assert file["left"].shape == file["right"].shape == (1100, 10, 10)
+        assert file["tare"].shape == (1100, 2, 10, 10)
+        for name in ("angle", "vertical", "horizontal", "current"):
+            assert file[name].shape == (1100,)
+        for name in ("attempt", "session", "rig", "subset"):
+            assert np.issubdtype(file[name].dtype, np.integer)
+        meta = json.loads(str(file["meta"]))
+    assert (meta["protocol"], meta["seed"], meta["rigs"]) == ("paper", 3, [0])
+    assert meta["parameters"]["sensor"]
+
+
+def test_the_same_seed_makes_the_same_data(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    again, other = tmp_path / "again.npz", tmp_path / "other.npz"
+    assert main(["tactile", "generate", "--rigs", "1", "--seed", "3", "--out", str(again), "--json"]) == DONE
+    assert answer(capsys)["n"] == 1100
+    assert main(["tactile", "generate", "--rigs", "1", "--seed", "4", "--out", str(other)]) == DONE
+    with np.load(data) as one, np.load(again) as two, np.load(other) as three:
+        assert all(np.array_equal(one[name], two[name]) for name in one.files)
+        assert not np.array_equal(one["left"], three["left"])
+
+
+def test_signed_poses_are_averaged_over_as_many_frames_as_asked(tmp_path: Path) -> None:
+    path = tmp_path / "data.npz"
+    words = ["--protocol", "continuous", "--rigs", "2", "--dockings", "30", "--frames", "5", "--out", str(path)]
+    assert main(["tactile", "generate", *words]) == DONE
+    with np.load(path) as file:
+        assert len(file["angle"]) == 60
+        assert file["angle"].min() < 0.0 < file["angle"].max()
+        assert json.loads(str(file["meta"]))["frames"] == 5
+
+
+def test_trained_and_judged(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
+    model, fresh = tmp_path / "model.npz", tmp_path / "fresh.npz"
+    words = ["--data", str(data), "--model", "lda", "--target", "vertical", "--out", str(model), "--json"]
+    assert main(["tactile", "train", *words]) == DONE
+    assert answer(capsys)["n"] == 400
+    assert main(["tactile", "generate", "--rigs", "1", "--seed", "9", "--out", str(fresh)]) == DONE
+    assert main(["tactile", "evaluate", "--data", str(fresh), "--model", str(model), "--json"]) == DONE
+    found = answer(capsys)
+    assert (found["target"], found["n"], found["nominal"]) == ("vertical", 500, 0.95)
+    assert found["accuracy"] > 0.9  # type: ignore[operator]
+    assert 0.0 < found["mean_absolute_error"] < 0.001  # type: ignore[operator]
+    assert all(0.0 <= found[name] <= 1.0 for name in ("coverage", "act_rate", "drift_rate"))  # type: ignore[operator]
+    assert main(["tactile", "evaluate", "--data", str(fresh), "--model", str(model)]) == DONE
+    assert "simulated" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("generate", "--out", "data.csv"), "ends in .npz"),
+        (("generate", "--out", "nowhere/data.npz"), "does not exist"),
+        (("evaluate", "--data", "missing.npz", "--model", "missing.npz"), "no such file"),
+        (("evaluate", "--data", "DATA", "--model", "DATA"), "no classifier"),
+        (("evaluate", "--data", "DATA", "--model", "missing.npz"), "missing.npz"),
+        (("train", "--data", "broken.npz", "--model", "lda", "--target", "angle", "--out", "m.npz"), "broken.npz"),
+    ],
+)
+def test_wrong_input_is_named(
+    words: tuple[str, ...],
+    says: str,
+    data: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("broken.npz").write_text("no archive")
+    assert main(["tactile", *(str(data) if word == "DATA" else word for word in words), "--json"]) == WRONG_INPUT
+    assert says in str(answer(capsys)["error"])
