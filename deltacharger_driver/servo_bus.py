@@ -117,7 +117,7 @@ class ServoBus:
         return self._read(b"")
 
     def exchange(self, angles: Sequence[float], currents: Sequence[float]) -> Snapshot:
-        """Send the goals as `write_goals` does and return the state as `read` does, at half the cost of both.
+        """Send the goals as `write_goals` does and return the state as `read` does, in one piece.
 
         Raises:
             RangeError, PortGone: as both.

@@ -11,11 +11,10 @@ from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortGone, ServoFault, WrongThread
 from deltacharger_driver.mx64 import ALERT, REGISTERS, describe_status_error
 from deltacharger_driver.servo_port import PATIENCE, REPLY_MARGIN, ServoPort
-from deltacharger_driver.servo_protocol import LinkCounters, ServoProtocol
+from deltacharger_driver.servo_protocol import TAKES_NOTHING, LinkCounters, ServoProtocol
 
 ATTEMPTS = 3
 """How often a read or write is tried before it fails; reads and writes of registers may be repeated without harm."""
-_TAKES_NOTHING = "it takes no more bytes"
 
 
 class ServoLink:
@@ -172,7 +171,7 @@ class ServoLink:
             self._handler, servo, register.address, register.size, list(register.to_bytes(value))
         )
         if result != COMM_SUCCESS:
-            raise PortGone(self.port, _TAKES_NOTHING)
+            raise PortGone(self.port, TAKES_NOTHING)
 
     def sync_read(
         self, servos: Sequence[int], address: int, length: int, ahead: bytes = b""
@@ -188,8 +187,7 @@ class ServoLink:
             PortGone: the port vanished or takes nothing.
         """
         self._check_owner()
-        if not self._protocol.send(self._handler, packets):
-            raise PortGone(self.port, _TAKES_NOTHING)
+        self._protocol.send(self._handler, packets)
 
     def reboot(self, servo: int) -> None:
         """Restart a servo: its torque goes off, latched errors are cleared, what is not in EEPROM is lost.

@@ -22,7 +22,10 @@ from dynamixel_sdk.robotis_def import (
     INST_SYNC_WRITE,
 )
 
+from deltacharger_driver.errors import PortGone
 from deltacharger_driver.servo_port import ServoPort
+
+TAKES_NOTHING = "it takes no more bytes"
 
 _ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
 _HEADER = b"\xff\xff\xfd\0"
@@ -127,16 +130,16 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
         del packet[_INSTRUCTION + len(body) + 2 :]
         return packet
 
-    def send(self, port: ServoPort, packets: bytes) -> bool:
-        """Send whole packets in one piece; return whether the port took them. What came before is discarded, after a
-        failure once the line has fallen silent.
+    def send(self, port: ServoPort, packets: bytes) -> None:
+        """Send whole packets in one piece. What came before is discarded, after a failure once the line is silent.
 
         Raises:
-            PortGone: the port vanished.
+            PortGone: the port vanished or takes nothing.
         """
         self._settle(port)
         port.clearPort()
-        return port.writePort(packets) == len(packets)
+        if port.writePort(packets) != len(packets):
+            raise PortGone(str(port.port_name), TAKES_NOTHING)
 
     def txPacket(self, port: ServoPort, txpacket: list[int]) -> int:  # noqa: N802
         """Send an instruction; after a failure, wait for the line to fall silent first."""
@@ -229,8 +232,7 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
             PortGone: the port vanished.
         """
         replies: dict[int, tuple[int, bytes]] = {}
-        if not self.send(port, ahead + sync_read_packet(address, length, tuple(servos))):
-            return replies
+        self.send(port, ahead + sync_read_packet(address, length, tuple(servos)))
         port.setPacketTimeout((_SHORTEST + length) * len(servos))
         while len(replies) < len(servos):
             packet, result = self.rxPacket(port)

@@ -185,3 +185,12 @@ def test_torque_off_reaches_the_servos_that_answer(bus: ServoBus, emulator: Serv
     emulator.faults.missing = {1}
     bus.disable_torque()
     assert arm.torque_enabled() == [True, False, False]
+
+
+def test_goals_that_the_port_does_not_take_are_told_and_not_forgotten(
+    bus: ServoBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert bus.exchange((0.0, 0.0, 0.0), BOUND).complete
+    monkeypatch.setattr(bus._link._handler, "writePort", lambda packet: 0)
+    with pytest.raises(PortGone, match="takes no more bytes"):
+        bus.exchange((0.1, 0.1, 0.1), BOUND)
