@@ -1,10 +1,12 @@
-"""Options of the whole suite: where the driver's contract finds real devices, and what it may do with them."""
+"""Options of the suite (real devices for the driver's contract, what it may do with them) and its stall watch."""
 
 from __future__ import annotations
 
 import argparse
 
 import pytest
+
+from .stalls import StallWatch
 
 DEVICES = ("servo", "board")
 
@@ -45,3 +47,4 @@ def pytest_configure(config: pytest.Config) -> None:
     for device in DEVICES:
         if named.count(device) > 1:
             raise pytest.UsageError(f"--port {device}=PATH is given {named.count(device)} times; give it once")
+    config.pluginmanager.register(StallWatch(), "stall-watch")

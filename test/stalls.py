@@ -1,0 +1,59 @@
+"""A test that failed while this computer stood still is run once more, and the summary says so.
+
+The tests hold real deadlines: a heartbeat is lost after 95 ms, a lease lapses after 250 ms. A virtual machine that
+is not served for that long loses them as a robot's computer would, and the test then shows nothing about the code.
+A sleeping thread measures how late the computer and the interpreter wake it; where it woke on time, a failure stands.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+from _pytest.runner import runtestprotocol
+
+STALL = 0.04  # s; half of a heartbeat's slack, and five times what the interpreter's own switching costs
+_NAP = 0.01  # s
+
+
+class StallWatch:
+    """Plugin: measures stalls beside every test and repeats a failed one that was hit by a stall."""
+
+    def __init__(self) -> None:
+        self._longest = 0.0
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True, name="stall-watch")
+        self._repeated: list[str] = []
+
+    def _watch(self) -> None:
+        before = time.monotonic()
+        while not self._end.wait(_NAP):
+            now = time.monotonic()
+            self._longest = max(self._longest, now - before - _NAP)
+            before = now
+
+    def pytest_sessionstart(self) -> None:
+        self._thread.start()
+
+    def pytest_sessionfinish(self) -> None:
+        self._end.set()
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> bool:
+        """Run one test; twice where the first run failed beside a stall."""
+        item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+        self._longest = 0.0
+        reports = runtestprotocol(item, nextitem=nextitem, log=False)
+        if self._longest > STALL and any(report.failed for report in reports):
+            self._repeated.append(f"{item.nodeid}: the computer stood still for {self._longest * 1e3:.0f} ms")
+            item._initrequest()  # type: ignore[attr-defined]
+            reports = runtestprotocol(item, nextitem=nextitem, log=False)
+        for report in reports:
+            item.ihook.pytest_runtest_logreport(report=report)
+        item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+        return True
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        for line in self._repeated:
+            terminalreporter.write_line(f"REPEATED {line}")
