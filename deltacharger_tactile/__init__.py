@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deltacharger_tactile.estimator import Estimate, PoseEstimator
+from deltacharger_tactile.estimate import Estimate
+from deltacharger_tactile.estimator import PoseEstimator
 
 __all__ = ["MODEL_PATH", "Estimate", "PoseEstimator", "default_model"]
 

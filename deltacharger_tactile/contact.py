@@ -141,6 +141,8 @@ class ContactModel:
             inside = np.maximum(distance - (half - radius), 0.0)
             gap += radius - np.sqrt(np.maximum(radius * radius - inside * inside, 0.0))
             gap += (inside > radius) * _MISSED
+        if p.hole > 0.0:
+            gap += (qx * qx + qy * qy < 0.25 * p.hole * p.hole) * _MISSED
         return np.asarray(gap)
 
     def _carry(self, height: Array, highest: Array, force: Array) -> tuple[Array, Array]:

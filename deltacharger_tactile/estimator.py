@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,16 +17,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deltacharger_tactile import features
+from deltacharger_tactile import features, npz
+from deltacharger_tactile.dataset import ANGLE_LIMIT, POSITION_LIMIT
 from deltacharger_tactile.errors import ModelError
-from deltacharger_tactile.generator import ANGLE_CLASSES, ANGLE_LIMIT, POSITION_CLASSES, POSITION_LIMIT
+from deltacharger_tactile.estimate import Estimate, Limits, angle_classes, position_classes
 from deltacharger_tactile.network import Network, Weights, fit
-from deltacharger_tactile.parameters import CONTACT_THRESHOLD
+from deltacharger_tactile.parameters import COLUMNS, CONTACT_THRESHOLD, ROWS
 from deltacharger_tactile.support import Support
 
 Array = NDArray[np.float64]
 
-FORMAT = 1
+FORMAT = 2
 THRESHOLD = 0.25
 """Readings below it are noise, N: five times the offset that a contact leaves after a tare."""
 _SCALE = np.array([0.005, 0.005, math.radians(6.0)])
@@ -34,69 +35,12 @@ _FLOOR = np.array([1e-4, 5e-5, math.radians(0.03)])
 """Smallest standard deviations ever reported."""
 _SMALLEST_FACTOR = 0.85
 """Held-out rigs may shrink the networks' own standard deviations no further than this."""
+NOMINAL = 0.95
+"""Share of the errors that `PoseEstimator.interval` standard deviations hold on rigs that training did not see."""
 _EXPERTS = ("both", "one")
 _CLIP = 6.0
-
-
-@dataclass(frozen=True)
-class Limits:
-    """When an estimate may be used.
-
-    Attributes:
-        pad_force: N, smallest load with which a pad holds its ridge.
-        pad_active: smallest number of taxels above the threshold on each pad.
-        pad_dead: most dead taxels of a pad.
-        angle_stddev: rad, largest standard deviation that is sure.
-        vertical_stddev: m, likewise.
-        horizontal_stddev: m, likewise.
-    """
-
-    pad_force: float = 3.0
-    pad_active: int = 4
-    pad_dead: int = 3
-    angle_stddev: float = math.radians(0.5)
-    vertical_stddev: float = 0.8e-3
-    horizontal_stddev: float = 3.0e-3
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """Pose of the target in end_effector as felt; floats for one frame pair, arrays (...) for a batch.
-
-    NaN = unknown (no contact). Standard deviations are errors against the pose in contact on rigs that training
-    did not see.
-
-    Attributes:
-        angle: rad about +z, from +x to +y.
-        angle_stddev: rad.
-        vertical: m along y.
-        vertical_stddev: m.
-        horizontal: m along x.
-        horizontal_stddev: m.
-        in_range: both pads hold the ridge, the frames look like those of training, and the pose lies within the limits.
-        contact: some live taxel feels 1 N or more.
-        sure: in range and precise.
-        angle_probability: (..., 6) classes of |angle| 0–5°, the last one open.
-        vertical_probability: (..., 5) classes −10…10 mm, both ends open.
-        horizontal_probability: (..., 5) classes −10…10 mm, both ends open.
-        left_force: N, load of the pad at +x.
-        right_force: N, load of the pad at −x.
-    """
-
-    angle: Any
-    angle_stddev: Any
-    vertical: Any
-    vertical_stddev: Any
-    horizontal: Any
-    horizontal_stddev: Any
-    in_range: Any
-    contact: Any
-    sure: Any
-    angle_probability: Any
-    vertical_probability: Any
-    horizontal_probability: Any
-    left_force: Any
-    right_force: Any
+_FEWEST = 512  # dockings that an expert is fitted to; a batch of the networks
+_FEWEST_HELD_OUT = 50
 
 
 @dataclass(frozen=True)
@@ -130,6 +74,11 @@ class PoseEstimator:
         hidden: widths of the hidden layers of each network.
         members: networks per expert.
         epochs: passes over the training data.
+
+    Attributes:
+        limits: when an estimate may be used.
+        interval: (3,) standard deviations of (horizontal, vertical, angle) that hold the nominal share of the errors,
+            split-conformal on rigs that training did not see; inf before `fit`.
     """
 
     def __init__(
@@ -146,6 +95,7 @@ class PoseEstimator:
         self.members = members
         self.epochs = epochs
         self.limits = Limits()
+        self.interval = np.full(3, math.inf)
         self._experts: dict[str, _Expert] = {}
         self._support: Support | None = None
         self._about: dict[str, Any] = {}
@@ -156,7 +106,12 @@ class PoseEstimator:
         return dict(self._about)
 
     def fit(
-        self, frames: ArrayLike, pose: ArrayLike, held_out: tuple[ArrayLike, ArrayLike], seed: int = 0
+        self,
+        frames: ArrayLike,
+        pose: ArrayLike,
+        held_out: tuple[ArrayLike, ArrayLike],
+        seed: int = 0,
+        progress: Callable[[float, str], None] = lambda share, text: None,
     ) -> PoseEstimator:
         """Learn from dockings, then scale the standard deviations on rigs that are not among them.
 
@@ -165,12 +120,18 @@ class PoseEstimator:
             pose: (N, 3) m, m, rad: (horizontal, vertical, angle) in contact.
             held_out: frames and poses of other rigs.
             seed: initial weights.
+            progress: told the share that is done and what is being done.
+
+        Raises:
+            ModelError: too few dockings that both pads feel, or that one of them feels, here or held out.
         """
         random = np.random.default_rng([0xF17, seed])
         inputs, holds, touched = self._prepare(np.asarray(frames, dtype=float))
         poses = np.asarray(pose, dtype=float)
         signed = (poses / _SCALE)[None] * features.MIRROR_SIGNS[:, None]
-        for name, rows in zip(_EXPERTS, (holds, touched & ~holds), strict=True):
+        for index, (name, rows) in enumerate(zip(_EXPERTS, (holds, touched & ~holds), strict=True)):
+            self._demand(int(np.sum(rows)), _FEWEST, f"dockings felt by {name} pads")
+            progress(index / 3.0, f"{self.name}: {np.count_nonzero(rows)} dockings felt by {name} pads")
             chosen = inputs[:, rows].reshape(-1, inputs.shape[-1])
             targets = signed[:, rows].reshape(-1, 3).astype(np.float32)
             centre, spread = chosen.mean(axis=0), chosen.std(axis=0) + 1e-3
@@ -179,10 +140,12 @@ class PoseEstimator:
             self._experts[name] = _Expert(
                 centre.astype(np.float32), spread.astype(np.float32), tuple(networks), np.ones(3)
             )
+        progress(2.0 / 3.0, f"{self.name}: what frames look like")
         usual = inputs[:, holds & _within(poses)]
         felt = np.concatenate([self._experts["both"].predict(usual)[0] * sign for sign in features.MIRROR_SIGNS])
         self._support = Support.learn(usual.reshape(-1, usual.shape[-1]), felt, self.epochs, random)
         self._calibrate(np.asarray(held_out[0], dtype=float), np.asarray(held_out[1], dtype=float))
+        progress(1.0, f"{self.name}: done")
         return self
 
     def predict(self, left: ArrayLike, right: ArrayLike) -> Estimate:
@@ -222,6 +185,15 @@ class PoseEstimator:
         """Mahalanobis distance (N,) of frames from the training data: how far a device has drifted."""
         return self._learnt.distance(self._prepare(features.stack(left, right))[0][0])
 
+    def drifted(self, left: ArrayLike, right: ArrayLike) -> NDArray[np.bool_]:
+        """Return which frames (N,) look like none of training though both pads hold the ridge."""
+        inputs, holds, _ = self._prepare(features.stack(left, right))
+        strange = np.zeros(len(holds), dtype=bool)
+        if holds.any():
+            mean, _ = self._experts["both"].predict(inputs[:, holds])
+            strange[holds] = ~self._learnt.contains(inputs[0, holds], mean)
+        return strange
+
     @property
     def _learnt(self) -> Support:
         if self._support is None:
@@ -243,9 +215,14 @@ class PoseEstimator:
         holding = (force >= self.limits.pad_force) & (active >= self.limits.pad_active) & usable
         return inputs, holding.all(axis=1), force.sum(axis=1) > 0.0
 
+    def _demand(self, found: int, needed: int, what: str) -> None:
+        if found < needed:
+            raise ModelError(self.name, f"{found} {what}, at least {needed} are needed")
+
     def _calibrate(self, frames: Array, pose: Array) -> None:
         inputs, holds, touched = self._prepare(frames)
         for name, rows in zip(_EXPERTS, (holds, touched & ~holds), strict=True):
+            self._demand(int(np.sum(rows)), _FEWEST_HELD_OUT, f"held-out dockings felt by {name} pads")
             expert = self._experts[name]
             mean, spread = expert.predict(inputs[:, rows])
             ratio = np.abs(mean - pose[rows]) / spread
@@ -254,7 +231,10 @@ class PoseEstimator:
             factor = np.maximum(factor, _SMALLEST_FACTOR)
             self._experts[name] = _Expert(expert.centre, expert.spread, expert.networks, factor)
         usual = inputs[:, holds & _within(pose)]
-        self._support = self._learnt.limited(usual[0], self._experts["both"].predict(usual)[0])
+        mean, spread = self._experts["both"].predict(usual)
+        self._support = self._learnt.limited(usual[0], mean)
+        ratio = np.sort(np.abs(mean - pose[holds & _within(pose)]) / spread, axis=0)
+        self.interval = ratio[min(math.ceil((len(ratio) + 1) * NOMINAL), len(ratio)) - 1]
 
     def describe(self, about: dict[str, Any]) -> None:
         """Store what the model was made from; it is saved with the model."""
@@ -268,12 +248,12 @@ class PoseEstimator:
             "support_whitening": support.whitening.astype(np.float32),
             "support_shown_centre": support.shown_centre,
             "support_shown_spread": support.shown_spread,
-        } | _layers("picture", support.picture)
+        } | support.picture.arrays("picture")
         for name, expert in self._experts.items():
             for part in ("centre", "spread", "factor"):
                 arrays[f"{name}_{part}"] = getattr(expert, part)
             for member, network in enumerate(expert.networks):
-                arrays |= _layers(f"{name}_{member}", network)
+                arrays |= network.arrays(f"{name}_{member}")
         header = {
             "format": FORMAT,
             "name": self.name,
@@ -281,6 +261,7 @@ class PoseEstimator:
             "hidden": self.hidden,
             "members": self.members,
             "epochs": self.epochs,
+            "interval": self.interval.tolist(),
             "support": [support.distance_limit, support.picture_limit],
             "features": features.names(),
             "about": self._about,
@@ -296,67 +277,54 @@ class PoseEstimator:
             ModelError: the file is not a model of this format.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
-                header = json.loads(str(file["meta"]))
-                if header.get("format") != FORMAT or header.get("features") != features.names():
-                    raise ModelError(str(path), "made by another version of this package")
-                return _restore(header, {name: file[name] for name in file.files})
-        except (KeyError, ValueError, OSError) as error:
-            if isinstance(error, ModelError | FileNotFoundError):
-                raise
+            header, arrays = npz.read(path, "meta", npz.LARGEST_MODEL)
+        except npz.NpzError as error:
             raise ModelError(str(path), str(error)) from error
+        if header.get("format") != FORMAT or header.get("features") != features.names():
+            raise ModelError(str(path), "made by another version of this package, or no pose model")
+        if not all(np.issubdtype(array.dtype, np.number) and np.all(np.isfinite(array)) for array in arrays.values()):
+            raise ModelError(str(path), "an array holds NaN, infinity or no numbers")
+        try:
+            model = _restore(header, arrays)
+            _try(model)
+        except (KeyError, IndexError, ValueError, TypeError, AttributeError) as error:
+            raise ModelError(str(path), "its arrays and description do not fit together") from error
+        return model
 
 
 def _restore(header: dict[str, Any], arrays: dict[str, Any]) -> PoseEstimator:
     model = PoseEstimator(header["name"], header["threshold"], header["hidden"], header["members"], header["epochs"])
     model.describe(header["about"])
+    model.interval = np.array(header["interval"], dtype=float).reshape(3)
     model._support = Support(
         arrays["support_centre"],
         arrays["support_whitening"].astype(float),
         arrays["support_shown_centre"],
         arrays["support_shown_spread"],
-        _network("picture", arrays),
+        Network.restore("picture", arrays),
         *header["support"],
     )
     for name in _EXPERTS:
-        networks = tuple(_network(f"{name}_{member}", arrays) for member in range(model.members))
+        networks = tuple(Network.restore(f"{name}_{member}", arrays) for member in range(model.members))
         centre, spread = arrays[f"{name}_centre"], arrays[f"{name}_spread"]
         model._experts[name] = _Expert(centre, spread, networks, arrays[f"{name}_factor"])
     return model
 
 
-def _layers(prefix: str, network: Network) -> dict[str, Weights]:
-    named = {f"{prefix}_weight{layer}": weight for layer, weight in enumerate(network.weights)}
-    return named | {f"{prefix}_bias{layer}": bias for layer, bias in enumerate(network.biases)}
-
-
-def _network(prefix: str, arrays: dict[str, Any]) -> Network:
-    count = sum(name.startswith(f"{prefix}_weight") for name in arrays)
-    weights = tuple(arrays[f"{prefix}_weight{layer}"] for layer in range(count))
-    return Network(weights, tuple(arrays[f"{prefix}_bias{layer}"] for layer in range(count)))
+def _try(model: PoseEstimator) -> None:
+    """Estimate what both pads feel, and what one feels: raises where arrays do not fit together."""
+    pads = np.ones((2, 2, ROWS, COLUMNS))
+    pads[1, 1] = 0.0
+    model.predict(*pads)
+    model.drifted(*pads)
+    rows, columns = model._learnt.whitening.shape
+    if rows != columns:
+        raise ValueError("whitening")
 
 
 def _within(pose: Array) -> NDArray[np.bool_]:
     """Whether poses (N, 3) lie within the range that estimates may be used in; NaN does not."""
     return np.asarray(np.all(np.abs(pose) <= [POSITION_LIMIT, POSITION_LIMIT, ANGLE_LIMIT], axis=1))
-
-
-def angle_classes(angle: Array, stddev: Array) -> Array:
-    """Probabilities (N, 6) that |angle| rounds to 0, 1, … 5°; the last class takes everything above."""
-    edges = np.append(np.radians(np.arange(ANGLE_CLASSES - 1) + 0.5), np.inf)
-    below = _normal((edges - angle[:, None]) / stddev[:, None]) - _normal((-edges - angle[:, None]) / stddev[:, None])
-    return np.diff(below, axis=1, prepend=0.0)
-
-
-def position_classes(position: Array, stddev: Array) -> Array:
-    """Probabilities (N, 5) of the classes −10, −5, 0, 5, 10 mm; the outer two are open."""
-    middle = np.array(POSITION_CLASSES)
-    edges = np.concatenate([[-np.inf], 0.5 * (middle[1:] + middle[:-1]), [np.inf]])
-    return np.diff(_normal((edges - position[:, None]) / stddev[:, None]), axis=1)
-
-
-def _normal(value: Array) -> Array:
-    return np.asarray([0.5 * math.erfc(-x / math.sqrt(2.0)) for x in value.ravel()]).reshape(value.shape)
 
 
 def _shaped(column: NDArray[Any], shape: tuple[int, ...]) -> Any:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,18 @@ class Network:
             value = layers[-1] @ weight + bias
             layers.append(value if index == last else np.maximum(value, 0.0))
         return layers
+
+    def arrays(self, prefix: str) -> dict[str, Weights]:
+        """Return weights and biases under names that `restore` knows."""
+        named = {f"{prefix}_weight{layer}": weight for layer, weight in enumerate(self.weights)}
+        return named | {f"{prefix}_bias{layer}": bias for layer, bias in enumerate(self.biases)}
+
+    @staticmethod
+    def restore(prefix: str, arrays: Mapping[str, Any]) -> Network:
+        """Return what `arrays` of the same prefix was made from."""
+        count = sum(name.startswith(f"{prefix}_weight") for name in arrays)
+        weights = tuple(arrays[f"{prefix}_weight{layer}"] for layer in range(count))
+        return Network(weights, tuple(arrays[f"{prefix}_bias{layer}"] for layer in range(count)))
 
 
 def fit(inputs: Weights, targets: Weights, hidden: Sequence[int], epochs: int, random: np.random.Generator) -> Network:

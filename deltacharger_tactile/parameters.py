@@ -52,6 +52,7 @@ class ContactParameters(_Bounded):
     ridge_height: float = _value(0.006, 0.003, 0.02, "m", "the same ridge along its y")
     edge_radius: float = _value(0.0012, 0.0001, 0.0015, "m", "rounding of the ridge's edges")
     crown_radius: float = _value(0.060, 0.01, 10.0, "m", "radius of the ridge's crown across its height")
+    hole: float = _value(0.0, 0.0, 0.006, "m", "diameter of a round hole in the middle of each ridge; 0 = none")
     waviness: float = _value(2e-5, 0.0, 2e-4, "m", "rms waviness along the ridge, drawn per rig")
     stiffness: float = _value(0.9e9, 1e7, 1e11, "Pa/m", "pressure per indentation of the elastomer")
     hardening: float = _value(1.5e-3, 1e-4, 1.0, "m", "indentation at which the pressure has doubled its slope's line")
@@ -64,11 +65,11 @@ class DockingParameters(_Bounded):
 
     tilt_per_x: float = _value(10.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about y per horizontal offset")
     tilt_per_y: float = _value(7.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about x per vertical offset")
-    tilt_spread: float = _value(0.006 * _DEGREE, 0.0, 1.0 * _DEGREE, "rad", "spread of both tilts, per docking")
+    tilt_spread: float = _value(0.009 * _DEGREE, 0.0, 1.0 * _DEGREE, "rad", "spread of both tilts, per docking")
     tilt_bias: float = _value(0.003 * _DEGREE, 0.0, 1.0 * _DEGREE, "rad", "spread of both tilts, per rig")
-    position_jitter: float = _value(0.95e-3, 0.0, 5e-3, "m", "standard deviation of x and y in contact, per docking")
+    position_jitter: float = _value(1.0e-3, 0.0, 5e-3, "m", "standard deviation of x and y in contact, per docking")
     angle_jitter: float = _value(
-        0.15 * _DEGREE, 0.0, 2.0 * _DEGREE, "rad", "standard deviation of the angle, per docking"
+        0.19 * _DEGREE, 0.0, 2.0 * _DEGREE, "rad", "standard deviation of the angle, per docking"
     )
     magnet_force: float = _value(60.0, 0.0, 300.0, "N", "all magnets together in contact at zero offset")
     magnet_width: float = _value(8e-3, 1e-3, 1.0, "m", "lateral offset that halves the magnets' pull")

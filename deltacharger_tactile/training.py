@@ -8,13 +8,15 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_tactile.dataset import Dataset
+from deltacharger_tactile.errors import DatasetError
 from deltacharger_tactile.estimator import PoseEstimator
 from deltacharger_tactile.generator import measure
 from deltacharger_tactile.parameters import DockingParameters, SensorParameters, TactileParameters
@@ -140,6 +142,37 @@ def train(
             "seed": seed,
         }
     )
+    return model
+
+
+def fit_dataset(
+    data: Dataset, seed: int = 0, progress: Callable[[float, str], None] = lambda share, text: None
+) -> PoseEstimator:
+    """Train an estimator on a data set of several rigs; every third rig scales the standard deviations.
+
+    Args:
+        data: signed poses that reach beyond the range in which estimates shall be used, cut at 0.25 N or less.
+        seed: of the initial weights.
+        progress: told the share that is done and what is being done.
+
+    Raises:
+        DatasetError: fewer than three rigs, or readings that the model needs were cut off.
+        ModelError: too few dockings.
+    """
+    rigs = np.unique(data.rig)
+    if len(rigs) < 3:
+        raise DatasetError(
+            "pose",
+            f"{len(rigs)} rigs are too few: at least 3 are needed, a third of which tells how sure the model may be; "
+            "for one charger keep the packaged model and call `deltacharger calibrate tactile`",
+        )
+    model = PoseEstimator("pose-own")
+    if not data.threshold <= model.threshold:
+        raise DatasetError("pose", f"readings below {data.threshold:g} N were cut off; give --threshold 0.25 or less")
+    frames, pose = np.stack(data.robot_frames(), axis=1), data.poses()
+    judges = np.isin(data.rig, rigs[::3])
+    model.fit(frames[~judges], pose[~judges], (frames[judges], pose[judges]), seed, progress)
+    model.describe({"data": data.meta, "training_rigs": len(rigs) - len(rigs[::3]), "seed": seed})
     return model
 
 

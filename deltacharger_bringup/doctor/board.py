@@ -106,7 +106,7 @@ def _pads(frames: list[Any]) -> Iterator[Finding]:
     import numpy as np
 
     from deltacharger_driver.board_protocol import CONTACT_FORCE
-    from deltacharger_tactile.estimator import Limits
+    from deltacharger_tactile.estimate import Limits
 
     limit = Limits().pad_dead
     tared = bool(frames[-1].tared)

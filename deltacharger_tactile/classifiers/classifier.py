@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import time
 from collections.abc import Callable, Mapping
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deltacharger_tactile import features
+from deltacharger_tactile import PoseEstimator, default_model, features
 from deltacharger_tactile.classifiers import files, labels, reliability
 from deltacharger_tactile.classifiers.reliability import Reliability
 from deltacharger_tactile.classifiers.runtime import KINDS
@@ -50,8 +51,13 @@ NAMES: dict[str, tuple[str, str]] = {
     "nn": ("deep", "taxels"),
     "cnn": ("deep", "taxels"),
     "lda": ("shallow", "features"),
+    "pose": ("shallow", "pose"),
 }
-"""The module that trains each, and what it sees: all taxels, or the physical features."""
+"""The module that trains each, and what it sees: all taxels, physical features, or features and the estimated pose."""
+DEFAULT = "pose"
+"""The best of them on the frozen data."""
+POSE = 3
+"""Inputs that are the packaged model's estimate of the pose: mm, mm, degrees."""
 
 
 class Classifier:
@@ -110,6 +116,27 @@ class Classifier:
         self._kind, self._arrays = self._learnt.kind, dict(self._learnt.arrays)
         return self
 
+    def refer(self, frames: ArrayLike, classes: ArrayLike) -> Classifier:
+        """Take off what is constantly different on a device: learn from reference dockings whose classes are known.
+
+        What the mean deviation of their inputs, from those of training with the same class, does to the scores is
+        subtracted ever after; less of it where it may be chance (shrinkage of James and Stein 1961).
+
+        Raises:
+            ModelError: it does not see features, or there are fewer than two dockings.
+        """
+        if "means" not in self._arrays:
+            raise ModelError(self.name, "it cannot learn from reference dockings; train lda or pose")
+        known = np.asarray(classes, dtype=np.int64)
+        if len(known) < 2:
+            raise ModelError(self.name, f"{len(known)} reference dockings are too few; give at least two, better ten")
+        deviation = np.nan_to_num(self._inputs(frames) - self._arrays["means"][known])
+        scores = deviation @ self._arrays["weights"]
+        scores -= scores.mean(axis=1, keepdims=True)
+        mean, chance = scores.mean(axis=0), scores.var(axis=0, ddof=1).sum() / len(known)
+        self._arrays["bias"] = self._arrays["bias"] - max(0.0, 1.0 - chance / max(float(mean @ mean), 1e-12)) * mean
+        return self
+
     def calibrate(self, frames: ArrayLike, classes: ArrayLike) -> Classifier:
         """Learn from frames that `fit` has not seen when an answer may be acted on.
 
@@ -155,19 +182,38 @@ class Classifier:
         """Read what `save` wrote.
 
         Raises:
-            ModelError: it is no classifier.
+            FileNotFoundError: there is no such file.
+            ModelError: it is no classifier, or one that does not work.
         """
         about, arrays = files.read(path)
-        model = Classifier(about.pop("name"), about.pop("target"), about.pop("threshold"))
-        model._kind, model._arrays = about.pop("kind"), arrays
-        known = about.pop("reliability", None)
-        model.reliability = Reliability.from_dict(known) if known else None
+        try:
+            model = Classifier(about.pop("name"), about.pop("target"), about.pop("threshold"))
+            model._kind, model._arrays = about.pop("kind"), arrays
+            known = about.pop("reliability", None)
+            model.reliability = Reliability.from_dict(known) if known else None
+            shares = model.predict_proba(np.ones((1, PADS, ROWS, COLUMNS)))
+        except ModelError as error:
+            raise ModelError(str(path), error.reason) from error
+        except (KeyError, IndexError, ValueError, TypeError, AttributeError) as error:
+            raise ModelError(str(path), "its arrays and description do not fit together") from error
+        if shares.shape != (1, labels.classes(model.target)) or not np.isclose(shares.sum(), 1.0):
+            raise ModelError(str(path), "it does not give probabilities")
         model.about = about
         return model
 
     def _inputs(self, frames: ArrayLike) -> Array:
-        """Return what the model sees of the frames: (N, 200) N or (N, F) features."""
+        """Return what the model sees: (N, 200) N, (N, F) features, or (N, F + 3) with the pose, NaN unknown."""
         felt = np.asarray(frames, dtype=float).reshape(-1, PADS, ROWS, COLUMNS)
-        if NAMES[self.name][1] == "features":
-            return features.extract(features.fill_dead(felt), self.threshold).values
-        return np.where(felt >= self.threshold, felt, 0.0).reshape(len(felt), -1)  # NaN is not at or above it
+        sees = NAMES[self.name][1]
+        if sees == "taxels":
+            return np.where(felt >= self.threshold, felt, 0.0).reshape(len(felt), -1)  # NaN is not at or above it
+        physical = features.extract(features.fill_dead(felt), self.threshold).values
+        if sees == "features":
+            return physical
+        found = _packaged().predict(felt[:, 0], felt[:, 1])
+        return np.column_stack([physical, 1e3 * found.horizontal, 1e3 * found.vertical, np.degrees(found.angle)])
+
+
+@functools.cache
+def _packaged() -> PoseEstimator:
+    return default_model()

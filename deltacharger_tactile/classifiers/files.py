@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_tactile import npz
 from deltacharger_tactile.classifiers.runtime import KINDS
 from deltacharger_tactile.errors import ModelError
 
@@ -26,15 +26,34 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read what `write` wrote.
 
     Raises:
-        ModelError: it is no such file, or of another version.
+        FileNotFoundError: there is no such file.
+        ModelError: it is no such file, of another version, or its arrays do not fit together.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files if name != "about"}
-            about = json.loads(str(file["about"]))
-    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise ModelError(str(path), "it is no classifier in npz format") from error
+        about, arrays = npz.read(path, "about", npz.LARGEST_MODEL)
+    except npz.NpzError as error:
+        raise ModelError(str(path), str(error)) from error
     if about.get("format") != FORMAT or about.get("kind") not in KINDS:
         found = f"format {about.get('format')}, kind '{about.get('kind')}'"
         raise ModelError(str(path), f"{found} is not known to this version; train it anew")
+    if not all(np.issubdtype(array.dtype, np.number) or array.dtype == bool for array in arrays.values()):
+        raise ModelError(str(path), "an array holds no numbers")
+    if not all(np.all(np.isfinite(array)) for array in arrays.values()):
+        raise ModelError(str(path), "an array holds NaN or infinity")
+    if "feature" in arrays:
+        _check_trees(str(path), arrays)
     return about, arrays
+
+
+def _check_trees(path: str, arrays: dict[str, NDArray[Any]]) -> None:
+    """Refuse trees in which a walk from the root might not end: children stand behind their parent in the table."""
+    try:
+        inner = np.flatnonzero(arrays["feature"] >= 0)
+        count = len(arrays["feature"])
+        children = np.stack([arrays["left"][inner], arrays["right"][inner]])
+        same = all(len(arrays[name]) == count for name in ("threshold", "left", "right", "value"))
+        sound = same and np.all(children > inner) and np.all(children < count) and np.all(arrays["root"] < count)
+    except (KeyError, IndexError, ValueError, TypeError) as error:
+        raise ModelError(path, "its trees are not complete") from error
+    if not sound or np.any(arrays["root"] < 0):
+        raise ModelError(path, "its trees are not trees")

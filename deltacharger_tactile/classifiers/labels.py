@@ -8,14 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_tactile.dataset import ANGLE_CLASSES, POSITION_CLASSES, SUBSET_ANGLE, SUBSET_POSITION, Dataset
 from deltacharger_tactile.errors import DatasetError
-from deltacharger_tactile.generator import (
-    ANGLE_CLASSES,
-    POSITION_CLASSES,
-    SUBSET_ANGLE,
-    SUBSET_POSITION,
-    Dataset,
-)
 
 TARGETS = ("angle", "vertical", "horizontal")
 _ANGLE_STEP = np.radians(1.0)
@@ -26,7 +20,7 @@ class Examples:
     """What one classifier learns from or is judged by.
 
     Attributes:
-        frames: (N, 2, 10, 10) N, tared and thresholded; 0 where dead.
+        frames: (N, 2, 10, 10) N, tared and thresholded; NaN where dead.
         labels: (N,) class: whole degrees of |angle|, or the step of −10 … 10 mm.
         values: (N,) what was commanded, rad or m; of the angle its size.
         groups: (N,) number of the docking; frames of one docking never lie on both sides of a split.
@@ -70,20 +64,31 @@ def label(values: NDArray[np.float64], target: str) -> NDArray[np.int64]:
     return np.where(np.abs(values - middle[nearest]) <= half + 1e-12, nearest, -1)
 
 
-def examples(data: Dataset, target: str) -> Examples:
-    """Return the rows of the paper's protocol that belong to a target: the angle set, or the position set.
+def rows(data: Dataset, target: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return which rows belong to a target, and their classes: of the angle set, or of the position set.
 
-    Of a continuous data set all rows within a class count.
+    Of a continuous data set all rows within a class belong to it.
+    """
+    subset = SUBSET_ANGLE if target == "angle" else SUBSET_POSITION
+    classes_of = label(_values(data, target), target)
+    chosen = np.flatnonzero(((data.subset == subset) | (data.subset < 0)) & (classes_of >= 0))
+    return chosen, classes_of[chosen]
+
+
+def _values(data: Dataset, target: str) -> NDArray[np.float64]:
+    commanded = np.asarray(getattr(data, target), dtype=float)
+    return np.abs(commanded) if target == "angle" else commanded
+
+
+def examples(data: Dataset, target: str) -> Examples:
+    """Return the rows of a target.
 
     Raises:
         DatasetError: no row belongs to it.
     """
-    subset = SUBSET_ANGLE if target == "angle" else SUBSET_POSITION
-    commanded = np.asarray(getattr(data, target), dtype=float)
-    values = np.abs(commanded) if target == "angle" else commanded
-    labels = label(values, target)
-    rows = np.flatnonzero(((data.subset == subset) | (data.subset < 0)) & (labels >= 0))
-    if not len(rows):
+    chosen, known = rows(data, target)
+    if not len(chosen):
         raise DatasetError(target, "no row belongs to it; generate the data with --protocol paper, or use 'pose'")
-    frames = np.stack([data.left, data.right], axis=1).astype(float)
-    return Examples(frames[rows], labels[rows], values[rows], data.attempt[rows], data.rig[rows], data.session[rows])
+    frames = np.stack(data.robot_frames(), axis=1)[chosen]
+    columns = (data.attempt, data.rig, data.session)
+    return Examples(frames, known, _values(data, target)[chosen], *(column[chosen] for column in columns))

@@ -23,8 +23,9 @@ def softmax(scores: Array) -> Array:
 
 
 def linear(arrays: Arrays, inputs: Array) -> Array:
-    """Softmax of `inputs` (N, F) @ `weights` (F, C) + `bias` (C)."""
-    return softmax(inputs @ arrays["weights"] + arrays["bias"])
+    """Softmax of `inputs` (N, F) @ `weights` (F, C) + `bias` (C); unknown inputs (NaN) count as `usual` (F)."""
+    known = np.where(np.isnan(inputs), arrays["usual"], inputs) if "usual" in arrays else inputs
+    return softmax(known @ arrays["weights"] + arrays["bias"])
 
 
 def one_against_rest(arrays: Arrays, inputs: Array) -> Array:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_tactile.classifiers.classifier import Learnt, Progress
+from deltacharger_tactile.classifiers.classifier import POSE, Learnt, Progress
+from deltacharger_tactile.classifiers.runtime import softmax
 
 Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -87,11 +88,52 @@ def _lda(seed: int) -> Any:
     return make_pipeline(StandardScaler(), LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto"))
 
 
+class _TwoWitnesses:
+    """Discriminant analyses of the features and of the pose estimate (last three inputs), their odds multiplied.
+
+    One analysis of all inputs together does not pay: shrinkage, which the features need, spoils the estimate.
+    """
+
+    def __init__(self) -> None:
+        self.parts = (slice(None, -POSE), slice(-POSE, None))
+        self.models = [_lda(0), _lda(0)]
+
+    def fit(self, inputs: Array, labels: Labels) -> None:
+        self.usual = np.nanmean(inputs, axis=0)
+        known = self._known(inputs)
+        for model, part in zip(self.models, self.parts, strict=True):
+            model.fit(known[:, part], labels)
+
+    def _known(self, inputs: Array) -> Array:
+        return np.where(np.isnan(inputs), self.usual, inputs)
+
+    def predict_proba(self, inputs: Array) -> Array:
+        known = self._known(inputs)
+        odds = [model.predict_log_proba(known[:, part]) for model, part in zip(self.models, self.parts, strict=True)]
+        return softmax(np.sum(odds, axis=0))
+
+
 def _export_scaled(model: Any, inputs: Array, labels: Labels) -> tuple[str, Arrays]:
     """Fold the scaling of a pipeline into its linear model."""
     scaler, line = model.steps[0][1], model.steps[1][1]
     weights = line.coef_.T / scaler.scale_[:, None]
     return "linear", {"weights": weights, "bias": line.intercept_ - scaler.mean_ @ weights}
+
+
+def _export_witnesses(model: Any, inputs: Array, labels: Labels) -> tuple[str, Arrays]:
+    parts = [_export_scaled(part, inputs, labels)[1] for part in model.models]
+    weights = np.concatenate([part["weights"] for part in parts])
+    bias = np.sum([part["bias"] for part in parts], axis=0)
+    return "linear", {"weights": weights, "bias": bias, "usual": model.usual, **_means(inputs, labels)}
+
+
+def _export_lda(model: Any, inputs: Array, labels: Labels) -> tuple[str, Arrays]:
+    kind, arrays = _export_scaled(model, inputs, labels)
+    return kind, {**arrays, **_means(inputs, labels)}
+
+
+def _means(inputs: Array, labels: Labels) -> Arrays:
+    return {"means": np.array([np.nanmean(inputs[labels == number], axis=0) for number in range(labels.max() + 1)])}
 
 
 def _export_svm(model: Any, inputs: Array, labels: Labels) -> tuple[str, Arrays]:
@@ -163,6 +205,7 @@ _KNOWN: dict[str, tuple[Callable[[int], Any], Callable[[Any, Array, Labels], tup
     "gbdt": (_gbdt, _export_gbdt),
     "forest": (_forest, _export_forest),
     "xgboost": (_xgboost, _export_xgboost),
-    "lda": (_lda, _export_scaled),
+    "lda": (_lda, _export_lda),
+    "pose": (lambda seed: _TwoWitnesses(), _export_witnesses),
 }
 """How each is built, and what it becomes."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,9 @@ from deltacharger_tactile.classifiers import labels, reliability, splits
 from deltacharger_tactile.classifiers.classifier import NAMES, Classifier
 from deltacharger_tactile.classifiers.judgement import evaluate
 from deltacharger_tactile.classifiers.labels import Examples, examples
+from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError, ModelError
-from deltacharger_tactile.generator import Dataset, generate_continuous, generate_paper
+from deltacharger_tactile.generator import generate_continuous, generate_paper
 
 NEEDS = {"gbdt": "sklearn", "xgboost": "xgboost", "nn": "torch", "cnn": "torch"}
 SIMPLE = "lda"
@@ -137,15 +137,3 @@ def test_a_class_without_examples_is_refused(angle: Examples) -> None:
     some = angle.part(angle.labels < 4)
     with pytest.raises(ModelError, match="every class 0 to 5"):
         Classifier(SIMPLE, "angle").fit(some.frames, some.labels)
-
-
-def test_other_files_are_refused(tmp_path: Path, data: Dataset) -> None:
-    data.save(tmp_path / "data.npz")
-    with pytest.raises(ModelError, match="no classifier"):
-        Classifier.load(tmp_path / "data.npz")
-    (tmp_path / "text.npz").write_text("not an archive")
-    with pytest.raises(ModelError):
-        Classifier.load(tmp_path / "text.npz")
-    np.savez(tmp_path / "other.npz", about=np.array(json.dumps({"format": 99, "kind": "linear"})))
-    with pytest.raises(ModelError, match="format 99"):
-        Classifier.load(tmp_path / "other.npz")

@@ -1,0 +1,49 @@
+"""What several dockings at one place tell together.
+
+Jitter, tilt and hysteresis are drawn anew by every docking, which is why more frames of one docking hardly help and
+another docking does. What a device does wrong in the same way each time stays.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from deltacharger_tactile.classifiers.labels import Examples
+from deltacharger_tactile.errors import DatasetError
+
+Array = NDArray[np.float64]
+
+_LEAST = 1e-6
+"""Smallest probability that one docking may give a class: a single strange one must not rule out the truth."""
+
+
+def together(probabilities: ArrayLike) -> Array:
+    """Return class probabilities (N, C) from those of D independent dockings (D, N, C): their product, as shares."""
+    odds = np.log(np.maximum(np.asarray(probabilities, dtype=float), _LEAST)).sum(axis=0)
+    shares = np.exp(odds - odds.max(axis=1, keepdims=True))
+    return np.asarray(shares / shares.sum(axis=1, keepdims=True))
+
+
+def groups(examples: Examples, dockings: int, seed: int) -> NDArray[np.int64]:
+    """Return rows (D, N) of dockings at the same commanded value, device and session or not, each row at most once.
+
+    Args:
+        examples: of which each row is a docking.
+        dockings: D, how many tell together.
+        seed: which go together.
+
+    Raises:
+        DatasetError: no value was commanded that often on one device.
+    """
+    random = np.random.default_rng([0x6909, seed])
+    places = np.column_stack([np.round(examples.values, 6), examples.rigs])
+    _, place = np.unique(places, axis=0, return_inverse=True)
+    parts = []
+    for number in range(place.max() + 1):
+        rows = random.permutation(np.flatnonzero(place.reshape(-1) == number))
+        parts.append(rows[: len(rows) // dockings * dockings].reshape(dockings, -1))
+    found = np.concatenate(parts, axis=1)
+    if not found.size:
+        raise DatasetError("fusion", f"no value was commanded {dockings} times on one device")
+    return found

@@ -1,0 +1,186 @@
+"""A data set of dockings with known misalignment, generated or recorded: the npz file, and what must stand in it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_tactile import npz
+from deltacharger_tactile.errors import DatasetError
+from deltacharger_tactile.parameters import COLUMNS, PADS, ROWS
+
+Array = NDArray[np.float64]
+
+SUBSET_CONTINUOUS, SUBSET_ANGLE, SUBSET_POSITION = -1, 0, 1
+ANGLE_CLASSES = 6
+POSITION_CLASSES = (-0.010, -0.005, 0.0, 0.005, 0.010)
+POSITION_LIMIT = 0.012
+"""Largest |x| and |y| of the continuous protocol, m."""
+ANGLE_LIMIT = math.radians(20.0)
+"""Largest |angle| of the continuous protocol, rad."""
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """N rows, of one docking (attempt) each or several of one; the arrays of the npz file, row-aligned.
+
+    Attributes:
+        left: (N, 10, 10) float32 N, the pad at +x, tared and thresholded; a dead taxel is 0.
+        right: the same for the pad at −x.
+        tare: (N, 2, 10, 10) float32 N, what was subtracted; NaN where the board does not tell.
+        dead: (N, 2, 10, 10) taxels without a reading.
+        angle: (N,) rad, commanded, signed.
+        vertical: (N,) m, commanded.
+        horizontal: (N,) m, commanded.
+        contact_pose: (N, 3) m, m, rad: (horizontal, vertical, angle) in contact, jitter included; NaN = unknown.
+        attempt: (N,) number of the docking, unique in the file.
+        session: (N,) number of the session, unique in the file; one tare each.
+        rig: (N,) seed of the simulated device, or the number of the real one.
+        subset: (N,) 0 angle set, 1 position set, −1 continuous.
+        current: (N,) A, contact current.
+        force: (N,) N, total contact force; NaN = unknown.
+        meta: how the data came about; of generated ones protocol, seed, frames, threshold, parameters, digest.
+    """
+
+    left: NDArray[np.float32]
+    right: NDArray[np.float32]
+    tare: NDArray[np.float32]
+    dead: NDArray[np.bool_]
+    angle: Array
+    vertical: Array
+    horizontal: Array
+    contact_pose: Array
+    attempt: NDArray[np.int64]
+    session: NDArray[np.int64]
+    rig: NDArray[np.int64]
+    subset: NDArray[np.int64]
+    current: Array
+    force: Array
+    meta: dict[str, Any]
+
+    def __len__(self) -> int:
+        return len(self.left)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the data come from the contact generator."""
+        return "parameters" in self.meta
+
+    @property
+    def threshold(self) -> float:
+        """Readings below it are 0, N; NaN = unknown."""
+        return float(self.meta.get("threshold", float("nan")))
+
+    def poses(self) -> Array:
+        """Return (N, 3) m, m, rad: (horizontal, vertical, angle) in contact where known, else as commanded."""
+        commanded = np.column_stack([self.horizontal, self.vertical, self.angle])
+        return np.where(np.isfinite(self.contact_pose), self.contact_pose, commanded)
+
+    def robot_frames(self) -> tuple[Array, Array]:
+        """Return left, right (N, 10, 10) as the robot's messages carry them: NaN where dead."""
+        left, right = self.left.astype(float), self.right.astype(float)
+        left[self.dead[:, 0]] = np.nan
+        right[self.dead[:, 1]] = np.nan
+        return left, right
+
+    def save(self, path: str | Path) -> None:
+        """Write an npz file that loads without pickle; `meta` is a 0-d JSON string."""
+        arrays = {name: getattr(self, name) for name in (*_NEEDED, *_OPTIONAL)}
+        np.savez_compressed(path, meta=np.array(json.dumps(self.meta, sort_keys=True)), **arrays)
+
+    @staticmethod
+    def load(path: str | Path) -> Dataset:
+        """Read what `save` wrote, or a file of another program with at least the fields of the format.
+
+        `dead`, `contact_pose` and `force` may be missing: none dead, unknown, unknown.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            DatasetError: it is no npz file; an array is missing, of another shape, or holds what it must not.
+        """
+        source = str(path)
+        try:
+            meta, found = npz.read(path, "meta", npz.LARGEST_DATASET)
+        except npz.NpzError as error:
+            raise DatasetError(source, f"{error}; generate or record a data set") from error
+        missing = [name for name in _NEEDED if name not in found]
+        if missing:
+            raise DatasetError(source, f"no array {', '.join(missing)}; generate or record the data anew")
+        arrays = {name: found[name] for name in (*_NEEDED, *_OPTIONAL) if name in found}
+        if meta.get("version", VERSION) != VERSION:
+            raise DatasetError(source, f"its meta is not of version {VERSION}; generate or record the data anew")
+        return Dataset(meta=meta, **_checked(source, arrays))
+
+
+_NEEDED = (
+    "left",
+    "right",
+    "tare",
+    "angle",
+    "vertical",
+    "horizontal",
+    "attempt",
+    "session",
+    "rig",
+    "subset",
+    "current",
+)
+_OPTIONAL = ("dead", "contact_pose", "force")
+_INTEGERS = ("attempt", "session", "rig", "subset")
+_FRAME = (ROWS, COLUMNS)
+_SHAPES = {"left": _FRAME, "right": _FRAME, "tare": (PADS, *_FRAME), "dead": (PADS, *_FRAME), "contact_pose": (3,)}
+_FINITE = ("left", "right", "angle", "vertical", "horizontal")
+_LARGEST = {"left": 1e3, "right": 1e3, "angle": 3.2, "vertical": 0.1, "horizontal": 0.1}
+"""N, rad, m; what is larger was written in other units."""
+
+
+def _checked(source: str, arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return every array with its type and shape, those that may be missing added.
+
+    Raises:
+        DatasetError: a shape, a type or a value that the format does not allow.
+    """
+    count = len(arrays["angle"]) if arrays["angle"].ndim else 0
+    if not count:
+        raise DatasetError(source, "it holds no rows; generate or record some")
+    arrays.setdefault("dead", np.zeros((count, PADS, *_FRAME), dtype=bool))
+    arrays.setdefault("contact_pose", np.full((count, 3), np.nan))
+    arrays.setdefault("force", np.full(count, np.nan))
+    for name, array in arrays.items():
+        wanted = (count, *_SHAPES.get(name, ()))
+        if array.shape != wanted:
+            raise DatasetError(source, f"array {name} has shape {array.shape} and must have {wanted}")
+        if name in _INTEGERS and not np.issubdtype(array.dtype, np.integer):
+            raise DatasetError(source, f"array {name} holds {array.dtype} and must hold whole numbers")
+        if not np.issubdtype(array.dtype, np.number) and array.dtype != bool:
+            raise DatasetError(source, f"array {name} holds {array.dtype} and must hold numbers")
+        if name in _FINITE:
+            wrong = np.flatnonzero(~(np.abs(array.reshape(count, -1)).max(axis=1) <= _LARGEST[name]))
+            if len(wrong):
+                raise DatasetError(
+                    source,
+                    f"row {wrong[0]} of {name} is not finite or beyond ±{_LARGEST[name]:g}; write N, rad and m, "
+                    "and 0 where a taxel is dead",
+                )
+    _check_attempts(source, arrays)
+    return arrays
+
+
+def _check_attempts(source: str, arrays: dict[str, NDArray[Any]]) -> None:
+    """Refuse an attempt that is two dockings: a split by attempt would put what belongs together on both sides."""
+    _, first, of = np.unique(arrays["attempt"], return_index=True, return_inverse=True)
+    for name in ("rig", "session", "subset", "angle", "vertical", "horizontal"):
+        wrong = np.flatnonzero(arrays[name] != arrays[name][first][of.reshape(-1)])
+        if len(wrong):
+            number = arrays["attempt"][wrong[0]]
+            raise DatasetError(
+                source,
+                f"attempt {number} has two values of {name}; number the dockings so that each is unique in the file",
+            )

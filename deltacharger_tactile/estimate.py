@@ -1,0 +1,93 @@
+"""What is told of a misalignment: pose, spreads, whether they may be used, and the paper's classes from them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_tactile.dataset import ANGLE_CLASSES, POSITION_CLASSES
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When an estimate may be used.
+
+    Attributes:
+        pad_force: N, smallest load with which a pad holds its ridge.
+        pad_active: smallest number of taxels above the threshold on each pad.
+        pad_dead: most dead taxels of a pad.
+        angle_stddev: rad, largest standard deviation that is sure.
+        vertical_stddev: m, likewise.
+        horizontal_stddev: m, likewise.
+    """
+
+    pad_force: float = 3.0
+    pad_active: int = 4
+    pad_dead: int = 3
+    angle_stddev: float = math.radians(0.5)
+    vertical_stddev: float = 0.8e-3
+    horizontal_stddev: float = 3.0e-3
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Pose of the target in end_effector as felt; floats for one frame pair, arrays (...) for a batch.
+
+    NaN = unknown (no contact). Standard deviations are errors against the pose in contact on rigs that training
+    did not see.
+
+    Attributes:
+        angle: rad about +z, from +x to +y.
+        angle_stddev: rad.
+        vertical: m along y.
+        vertical_stddev: m.
+        horizontal: m along x.
+        horizontal_stddev: m.
+        in_range: both pads hold the ridge, the frames look like those of training, and the pose lies within the limits.
+        contact: some live taxel feels 1 N or more.
+        sure: in range and precise.
+        angle_probability: (..., 6) classes of |angle| 0–5°, the last one open.
+        vertical_probability: (..., 5) classes −10…10 mm, both ends open.
+        horizontal_probability: (..., 5) classes −10…10 mm, both ends open.
+        left_force: N, load of the pad at +x.
+        right_force: N, load of the pad at −x.
+    """
+
+    angle: Any
+    angle_stddev: Any
+    vertical: Any
+    vertical_stddev: Any
+    horizontal: Any
+    horizontal_stddev: Any
+    in_range: Any
+    contact: Any
+    sure: Any
+    angle_probability: Any
+    vertical_probability: Any
+    horizontal_probability: Any
+    left_force: Any
+    right_force: Any
+
+
+def angle_classes(angle: Array, stddev: Array) -> Array:
+    """Probabilities (N, 6) that |angle| rounds to 0, 1, … 5°; the last class takes everything above."""
+    edges = np.append(np.radians(np.arange(ANGLE_CLASSES - 1) + 0.5), np.inf)
+    below = _normal((edges - angle[:, None]) / stddev[:, None]) - _normal((-edges - angle[:, None]) / stddev[:, None])
+    return np.diff(below, axis=1, prepend=0.0)
+
+
+def position_classes(position: Array, stddev: Array) -> Array:
+    """Probabilities (N, 5) of the classes −10, −5, 0, 5, 10 mm; the outer two are open."""
+    middle = np.array(POSITION_CLASSES)
+    edges = np.concatenate([[-np.inf], 0.5 * (middle[1:] + middle[:-1]), [np.inf]])
+    return np.diff(_normal((edges - position[:, None]) / stddev[:, None]), axis=1)
+
+
+def _normal(value: Array) -> Array:
+    return np.asarray([0.5 * math.erfc(-x / math.sqrt(2.0)) for x in value.ravel()]).reshape(value.shape)

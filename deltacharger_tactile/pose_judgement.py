@@ -1,0 +1,67 @@
+"""How good the pose estimator is on dockings that it has not seen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_tactile.classifiers import labels
+from deltacharger_tactile.dataset import Dataset
+from deltacharger_tactile.errors import DatasetError
+from deltacharger_tactile.estimator import NOMINAL, PoseEstimator
+
+Array = NDArray[np.float64]
+
+AXES = ("horizontal", "vertical", "angle")
+
+
+def evaluate(model: PoseEstimator, data: Dataset) -> dict[str, Any]:
+    """Return under angle, vertical and horizontal what `classifiers.judgement.evaluate` returns of one target.
+
+    Errors are against the pose in contact where the data know it, else as commanded (rad, m), over all rows with an
+    estimate. `accuracy` is over the rows that `labels.rows` gives, and one without an estimate is wrong; `coverage` is
+    the share of errors inside the nominal interval where the estimate is in range; `act_rate` the share of `sure` rows;
+    `drift_rate` that of rows that look like none of training.
+
+    Raises:
+        DatasetError: the data are cut at a higher force than the model sees.
+    """
+    if data.threshold > model.threshold:
+        raise DatasetError(
+            "pose",
+            f"the data are cut at {data.threshold:g} N and the model sees readings from {model.threshold:g} N on; "
+            f"generate or record them with --threshold {model.threshold:g} or less",
+        )
+    left, right = data.robot_frames()
+    estimate = model.predict(left, right)
+    in_range, sure = np.asarray(estimate.in_range), np.asarray(estimate.sure)
+    drift = float(np.mean(model.drifted(left, right)))
+    result: dict[str, Any] = {"target": "pose", "n": len(data)}
+    for axis, name in enumerate(AXES):
+        found, spread = getattr(estimate, name), getattr(estimate, f"{name}_stddev")
+        error = np.abs(found - data.poses()[:, axis])
+        held = error[in_range] <= model.interval[axis] * spread[in_range]
+        result[name] = {
+            "target": name,
+            "n": len(data),
+            "accuracy": _accuracy(found, data, name),
+            "mean_absolute_error": _mean(error[np.isfinite(error)]),
+            "nominal": NOMINAL,
+            "coverage": _mean(held),
+            "act_rate": float(np.mean(sure)),
+            "drift_rate": drift,
+        }
+    return result
+
+
+def _accuracy(found: Array, data: Dataset, name: str) -> float:
+    size = np.abs if name == "angle" else np.asarray
+    rows, wanted = labels.rows(data, name)
+    nearest = np.argmin(np.abs(np.nan_to_num(size(found[rows]), nan=np.inf)[:, None] - labels.centres(name)), axis=1)
+    return _mean((nearest == wanted) & np.isfinite(found[rows]))
+
+
+def _mean(values: NDArray[Any]) -> float:
+    return float(np.mean(values)) if len(values) else float("nan")
