@@ -1,4 +1,4 @@
-"""The options of `deltacharger calibrate`; what they do stands in cli_calibrate.py and cli_measure.py."""
+"""The options of `deltacharger calibrate`; what they do stands in cli_calibrate*.py and cli_measure.py."""
 
 from __future__ import annotations
 
@@ -32,3 +32,12 @@ def add_kinematics(parser: argparse.ArgumentParser) -> None:
         "--zero-ticks", type=whole(-most, most), nargs=3, metavar="N", help="per limb (as the file says, or 2048)"
     )
     encoder.add_argument("--direction", type=whole(-1, 1), nargs=3, metavar="N", help="per limb (1)")
+
+
+def add_tactile_calibration(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `calibrate tactile`."""
+    parser.add_argument("--data", required=True, metavar="F.npz", help="dockings at known poses, of `tactile record`")
+    parser.add_argument("--out", required=True, metavar="FILE", help="where to write it, for misalignment_node")
+    parser.add_argument("--rig", type=whole(0, 2**31 - 1), metavar="N", help="which, where the data hold several")
+    parser.add_argument("--model", metavar="M.npz", help="pose model that it is for (default: the packaged one)")
+    parser.add_argument("--force", action="store_true", help="overwrite FILE, and write what makes estimates worse")

@@ -2,7 +2,7 @@
 
 Topics: subscribes `tactile_frame`; publishes `misalignment` (only with `rate` > 0).
 Services: `predict_misalignment` averages frames that are sampled after the request.
-Parameters: model, frames, rate, max_age, timeout.
+Parameters: model, calibration and classifiers, which may be set while the node runs; frames, rate, max_age, timeout.
 It drives nothing; uncommanded it only listens.
 """
 
@@ -10,38 +10,24 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from deltacharger.msg import Misalignment, TactileFrame
 from deltacharger.srv import PredictMisalignment
-from numpy.typing import NDArray
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 from deltacharger_bringup import node_support
-from deltacharger_tactile import MODEL_PATH, PoseEstimator
-from deltacharger_tactile.errors import TactileError
-from deltacharger_tactile.parameters import COLUMNS, ROWS
+from deltacharger_tactile import frame_window, misalignment_node_io
+from deltacharger_tactile.errors import FrameError
+from deltacharger_tactile.frame_window import Frame, FrameWindow, Refused
+from deltacharger_tactile.perception import Perception, PerceptionError
 
-_FRAMES_MAX = 240
-
-
-@dataclass(frozen=True)
-class _Frame:
-    sampled: float
-    stamp: Any
-    tared: bool
-    left: NDArray[np.float64]
-    right: NDArray[np.float64]
-
-
-class _Refused(Exception):
-    """Frames do not allow an estimate; the message says what to do."""
+_FILES = ("model", "calibration", "classifiers")
 
 
 class MisalignmentNode(Node):
@@ -49,28 +35,50 @@ class MisalignmentNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("misalignment_node", **kwargs)
-        path = node_support.declare(self, "model", "", "Model file (npz); empty = the packaged one.")
-        self._default_frames = node_support.declare(
-            self, "frames", 12, "Frames averaged where a request says 0.", 1, _FRAMES_MAX
+        files = self._declare_files()
+        self._default_frames: int = node_support.declare(
+            self, "frames", 12, "Frames averaged where a request says 0.", 1, frame_window.LARGEST
         )
         rate = node_support.declare(self, "rate", 0.0, "Rate of the topic misalignment, Hz; 0 = off.", 0.0, 120.0)
-        self._max_age = node_support.declare(
+        self._max_age: float = node_support.declare(
             self, "max_age", 0.1, "Oldest sampling of the newest frame that still counts, s.", 0.01, 10.0
         )
-        self._timeout = node_support.declare(
-            self,
-            "timeout",
-            1.0,
-            "Longest wait for frames beyond the time that they take at 120 Hz, s.",
-            0.05,
-            30.0,
-        )
+        text = "Longest wait for frames beyond the time that they take at 120 Hz, s."
+        self._timeout: float = node_support.declare(self, "timeout", 1.0, text, 0.05, 30.0)
         node_support.reject_unknown(self)
-        self._model = _load(self, path)
-        self._frames: deque[_Frame] = deque(maxlen=_FRAMES_MAX)
-        self._arrived = threading.Condition()
-        self._closed = False
+        try:
+            self._perception = Perception.load(**files)
+        except PerceptionError as error:
+            raise node_support.StartupError(f"{self.get_name()}: {error}") from error
+        self._prepared: Perception | None = None
+        self._tell_doubt()
+        self.add_on_set_parameters_callback(self._prepare)
+        self.add_post_set_parameters_callback(self._swap)
+        self._window = FrameWindow(self._now)
         self._publisher = self.create_publisher(Misalignment, "misalignment", QoSProfile(depth=1))
+        self._listen()
+        self._thread: threading.Thread | None = None
+        if rate > 0.0:
+            self._thread = threading.Thread(target=self._publish, args=(1.0 / rate,), name="misalignment", daemon=True)
+            self._thread.start()
+
+    def _declare_files(self) -> dict[str, Any]:
+        running = "May be set while the node runs."
+        texts = {
+            "model": ("", f"Pose model (npz); empty = the packaged one. {running}"),
+            "calibration": ("", f"Calibration of this rig's pads (YAML); empty = none. {running}"),
+            "classifiers": (
+                [""],
+                "Classifiers (npz) whose class probabilities replace the pose model's, one per target at most; "
+                f"[''] = none. {running}",
+            ),
+        }
+        return {
+            name: node_support.declare(self, name, default, text, read_only=False)
+            for name, (default, text) in texts.items()
+        }
+
+    def _listen(self) -> None:
         self.create_subscription(
             TactileFrame,
             "tactile_frame",
@@ -84,16 +92,10 @@ class MisalignmentNode(Node):
             self._predict,
             callback_group=ReentrantCallbackGroup(),
         )
-        self._thread: threading.Thread | None = None
-        if rate > 0.0:
-            self._thread = threading.Thread(target=self._publish, args=(1.0 / rate,), name="misalignment", daemon=True)
-            self._thread.start()
 
     def close(self) -> None:
         """Release waiting requests and join the publisher."""
-        with self._arrived:
-            self._closed = True
-            self._arrived.notify_all()
+        self._window.close()
         if self._thread is not None:
             self._thread.join(2.0)
             self._thread = None
@@ -101,121 +103,78 @@ class MisalignmentNode(Node):
     def _now(self) -> float:
         return float(self.get_clock().now().nanoseconds) * 1e-9
 
+    def _prepare(self, parameters: Sequence[Parameter[Any]]) -> SetParametersResult:
+        """Load what is about to be set; frames are served by what is there meanwhile, and after a refusal."""
+        changed = {parameter.name: parameter.value for parameter in parameters if parameter.name in _FILES}
+        if not changed:
+            return SetParametersResult(successful=True)
+        files = {name: changed.get(name, self.get_parameter(name).value) for name in _FILES}
+        try:
+            self._prepared = Perception.load(**files)
+        except PerceptionError as error:
+            return SetParametersResult(successful=False, reason=f"{error}; {self._perception.name} stays in use")
+        return SetParametersResult(successful=True)
+
+    def _swap(self, parameters: Sequence[Parameter[Any]]) -> None:
+        prepared, self._prepared = self._prepared, None
+        if prepared is not None:
+            self._perception = prepared
+            self.get_logger().info(f"estimates with {prepared.name} from now on")
+            self._tell_doubt()
+
+    def _tell_doubt(self) -> None:
+        if self._perception.doubt:
+            self.get_logger().warning(self._perception.doubt)
+
     def _receive(self, message: TactileFrame) -> None:
-        if (message.rows, message.columns) != (ROWS, COLUMNS) or {len(message.left), len(message.right)} != {
-            ROWS * COLUMNS
-        }:
+        try:
+            self._window.add(misalignment_node_io.to_frame(message))
+        except FrameError:
             self.get_logger().error(
                 f"tactile_frame is {message.rows} × {message.columns} with {len(message.left)} and "
                 f"{len(message.right)} values, the model needs 10 × 10; ignored",
                 throttle_duration_sec=5.0,
             )
-            return
-        stamp = message.header.stamp
-        shape = (ROWS, COLUMNS)
-        frame = _Frame(
-            stamp.sec + 1e-9 * stamp.nanosec,
-            stamp,
-            message.tared,
-            np.asarray(message.left, dtype=float).reshape(shape),
-            np.asarray(message.right, dtype=float).reshape(shape),
-        )
-        with self._arrived:
-            self._frames.append(frame)
-            self._arrived.notify_all()
 
     def _predict(
         self, request: PredictMisalignment.Request, response: PredictMisalignment.Response
     ) -> PredictMisalignment.Response:
         wanted = request.frames or self._default_frames
         response.success = False
-        if wanted > _FRAMES_MAX:
-            response.message = f"{wanted} frames asked for, at most {_FRAMES_MAX} are kept; ask for fewer"
+        if wanted > frame_window.LARGEST:
+            kept = frame_window.LARGEST
+            response.message = f"{wanted} frames asked for, at most {kept} are kept; ask for fewer"
             return response
         try:
-            frames = self._wait(wanted, self._now())
-            response.misalignment = self._estimate(frames)
-        except _Refused as error:
+            response.misalignment = self._estimate(self._window.fresh(wanted, self._timeout))
+        except Refused as error:
             response.message = str(error)
             return response
         response.success = True
         return response
 
-    def _wait(self, wanted: int, since: float) -> list[_Frame]:
-        """Wait until `wanted` frames sampled after `since` (s, ROS clock) have arrived."""
-        deadline = time.monotonic() + self._timeout + wanted / 120.0
-        with self._arrived:
-            while True:
-                fresh = [frame for frame in self._frames if frame.sampled > since]
-                if self._closed:
-                    raise _Refused("the node is closing")
-                if len(fresh) >= wanted:
-                    return fresh[:wanted]
-                left = deadline - time.monotonic()
-                if left <= 0.0:
-                    raise _Refused(self._why_too_few(len(fresh), wanted))
-                self._arrived.wait(left)
-
-    def _why_too_few(self, fresh: int, wanted: int) -> str:
-        if not self._frames:
-            return "no tactile_frame has arrived; check that tactile_node runs"
-        age = self._now() - self._frames[-1].sampled
-        return (
-            f"{fresh} of {wanted} fresh frames in time, the newest is {age:.2f} s old; "
-            "check tactile_node and that both hosts' clocks agree"
-        )
-
-    def _estimate(self, frames: Sequence[_Frame]) -> Misalignment:
-        """Average the frames and estimate.
+    def _estimate(self, frames: Sequence[Frame]) -> Misalignment:
+        """Average the frames and estimate, with one model from beginning to end.
 
         Raises:
-            _Refused: the frames are stale or not tared.
+            Refused: the frames are stale or not tared.
         """
-        age = self._now() - frames[-1].sampled
-        if age > self._max_age:
-            raise _Refused(f"the newest tactile frame is {age:.3f} s old, more than max_age {self._max_age:g} s")
-        if not all(frame.tared for frame in frames):
-            raise _Refused("the tactile frames are not tared; call the service tare out of contact")
-        # A taxel that was dead in one of the frames is dead in the average.
-        left = np.mean([frame.left for frame in frames], axis=0)
-        right = np.mean([frame.right for frame in frames], axis=0)
-        estimate = self._model.predict(left, right)
-        message = Misalignment()
-        message.header.stamp = frames[-1].stamp
-        message.header.frame_id = "end_effector"
-        message.contact, message.sure, message.in_range = estimate.contact, estimate.sure, estimate.in_range
-        for name in ("angle", "vertical", "horizontal"):
-            setattr(message, name, estimate.__dict__[name])
-            setattr(message, f"{name}_stddev", estimate.__dict__[f"{name}_stddev"])
-            setattr(message, f"{name}_probability", estimate.__dict__[f"{name}_probability"].astype(np.float32))
-        message.left_force, message.right_force = estimate.left_force, estimate.right_force
-        message.model = self._model.name
-        return message
+        left, right = self._window.average(frames, self._max_age)
+        perception = self._perception
+        return misalignment_node_io.to_message(perception.predict(left, right), perception.name, frames[-1].stamp)
 
     def _publish(self, period: float) -> None:
         following = time.monotonic() + period
-        with self._arrived:
-            while not self._closed:
-                left = following - time.monotonic()
-                if left > 0.0:
-                    self._arrived.wait(left)
-                    continue
-                following = max(following + period, time.monotonic())
-                frames = list(self._frames)[-self._default_frames :]
-                if not frames:
-                    continue
-                try:
-                    message = self._estimate(frames)
-                except _Refused:
-                    continue  # a stale or untared estimate is not published: subscribers watch its age
-                self._publisher.publish(message)
-
-
-def _load(node: Node, path: str) -> PoseEstimator:
-    try:
-        return PoseEstimator.load(path or MODEL_PATH)
-    except (TactileError, OSError) as error:
-        raise node_support.StartupError(f"{node.get_name()}: parameter 'model': {error}") from error
+        while self._window.pause(following):
+            following = max(following + period, time.monotonic())
+            frames = self._window.newest(self._default_frames)
+            if not frames:
+                continue
+            try:
+                message = self._estimate(frames)
+            except Refused:
+                continue  # a stale or untared estimate is not published: subscribers watch its age
+            self._publisher.publish(message)
 
 
 def main(args: Sequence[str] | None = None) -> int:

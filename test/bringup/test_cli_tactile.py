@@ -11,6 +11,7 @@ import pytest
 from deltacharger_bringup.cli import main
 from deltacharger_bringup.cli_output import DONE, WRONG_INPUT
 from deltacharger_bringup.cli_tactile_options import MODELS
+from deltacharger_tactile import MODEL_PATH
 from deltacharger_tactile.classifiers.classifier import NAMES
 
 
@@ -79,13 +80,61 @@ def test_trained_and_judged(data: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert "simulated" in capsys.readouterr().out
 
 
+def test_a_pose_estimator_is_trained_on_rigs_and_judged_on_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, fresh, model = (tmp_path / name for name in ("data.npz", "fresh.npz", "pose.npz"))
+    generate = ["tactile", "generate", "--protocol", "continuous", "--frames", "4"]
+    assert main([*generate, "--rigs", "6", "--dockings", "500", "--out", str(data)]) == DONE
+    assert main([*generate, "--rigs", "2", "--first-rig", "50", "--dockings", "300", "--out", str(fresh)]) == DONE
+    capsys.readouterr()
+    words = ["--data", str(data), "--model", "pose", "--target", "pose", "--out", str(model), "--json"]
+    assert main(["tactile", "train", *words]) == DONE
+    assert answer(capsys)["n"] == 3000
+    results = []
+    for path in (str(model), str(MODEL_PATH)):
+        assert main(["tactile", "evaluate", "--data", str(fresh), "--model", path, "--json"]) == DONE
+        found = answer(capsys)
+        assert (found["target"], found["n"]) == ("pose", 600)
+        results.append(found)
+    keys = {"target", "n", "accuracy", "mean_absolute_error", "coverage", "nominal", "act_rate", "drift_rate"}
+    for axis in ("angle", "vertical", "horizontal"):
+        own, packaged = (result[axis] for result in results)
+        assert set(own) == set(packaged) == keys  # type: ignore[call-overload]
+        assert packaged["mean_absolute_error"] < own["mean_absolute_error"] < 0.2  # type: ignore[index]
+        assert packaged["coverage"] > 0.85  # type: ignore[index]
+    assert main(["tactile", "evaluate", "--data", str(fresh), "--model", str(MODEL_PATH)]) == DONE
+    told = capsys.readouterr().out
+    assert all(axis in told for axis in ("simulated", "angle", "vertical", "horizontal"))
+
+
+def test_references_of_the_device_are_learnt_from(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
+    plain, referred, other = (tmp_path / name for name in ("plain.npz", "referred.npz", "other.npz"))
+    assert main(["tactile", "generate", "--rigs", "1", "--first-rig", "9", "--out", str(other)]) == DONE
+    words = ["tactile", "train", "--data", str(data), "--model", "lda", "--target", "vertical"]
+    assert main([*words, "--out", str(plain)]) == DONE
+    assert main([*words, "--out", str(referred), "--reference", str(other)]) == DONE
+    with np.load(plain) as one, np.load(referred) as two:
+        assert np.array_equal(one["weights"], two["weights"])
+        assert not np.array_equal(one["bias"], two["bias"])
+    assert main([*words, "--out", str(referred), "--reference", "none.npz"]) == WRONG_INPUT
+    assert "--reference none.npz" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
         (("generate", "--out", "data.csv"), "ends in .npz"),
         (("generate", "--out", "nowhere/data.npz"), "does not exist"),
         (("evaluate", "--data", "missing.npz", "--model", "missing.npz"), "no such file"),
-        (("evaluate", "--data", "DATA", "--model", "DATA"), "no classifier"),
+        (("evaluate", "--data", "DATA", "--model", "DATA"), "no pose model"),
+        (("evaluate", "--data", "DATA", "--model", str(MODEL_PATH)), "cut at 1 N"),
+        (("generate", "--dockings", "5", "--out", "data.npz"), "continuous"),
+        (("train", "--data", "DATA", "--model", "pose", "--target", "pose", "--out", "m.npz"), "rigs are too few"),
+        (("train", "--data", "DATA", "--model", "lda", "--target", "pose", "--out", "m.npz"), "--model pose"),
         (("evaluate", "--data", "DATA", "--model", "missing.npz"), "missing.npz"),
         (("train", "--data", "broken.npz", "--model", "lda", "--target", "angle", "--out", "m.npz"), "broken.npz"),
     ],

@@ -7,6 +7,7 @@ import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,12 +21,17 @@ pytest.importorskip("deltacharger.msg")
 
 from deltacharger.msg import Misalignment, TactileFrame  # noqa: E402
 from deltacharger.srv import PredictMisalignment  # noqa: E402
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 
 from deltacharger_bringup.node_support import Spinner, StartupError  # noqa: E402
+from deltacharger_tactile import default_model  # noqa: E402
+from deltacharger_tactile.classifiers import files  # noqa: E402
+from deltacharger_tactile.generator import generate_paper  # noqa: E402
 from deltacharger_tactile.misalignment_node import MisalignmentNode  # noqa: E402
+from deltacharger_tactile.sensor_calibration import TactileCalibration  # noqa: E402
 from deltacharger_tactile.source import ContactSource  # noqa: E402
 
 TRUTH = (0.001, 0.003, 0.08)
@@ -45,6 +51,8 @@ class Pads(Node):
         super().__init__("pads", context=context)
         self.publisher = self.create_publisher(TactileFrame, "tactile_frame", qos_profile_sensor_data)
         self.client = self.create_client(PredictMisalignment, "predict_misalignment")
+        self.setter = self.create_client(SetParameters, "misalignment_node/set_parameters")
+        self.atomic = self.create_client(SetParametersAtomically, "misalignment_node/set_parameters_atomically")
         self.heard: list[Misalignment] = []
         self.create_subscription(Misalignment, "misalignment", self.heard.append, 1)
         self.tared, self.delay, self.streaming = True, 0.0, False
@@ -75,6 +83,20 @@ class Pads(Node):
         wait_for(future.done)
         return future.result()
 
+    def set(self, **values: Any) -> Any:
+        """Set one parameter of the node and return the result."""
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        future = self.setter.call_async(SetParameters.Request(parameters=parameters))
+        wait_for(future.done)
+        return future.result().results[-1]
+
+    def set_together(self, **values: Any) -> Any:
+        """Set several parameters at once and return the result."""
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        future = self.atomic.call_async(SetParametersAtomically.Request(parameters=parameters))
+        wait_for(future.done)
+        return future.result().result
+
     def close(self) -> None:
         self._stop.set()
         self._thread.join(2.0)
@@ -97,7 +119,8 @@ def pads(context: Any) -> Iterator[Pads]:
     spinner = Spinner(node)
     client = Pads(context)
     client_spinner = Spinner(client)
-    wait_for(client.client.service_is_ready)
+    for service in (client.client, client.setter, client.atomic):
+        wait_for(service.service_is_ready)
     wait_for(lambda: client.publisher.get_subscription_count() == 1)
     yield client
     client_spinner.close()
@@ -144,8 +167,202 @@ def test_refuses_without_frames_untared_and_stale(pads: Pads) -> None:
     assert "240" in too_many.message
 
 
+def test_models_change_while_the_node_runs(pads: Pads, tmp_path: Path) -> None:
+    other = default_model()
+    other.name = "pose-other"
+    other.save(tmp_path / "other.npz")
+    pads.streaming = True
+    before = pads.ask().misalignment.model
+    assert pads.set(model=str(tmp_path / "other.npz")).successful
+    assert pads.ask().misalignment.model == "pose-other"
+    pads.heard.clear()
+    wait_for(lambda: any(message.model == "pose-other" for message in pads.heard))
+    assert pads.set(model="").successful
+    assert pads.ask().misalignment.model == before
+
+
+def test_no_answer_mixes_two_models_while_they_change(pads: Pads, tmp_path: Path) -> None:
+    TactileCalibration(rig=9, bias=np.array([0.0, 0.004, 0.0])).save(tmp_path / "pads.yaml")
+    pads.frames, pads.streaming = pads.frames[:1], True
+    plain = pads.ask().misalignment.vertical
+    pads.heard.clear()
+    for turn in range(10):
+        assert pads.set(calibration=str(tmp_path / "pads.yaml") if turn % 2 else "").successful
+        count = len(pads.heard)
+        wait_for(lambda count=count: len(pads.heard) > count + 1)
+    for message in pads.heard:
+        moved = 0.004 if message.model.endswith("+rig9") else 0.0
+        assert message.vertical == pytest.approx(plain - moved, abs=1e-6)
+    assert {message.model.endswith("+rig9") for message in pads.heard} == {True, False}
+
+
+def test_a_calibration_changes_the_estimate(pads: Pads, tmp_path: Path) -> None:
+    dead = np.zeros((2, 10, 10), dtype=bool)
+    dead[0, :3] = True
+    bias = np.array([0.002, 0.0005, 0.01])
+    TactileCalibration(rig=4, bias=bias, bias_stddev=np.full(3, 1e-4)).save(tmp_path / "biased.yaml")
+    TactileCalibration(rig=4, dead=dead).save(tmp_path / "dead.yaml")
+    pads.frames, pads.streaming = pads.frames[:1], True  # the same frame again and again: no noise between answers
+    raw = pads.ask().misalignment
+    assert pads.set(calibration=str(tmp_path / "biased.yaml")).successful
+    got = pads.ask().misalignment
+    assert got.horizontal == pytest.approx(raw.horizontal - bias[0], abs=1e-6)
+    assert got.angle == pytest.approx(raw.angle - bias[2], abs=1e-6)
+    assert pads.set(calibration=str(tmp_path / "dead.yaml")).successful
+    crippled = pads.ask().misalignment
+    assert (crippled.contact, crippled.in_range, crippled.sure) == (True, False, False)
+
+
+def always(path: Path, target: str, favoured: int, count: int) -> str:
+    """Write a classifier that knows one answer."""
+    bias = np.zeros(count)
+    bias[favoured] = 9.0
+    about = {"name": "logistic", "target": target, "threshold": 1.0, "kind": "linear"}
+    files.write(path, about, {"weights": np.zeros((200, count)), "bias": bias})
+    return str(path)
+
+
+def test_classifiers_replace_the_probabilities_of_their_target(pads: Pads, tmp_path: Path) -> None:
+    angle, vertical = always(tmp_path / "a.npz", "angle", 2, 6), always(tmp_path / "v.npz", "vertical", 4, 5)
+    pads.frames, pads.streaming = pads.frames[:1], True
+    raw = pads.ask().misalignment
+    assert pads.set(classifiers=[angle, vertical]).successful
+    got = pads.ask().misalignment
+    assert np.argmax(got.angle_probability) == 2
+    assert np.argmax(got.vertical_probability) == 4
+    assert np.argmax(got.horizontal_probability) == np.argmax(raw.horizontal_probability)
+    assert got.angle == pytest.approx(raw.angle, abs=1e-6)
+    twice = pads.set(classifiers=[angle, angle])
+    assert not twice.successful
+    assert "second one for angle" in twice.reason
+    assert np.argmax(pads.ask().misalignment.angle_probability) == 2
+    assert pads.set(classifiers=[""]).successful
+    assert np.argmax(pads.ask().misalignment.angle_probability) == np.argmax(raw.angle_probability)
+
+
+def broken_files(folder: Path) -> dict[str, list[str]]:
+    """Write what must be refused, by parameter."""
+    model = folder / "model.npz"
+    default_model().save(model)
+    with np.load(model) as file:
+        arrays = {name: file[name] for name in file.files}
+    first = next(name for name in arrays if name.endswith("weight0"))
+    (folder / "cut.npz").write_bytes(model.read_bytes()[:5000])
+    np.savez(folder / "nan.npz", **{**arrays, first: np.full_like(arrays[first], np.nan)})
+    np.savez(folder / "shape.npz", **{**arrays, first: arrays[first][:-1]})
+    meta = str(arrays["meta"]).replace('"format": ', '"format": 9')
+    np.savez(folder / "version.npz", **{**arrays, "meta": np.array(meta)})
+    np.savez(folder / "pickled.npz", meta=np.array([{"a": print}], dtype=object))
+    generate_paper(rigs=(1,), seed=1).save(folder / "data.npz")
+    always(folder / "classifier.npz", "angle", 0, 6)
+    TactileCalibration().save(folder / "pads.yaml")
+    (folder / "cut.yaml").write_text((folder / "pads.yaml").read_text(encoding="utf-8")[:200], encoding="utf-8")
+    (folder / "noise.bin").write_bytes(bytes(range(256)) * 20)
+    common = ["missing", "data.npz", "pickled.npz", "noise.bin", "."]
+    return {
+        "model": [*common, "cut.npz", "nan.npz", "shape.npz", "version.npz", "classifier.npz", "pads.yaml"],
+        "calibration": [*common, "model.npz", "cut.yaml"],
+        "classifiers": [*common, "model.npz", "cut.npz", "pads.yaml"],
+    }
+
+
+def test_unusable_files_are_refused_with_a_reason_and_change_nothing(pads: Pads, tmp_path: Path) -> None:
+    wrong = broken_files(tmp_path)
+    pads.streaming = True
+    before = pads.ask().misalignment
+    for parameter, names in wrong.items():
+        for name in names:
+            path = str(tmp_path / name)
+            told = pads.set(**{parameter: [path] if parameter == "classifiers" else path})
+            assert not told.successful, (parameter, name)
+            assert parameter in told.reason
+            assert before.model in told.reason
+            assert len(told.reason) > len(path) + 40
+    together = pads.set_together(calibration=str(tmp_path / "pads.yaml"), model=str(tmp_path / "cut.npz"))
+    assert not together.successful
+    after = pads.ask().misalignment
+    assert (after.model, after.sure) == (before.model, True)
+    assert pads.set(calibration=str(tmp_path / "pads.yaml")).successful
+
+
+def test_what_is_fixed_while_running_says_so(pads: Pads, tmp_path: Path) -> None:
+    for name, value in (("rate", 5.0), ("frames", 3), ("max_age", 1.0), ("timeout", 2.0)):
+        told = pads.set(**{name: value})
+        assert not told.successful
+        assert "read-only" in told.reason
+        assert name in told.reason
+    TactileCalibration(rig=8).save(tmp_path / "pads.yaml")
+    pads.streaming = True
+    assert not pads.set_together(calibration=str(tmp_path / "pads.yaml"), rate=5.0).successful
+    assert not pads.ask().misalignment.model.endswith("+rig8")
+
+
+def bad(kind: str, pad: Any) -> Any:
+    """Return a pad of a docking as a broken one would read it."""
+    wrong = np.array(pad)
+    if kind == "half dead":
+        wrong[:, :5] = np.nan
+    elif kind == "a row at full scale":
+        wrong[4] = 9.0
+    else:
+        wrong[:] = {
+            "zero": 0.0,
+            "dead": np.nan,
+            "full scale": 9.0,
+            "infinite": np.inf,
+            "huge": 1e30,
+            "negative": -5.0,
+        }[kind]
+    return wrong
+
+
+@pytest.mark.parametrize(
+    ("kind", "contact"),
+    [
+        ("zero", False),
+        ("dead", False),
+        ("full scale", True),
+        ("infinite", False),
+        ("huge", False),
+        ("negative", False),
+        ("half dead", True),
+        ("a row at full scale", True),
+    ],
+)
+def test_bad_frames_get_a_clear_answer(pads: Pads, tmp_path: Path, kind: str, contact: bool) -> None:
+    TactileCalibration(rig=3, load_shift=8.0, bias=np.full(3, 1e-3), bias_stddev=np.full(3, 1e-4)).save(
+        tmp_path / "pads.yaml"
+    )
+    for calibration in ("", str(tmp_path / "pads.yaml")):
+        for both in (True, False):
+            good = pads.frames[0]
+            pads.frames = [(bad(kind, left), bad(kind, right) if both else right) for left, right in [good] * 4]
+            assert pads.set(calibration=calibration).successful
+            pads.streaming = True
+            answer = pads.ask(3)
+            pads.frames, pads.streaming = [good], False
+            assert answer.success, answer.message
+            found = answer.misalignment
+            assert (found.in_range, found.sure) == (False, False)
+            assert found.contact == (contact or not both)
+            if not found.contact:
+                assert np.isnan([found.angle, found.vertical, found.horizontal]).all()
+
+
+def test_a_frame_of_another_shape_is_left_out(pads: Pads) -> None:
+    message = TactileFrame(rows=5, columns=20, pitch=0.0024, tared=True)
+    message.left = message.right = array("f", [1.0] * 100)
+    for _ in range(5):
+        pads.publisher.publish(message)
+    assert not pads.ask(1).success
+    pads.streaming = True
+    assert pads.ask(4).success
+
+
 def test_a_bad_model_stops_the_start(context: Any) -> None:
     with pytest.raises(StartupError, match="model"):
         MisalignmentNode(context=context, parameter_overrides=[Parameter("model", value="/nowhere.npz")])
+    with pytest.raises(StartupError, match="calibration"):
+        MisalignmentNode(context=context, parameter_overrides=[Parameter("calibration", value="/nowhere.yaml")])
     with pytest.raises(StartupError, match="max_age"):
         MisalignmentNode(context=context, parameter_overrides=[Parameter("maxage", value=1.0)])

@@ -1,0 +1,132 @@
+"""Turns averaged frames into an estimate on a robot: pose model, the rig's calibration, the paper's classifiers."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from deltacharger_tactile import MODEL_PATH
+from deltacharger_tactile.classifiers.classifier import Classifier
+from deltacharger_tactile.classifiers.labels import TARGETS
+from deltacharger_tactile.errors import TactileError
+from deltacharger_tactile.estimate import Estimate
+from deltacharger_tactile.estimator import PoseEstimator
+from deltacharger_tactile.parameters import SensorParameters
+from deltacharger_tactile.sensor_calibration import TactileCalibration
+
+Array = NDArray[np.float64]
+
+_LARGEST = 100.0
+"""A reading beyond it (N) is no force: eleven times what a taxel measures."""
+_SATURATED = 0.9 * SensorParameters().full_scale
+"""A taxel that reads this much (N) may be pressed harder; the tare takes a part of the scale."""
+_SATURATED_MOST = 3
+"""Taxels of both pads that may; then their load and centres are no longer known."""
+
+
+class PerceptionError(TactileError, ValueError):
+    """A file cannot be used as asked. Example: a data set where a model belongs.
+
+    Args:
+        parameter: what the file was given for: model, calibration or classifiers.
+        reason: what is wrong and what to do.
+    """
+
+    def __init__(self, parameter: str, reason: str) -> None:
+        self.parameter = parameter
+        self.reason = reason
+        super().__init__(f"parameter '{parameter}': {reason}")
+
+
+@dataclass(frozen=True)
+class Perception:
+    """Immutable, so that a node swaps it between two estimates.
+
+    Attributes:
+        model: estimates the pose.
+        calibration: of the rig; None = none.
+        classifiers: by target, replace the class probabilities that the pose model gives.
+    """
+
+    model: PoseEstimator
+    calibration: TactileCalibration | None = None
+    classifiers: Mapping[str, Classifier] = dataclasses.field(default_factory=dict)
+
+    @staticmethod
+    def load(model: str = "", calibration: str = "", classifiers: Sequence[str] = ()) -> Perception:
+        """Read and check every file.
+
+        Args:
+            model: npz file of a pose model; empty = the packaged one.
+            calibration: YAML file of `deltacharger calibrate tactile`; empty = none.
+            classifiers: npz files of `deltacharger tactile train`, one per target at most; empty names are ignored.
+
+        Raises:
+            PerceptionError: a file is missing or not what belongs there; the message says what to do.
+        """
+        pose_model = _read("model", PoseEstimator.load, model or MODEL_PATH)
+        known = _read("calibration", TactileCalibration.load, calibration) if calibration else None
+        by_target: dict[str, Classifier] = {}
+        for path in filter(None, classifiers):
+            found = _read("classifiers", Classifier.load, path)
+            if found.target not in TARGETS:
+                raise PerceptionError(
+                    "classifiers", f"{path} tells '{found.target}'; give one for {', '.join(TARGETS)}"
+                )
+            if found.target in by_target:
+                raise PerceptionError(
+                    "classifiers", f"{path} is the second one for {found.target}; give one per target"
+                )
+            by_target[found.target] = found
+        return Perception(pose_model, known, by_target)
+
+    @property
+    def name(self) -> str:
+        """What messages call the model; a calibrated one names its rig."""
+        return self.model.name + (f"+rig{self.calibration.rig}" if self.calibration else "")
+
+    @property
+    def doubt(self) -> str:
+        """What a person should know of how the files go together; empty = nothing."""
+        if self.calibration is None or self.calibration.model == self.model.name:
+            return ""
+        return (
+            f"the calibration was made for the model {self.calibration.model}, not {self.model.name}; "
+            "make one with `deltacharger calibrate tactile --model`"
+        )
+
+    def predict(self, left: ArrayLike, right: ArrayLike) -> Estimate:
+        """Estimate the pose from tared frames (10, 10) N, NaN where dead; never sure of readings that cannot be.
+
+        Raises:
+            FrameError: the arrays are not of that shape.
+        """
+        pads = [np.asarray(pad, dtype=float) for pad in (left, right)]
+        pads = [np.where(np.abs(pad) <= _LARGEST, pad, np.nan) for pad in pads]
+        seen = self.calibration.apply(*pads) if self.calibration else pads
+        estimate = self.model.predict(*seen)
+        if self.calibration:
+            estimate = self.calibration.correct(estimate, self.model.limits)
+        changed: dict[str, Any] = {}
+        if sum(np.count_nonzero(pad >= _SATURATED) for pad in pads) > _SATURATED_MOST:
+            changed |= {"in_range": False, "sure": False}
+        if estimate.contact:
+            frames = np.stack(pads)[None]  # as they were trained: without the rig's calibration
+            for target, classifier in self.classifiers.items():
+                changed[f"{target}_probability"] = classifier.predict_proba(frames)[0]
+        return dataclasses.replace(estimate, **changed) if changed else estimate
+
+
+def _read(parameter: str, load: Any, path: str | Path) -> Any:
+    try:
+        return load(path)
+    except FileNotFoundError as error:
+        raise PerceptionError(parameter, f"there is no file {path}; give the path of one that this host has") from error
+    except (TactileError, OSError) as error:
+        raise PerceptionError(parameter, str(error)) from error

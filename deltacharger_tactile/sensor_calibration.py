@@ -1,0 +1,288 @@
+"""What reference dockings tell about one rig: gains and dead taxels of its pads, what a tilt does, constant errors.
+
+`apply` goes before the pose model, `correct` after it. `sensor_calibration_fit` makes one; running it needs numpy
+alone, reading and writing the file PyYAML.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from deltacharger_tactile.dataset import ANGLE_LIMIT, POSITION_LIMIT
+from deltacharger_tactile.errors import FrameError, TactileError
+from deltacharger_tactile.estimate import Estimate, Limits, angle_classes, position_classes
+from deltacharger_tactile.parameters import COLUMNS, PADS, ROWS
+
+Array = NDArray[np.float64]
+
+VERSION = 1
+SHAPE = (PADS, ROWS, COLUMNS)
+AXES = ("horizontal", "vertical", "angle")
+SIDES = ("left", "right")
+GAIN_LOW, GAIN_HIGH = 0.2, 5.0
+SHIFT_LIMIT = 30.0
+"""Largest load shift, N: about 0.15° of tilt on the simulated pads."""
+_BIAS_LIMIT = {"horizontal": 0.02, "vertical": 0.02, "angle": 0.2}
+_FELT = 0.25
+"""Readings below it are noise and belong to no pad's load, N; as in the pose model."""
+_SHARE = 0.3
+"""A pad's readings are never scaled by more: beyond it a light pad's noise would be taken for its ridge."""
+_LARGEST_FILE = 1_000_000
+
+
+class SensorCalibrationError(TactileError, ValueError):
+    """A calibration, or the data that it is to be made from, cannot be used. Example: a gain of 0.
+
+    Args:
+        source: file or key.
+        reason: what is wrong and what to do.
+    """
+
+    def __init__(self, source: str, reason: str) -> None:
+        self.source = source
+        self.reason = reason
+        super().__init__(f"{source}: {reason}")
+
+
+@dataclass(frozen=True)
+class TactileCalibration:
+    """Calibration of one rig for one pose model; the default changes nothing.
+
+    Attributes:
+        gain: (2, 10, 10) relative gain of each taxel, mean 1 on each pad.
+        dead: (2, 10, 10) taxels that are not to be believed.
+        load_shift: N that a constant tilt takes from the right pad and gives to the left.
+        bias: (3,) m, m, rad: constant error of (horizontal, vertical, angle) in end_effector.
+        bias_stddev: (3,) what correcting adds to the estimate's standard deviations.
+        rig: number of the rig, as in the data.
+        sensor: its pads, as the data name them; empty = not said.
+        model: name of the pose model whose errors these are.
+        date: when it was made, ISO 8601.
+        dockings: how many it was made from.
+        data: SHA-256 of the data set.
+        simulated: whether the data were.
+
+    Raises:
+        SensorCalibrationError: a value is out of its bounds or has another shape.
+    """
+
+    gain: Array = field(default_factory=lambda: np.ones(SHAPE))
+    dead: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(SHAPE, dtype=bool))
+    load_shift: float = 0.0
+    bias: Array = field(default_factory=lambda: np.zeros(3))
+    bias_stddev: Array = field(default_factory=lambda: np.zeros(3))
+    rig: int = 0
+    sensor: str = ""
+    model: str = ""
+    date: str = ""
+    dockings: int = 0
+    data: str = ""
+    simulated: bool = False
+
+    def __post_init__(self) -> None:
+        if self.gain.shape != SHAPE or self.dead.shape != SHAPE:
+            raise SensorCalibrationError("gain", f"gain and dead must have the shape {SHAPE}")
+        if self.bias.shape != (3,) or self.bias_stddev.shape != (3,):
+            raise SensorCalibrationError("bias", "bias and bias_stddev must have three values")
+        _bound("gain", self.gain, GAIN_LOW, GAIN_HIGH)
+        _bound("load_shift", self.load_shift, -SHIFT_LIMIT, SHIFT_LIMIT)
+        for axis, value, stddev in zip(AXES, self.bias, self.bias_stddev, strict=True):
+            limit = _BIAS_LIMIT[axis]
+            _bound(f"bias.{axis}", value, -limit, limit)
+            _bound(f"bias_stddev.{axis}", stddev, 0.0, limit)
+
+    def apply(self, left: ArrayLike, right: ArrayLike) -> tuple[Array, Array]:
+        """Return both pads as a rig without these faults would read them.
+
+        Args:
+            left: (..., 10, 10) N, the pad at +x, tared, not thresholded; NaN = dead.
+            right: the same for the pad at −x.
+
+        Raises:
+            FrameError: the arrays are not of that shape.
+        """
+        pads = [np.asarray(pad, dtype=float) for pad in (left, right)]
+        if pads[0].shape != pads[1].shape or pads[0].shape[-2:] != SHAPE[1:]:
+            raise FrameError(pads[0].shape, pads[1].shape)
+        for index in range(PADS):
+            pads[index] = np.where(self.dead[index], np.nan, pads[index] / self.gain[index])
+        if self.load_shift == 0.0:
+            return pads[0], pads[1]
+        loads = [np.where(pad >= _FELT, pad, 0.0).sum(axis=(-2, -1)) for pad in pads]
+        lighter = np.minimum(*loads)
+        most = np.where(lighter >= Limits().pad_force, _SHARE * lighter, 0.0)
+        moved = np.clip(0.5 * self.load_shift, -most, most)
+        factors = [1.0 + sign * moved / np.maximum(load, _FELT) for sign, load in zip((-1.0, 1.0), loads, strict=True)]
+        return pads[0] * factors[0][..., None, None], pads[1] * factors[1][..., None, None]
+
+    def correct(self, estimate: Estimate, limits: Limits | None = None) -> Estimate:
+        """Take the constant error off an estimate that was made from what `apply` returned.
+
+        Standard deviations grow by how well the error is known; classes and `in_range` follow the corrected pose. What
+        was not in range or not sure does not become so.
+
+        Args:
+            estimate: floats of one frame pair, or arrays (...).
+            limits: those of the pose model; None = the defaults.
+        """
+        if not self.bias.any() and not self.bias_stddev.any():
+            return estimate
+        allowed = limits or Limits()
+        shape = np.shape(estimate.angle)
+        given = {item.name: np.asarray(getattr(estimate, item.name)) for item in dataclasses.fields(Estimate)}
+        pose = {axis: given[axis].ravel() - bias for axis, bias in zip(AXES, self.bias, strict=True)}
+        spread = {
+            axis: np.hypot(given[f"{axis}_stddev"].ravel(), stddev)
+            for axis, stddev in zip(AXES, self.bias_stddev, strict=True)
+        }
+        reach = (POSITION_LIMIT, POSITION_LIMIT, ANGLE_LIMIT)
+        within = np.all([np.abs(pose[axis]) <= limit for axis, limit in zip(AXES, reach, strict=True)], axis=0)
+        precise = np.all([spread[axis] <= getattr(allowed, f"{axis}_stddev") for axis in AXES], axis=0)
+        in_range = given["in_range"].ravel() & within
+        changed: dict[str, NDArray[Any]] = {"in_range": in_range, "sure": given["sure"].ravel() & in_range & precise}
+        for axis in AXES:
+            classes = angle_classes if axis == "angle" else position_classes
+            changed |= {axis: pose[axis], f"{axis}_stddev": spread[axis]}
+            changed[f"{axis}_probability"] = classes(pose[axis], spread[axis])
+        return dataclasses.replace(estimate, **{name: _shaped(value, shape) for name, value in changed.items()})
+
+    def save(self, path: str | Path, comment: str = "") -> None:
+        """Write it as YAML, `comment` above it.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        import yaml
+
+        head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
+        body = yaml.safe_dump(_as_mapping(self), sort_keys=False, default_flow_style=None, width=120)
+        Path(path).write_text(head + body, encoding="utf-8")
+
+    @staticmethod
+    def load(path: str | Path) -> TactileCalibration:
+        """Read what `save` wrote.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            SensorCalibrationError: names the file and the key that is unknown, missing or impossible.
+        """
+        import yaml
+
+        source = str(path)
+        if Path(path).is_dir():
+            raise SensorCalibrationError(source, "it is a folder; name a file of `deltacharger calibrate tactile`")
+        if Path(path).stat().st_size > _LARGEST_FILE:
+            raise SensorCalibrationError(source, "too large for a calibration; name one of `calibrate tactile`")
+        try:
+            content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
+            raise SensorCalibrationError(
+                source, "not readable as YAML; make it anew with `calibrate tactile`"
+            ) from error
+        try:
+            return _from_mapping(content)
+        except SensorCalibrationError as error:
+            raise SensorCalibrationError(source, str(error)) from error
+
+
+def _shaped(values: NDArray[Any], shape: tuple[int, ...]) -> Any:
+    shaped = values.reshape((*shape, *values.shape[1:]))
+    return shaped if shaped.ndim else shaped.item()
+
+
+def _bound(name: str, value: ArrayLike, low: float, high: float) -> None:
+    values = np.asarray(value, dtype=float)
+    if not np.all((values >= low) & (values <= high)):  # NaN is neither
+        raise SensorCalibrationError(name, f"outside {low:g} to {high:g}; calibrate anew")
+
+
+def _as_mapping(calibration: TactileCalibration) -> dict[str, Any]:
+    return {
+        "version": VERSION,
+        **{name: getattr(calibration, name) for name in _PLAIN},
+        "load_shift": float(calibration.load_shift),
+        "bias": dict(zip(AXES, calibration.bias.tolist(), strict=True)),
+        "bias_stddev": dict(zip(AXES, calibration.bias_stddev.tolist(), strict=True)),
+        "dead": np.argwhere(calibration.dead).tolist(),
+        "gain": {side: np.round(calibration.gain[pad], 4).tolist() for pad, side in enumerate(SIDES)},
+    }
+
+
+_PLAIN: dict[str, type] = {
+    "rig": int,
+    "sensor": str,
+    "model": str,
+    "date": str,
+    "dockings": int,
+    "data": str,
+    "simulated": bool,
+}
+
+
+def _from_mapping(content: Any) -> TactileCalibration:
+    keys = ("version", *_PLAIN, "load_shift", "bias", "bias_stddev", "dead", "gain")
+    _keys("the file", content, keys)
+    if content["version"] != VERSION:
+        raise SensorCalibrationError("version", f"{content['version']!r} is not {VERSION}; calibrate anew")
+    for name, kind in _PLAIN.items():
+        if type(content[name]) is not kind:
+            raise SensorCalibrationError(name, f"{content[name]!r} is not of type {kind.__name__}")
+    _keys("gain", content["gain"], SIDES)
+    _keys("bias", content["bias"], AXES)
+    _keys("bias_stddev", content["bias_stddev"], AXES)
+    return TactileCalibration(
+        gain=np.stack([_numbers(f"gain.{side}", content["gain"][side], SHAPE[1:]) for side in SIDES]),
+        dead=_taxels(content["dead"]),
+        load_shift=float(_numbers("load_shift", content["load_shift"], ())),
+        bias=np.array([_numbers(f"bias.{axis}", content["bias"][axis], ()) for axis in AXES]),
+        bias_stddev=np.array([_numbers(f"bias_stddev.{axis}", content["bias_stddev"][axis], ()) for axis in AXES]),
+        **{name: content[name] for name in _PLAIN},
+    )
+
+
+def _keys(where: str, mapping: Any, known: tuple[str, ...]) -> None:
+    if not isinstance(mapping, Mapping):
+        raise SensorCalibrationError(where, f"must be a mapping with the keys {', '.join(known)}")
+    for key in mapping:
+        if key not in known:
+            near = difflib.get_close_matches(str(key), known, 1)
+            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
+            raise SensorCalibrationError(str(key), f"unknown key in {where}; {hint}")
+    missing = [key for key in known if key not in mapping]
+    if missing:
+        raise SensorCalibrationError(where, f"no key {', '.join(missing)}; calibrate anew")
+
+
+def _numbers(where: str, value: Any, shape: tuple[int, ...]) -> Array:
+    def plain(item: Any) -> bool:
+        if isinstance(item, list):
+            return all(plain(part) for part in item)
+        return isinstance(item, int | float) and not isinstance(item, bool) and math.isfinite(item)
+
+    try:
+        numbers = np.array(value, dtype=float) if plain(value) else None
+    except (ValueError, OverflowError, RecursionError):
+        numbers = None
+    if numbers is None or numbers.shape != shape:
+        wanted = f"{shape[0]} rows of {shape[1]} numbers" if shape else "a number"
+        raise SensorCalibrationError(where, f"must be {wanted}, all finite")
+    return numbers
+
+
+def _taxels(value: Any) -> NDArray[np.bool_]:
+    dead = np.zeros(SHAPE, dtype=bool)
+    for place in value if isinstance(value, list) else [value]:
+        numbers = isinstance(place, list) and len(place) == len(SHAPE) and all(type(part) is int for part in place)
+        if not numbers or not all(0 <= part < size for part, size in zip(place, SHAPE, strict=True)):
+            raise SensorCalibrationError("dead", f"{place!r} is not [pad 0–1, row 0–9, column 0–9]")
+        dead[tuple(place)] = True
+    return dead
