@@ -61,7 +61,7 @@ $(INSTALLED): $(SOURCES)
 	  > $(VENV)/build-requirements.txt
 	$(BIN)/python -m pip install --quiet -r $(VENV)/build-requirements.txt
 	@echo 'building deltacharger and its ROS interfaces into $(VENV); about two minutes'
-	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-build-isolation -e '.[dev,report]'
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-build-isolation -e '.[dev,record,report]'
 	$(BIN)/python -c 'from deltacharger.msg import TactileFrame'
 	touch $@
 

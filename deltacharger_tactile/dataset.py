@@ -70,8 +70,8 @@ class Dataset:
 
     @property
     def simulated(self) -> bool:
-        """Whether the data come from the contact generator."""
-        return "parameters" in self.meta
+        """Whether the data come from the contact generator, or were recorded from a simulated charger."""
+        return "parameters" in self.meta or bool(self.meta.get("simulated"))
 
     @property
     def threshold(self) -> float:

@@ -1,0 +1,98 @@
+"""Which dockings make up a recorded data set: the paper's two, reference dockings and signed poses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from deltacharger_tactile.dataset import (
+    POSITION_CLASSES,
+    POSITION_LIMIT,
+    SUBSET_ANGLE,
+    SUBSET_CONTINUOUS,
+    SUBSET_POSITION,
+)
+
+SETS = ("position", "angle", "reference", "sweep")
+SUBSETS = dict(zip(SETS, (SUBSET_POSITION, SUBSET_ANGLE, SUBSET_CONTINUOUS, SUBSET_CONTINUOUS), strict=True))
+REPEATS = {"position": 20, "angle": 100, "reference": 10, "sweep": 100}
+"""Dockings at each offset (position), else in all (paper; reference and sweep are ours)."""
+TILTED = {"angle": 5.0, "sweep": 20.0}
+"""Sets whose target is turned, and by how much at most, degrees."""
+OFFSETS_MM = tuple(1e3 * value for value in POSITION_CLASSES)
+_LEFT_BY_VISION = 0.1  # of the start's offset (paper)
+_START_STEP, _START_STEPS = 0.004, 5  # m; the start varies by ±20 mm in steps of 4 mm (paper)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the target shall be in end_effector: m, m, rad, signed as in Dataset."""
+
+    horizontal: float
+    vertical: float
+    angle: float
+
+
+@dataclass(frozen=True)
+class Part:
+    """What one call records, in the units of the command line.
+
+    Attributes:
+        set: one of SETS.
+        angle_deg: by which the target is turned about +z of charger_base, from +x to +y.
+        repeat: dockings at each offset of the position set, of other sets in all.
+        seed: of order and offsets.
+        x_mm, y_mm, z_mm: where the target's electrodes stand in charger_base.
+        offsets_mm: of the position set, along each axis.
+    """
+
+    set: str
+    angle_deg: float
+    repeat: int
+    seed: int
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    offsets_mm: tuple[float, ...] = OFFSETS_MM
+
+    @property
+    def name(self) -> str:
+        """What tells it from the other parts of a file: the set, and the angle where it has one."""
+        return f"{self.set} {self.angle_deg:g}°" if self.set in TILTED else self.set
+
+    @property
+    def target(self) -> tuple[float, float, float]:
+        """Where the target's electrodes stand, m, charger_base."""
+        return 1e-3 * self.x_mm, 1e-3 * self.y_mm, 1e-3 * self.z_mm
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields as JSON has them."""
+        return {**asdict(self), "offsets_mm": list(self.offsets_mm)}
+
+    @staticmethod
+    def from_dict(values: Mapping[str, Any]) -> Part:
+        """Return what `as_dict` gave; TypeError or KeyError where it did not."""
+        return Part(**{**values, "offsets_mm": tuple(values["offsets_mm"])})
+
+    def poses(self) -> list[Pose]:
+        """Return every docking's pose, in the order of recording; the same arguments give the same.
+
+        Offsets of the position set come in a new order at each repetition, so that no drift looks like an offset.
+        """
+        angle = math.radians(self.angle_deg)
+        random = np.random.default_rng([SETS.index(self.set), self.seed, round(1e3 * self.angle_deg) % 2**32])
+        if self.set == "position":
+            grid = 1e-3 * np.array([(x, y) for x in self.offsets_mm for y in self.offsets_mm])
+            offsets = np.concatenate([random.permutation(grid) for _ in range(self.repeat)])
+        elif self.set == "angle":
+            steps = random.integers(-_START_STEPS, _START_STEPS + 1, (self.repeat, 2))
+            offsets = _LEFT_BY_VISION * _START_STEP * steps
+        elif self.set == "reference":
+            offsets = np.zeros((self.repeat, 2))
+        else:
+            offsets = random.uniform(-POSITION_LIMIT, POSITION_LIMIT, (self.repeat, 2))
+        return [Pose(float(x), float(y), angle) for x, y in offsets]
