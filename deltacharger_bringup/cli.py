@@ -14,11 +14,11 @@ import sys
 from collections.abc import Sequence
 from types import FrameType
 
-from deltacharger_bringup.cli_calibrate_options import add_kinematics
+from deltacharger_bringup.cli_calibrate_options import add_kinematics, add_tactile_calibration
 from deltacharger_bringup.cli_hardware_options import add_doctor, add_fault, add_simulate
 from deltacharger_bringup.cli_output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
 from deltacharger_bringup.cli_parser import Parser, Version, add_command
-from deltacharger_bringup.cli_tactile_options import add_tactile
+from deltacharger_bringup.cli_tactile_options import add_comparison, add_tactile
 from deltacharger_bringup.cli_types import DEGREES, MILLIMETRES, POSITIVE, SEED, deadline, namespace, whole
 
 DEFAULT_SCENE = "simulated"
@@ -33,9 +33,8 @@ _LATER: dict[str, tuple[str, ...]] = {
 }
 """Commands of the interface that this version knows and does not have yet."""
 _LATER_ACTIONS: dict[str, tuple[str, ...]] = {
-    "calibrate": ("camera", "tactile"),
-    "report": ("tactile", "simulation", "vision", "footprint"),
-    "tactile": ("record", "compare"),
+    "calibrate": ("camera",),
+    "report": ("simulation", "vision", "footprint"),
 }
 """What is not there yet of commands that are."""
 
@@ -235,7 +234,9 @@ def _add_doctor(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _add_calibrate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = commands.add_parser("calibrate", help="fit this one charger's dimensions", description="Calibrate.")
+    parser = commands.add_parser(
+        "calibrate", help="fit this one charger's dimensions and pads", description="Calibrate."
+    )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     kinematics = add_command(
         actions,
@@ -245,6 +246,9 @@ def _add_calibrate(commands: argparse._SubParsersAction[argparse.ArgumentParser]
     )
     add_kinematics(kinematics)
     _add_namespace(kinematics)
+    module = "deltacharger_bringup.cli_calibrate_tactile"
+    text = "find gains, dead taxels and constant errors of one rig's pads from dockings at known poses"
+    add_tactile_calibration(add_command(actions, "tactile", (module, "tactile"), text))
     for name in _LATER_ACTIONS["calibrate"]:
         actions.add_parser(name, help="not yet available", add_help=False)
 
@@ -265,6 +269,8 @@ def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     kinematics.add_argument("--points", type=whole(50, 100_000), metavar="N", help=points)
     kinematics.add_argument("--seed", type=SEED, default=1, metavar="S", help="of every set (default: 1)")
     kinematics.add_argument("--quick", action="store_true", help="fewer points and shorter timings, for a first look")
+    text = "compare the classifiers of misalignment on simulated data: accuracy, run time, splits, shifts, confidence"
+    add_comparison(add_command(actions, "tactile", ("deltacharger_bringup.cli_report", "tactile"), text))
     for name in _LATER_ACTIONS["report"]:
         actions.add_parser(name, help="not yet available", add_help=False)
 
@@ -274,8 +280,6 @@ def _add_tactile(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = commands.add_parser("tactile", help=text, description=text[0].upper() + text[1:] + ".")
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     add_tactile(actions)
-    for name in _LATER_ACTIONS["tactile"]:
-        actions.add_parser(name, help="not yet available", add_help=False)
 
 
 def _refuse_later(words: Sequence[str]) -> int:

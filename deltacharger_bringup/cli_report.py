@@ -1,4 +1,4 @@
-"""`deltacharger report kinematics`: measure, write a page with tables and pictures, say which targets are met."""
+"""`deltacharger report`: measure a part, write a page with tables and pictures, say which targets are met."""
 
 from __future__ import annotations
 
@@ -30,12 +30,40 @@ def kinematics(options: argparse.Namespace) -> int:
         say(f"{name} is absent: {reason}")
     say(f"{directory / report.PAGE}: written in {results['elapsed_s']:.0f} s")
     if options.json:
-        write_json(_summary(results, directory, [report.PAGE, report.FIGURES]))
+        write_json(_summary(results, directory, [report.PAGE, report.FIGURES], ("seed", "points")))
         return DONE
+    _tell_targets(results)
+    return DONE
+
+
+def tactile(options: argparse.Namespace) -> int:
+    """Write the comparison of the classifiers of misalignment, on simulated data, into a folder."""
+    from deltacharger_bringup.reports import tactile_plan, tactile_report
+
+    directory = _folder(options.out)
+    plan = (tactile_plan.quick_plan if options.quick else tactile_plan.full_plan)(options.seed)
+    command = f"deltacharger report tactile{' --quick' if options.quick else ''} --seed {options.seed}"
+    for name, reason in tactile_plan.absent().items():
+        say(f"{name} is absent: {reason}")
+    if not plan.names:
+        raise CommandError("nothing that trains is installed; install deltacharger[train]", FAILED)
+    results = tactile_report.build(plan, directory, command, say)
+    for name, reason in results["missing_pictures"].items():
+        say(f"no picture {name}: {reason}")
+    files = [tactile_report.PAGE, tactile_report.HTML, tactile_report.FIGURES]
+    say(f"{directory / tactile_report.HTML}: written in {results['elapsed_s']:.0f} s")
+    if options.json:
+        write_json(_summary(results, directory, files, ("simulated", "rigs", "seeds")))
+        return DONE
+    tell("simulated data:")
+    _tell_targets(results)
+    return DONE
+
+
+def _tell_targets(results: dict[str, Any]) -> None:
     for target in results["targets"]:
         verdict = "not measured" if target["met"] is None else "met" if target["met"] else "NOT MET"
-        tell(f"{target['name']:<48} {target['wanted']:>9}  {target['measured']:>10.3g} {target['unit']:<8} {verdict}")
-    return DONE
+        tell(f"{target['name']:<52} {target['wanted']:>9}  {target['measured']:>10.3g} {target['unit']:<8} {verdict}")
 
 
 def _folder(name: str) -> Path:
@@ -50,7 +78,7 @@ def _folder(name: str) -> Path:
     return directory
 
 
-def _summary(results: dict[str, Any], directory: Path, files: list[str]) -> dict[str, Any]:
-    keys = ("targets", "absent", "missing_pictures", "elapsed_s", "seed", "points")
+def _summary(results: dict[str, Any], directory: Path, files: list[str], more: tuple[str, ...]) -> dict[str, Any]:
+    keys = ("targets", "absent", "missing_pictures", "elapsed_s", *more)
     written = [str(directory / name) for name in (*files, *results["pictures"])]
     return {"success": True, "files": written, **{key: results[key] for key in keys}}

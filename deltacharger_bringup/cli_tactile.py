@@ -77,7 +77,7 @@ def _train_class(options: argparse.Namespace, data: Dataset, out: Path) -> dict[
     model = Classifier(options.model, options.target, max(cut, THRESHOLD) if cut >= 0.0 else CONTACT_THRESHOLD)
     model.about = {"data": data.meta, "seed": options.seed, "dockings": len(np.unique(rows.groups[learns]))}
     model.fit(rows.frames[learns], rows.labels[learns], options.seed, _Progress())
-    model.calibrate(rows.frames[checks], rows.labels[checks])
+    model.calibrate(rows.frames[checks], rows.labels[checks], rows.frames[learns])
     if options.reference is not None:
         known = examples(_load(options.reference, "--reference"), options.target)
         model.refer(known.frames, known.labels)
@@ -133,6 +133,8 @@ def _tell(found: dict[str, Any]) -> None:
     tell(f"  sets hold the truth     {100 * found['coverage']:.1f} % (nominal {100 * found['nominal']:.0f} %)")
     tell(f"  may be acted on         {100 * found['act_rate']:.1f} %")
     tell(f"  look unlike training    {100 * found['drift_rate']:.1f} %")
+    if found.get("drifted_together", 0.0) > 0.0:
+        tell("  all of them together look unlike training: calibrate or train anew")
 
 
 def _load(name: str, option: str = "--data") -> Dataset:

@@ -137,15 +137,22 @@ class Classifier:
         self._arrays["bias"] = self._arrays["bias"] - max(0.0, 1.0 - chance / max(float(mean @ mean), 1e-12)) * mean
         return self
 
-    def calibrate(self, frames: ArrayLike, classes: ArrayLike) -> Classifier:
+    def calibrate(self, frames: ArrayLike, classes: ArrayLike, familiar: ArrayLike | None = None) -> Classifier:
         """Learn from frames that `fit` has not seen when an answer may be acted on.
+
+        Args:
+            frames: (N, 2, 10, 10) N.
+            classes: (N,) of these frames.
+            familiar: (M, 2, 10, 10) N, further frames that look as they should, such as those that `fit` has seen; with
+                some hundred the drift check is sharp.
 
         Raises:
             ModelError: too few frames.
         """
         felt = np.nan_to_num(np.asarray(frames, dtype=float))
         known = np.asarray(classes, dtype=np.int64)
-        self.reliability = reliability.learn(self.predict_proba(frames), known, felt, self.threshold)
+        more = None if familiar is None else np.nan_to_num(np.asarray(familiar, dtype=float))
+        self.reliability = reliability.learn(self.predict_proba(frames), known, felt, self.threshold, more)
         return self
 
     def predict_proba(self, frames: ArrayLike) -> Array:

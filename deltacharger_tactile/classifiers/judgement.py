@@ -8,6 +8,7 @@ import numpy as np
 
 from deltacharger_tactile.classifiers import labels
 from deltacharger_tactile.classifiers.classifier import Classifier
+from deltacharger_tactile.classifiers.familiarity import WINDOW
 from deltacharger_tactile.classifiers.labels import Examples
 from deltacharger_tactile.classifiers.reliability import NOMINAL
 
@@ -17,7 +18,7 @@ def evaluate(model: Classifier, examples: Examples) -> dict[str, Any]:
 
     `coverage` is the share of frames whose set holds the true class, `act_rate` that of frames with one class alone in
     the set and no drift, `drift_rate` that of frames that look like none of training; NaN where the model was not
-    calibrated.
+    calibrated. `drifted_together` is 1 where all frames together look so, 0 where not, NaN where they are too few.
     """
     probabilities = model.predict_proba(examples.frames)
     found = np.argmax(probabilities, axis=1)
@@ -30,6 +31,7 @@ def evaluate(model: Classifier, examples: Examples) -> dict[str, Any]:
         "coverage": float("nan"),
         "act_rate": float("nan"),
         "drift_rate": float("nan"),
+        "drifted_together": float("nan"),
     }
     reliability = model.reliability
     if reliability is not None:
@@ -38,4 +40,6 @@ def evaluate(model: Classifier, examples: Examples) -> dict[str, Any]:
         result["coverage"] = float(np.mean(sets[np.arange(len(examples)), examples.labels]))
         result["act_rate"] = float(np.mean((sets.sum(axis=1) == 1) & ~drifted))
         result["drift_rate"] = float(np.mean(drifted))
+        if len(examples) >= WINDOW:
+            result["drifted_together"] = float(reliability.drifted_together(examples.frames, model.threshold))
     return result

@@ -7,20 +7,20 @@ ones came from. It does not notice when they no longer do; that is what the drif
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_tactile.classifiers import familiarity
+from deltacharger_tactile.classifiers.familiarity import WINDOW, Familiarity
 from deltacharger_tactile.errors import ModelError
 
 Array = NDArray[np.float64]
 
 NOMINAL = 0.95
 _FEWEST = 20  # held-out frames, fewer of which say nothing about one in twenty
-_TAIL = 0.005  # share of the held-out frames on either side that may look strange
-_MARGIN = 0.05  # of the value, beyond what was seen
 
 
 @dataclass(frozen=True)
@@ -29,15 +29,11 @@ class Reliability:
 
     Attributes:
         quantile: largest 1 − probability with which a class still belongs to the set.
-        force_low, force_high: N, total load of both pads between which frames look familiar.
-        active_low, active_high: taxels that feel something, likewise.
+        familiar: how frames of training look.
     """
 
     quantile: float
-    force_low: float
-    force_high: float
-    active_low: float
-    active_high: float
+    familiar: Familiarity
 
     def sets(self, probabilities: Array) -> NDArray[np.bool_]:
         """Return which classes (N, C) belong to the set of each frame; a set may be empty."""
@@ -45,21 +41,39 @@ class Reliability:
 
     def drifted(self, frames: Array, threshold: float) -> NDArray[np.bool_]:
         """Return which frames (N, 2, 10, 10) N look like none of training."""
-        force, active = _looks(frames, threshold)
-        familiar = (force >= self.force_low) & (force <= self.force_high)
-        return np.asarray(~(familiar & (active >= self.active_low) & (active <= self.active_high)))
+        return self.familiar.strange(frames, threshold)
 
-    def to_dict(self) -> dict[str, float]:
+    def drifted_together(self, frames: Array, threshold: float) -> bool:
+        """Return whether the last dockings together look unlike training, though each alone may not.
+
+        Args:
+            frames: (N, 2, 10, 10) N, one of each docking.
+            threshold: readings below it count as 0, N.
+
+        Raises:
+            ModelError: they are too few.
+        """
+        if len(frames) < WINDOW:
+            raise ModelError("reliability", f"{len(frames)} dockings are too few to judge; give at least {WINDOW}")
+        return self.familiar.strange_together(frames, threshold)
+
+    def to_dict(self) -> dict[str, Any]:
         """Return it as plain numbers."""
-        return asdict(self)
+        return {"quantile": self.quantile, "familiar": self.familiar.to_dict()}
 
     @staticmethod
     def from_dict(values: dict[str, Any]) -> Reliability:
         """Return what `to_dict` gave."""
-        return Reliability(**values)
+        return Reliability(values["quantile"], Familiarity.from_dict(values["familiar"]))
 
 
-def learn(probabilities: Array, labels: NDArray[np.int64], frames: Array, threshold: float) -> Reliability:
+def learn(
+    probabilities: Array,
+    labels: NDArray[np.int64],
+    frames: Array,
+    threshold: float,
+    familiar: Array | None = None,
+) -> Reliability:
     """Learn from frames that training did not see (Vovk et al. 2005; score 1 − probability of the true class).
 
     Args:
@@ -67,6 +81,8 @@ def learn(probabilities: Array, labels: NDArray[np.int64], frames: Array, thresh
         labels: (N,) their classes.
         frames: (N, 2, 10, 10) N.
         threshold: readings below it count as 0, N.
+        familiar: (M, 2, 10, 10) N, further frames that look as they should, such as those of training: what is
+            familiar does not depend on what the classifier makes of it, so that more of them only sharpen the check.
 
     Raises:
         ModelError: too few frames.
@@ -77,14 +93,5 @@ def learn(probabilities: Array, labels: NDArray[np.int64], frames: Array, thresh
     scores = np.sort(1.0 - probabilities[np.arange(count), labels])
     rank = math.ceil((count + 1) * NOMINAL)
     quantile = float(scores[rank - 1]) if rank <= count else 1.0
-    force, active = _looks(frames, threshold)
-    low_force, high_force = np.quantile(force, (_TAIL, 1.0 - _TAIL))
-    low_active, high_active = np.quantile(active, (_TAIL, 1.0 - _TAIL))
-    low, high = 1.0 - _MARGIN, 1.0 + _MARGIN
-    return Reliability(quantile, low * low_force, high * high_force, low * low_active, high * high_active)
-
-
-def _looks(frames: Array, threshold: float) -> tuple[Array, Array]:
-    """Return the total load (N) and the number of active taxels of each frame."""
-    felt = np.where(frames >= threshold, frames, 0.0)
-    return felt.sum(axis=(1, 2, 3)), np.count_nonzero(felt, axis=(1, 2, 3)).astype(float)
+    every = frames if familiar is None else np.concatenate([frames, familiar])
+    return Reliability(quantile, familiarity.learn(every, threshold))

@@ -1,0 +1,76 @@
+"""Work spread over two processes, with the time left told; an interruption ends it at once."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+PROCESSES = 2
+_TOLD_EVERY = 5.0  # s, at most
+
+
+@dataclass(frozen=True)
+class Task:
+    """A function of a module and what it is called with; it must be importable by name.
+
+    Attributes:
+        name: of the result.
+        run: what is called.
+        arguments: with these.
+        weight: about how long it takes beside the others.
+    """
+
+    name: str
+    run: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    weight: float = 1.0
+
+
+def work(tasks: Sequence[Task], progress: Callable[[str], None]) -> dict[str, list[Any]]:
+    """Run all tasks and return their results by name, in the order of the tasks.
+
+    Raises:
+        KeyboardInterrupt: interrupted; nothing runs on.
+    """
+    order = sorted(range(len(tasks)), key=lambda index: -tasks[index].weight)
+    found: dict[int, Any] = {}
+    total, done, started, told = sum(task.weight for task in tasks), 0.0, time.monotonic(), 0.0
+    with _quiet_pool(min(PROCESSES, len(tasks))) as pool:
+        for index, result in pool.imap_unordered(_run, [(index, tasks[index]) for index in order]):
+            found[index] = result
+            done += tasks[index].weight
+            now = time.monotonic()
+            if now - told >= _TOLD_EVERY or len(found) == len(tasks):
+                told = now
+                left = (now - started) * (total - done) / done
+                progress(f"{100.0 * done / total:3.0f} %  {tasks[index].name}, about {left:.0f} s left")
+    results: dict[str, list[Any]] = {}
+    for index, task in enumerate(tasks):
+        results.setdefault(task.name, []).append(found[index])
+    return results
+
+
+def _quiet_pool(processes: int) -> Any:
+    """Return a pool whose processes leave an interruption to this one and use one thread each."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"  # inherited; libraries read it when they are loaded
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        return multiprocessing.get_context("spawn").Pool(processes)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _run(numbered: tuple[int, Task]) -> tuple[int, Any]:
+    index, task = numbered
+    return index, task.run(*task.arguments)
+
+
+def joined(parts: Iterable[Sequence[Any]]) -> list[Any]:
+    """Return the members of all parts in one list."""
+    return [each for part in parts for each in part]

@@ -1,0 +1,121 @@
+"""What may change after training: how a simulated rig, its target or its sensor differs from the one it learnt on."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_tactile.dataset import Dataset
+from deltacharger_tactile.generator import measure
+from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.sensor import Rig
+
+Array = NDArray[np.float64]
+_OTHER = 100  # added to a rig's seed for another one
+_TILT = math.radians(0.06)
+
+
+def _same_rig(rig: Rig) -> Rig:
+    return rig
+
+
+def _same_frames(frames: Array) -> Array:
+    return frames
+
+
+@dataclass(frozen=True)
+class Shift:
+    """One change.
+
+    Attributes:
+        name: as tables call it.
+        parameters: of the changed rig.
+        other: added to the rig's seed.
+        rig: what happens to the rig.
+        frames: what happens to frames (N, 2, 10, 10) N, NaN where dead.
+    """
+
+    name: str
+    parameters: TactileParameters = dataclasses.field(default_factory=TactileParameters)
+    other: int = 0
+    rig: Callable[[Rig], Rig] = _same_rig
+    frames: Callable[[Array], Array] = _same_frames
+
+
+def _sensor(**values: Any) -> TactileParameters:
+    base = TactileParameters()
+    return dataclasses.replace(base, sensor=dataclasses.replace(base.sensor, **values))
+
+
+def _contact(**values: Any) -> TactileParameters:
+    base = TactileParameters()
+    return dataclasses.replace(base, contact=dataclasses.replace(base.contact, **values))
+
+
+def _weaker(share: float) -> TactileParameters:
+    base = TactileParameters()
+    force = {name: share * getattr(base.docking, name) for name in ("magnet_force", "push_per_ampere")}
+    return dataclasses.replace(base, docking=dataclasses.replace(base.docking, **force))
+
+
+def _left_weaker(rig: Rig) -> Rig:
+    return dataclasses.replace(rig, gain=rig.gain * np.array([0.8, 1.0])[:, None, None])
+
+
+def _tilted(rig: Rig) -> Rig:
+    return dataclasses.replace(rig, tilt=rig.tilt + np.array([0.0, _TILT]))
+
+
+def _left_offset(frames: Array) -> Array:
+    return np.asarray(np.clip(frames + np.array([0.3, 0.0])[:, None, None], 0.0, 9.0))
+
+
+def _rows_silent(frames: Array) -> Array:
+    silent = frames.copy()
+    silent[:, 0, 4:6] = 0.0
+    return silent
+
+
+NONE = Shift("none")
+SHIFTS = (
+    NONE,
+    Shift("3 dead taxels", _sensor(dead_taxels=3)),
+    Shift("6 dead taxels", _sensor(dead_taxels=6)),
+    Shift("left pad × 0.8", rig=_left_weaker),
+    Shift("gain spread 25 %", _sensor(gain_spread=0.25)),
+    Shift("docking offsets × 3", _sensor(docking_offset=0.15)),
+    Shift("left pad + 0.3 N", frames=_left_offset),
+    Shift("force − 20 %", _weaker(0.8)),
+    Shift("constant tilt 0.06° about y", rig=_tilted),
+    Shift("ridge 8 mm high", _contact(ridge_height=0.008)),
+    Shift("crown radius 30 mm", _contact(crown_radius=0.03)),
+    Shift("another sensor and rig", other=_OTHER),
+    Shift("two rows of a pad read 0", frames=_rows_silent),
+)
+"""Of the table; rig-wide changes keep whatever else the seed of the rig decides."""
+
+
+def dock_again(known: Dataset, shift: Shift, rig: int, seed: int, rows: NDArray[np.bool_]) -> Dataset:
+    """Dock a (changed) rig at the commanded poses of a data set of the same rig.
+
+    Args:
+        known: of the rig, one row of each docking.
+        shift: what has changed.
+        rig: seed of the device.
+        seed: of the dockings.
+        rows: which of the data set's dockings are repeated.
+    """
+    pose = np.column_stack([known.horizontal, known.vertical, known.angle])[rows]
+    changed = shift.rig(Rig.draw(shift.parameters, rig + shift.other))
+    random = np.random.default_rng([0x5417, seed, rig])
+    found = measure(shift.parameters, changed, pose, random, 1, 0.0)
+    frames = np.stack([found["left"], found["right"]], axis=1).astype(float)
+    frames = np.where(found["dead"], 0.0, shift.frames(frames))
+    columns = {**found, "left": frames[:, 0].astype(np.float32), "right": frames[:, 1].astype(np.float32)}
+    return Dataset(meta=known.meta, rig=np.full(len(pose), rig), subset=known.subset[rows], **columns)
