@@ -58,6 +58,7 @@ DEFAULT = "pose"
 """The best of them on the frozen data."""
 POSE = 3
 """Inputs that are the packaged model's estimate of the pose: mm, mm, degrees."""
+_POSE_UNITS = np.array([1e3, 1e3, 180.0 / np.pi])
 
 
 class Classifier:
@@ -217,8 +218,7 @@ class Classifier:
         physical = features.extract(features.fill_dead(felt), self.threshold).values
         if sees == "features":
             return physical
-        found = _packaged().predict(felt[:, 0], felt[:, 1])
-        return np.column_stack([physical, 1e3 * found.horizontal, 1e3 * found.vertical, np.degrees(found.angle)])
+        return np.column_stack([physical, _packaged().pose(felt[:, 0], felt[:, 1]) * _POSE_UNITS])
 
 
 @functools.cache

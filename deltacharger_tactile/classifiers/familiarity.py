@@ -25,8 +25,9 @@ _FOLDS = 5
 _DRAWS = 2000  # windows drawn from the remainders of training
 _TAIL = 0.002  # share of these that may look strange
 _MARGIN, _WINDOW_MARGIN = 5.0, 4.0  # over the root of the number of frames: training shows only so many
-_BETWEEN = 0.005  # of a frame's variance: what differs between sessions, such as the tare, for all frames alike
+_BETWEEN = 0.005  # of a frame's variance at 1 N: what differs between sessions, such as the tare, for all frames alike
 _FALSE = 0.01  # share of frames that may look strange alone
+_COUNTED = 3.6  # roots of their number by which more of them are too many in a window
 _NODES = 30  # of the regression, at most; a fifth of the frames where these are few
 _BUMP = 0.7  # width of a node's bump, in standard deviations
 _PENALTY = 0.3  # on a bump's weight
@@ -81,13 +82,14 @@ class Familiarity:
         """Return whether frames (N, 2, 10, 10) N of N ≥ WINDOW dockings look, on average, unlike training."""
         remainder, terms = self.remainders(frames, threshold)
         usual = _FALSE * len(frames)  # ± its root, for they are counted
-        if np.count_nonzero(self._strange(remainder, terms)) > usual + 3.0 * np.sqrt(usual):
+        if np.count_nonzero(self._strange(remainder, terms)) > usual + _COUNTED * np.sqrt(usual):
             return True
         distance, reach = self._sizes(remainder, terms)
         near = reach <= self.reach_limit  # beyond it the regression is a guess
         capped = _capped(remainder[near], distance[near], self.frame_limit)
         mean, at = capped.mean(axis=0), terms[near].mean(axis=0)
-        variance = 1.0 / np.count_nonzero(near) + float(at @ self.gram @ at) + _BETWEEN
+        between = _BETWEEN / np.sqrt(threshold)  # readings near the threshold hold the tare's own error
+        variance = 1.0 / max(int(np.sum(near)), 1) + float(at @ self.gram @ at) + between
         together = float(mean @ self.precision @ mean) / variance
         return bool(together > self.window_limit or np.abs(mean).max() > self.feature_limit * np.sqrt(variance))
 
