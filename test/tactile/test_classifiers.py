@@ -115,6 +115,9 @@ def test_a_docking_lies_on_one_side_of_a_split(angle: Examples) -> None:
     learns, judges = splits.by_docking(double, seed=3)
     assert not set(double.groups[learns]) & set(double.groups[judges])
     assert len(learns) + len(judges) == len(double)
+    judged = [set(double.groups[rows]) for _, rows in splits.thirds(double, seed=3)]
+    assert set.union(*judged) == set(double.groups)
+    assert sum(map(len, judged)) == len(angle)
     mixed, others = splits.by_frame(double, seed=3)
     assert set(double.groups[mixed]) & set(double.groups[others])
 
