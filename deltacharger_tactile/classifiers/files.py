@@ -52,8 +52,9 @@ def _check_trees(path: str, arrays: dict[str, NDArray[Any]]) -> None:
         count = len(arrays["feature"])
         children = np.stack([arrays["left"][inner], arrays["right"][inner]])
         same = all(len(arrays[name]) == count for name in ("threshold", "left", "right", "value"))
-        sound = same and np.all(children > inner) and np.all(children < count) and np.all(arrays["root"] < count)
+        rooted = len(arrays["root"]) > 0 and np.all((arrays["root"] >= 0) & (arrays["root"] < count))
+        sound = same and rooted and np.all(children > inner) and np.all(children < count)
     except (KeyError, IndexError, ValueError, TypeError) as error:
         raise ModelError(path, "its trees are not complete") from error
-    if not sound or np.any(arrays["root"] < 0):
+    if not sound:
         raise ModelError(path, "its trees are not trees")

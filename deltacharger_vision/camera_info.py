@@ -1,0 +1,125 @@
+"""Intrinsics from what ROS tools write: calibration files and `ros2 topic echo` of sensor_msgs/CameraInfo."""
+
+from __future__ import annotations
+
+import numbers
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from deltacharger_vision.errors import CameraInfoError
+from deltacharger_vision.images import Intrinsics
+
+_NONE = ("", "none")
+_LONGEST = {"plumb_bob": 5, "rational_polynomial": 8}
+
+
+def from_camera_info(
+    width: int, height: int, k: Sequence[float], d: Sequence[float], distortion_model: str, source: str = "CameraInfo"
+) -> Intrinsics:
+    """Convert the fields of sensor_msgs/CameraInfo.
+
+    Args:
+        width: px.
+        height: px.
+        k: 9 numbers, (3, 3) row-major, px.
+        d: distortion coefficients; those missing at the end are 0.
+        distortion_model: plumb_bob, rational_polynomial, or none or empty.
+        source: named in errors.
+
+    Raises:
+        CameraInfoError: the camera is not calibrated, the model is another one, or a number is out of bounds.
+    """
+    matrix = _numbers(source, "camera matrix (k)", k)
+    coefficients = _numbers(source, "distortion coefficients (d)", d)
+    if len(matrix) != 9:
+        raise CameraInfoError(source, f"the camera matrix (k) has {len(matrix)} numbers and must have 9")
+    if not any(matrix):
+        raise CameraInfoError(source, "the camera matrix (k) is all 0: calibrate the camera first")
+    fx, skew, cx, zero, fy, cy, *last = matrix
+    if skew or zero or last != [0.0, 0.0, 1.0]:
+        raise CameraInfoError(source, "the camera matrix (k) must be fx 0 cx, 0 fy cy, 0 0 1, row by row")
+    try:
+        return Intrinsics(width, height, fx, fy, cx, cy, _distortion(source, coefficients, distortion_model))
+    except CameraInfoError as error:
+        raise CameraInfoError(source, error.reason) from error
+
+
+def _distortion(source: str, coefficients: list[float], model: str) -> tuple[float, ...]:
+    if model in _NONE:
+        if any(coefficients):
+            raise CameraInfoError(source, f"distortion coefficients without a model; write {' or '.join(_LONGEST)}")
+        return ()
+    if model not in _LONGEST:
+        raise CameraInfoError(
+            source, f"distortion model {model!r}; known: {', '.join(_LONGEST)}, none: rectify the image or recalibrate"
+        )
+    longest = _LONGEST[model]
+    if any(coefficients[longest:]):
+        raise CameraInfoError(
+            source, f"{len(coefficients)} distortion coefficients; {model} has {longest}: recalibrate with {model}"
+        )
+    kept = coefficients[:longest] + [0.0] * (longest - len(coefficients))
+    return tuple(kept) if any(kept) else ()
+
+
+def _numbers(source: str, name: str, found: Any) -> list[float]:
+    try:
+        items = list(found)
+    except TypeError as error:
+        raise CameraInfoError(source, f"the {name} must be a list of numbers, not {found!r}") from error
+    wrong = [item for item in items if isinstance(item, bool) or not isinstance(item, numbers.Real)]
+    if wrong:
+        raise CameraInfoError(source, f"the {name} holds {wrong[0]!r}, which is not a number")
+    return [float(item) for item in items]
+
+
+def load_camera_info(path: str | Path) -> Intrinsics:
+    """Read a camera calibration YAML (`camera_calibration`, `camera_info_manager`) or an echoed CameraInfo.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        CameraInfoError: it is neither, a field is missing, or `from_camera_info` refuses it.
+    """
+    import yaml
+
+    source = str(path)
+    try:
+        # An echoed topic holds one document per message; any of them will do.
+        found = next(yaml.safe_load_all(Path(path).read_text(encoding="utf-8")), None)
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise CameraInfoError(source, f"not YAML ({error}); give the file of the camera's calibration") from error
+    if not isinstance(found, dict):
+        raise CameraInfoError(source, "holds no mapping; give the file of the camera's calibration")
+    _check_whole_image(source, found)
+    return from_camera_info(
+        _field(source, found, "image_width", "width"),
+        _field(source, found, "image_height", "height"),
+        _data(_field(source, found, "camera_matrix", "k", "K")),
+        _data(_field(source, found, "distortion_coefficients", "d", "D")),
+        str(_field(source, found, "distortion_model") or ""),
+        source,
+    )
+
+
+def _field(source: str, found: dict[str, Any], *names: str) -> Any:
+    for name in names:
+        if name in found:
+            return found[name]
+    raise CameraInfoError(source, f"no {' or '.join(names)}; give the file of the camera's calibration")
+
+
+def _data(found: Any) -> Any:
+    if isinstance(found, dict):
+        return found.get("data", [])
+    return [] if found is None else found
+
+
+def _check_whole_image(source: str, found: dict[str, Any]) -> None:
+    """Refuse binning and a region of interest: k then belongs to another image than the one that is sent."""
+    binned = [name for name in ("binning_x", "binning_y") if found.get(name, 0) not in (0, 1)]
+    region = found.get("roi") or {}
+    cut = isinstance(region, dict) and any(region.get(name) for name in ("x_offset", "y_offset"))
+    if binned or cut:
+        what = binned[0] if binned else "roi"
+        raise CameraInfoError(source, f"{what} is set; let the camera send whole images, unbinned")

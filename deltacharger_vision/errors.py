@@ -1,0 +1,82 @@
+"""Everything the vision package can fail with; one root, each kind carries its values and says what to do."""
+
+from __future__ import annotations
+
+
+class VisionError(Exception):
+    """Root of every error raised by deltacharger_vision."""
+
+
+class ImageError(VisionError, ValueError):
+    """Arrays are not an RGB-D image. Example: colour 640 × 400 and depth 1280 × 720.
+
+    Args:
+        name: which of them: color, depth or intrinsics.
+        reason: what is wrong with it and what to give instead.
+    """
+
+    def __init__(self, name: str, reason: str) -> None:
+        self.name = name
+        self.reason = reason
+        super().__init__(f"{name}: {reason}")
+
+
+class CameraInfoError(VisionError, ValueError):
+    """Intrinsics or a calibration file cannot be used. Example: a camera that was never calibrated has fx = 0.
+
+    Args:
+        source: file, or what the values belong to.
+        reason: what is wrong and what to do.
+    """
+
+    def __init__(self, source: str, reason: str) -> None:
+        self.source = source
+        self.reason = reason
+        super().__init__(f"{source}: {reason}")
+
+
+class TerminalError(VisionError, ValueError):
+    """A terminal's geometry cannot be used. Example: a file in millimetres, bar_length: 70.
+
+    Args:
+        source: file or field.
+        reason: what is wrong and what to do.
+    """
+
+    def __init__(self, source: str, reason: str) -> None:
+        self.source = source
+        self.reason = reason
+        super().__init__(f"{source}: {reason}")
+
+
+class ParameterError(VisionError, ValueError):
+    """A parameter lies outside its bounds. Example: a negative exposure.
+
+    Args:
+        name: field of the parameter class.
+        value: the offending value.
+        low: smallest allowed value.
+        high: largest allowed value.
+        unit: unit of all three.
+    """
+
+    def __init__(self, name: str, value: object, low: float, high: float, unit: str) -> None:
+        self.name = name
+        self.value = value
+        self.low = low
+        self.high = high
+        super().__init__(f"{name} = {value!r} is outside {low:g}…{high:g} {unit}".rstrip() + "; correct it")
+
+
+class SceneError(VisionError, ValueError):
+    """A scene cannot be rendered. Example: a pose that is not a rigid transform.
+
+    Args:
+        name: what it is about.
+        reason: what is wrong and what to do.
+    """
+
+    def __init__(self, name: str, reason: str) -> None:
+        self.name = name
+        self.reason = reason
+        super().__init__(f"{name}: {reason}")

@@ -1,0 +1,176 @@
+"""Boxes seen by a pinhole camera, in numpy: every pixel's ray, without a loop over pixels.
+
+With r = (u, v, 1) the ray of a pixel in the optical frame, all that a convex box needs is linear in r. A face
+n·p = h (n outward, h < 0 where the camera sees its front) is met at 1/z = n·r / h, and the box at the smallest such 1/z
+over the faces that are seen. Its outline is bounded by planes through the camera and the edges between a seen and an
+unseen face: e·r ≥ 0 inside, and e·r over its gradient per pixel is the distance to the edge in pixels, from which the
+pixel's covered share follows. So edges lie where they should to a small part of a pixel, and nothing needs clipping.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.lens import undistort
+
+Array = NDArray[np.float64]
+Plane = NDArray[np.float32]
+
+_SIGN = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+_FACES = [(axis, sign) for axis in range(3) for sign in (-1, 1)]
+_EDGES = [(i, j) for i in range(6) for j in range(i + 1, 6) if _FACES[i][0] != _FACES[j][0]]
+_EDGE_FACES = np.array(_EDGES)
+_FACE_AXIS = np.array([axis for axis, _ in _FACES])
+_FACE_SIGN = np.array([sign for _, sign in _FACES], dtype=float)
+_EDGE_AXIS = np.array([3 - _FACES[i][0] - _FACES[j][0] for i, j in _EDGES])
+_NEAREST = 1e-3
+"""What is nearer to the camera's plane is taken to fill the image, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A box within the image.
+
+    Attributes:
+        window: rows and columns of the image that hold it; (h, w) below.
+        covered: (h, w) share of each pixel, 0 to 1.
+        inverse: (h, w) 1/m, 1/z on its surface where a pixel is covered.
+        shares: (h, w) each, of the seen faces: how much of the covered share belongs to it; (F,).
+        faces: (F,) their numbers: axis 0, 1, 2 and −/+ as 2 axis + (0 or 1).
+        normals: (F, 3) outward, in the optical frame.
+    """
+
+    window: tuple[slice, slice]
+    covered: Plane
+    inverse: Plane
+    shares: tuple[Plane | float, ...]
+    faces: tuple[int, ...]
+    normals: Array
+
+
+class Rays:
+    """The ray of every pixel of a camera."""
+
+    def __init__(self, intrinsics: Intrinsics) -> None:
+        self.focal = (intrinsics.fx, intrinsics.fy)
+        self.shape = (intrinsics.height, intrinsics.width)
+        across = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx
+        down = (np.arange(intrinsics.height) - intrinsics.cy) / intrinsics.fy
+        if intrinsics.distortion:
+            seen = np.stack(np.broadcast_arrays(across[None, :], down[:, None]), axis=-1)
+            ideal = undistort(seen, intrinsics.distortion)
+            self._u, self._v = (np.ascontiguousarray(ideal[..., i], dtype=np.float32) for i in (0, 1))
+        else:
+            self._u, self._v = across[None, :].astype(np.float32), down[:, None].astype(np.float32)
+        # The range of u in each column and of v in each row: a window that holds a box whatever the lens does.
+        margin = 4.0
+        self._columns = (self._u.min(axis=0) - margin / self.focal[0], self._u.max(axis=0) + margin / self.focal[0])
+        self._rows = (self._v.min(axis=1) - margin / self.focal[1], self._v.max(axis=1) + margin / self.focal[1])
+
+    def linear(self, vector: Array, window: tuple[slice, slice] = (slice(None), slice(None))) -> Plane:
+        """Return (h, w) vector·(u, v, 1) over a window."""
+        rows, columns = window
+        if self._u.shape[0] > 1:
+            u, v = self._u[rows, columns], self._v[rows, columns]
+        else:
+            u, v = self._u[:, columns], self._v[rows]
+        x, y, z = (np.float32(part) for part in vector)
+        return np.asarray(u * x + (v * y + z), dtype=np.float32)
+
+    def window(self, corners: Array) -> tuple[slice, slice] | None:
+        """Return rows and columns that hold a convex body with corners (N, 3) m; None where it is out of sight."""
+        if corners[:, 2].max() <= _NEAREST:
+            return None
+        if corners[:, 2].min() <= _NEAREST:
+            return slice(0, self.shape[0]), slice(0, self.shape[1])
+        u, v = corners[:, 0] / corners[:, 2], corners[:, 1] / corners[:, 2]
+        columns = np.flatnonzero((self._columns[0] <= u.max()) & (self._columns[1] >= u.min()))
+        rows = np.flatnonzero((self._rows[0] <= v.max()) & (self._rows[1] >= v.min()))
+        if not len(columns) or not len(rows):
+            return None
+        return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+    def per_pixel(self, vector: Array) -> float:
+        """Return by how much vector·(u, v, 1) changes per pixel, in the middle of an undistorted image."""
+        return float(np.hypot(vector[0] / self.focal[0], vector[1] / self.focal[1])) or 1e-30
+
+    def cast(self, pose: Array, size: tuple[float, float, float], edge_width: float) -> Piece | None:
+        """Return what is seen of a box with (4, 4) pose in the optical frame; None where nothing is.
+
+        Args:
+            pose: of its centre.
+            size: (3,) m.
+            edge_width: px over which an edge passes from 0 to 1.
+        """
+        axes, centre, half = pose[:3, :3].T, pose[:3, 3], np.asarray(size) / 2
+        window = self.window(centre + (_SIGN * half) @ axes)
+        if window is None:
+            return None
+        normals = _FACE_SIGN[:, None] * axes[_FACE_AXIS]
+        heights = normals @ centre + half[_FACE_AXIS]
+        seen = heights < -1e-9
+        if not seen.any():
+            return None
+        covered = self._covered(axes, centre, half, seen, window, edge_width)
+        if covered is None:
+            return None
+        faces = np.flatnonzero(seen)
+        planes = normals[faces] / heights[faces, None]
+        inverses = [self.linear(plane, window) for plane in planes]
+        inverse = inverses[0]
+        for other in inverses[1:]:
+            inverse = np.asarray(np.minimum(inverse, other))
+        shares = self._shares(planes, inverses, edge_width)
+        return Piece(window, covered, inverse, shares, tuple(int(face) for face in faces), normals[faces])
+
+    def _covered(
+        self,
+        axes: Array,
+        centre: Array,
+        half: Array,
+        seen: NDArray[np.bool_],
+        window: tuple[slice, slice],
+        edge_width: float,
+    ) -> Plane | None:
+        first, second = _EDGE_FACES.T
+        outline = np.flatnonzero(seen[first] != seen[second])
+        first, second = first[outline], second[outline]
+        towards = (_FACE_SIGN * half[_FACE_AXIS])[:, None] * axes[_FACE_AXIS]
+        planes = np.cross(centre + towards[first] + towards[second], axes[_EDGE_AXIS[outline]])
+        planes *= np.where(planes @ centre < 0, -1.0, 1.0)[:, None]
+        covered: Plane | None = None
+        for plane in planes:
+            distance = self.linear(plane / (edge_width * self.per_pixel(plane)), window)
+            if covered is None:
+                covered = distance
+            else:
+                np.minimum(covered, distance, out=covered)
+        if covered is None:
+            return None
+        covered += np.float32(0.5)
+        np.clip(covered, 0.0, 1.0, out=covered)
+        return covered
+
+    def _shares(self, planes: Array, inverses: list[Plane], edge_width: float) -> tuple[Plane | float, ...]:
+        """Return how much of a covered pixel each seen face fills: the one with the smallest 1/z, edges blended."""
+        if len(planes) == 1:
+            return (1.0,)
+        found: list[Plane] = []
+        for i, plane in enumerate(planes):
+            share: Plane = np.full(inverses[i].shape, 1.0, dtype=np.float32)
+            for j, other in enumerate(planes):
+                if j == i:
+                    continue
+                ahead: Plane = inverses[j] - inverses[i]
+                ahead *= np.float32(1.0 / (edge_width * self.per_pixel(other - plane)))
+                ahead += np.float32(0.5)
+                np.minimum(share, ahead, out=share)
+            np.maximum(share, np.float32(0.0), out=share)
+            found.append(share)
+        total: Plane = np.asarray(np.sum(found, axis=0, dtype=np.float32))
+        np.maximum(total, np.float32(1e-6), out=total)
+        return tuple(share / total for share in found)

@@ -1,0 +1,82 @@
+"""The geometry that is looked for: two metal bars, one above the other, proud of a dark plate."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import numbers
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.bounded import Bounded, value
+from deltacharger_vision.errors import ParameterError, TerminalError
+
+UPPER, LOWER = 0, 1
+"""Rows of `Terminal.corners`."""
+
+
+@dataclass(frozen=True)
+class Terminal(Bounded):
+    """Two equal bars; lengths in m.
+
+    The terminal's frame: origin at the midpoint between the bars on their touched faces, x along the bars, y from the
+    lower to the upper bar, z **into the plate**, away from who looks at it. So its axes are those of `charger_base`
+    (+z toward the target, +y up, +x to the left when looking along +z) when the target stands straight before the
+    charger, and the plate's face lies at z = bar_thickness.
+
+    Raises:
+        ParameterError: a length is out of bounds.
+    """
+
+    bar_length: float = value(0.070, 0.005, 1.0, "m", "along x (paper)")
+    bar_height: float = value(0.010, 0.001, 0.5, "m", "of one bar along y (paper)")
+    gap: float = value(0.0074, 0.0005, 0.5, "m", "between the bars along y (paper)")
+    bar_thickness: float = value(0.006, 0.0, 0.1, "m", "of the bars above the plate (assumed)")
+
+    @property
+    def spacing(self) -> float:
+        """Distance between the bars' middle lines, m."""
+        return self.bar_height + self.gap
+
+    def corners(self) -> NDArray[np.float64]:
+        """Return (2, 4, 3) m: corners of the touched face of the upper, then the lower bar, in the terminal's frame.
+
+        Each in the order (−x, −y), (+x, −y), (+x, +y), (−x, +y): counter-clockwise about +z, clockwise in an image of
+        a camera that looks along +z with y down and x right.
+        """
+        x, y = self.bar_length / 2, self.bar_height / 2
+        face = np.array([(-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0)])
+        shift = np.array([0.0, self.spacing / 2, 0.0])
+        return np.stack([face + shift, face - shift])
+
+    @staticmethod
+    def load(path: str | Path) -> Terminal:
+        """Read a YAML mapping with any of the four lengths in m; what is not there keeps its default.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            TerminalError: it is no such mapping; a key is unknown; a length is out of bounds.
+        """
+        import yaml
+
+        source = str(path)
+        try:
+            found = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            raise TerminalError(source, f"not YAML ({error}); correct it") from error
+        known = [item.name for item in dataclasses.fields(Terminal)]
+        if not isinstance(found, dict) or not found:
+            raise TerminalError(source, f"must be a mapping with {', '.join(known)}, each in m")
+        for key, length in found.items():
+            if key not in known:
+                near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.0)[0]
+                raise TerminalError(source, f"unknown key {key!r}; did you mean {near}? Known: {', '.join(known)}")
+            if isinstance(length, bool) or not isinstance(length, numbers.Real):
+                raise TerminalError(source, f"{key} = {length!r} is not a number; write metres, such as 0.07")
+        try:
+            return Terminal(**{key: float(length) for key, length in found.items()})
+        except ParameterError as error:
+            raise TerminalError(source, f"{error}; lengths are in metres") from error
