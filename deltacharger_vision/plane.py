@@ -1,0 +1,163 @@
+"""The plane of the dark plate around the bars, from depth: linear least squares on inverse depth.
+
+The noise of a stereo camera is even in disparity, that is in inverse depth, and a plane's inverse depth is linear in
+the ray: q·(x/z, y/z, 1) with q = n/D. Metal is left out: stereo sees reflections there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.bounded import Bounded, value
+from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.poses import Array, Pose
+from deltacharger_vision.projection import project, rays
+from deltacharger_vision.terminal import Terminal
+
+_TRIALS = 48
+_ROUNDS = 4
+_BLOCK = 8  # samples on a side, over which correlated noise is judged
+_TUKEY = 4.7
+
+
+@dataclass(frozen=True)
+class PlaneSettings(Bounded):
+    """Which depth is taken as the plate's.
+
+    Raises:
+        ParameterError: a value is out of bounds.
+    """
+
+    beside: float = value(0.006, 0.0, 0.2, "m", "how far beyond the bars' ends the plate is looked at")
+    above: float = value(0.020, 0.0, 0.2, "m", "the same above and below the bars")
+    metal: float = value(0.004, 0.0, 0.1, "m", "what is left out around the bars")
+    shadow: float = value(3.0, 0.0, 30.0, "px", "the same in the image: stereo smears depth")
+    most: int = value(3000, 100, 100_000, "", "depth samples that are used")
+    fewest: int = value(60, 10, 10_000, "", "samples without which there is no plane")
+    known: float = value(0.25, 0.0, 1.0, "", "share of the region's depth that must be known")
+    inliers: float = value(0.5, 0.1, 1.0, "", "share of the known depth that must lie on the plane")
+    tolerance: float = value(0.05, 0.001, 1.0, "1/m", "inverse depth that is off by more is not on the plane")
+    noise: float = value(0.002, 1e-6, 0.1, "1/m", "least standard deviation of inverse depth")
+    bias: float = value(0.001, 1e-6, 0.1, "1/m", "standard deviation of what shifts all inverse depths: 0.03 px")
+    slope_bias: float = value(0.006, 1e-6, 1.0, "1/m", "standard deviation of what tilts them, per unit ray")
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane in the optical frame.
+
+    Attributes:
+        coefficients: (3,) 1/m: unit normal (away from the camera) over distance from the camera.
+        precision: (3, 3) inverse covariance of the coefficients.
+        scatter: 1/m, standard deviation of inverse depth.
+    """
+
+    coefficients: Array
+    precision: Array
+    scatter: float
+
+
+@dataclass(frozen=True)
+class Region:
+    """Depth where the plate should be.
+
+    Attributes:
+        rays: (N, 3) rays with z = 1.
+        inverse: (N,) 1/m.
+        block: (N,) number of the block of the image that each belongs to.
+        share: share of the region whose depth is known.
+    """
+
+    rays: Array
+    inverse: Array
+    block: NDArray[np.int64]
+    share: float
+
+
+def plate_region(
+    depth: NDArray[Any], pose: Pose, terminal: Terminal, intrinsics: Intrinsics, settings: PlaneSettings
+) -> Region:
+    """Return the known depth (H, W) m around the bars of a terminal at `pose`."""
+    half = np.array([0.5 * terminal.bar_length, terminal.bar_height + 0.5 * terminal.gap])
+    clear = max(settings.metal, settings.shadow * pose.translation[2] / intrinsics.fx)
+    reach = half + clear + [settings.beside, settings.above]
+    signs = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    corners = pose.points(np.column_stack([signs * reach, np.full(4, terminal.bar_thickness)]))
+    pixels = project(corners, intrinsics)
+    height, width = depth.shape
+    low = np.clip(np.floor(pixels.min(axis=0)), 0, [width, height]).astype(int)
+    high = np.clip(np.ceil(pixels.max(axis=0)) + 1, 0, [width, height]).astype(int)
+    size = np.maximum(high - low, 0)
+    stride = max(1, int(np.ceil(np.sqrt(size[0] * size[1] / settings.most))))
+    grid = np.meshgrid(np.arange(low[0], high[0], stride), np.arange(low[1], high[1], stride))
+    columns, rows = (part.ravel() for part in grid)
+    ray = np.ones((len(columns), 3))
+    ray[:, :2] = rays(np.stack([columns, rows], axis=1).astype(float), intrinsics)
+    axis = pose.rotation[:, 2]
+    distance = axis @ pose.translation + terminal.bar_thickness
+    place = (ray * (distance / (ray @ axis))[:, None] - pose.translation) @ pose.rotation
+    metal = np.abs(place[:, :2]) < half + clear
+    plate = np.all(np.abs(place[:, :2]) < reach, axis=1) & ~metal.all(axis=1)
+    columns, rows, ray = columns[plate], rows[plate], ray[plate]
+    values = depth[rows, columns].astype(float)
+    known = np.isfinite(values) & (values > 0.0)
+    block = (rows // (stride * _BLOCK)) * 100_000 + columns // (stride * _BLOCK)
+    share = float(known.mean()) if len(known) else 0.0
+    return Region(ray[known], 1.0 / values[known], block[known].astype(np.int64), share)
+
+
+def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generator) -> Plane | None:
+    """Return the plane that most of the region's depth lies on, or None where there is none."""
+    count = len(region.inverse)
+    if count < settings.fewest or region.share < settings.known:
+        return None
+    coefficients = _consensus(region, settings.tolerance, random)
+    if coefficients is None:
+        return None
+    scatter, weight = settings.tolerance, np.ones(count)
+    for _ in range(_ROUNDS):
+        residual = region.inverse - region.rays @ coefficients
+        near = np.abs(residual) < settings.tolerance
+        if np.count_nonzero(near) < max(settings.fewest, settings.inliers * count):
+            return None
+        scatter = max(settings.noise, 1.4826 * float(np.median(np.abs(residual[near]))))
+        weight = np.maximum(1.0 - (residual / (_TUKEY * scatter)) ** 2, 0.0) ** 2
+        normal = (region.rays * weight[:, None]).T @ region.rays
+        coefficients = np.asarray(
+            np.linalg.solve(normal + 1e-9 * np.eye(3), region.rays.T @ (weight * region.inverse)), dtype=np.float64
+        )
+    normal = (region.rays * weight[:, None]).T @ region.rays
+    residual = region.inverse - region.rays @ coefficients
+    covariance = scatter**2 * _correlation(region, residual, weight > 0.0) * np.linalg.inv(normal + 1e-9 * np.eye(3))
+    covariance += np.diag([settings.slope_bias, settings.slope_bias, settings.bias]) ** 2
+    return Plane(coefficients, np.linalg.inv(covariance), scatter)
+
+
+def _consensus(region: Region, tolerance: float, random: np.random.Generator) -> Array | None:
+    """Return the plane through three samples that most others agree with (RANSAC)."""
+    picks = random.integers(0, len(region.inverse), size=(_TRIALS, 3))
+    triples = region.rays[picks]
+    usable = np.abs(np.linalg.det(triples)) > 1e-6
+    if not usable.any():
+        return None
+    planes = np.linalg.solve(triples[usable], region.inverse[picks[usable]][..., None])[..., 0]
+    thin = region.rays[:: max(1, len(region.rays) // 800)]
+    inverse = region.inverse[:: max(1, len(region.rays) // 800)]
+    agree = np.abs(inverse[:, None] - thin @ planes.T) < tolerance
+    return np.asarray(planes[np.argmax(agree.sum(axis=0))])
+
+
+def _correlation(region: Region, residual: Array, good: NDArray[np.bool_]) -> float:
+    """Return by how much fewer independent samples there are: the variance of block means over what it would be."""
+    _, block = np.unique(region.block[good], return_inverse=True)
+    size = np.bincount(block).astype(float)
+    mean = np.bincount(block, weights=residual[good]) / size
+    full = size >= 0.5 * size.max()
+    variance = float(np.mean(residual[good] ** 2))
+    if variance <= 0.0:
+        return 1.0
+    return float(np.clip(np.mean(mean[full] ** 2 * size[full]) / variance, 1.0, size.max()))

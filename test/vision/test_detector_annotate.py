@@ -1,0 +1,34 @@
+"""The annotated picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from deltacharger_vision.annotate import annotated
+from deltacharger_vision.detector import ElectrodeDetector
+from deltacharger_vision.simulated_scene import Scene
+
+from .detector_scenes import pose_at, render
+
+pytest.importorskip("cv2")
+
+
+def test_picture_is_a_copy_that_shows_what_was_found() -> None:
+    image = render(Scene(), pose_at(0.3, roll=0.2), np.random.default_rng(7))
+    before = image.color.copy()
+    found = ElectrodeDetector().detect(image)
+    assert found is not None
+    picture = annotated(image, found)
+    assert picture.shape == image.color.shape
+    assert picture.dtype == np.uint8
+    np.testing.assert_array_equal(image.color, before)
+    changed = np.any(picture != before, axis=2)
+    for x, y in found.bars.reshape(-1, 2):
+        near = changed[int(y) - 1 : int(y) + 3, int(x) - 1 : int(x) + 3]
+        assert near.any()
+
+
+def test_picture_without_electrodes_says_so() -> None:
+    image = render(Scene(target=False), pose_at(0.3), np.random.default_rng(8))
+    assert np.any(annotated(image, None) != image.color)
