@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from deltacharger_bringup.recording_charger import RecordingCharger
     from deltacharger_bringup.recording_dataset import Docking, Settings
     from deltacharger_bringup.recording_machine import RecordingMachine
-from deltacharger_bringup.tactile_recording import Journal
+    from deltacharger_bringup.tactile_recording import Journal
 
 _TRIES = 3  # at one docking whose failure may pass; any other failure wants a person
 _PAUSE = 3.0  # s before another try, in which a silence may pass

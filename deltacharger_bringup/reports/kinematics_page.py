@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,8 @@ from typing import Any
 from deltacharger_bringup.reports import kinematics_pictures as pictures
 from deltacharger_bringup.reports.kinematics_solvers import POINT, PRECISE, SCALAR
 from deltacharger_bringup.reports.kinematics_speed import BATCH, NEAR_EDGE
+from deltacharger_bringup.reports.page_text import prose, table
 
-_WIDTH = 125
 _CAPTIONS = {
     pictures.ERROR_TIME: "Error of inverse kinematics against run time",
     pictures.EDGE: "Error of inverse kinematics toward the edge of reach",
@@ -38,7 +37,7 @@ def _head(results: dict[str, Any]) -> list[str]:
     used = ", ".join(f"{name} {version}" for name, version in results["versions"].items() if version)
     blocks = [
         "# Kinematics: error against run time",
-        _prose(
+        prose(
             f"""Written on {results["date"]} by `{results["command"]}` in {results["elapsed_s"]:.0f} s, on
             {machine["processor"]} with {machine["cores"]} cores, {machine["system"]}, Python {machine["python"]};
             {used}. Every figure is from this run. Absolute times differ from machine to machine; errors, counts and
@@ -57,7 +56,7 @@ def _targets(results: dict[str, Any]) -> list[str]:
         (each["name"], each["wanted"], _number(each["measured"]), each["unit"], _verdict(each["met"]))
         for each in results["targets"]
     ]
-    return ["## Targets", _table(("", "wanted", "measured", "unit", "verdict"), rows)]
+    return ["## Targets", table(("", "wanted", "measured", "unit", "verdict"), rows)]
 
 
 def _verdict(met: bool | None) -> str:
@@ -69,13 +68,13 @@ def _inverse(results: dict[str, Any]) -> list[str]:
     head = ("", f"µs, array of {BATCH}", "µs, one call", *names)
     return [
         "## Inverse kinematics",
-        _prose(
+        prose(
             """Median and largest error in rad; in brackets the share of poses without an answer (*none*) and on the
             *wrong* knee, which do not count in the error. The error of a pose is that of its worst angle. The first
             four rows are this library; then closed forms as they are found elsewhere; then general solvers. All sets
             but the first reach behind the motors, where the first two closed forms take the other knee."""
         ),
-        _table(head, (_solver_row(row, names, "wrong") for row in results["inverse"])),
+        table(head, (_solver_row(row, names, "wrong") for row in results["inverse"])),
         _sets(results["sets"], results["seed"]),
         _picture(results, pictures.ERROR_TIME),
         _picture(results, pictures.EDGE),
@@ -95,7 +94,7 @@ def _cell(entry: dict[str, Any], other: str) -> str:
 
 def _sets(sets: Iterable[dict[str, Any]], seed: int) -> str:
     rows = [(each["name"], each["about"], str(each["count"]), str(each["peer_count"])) for each in sets]
-    return _table((f"set, seed {seed}", "points", "count", "of these for general solvers"), rows)
+    return table((f"set, seed {seed}", "points", "count", "of these for general solvers"), rows)
 
 
 def _reach(results: dict[str, Any]) -> list[str]:
@@ -108,11 +107,11 @@ def _reach(results: dict[str, Any]) -> list[str]:
     head = ("", *(f"{name}: called reachable" for name in names[:-1]), f"{names[-1]}: called unreachable")
     return [
         "## Within reach or not",
-        _prose(
+        prose(
             """How many points get the wrong answer to that question. A general solver says "reachable" where its rods
             close to 1e-12 m."""
         ),
-        _table(head, rows),
+        table(head, rows),
         _sets(reach["sets"], results["seed"]),
     ]
 
@@ -126,14 +125,14 @@ def _forward(results: dict[str, Any]) -> list[str]:
     head = ("", f"µs, array of {BATCH}", "µs, one call", *names)
     return [
         "## Forward kinematics",
-        _prose(
+        prose(
             """Median and largest distance in m from the exact position of the same arm angles, which are those of the
             sets above; *mirrored* is the share of answers on the other side of the elbows. Near type 2 the position
             answers to rounding of the angles, whatever the form."""
         ),
-        _table(head, (_solver_row(row, names, "mirrored") for row in results["forward"])),
+        table(head, (_solver_row(row, names, "mirrored") for row in results["forward"])),
         f"There and back, |FK(IK(p)) − p| in m over the workspace box, seed {results['seed']}:",
-        _table(("inverse by", "points", "median", "largest"), trips),
+        table(("inverse by", "points", "median", "largest"), trips),
     ]
 
 
@@ -150,23 +149,23 @@ def _speed(results: dict[str, Any]) -> list[str]:
     ours = {row["name"]: row for row in results["inverse"]}
     blocks = [
         "## Run time",
-        _prose(
+        prose(
             f"""Process time, medians of repeats in one run. Million poses per second by the number of points in one
             call; `Delta` gives status and margin too, and "{NEAR_EDGE}" takes the boundary set:"""
         ),
-        _table(("points in one call", *sizes), rows),
+        table(("points in one call", *sizes), rows),
         _picture(results, pictures.SPEED),
-        _prose(
+        prose(
             f"""One point costs {_microseconds(ours[SCALAR]["one_us"])} µs with `ScalarDelta.inverse` (angles only),
             {_microseconds(ours[POINT]["one_us"])} µs with `Delta.inverse` (with status and margin) and
             {_microseconds(ours[PRECISE]["one_us"])} µs with `precise=True`. µs per point of the library's functions:"""
         ),
-        _table(("", "ScalarDelta", "Delta, one point", f"Delta, array of {BATCH}"), functions),
+        table(("", "ScalarDelta", "Delta, one point", f"Delta, array of {BATCH}"), functions),
     ]
     if results["ratios"]:
         head = ("", "one call, against ScalarDelta.inverse", f"array of {BATCH}, against Delta.inverse")
         times = [(name, _ratio(row["one"]), _ratio(row["array"])) for name, row in results["ratios"].items()]
-        blocks += ["How many times as long general solvers take, both timed in turns:", _table(head, times)]
+        blocks += ["How many times as long general solvers take, both timed in turns:", table(head, times)]
     return blocks
 
 
@@ -180,11 +179,11 @@ def _extremes(results: dict[str, Any]) -> list[str]:
         rows.append((each["name"], each["answer"], each["status"], margin, error, trip, verdict))
     return [
         "## Extreme inputs",
-        _prose(
+        prose(
             """Each input goes through the single call and through an array; both must agree in status and numbers, and
             numpy must not warn. The round trip is the exact forward kinematics of the angles that came back."""
         ),
-        _table(("input", "answer", "status", "margin", "error", "round trip, m", "verdict"), rows),
+        table(("input", "answer", "status", "margin", "error", "round trip, m", "verdict"), rows),
     ]
 
 
@@ -201,7 +200,7 @@ def _robots(results: dict[str, Any]) -> list[str]:
     )
     return [
         "## Extreme robots",
-        _prose(
+        prose(
             f"""Largest error of inverse kinematics, on points that random arm angles lead to and on points exactly
             known to lie just inside or outside the edge of reach (1e-17 to 1e-3 m for the default robot, in proportion
             for others); *wrong on reach* counts answers and margins that take one side for the other. Round trip:
@@ -209,7 +208,7 @@ def _robots(results: dict[str, Any]) -> list[str]:
             the robot's own assembly; it grows near type 2. Unless named, lengths are the default ones. Seed
             {results["seed"]}."""
         ),
-        _table(head, rows),
+        table(head, rows),
     ]
 
 
@@ -217,7 +216,7 @@ def _workspace(results: dict[str, Any]) -> list[str]:
     box = results["workspace"]
     return [
         "## Workspace",
-        _prose(
+        prose(
             f"""On a grid of {box["count"]} points of the workspace box {_share(box["reachable"])} are reachable. The
             condition number of the Jacobian is {box["condition_median"]:.2f} in the median and
             {box["condition_max"]:.2f} at most. One ampere of the most loaded servo presses along z with
@@ -233,7 +232,7 @@ def _method(results: dict[str, Any]) -> list[str]:
     peers = "\n".join(f"- {name}: {setup}." for name, setup in results["peers"].items())
     return [
         "## How it was measured",
-        _prose(
+        prose(
             f"""Reference: the same equations in {results["digits"]} digits (mpmath); the doubles of points, angles and
             lengths count as exact, cos and sin of 120° as −1/2 and ±√3/2. The distance to the edge of reach is exact:
             rod minus the distance to the nearest point of the elbow's circle, or the distance to its farthest point
@@ -249,16 +248,6 @@ def _picture(results: dict[str, Any], name: str) -> str:
     if name in results["pictures"]:
         return f"![{_CAPTIONS[name]}]({name})"
     return f"(No picture {name}: {results['missing_pictures'][name]})"
-
-
-def _prose(text: str) -> str:
-    return textwrap.fill(" ".join(text.split()), _WIDTH, break_long_words=False, break_on_hyphens=False)
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    lines += ["| " + " | ".join(row) + " |" for row in rows]
-    return "\n".join(lines)
 
 
 def _known(value: float | None) -> bool:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from deltacharger_bringup.reports import tactile_pictures as pictures
+from deltacharger_bringup.reports.page_text import prose, table
 from deltacharger_bringup.reports.tactile_plan import TARGETS, kind, title
 from deltacharger_bringup.reports.tactile_splits import BY_FRAME, ROWS, SPLITS
 
-_WIDTH = 125
 _CAPTIONS = {
     pictures.ANGLE: "Accuracy and execution time for the angle, simulated data",
     pictures.POSITION: "Accuracy for vertical and horizontal, simulated data",
@@ -49,7 +48,7 @@ def _head(results: dict[str, Any]) -> list[str]:
     used = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
     blocks = [
         "# Tactile perception: the paper's comparison, redone on simulated data",
-        _prose(
+        prose(
             f"""**Every figure, table and picture on this page is of simulated data**, generator
             parameters `{results["digest"]}`: the paper's data are not public. Written on {results["date"]} by
             `{results["command"]}` in {results["elapsed_s"] / 60.0:.1f} min, on {machine["processor"]} with
@@ -70,7 +69,7 @@ def _targets(results: dict[str, Any]) -> list[str]:
         (each["name"], each["wanted"], _number(each["measured"]), each["unit"], _verdict(each["met"]))
         for each in results["targets"]
     ]
-    return ["## Targets", _table(("simulated data", "wanted", "measured", "unit", "verdict"), rows)]
+    return ["## Targets", table(("simulated data", "wanted", "measured", "unit", "verdict"), rows)]
 
 
 def _verdict(met: bool | None) -> str:
@@ -101,7 +100,7 @@ def _paper(results: dict[str, Any]) -> list[str]:
         rows.append(("slowest to execute", "CNN", title(slow), why))
     return [
         "## Paper and ours",
-        _table(("", "paper", "ours, simulated data", "why different, or not"), rows),
+        table(("", "paper", "ours, simulated data", "why different, or not"), rows),
         "That the networks' accuracies agree is how the generator was fitted, not evidence that it is right.",
     ]
 
@@ -126,7 +125,7 @@ def _models(results: dict[str, Any]) -> list[str]:
     head = ("simulated data", *(f"{target}, %" for target in TARGETS), "learning, s", "one prediction, ms")
     return [
         "## All models",
-        _prose(
+        prose(
             """Accuracy in % on the third of the dockings that learning did not see, each third in turn (600 angle and
             500 position pairs of each rig, 67/33 by docking), mean over rigs and seeds ± half the 95 % interval
             (Student's t over the rigs' means). Learning and prediction for the angle; prediction runs on numpy, one
@@ -134,21 +133,21 @@ def _models(results: dict[str, Any]) -> list[str]:
             model's estimate of the pose, and readings from 0.25 N on instead of 1 N. Learning times are medians while
             two processes work."""
         ),
-        _table(head, rows),
+        table(head, rows),
     ]
 
 
 def _splits(results: dict[str, Any]) -> list[str]:
     names = list(dict.fromkeys(row["model"] for row in results["splits"]))
-    table = {(row["model"], row["target"], row["split"]): row["accuracy"] for row in results["splits"]}
+    by_split = {(row["model"], row["target"], row["split"]): row["accuracy"] for row in results["splits"]}
     rows = [
-        (f"{title(name)}, {target}", *(_share(table[name, target, split]) for split in SPLITS))
+        (f"{title(name)}, {target}", *(_share(by_split[name, target, split]) for split in SPLITS))
         for name in names
         for target in TARGETS
     ]
     return [
         "## How data are split",
-        _prose(
+        prose(
             f"""**The random split flatters**: with {ROWS} rows of each docking it puts rows of one docking on both
             sides, so that a model recognises the docking instead of the pose. The column "{BY_FRAME}" is no measure of
             anything that a charger will meet. Data of several rigs together, accuracy in %; the paper has one row of
@@ -156,7 +155,7 @@ def _splits(results: dict[str, Any]) -> list[str]:
             their poses, so that a session holds few of them: leaving one out asks for poses of that rig which learning
             hardly saw, and can be harder than leaving out a rig."""
         ),
-        _table(("simulated data", *SPLITS), rows),
+        table(("simulated data", *SPLITS), rows),
     ]
 
 
@@ -168,7 +167,7 @@ def _shifts(results: dict[str, Any]) -> list[str]:
     )
     blocks = [
         "## When something changes",
-        _prose(
+        prose(
             f"""Models learn and are calibrated on a rig as it was; then the same poses are docked anew with one thing
             changed. Coverage: share of frames whose conformal set (nominal 95 %) holds the truth. Acted on: one class
             alone in the set, and no drift. The drift check looks at single frames and at windows of dockings; slow
@@ -180,7 +179,7 @@ def _shifts(results: dict[str, Any]) -> list[str]:
     ]
     for name in results["judged"]:
         rows = [_shift_row(row) for row in results["shifts"] if row["model"] == name]
-        blocks += [f"### {title(name)}", _table(head, rows)]
+        blocks += [f"### {title(name)}", table(head, rows)]
     return blocks
 
 
@@ -207,12 +206,12 @@ def _ceiling(results: dict[str, Any]) -> list[str]:
     rows = [(row["name"], row["about"], *(_share(row[target]) for target in TARGETS)) for row in results["ceiling"]]
     blocks = [
         "## One docking and several",
-        _prose(
+        prose(
             """What one docking tells at best is estimated by learning from much data of the same rig. More dockings
             at one commanded pose are fused by multiplying the probabilities of their classes. Accuracy in %, on
             dockings that learning did not see; the hole is the paper's own idea, in the middle of each ridge."""
         ),
-        _table(("simulated data", "", *TARGETS), rows),
+        table(("simulated data", "", *TARGETS), rows),
     ]
     top = next((row for row in results["ceiling"] if row["name"].startswith("ceiling")), None)
     if top:
@@ -222,7 +221,7 @@ def _ceiling(results: dict[str, Any]) -> list[str]:
         ]
         blocks += [
             "Share of that ceiling that each model reaches, in % (the ceiling is of fewer rigs; so it may be passed):",
-            _table(("simulated data", *TARGETS), shares),
+            table(("simulated data", *TARGETS), shares),
         ]
     return blocks
 
@@ -230,7 +229,7 @@ def _ceiling(results: dict[str, Any]) -> list[str]:
 def _method(results: dict[str, Any]) -> list[str]:
     return [
         "## How it was measured",
-        _prose(
+        prose(
             """Each rig is drawn anew by the contact generator (gains, offsets, a dead taxel, tilt, magnets, ridge) and
             docked by the paper's protocol. Models learn from 67 % of the dockings; conformal sets are calibrated on
             the other 33 % and judged on fresh dockings of the same rig. What looks familiar is learnt from all of
@@ -244,16 +243,6 @@ def _picture(results: dict[str, Any], name: str) -> str:
     if name in results["pictures"]:
         return f"![{_CAPTIONS[name]}]({name})"
     return f"(No picture {name}: {results['missing_pictures'][name]})"
-
-
-def _prose(text: str) -> str:
-    return textwrap.fill(" ".join(text.split()), _WIDTH, break_long_words=False, break_on_hyphens=False)
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    lines += ["| " + " | ".join(row) + " |" for row in rows]
-    return "\n".join(lines)
 
 
 def _percent(entry: dict[str, Any]) -> str:
