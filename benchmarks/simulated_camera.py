@@ -12,7 +12,8 @@ import time
 import numpy as np
 
 from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.scene_drawing import charger_parts, draw_scene, look_at
+from deltacharger_vision.mount import look_at
+from deltacharger_vision.scene_drawing import charger_parts, draw_scene
 from deltacharger_vision.simulated_camera import OAK_D, SimulatedCamera
 from deltacharger_vision.simulated_parameters import CameraParameters, SceneParameters
 from deltacharger_vision.simulated_scene import Scene, shifted

@@ -17,6 +17,7 @@ class Detection:
     Attributes:
         position: (3,) m, midpoint between the two bars on their touched faces.
         roll: rad in (−π/2, π/2], from +x to the projection of the bars' long axis on the x–y plane.
+        axis: (3,) unit vector along the bars, its projection on the x–y plane at the angle `roll`.
         normal: (3,) unit normal of the touched faces, toward the camera; NaN where it cannot be trusted.
         covariance: (6, 6) of position (m) and of a small rotation about the frame's x, y, z (rad).
         confidence: 0 to 1: share of the bars' outlines that was seen, lowered where image and depth disagree.
@@ -27,6 +28,7 @@ class Detection:
 
     position: Array
     roll: float
+    axis: Array
     normal: Array
     covariance: Array
     confidence: float

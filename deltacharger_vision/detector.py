@@ -16,8 +16,9 @@ from deltacharger_vision.detection import Detection
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.judgement import Candidate, Judge, JudgementSettings
+from deltacharger_vision.mount import line_angle
 from deltacharger_vision.pairing import PairingSettings, find_pairs
-from deltacharger_vision.poses import Array, cross_matrix, face_corners
+from deltacharger_vision.poses import cross_matrix, face_corners
 from deltacharger_vision.projection import check_lens, project
 from deltacharger_vision.segmentation import SegmentationSettings, find_blobs
 from deltacharger_vision.terminal import Terminal
@@ -83,12 +84,15 @@ class ElectrodeDetector:
 
     def _detection(self, found: Candidate, intrinsics: Intrinsics) -> Detection:
         pose = found.pose
+        x, y = pose.rotation[0, 0], pose.rotation[1, 0]
+        roll = line_angle(x, y)
         turning = cross_matrix(pose.rotation[:, 2])
         spread = turning @ found.covariance[3:, 3:] @ turning.T
         trusted = found.upright and math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) <= self.settings.normal_stddev
         return Detection(
             position=pose.translation,
-            roll=roll_of(pose.rotation),
+            roll=roll,
+            axis=pose.rotation[:, 0] * math.copysign(1.0, x * math.cos(roll) + y * math.sin(roll)),
             normal=-pose.rotation[:, 2] if trusted else np.full(3, np.nan),
             covariance=found.covariance,
             confidence=found.confidence,
@@ -96,9 +100,3 @@ class ElectrodeDetector:
             bars=project(pose.points(face_corners(self.terminal)), intrinsics),
             source="fused" if found.fused else "pnp",
         )
-
-
-def roll_of(rotation: Array) -> float:
-    """Return the angle in (−π/2, π/2] from +x to the projection of the first axis of a rotation (3, 3) on x–y."""
-    roll = math.atan2(rotation[1, 0], rotation[0, 0])
-    return roll - math.copysign(math.pi, roll) if not -0.5 * math.pi < roll <= 0.5 * math.pi else roll

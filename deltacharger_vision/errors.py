@@ -49,6 +49,20 @@ class TerminalError(VisionError, ValueError):
         super().__init__(f"{source}: {reason}")
 
 
+class MountError(VisionError, ValueError):
+    """The camera's pose on the charger cannot be used. Example: a quaternion of length 0.
+
+    Args:
+        source: file or field.
+        reason: what is wrong and what to do.
+    """
+
+    def __init__(self, source: str, reason: str) -> None:
+        self.source = source
+        self.reason = reason
+        super().__init__(f"{source}: {reason}")
+
+
 class ParameterError(VisionError, ValueError):
     """A parameter lies outside its bounds. Example: a negative exposure.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,41 +95,25 @@ def cover(terminal: Terminal, share: float, bar: int = UPPER, side: int = 1, col
     return Box(shifted((x, y, -0.002)), (length, height, 0.002), color)
 
 
-def look_at(position: tuple[float, float, float], point: tuple[float, float, float]) -> Array:
-    """Return (4, 4) charger_base_T_camera of a camera at `position` that centres `point` (m), upright along +y.
-
-    Raises:
-        SceneError: the camera would look straight up or down, or nowhere.
-    """
-    forward = np.subtract(point, position)
-    right = np.cross(forward, (0.0, 1.0, 0.0))
-    if not np.linalg.norm(right) > 1e-9:
-        raise SceneError("look_at", f"from {position} to {point} is straight up, down or nowhere; move one of them")
-    forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
-    pose = shifted(position)
-    pose[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
-    return pose
-
-
 def charger_parts(
     charger_base_T_camera: Array,  # noqa: N803
     platform: tuple[float, float, float],
-    arm_angle: float = 0.5,
+    arm_angles: Sequence[float] = (0.5, 0.5, 0.5),
 ) -> list[Box]:
     """Return the charger's platform, arms and rods as dark boxes that move with the camera.
 
     Args:
         charger_base_T_camera: (4, 4).
         platform: (3,) m in charger_base, centre of the platform's front.
-        arm_angle: of all three arms from radially outward toward +z, rad.
+        arm_angles: of the three arms from radially outward toward +z, rad.
     """
     to_camera = np.linalg.inv(charger_base_T_camera)
     body = _Charger()
     boxes = [Box(shifted((platform[0], platform[1], platform[2] - 0.01)), body.platform, _DARK)]
-    for azimuth in np.radians((0.0, 120.0, 240.0)):
+    for azimuth, angle in zip(np.radians((0.0, 120.0, 240.0)), arm_angles, strict=True):
         outward = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
         motor = body.base_radius * outward + (0.0, 0.0, -body.z_offset)
-        elbow = motor + body.arm * (math.cos(arm_angle) * outward + (0.0, 0.0, math.sin(arm_angle)))
+        elbow = motor + body.arm * (math.cos(angle) * outward + (0.0, 0.0, math.sin(angle)))
         joint = np.asarray(platform) + body.platform_radius * outward
         boxes += [_stick(motor, elbow, 0.018), _stick(elbow, joint, 0.008)]
     return [dataclasses.replace(box, pose=to_camera @ box.pose, in_camera=True) for box in boxes]

@@ -1,0 +1,240 @@
+"""Where the camera sits on the charger (hand-eye), how sure that is, and detections seen from `charger_base`."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.detection import Detection
+from deltacharger_vision.errors import MountError
+from deltacharger_vision.poses import cross_matrix
+
+Array = NDArray[np.float64]
+
+FRAME, CAMERA_FRAME = "charger_base", "camera_color_optical_frame"
+POSITION_STDDEV, ROTATION_STDDEV = 0.002, math.radians(0.5)
+"""Error of a mount that says nothing of it, per axis: m and rad. What a calibration by hand reaches (assumed)."""
+_PLACE, _DOCK = (0.0, 0.12, -0.12), (0.0, 0.0, 0.080)
+_FARTHEST = 5.0  # m
+_UNIT = 1e-3
+_KEYS = ("frame", "camera_frame", "position", "orientation", "covariance", "calibration")
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Electrodes in charger_base.
+
+    Attributes:
+        position: (3,) m, midpoint between the bars on their touched faces.
+        roll: rad in (−π/2, π/2], from +x to the projection of the bars' long axis on the x–y plane.
+        normal: (3,) unit normal of the touched faces, toward the camera; NaN where it cannot be trusted.
+        covariance: (6, 6) of position (m), of the rotation about x and y, and of the roll (rad), the mount's error
+            included.
+    """
+
+    position: Array
+    roll: float
+    normal: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Mount:
+    """Pose of the camera on the charger.
+
+    Attributes:
+        pose: (4, 4) charger_base_T_camera, of the optical frame (x right, y down, z forward).
+        covariance: (6, 6) of its error: translation (m) and a small rotation about the camera's centre (rad), both
+            along the axes of charger_base.
+
+    Raises:
+        MountError: the pose is not rigid or farther than 5 m away, or the covariance is none.
+    """
+
+    pose: Array
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        pose, covariance = np.asarray(self.pose, dtype=float), np.asarray(self.covariance, dtype=float)
+        if pose.shape != (4, 4) or not np.isfinite(pose).all():
+            raise MountError("pose", f"shape {pose.shape} or not finite; give a (4, 4) transform")
+        turn = pose[:3, :3]
+        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0.0:
+            raise MountError("orientation", "is no rotation; give a unit quaternion x, y, z, w")
+        if not np.abs(pose[:3, 3]).max() <= _FARTHEST:
+            raise MountError("position", f"{pose[:3, 3].tolist()} is farther than {_FARTHEST:g} m; give metres")
+        if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+            raise MountError("covariance", "give 36 finite numbers, (6, 6) row by row")
+        if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance)[0] < -1e-12:
+            raise MountError("covariance", "must be symmetric and not negative")
+        object.__setattr__(self, "pose", pose)
+        object.__setattr__(self, "covariance", covariance)
+
+    @staticmethod
+    def default() -> Mount:
+        """Return the usual mount: at (0, 0.12, −0.12) m, upright, pitched so that (0, 0, 80 mm) is centred."""
+        return Mount(look_at(_PLACE, _DOCK), _independent(POSITION_STDDEV, ROTATION_STDDEV))
+
+    @staticmethod
+    def from_numbers(
+        seven: Sequence[float], position_stddev: float = POSITION_STDDEV, rotation_stddev: float = ROTATION_STDDEV
+    ) -> Mount:
+        """Build a mount from x, y, z (m) and the quaternion x, y, z, w.
+
+        Args:
+            seven: these numbers; the quaternion of length 1 within 0.001.
+            position_stddev: m, per axis.
+            rotation_stddev: rad, per axis.
+
+        Raises:
+            MountError: they are no pose.
+        """
+        if len(seven) != 7:
+            raise MountError("mount", f"{len(seven)} numbers; give seven: x y z qx qy qz qw")
+        pose = np.eye(4)
+        pose[:3, 3] = seven[:3]
+        pose[:3, :3] = _rotation(np.asarray(seven[3:], dtype=float))
+        return Mount(pose, _independent(position_stddev, rotation_stddev))
+
+    @staticmethod
+    def load(path: str | Path) -> Mount:
+        """Read the YAML that `save` writes; without `covariance` the usual error is assumed.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            MountError: it is no such file.
+        """
+        import yaml
+
+        source = str(path)
+        try:
+            found = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            raise MountError(source, f"not YAML ({error}); give what `deltacharger calibrate camera` wrote") from error
+        if not isinstance(found, dict):
+            raise MountError(source, f"must be a mapping with {', '.join(_KEYS)}")
+        unknown = [key for key in found if key not in _KEYS]
+        if unknown:
+            raise MountError(source, f"unknown key {unknown[0]!r}; known: {', '.join(_KEYS)}")
+        for key, frame in (("frame", FRAME), ("camera_frame", CAMERA_FRAME)):
+            if found.get(key, frame) != frame:
+                raise MountError(source, f"{key} is {found[key]!r}; this is the pose of {CAMERA_FRAME} in {FRAME}")
+        try:
+            mount = Mount.from_numbers([*_numbers(found, "position", 3), *_numbers(found, "orientation", 4)])
+            if "covariance" not in found:
+                return mount
+            return Mount(mount.pose, np.reshape(_numbers(found, "covariance", 36), (6, 6)))
+        except MountError as error:
+            raise MountError(source, str(error)) from error
+
+    def save(self, path: str | Path, about: Mapping[str, Any] | None = None) -> None:
+        """Write a YAML file.
+
+        Args:
+            path: of the file.
+            about: how it was found, kept under `calibration`; plain YAML values.
+        """
+        import yaml
+
+        content: dict[str, Any] = {
+            "frame": FRAME,
+            "camera_frame": CAMERA_FRAME,
+            "position": [round(float(value), 7) for value in self.pose[:3, 3]],
+            "orientation": [round(float(value), 9) for value in quaternion(self.pose[:3, :3])],
+            "covariance": [float(f"{value:.6g}") for value in self.covariance.ravel()],
+        }
+        if about:
+            content["calibration"] = dict(about)
+        text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
+        Path(path).write_text(text, encoding="utf-8")
+
+    def place(self, found: Detection) -> Placed:
+        """Return a detection in charger_base."""
+        turn = self.pose[:3, :3]
+        arm = turn @ found.position
+        both = np.zeros((6, 6))
+        both[:3, :3] = both[3:, 3:] = turn
+        lever = np.eye(6)
+        lever[:3, 3:] = -cross_matrix(arm)
+        covariance = both @ found.covariance @ both.T + lever @ self.covariance @ lever.T
+        x, y, z = turn @ found.axis
+        # d roll = dωz − z (x dωx + y dωy) / (x² + y²), from d axis = dω × axis.
+        to_roll = np.eye(6)
+        to_roll[5, 3:5] = -z * np.array([x, y]) / (x * x + y * y)
+        return Placed(
+            position=arm + self.pose[:3, 3],
+            roll=line_angle(x, y),
+            normal=turn @ found.normal,
+            covariance=to_roll @ covariance @ to_roll.T,
+        )
+
+
+def look_at(position: Sequence[float], point: Sequence[float]) -> Array:
+    """Return (4, 4) charger_base_T_camera of a camera at `position` that centres `point` (m), upright along +y.
+
+    Raises:
+        MountError: the camera would look straight up or down, or nowhere.
+    """
+    forward = np.subtract(point, position)
+    right = np.cross(forward, (0.0, 1.0, 0.0))
+    if not np.linalg.norm(right) > 1e-9:
+        raise MountError("look_at", f"from {position} to {point} is straight up, down or nowhere; move one of them")
+    forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, 3] = position
+    pose[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
+    return pose
+
+
+def line_angle(x: float, y: float) -> float:
+    """Return the angle of a line along (x, y) from +x, rad in (−π/2, π/2]."""
+    angle = math.atan2(y, x)
+    return angle - math.copysign(math.pi, angle) if not -0.5 * math.pi < angle <= 0.5 * math.pi else angle
+
+
+def quaternion(rotation: Array) -> Array:
+    """Return the unit quaternion (x, y, z, w), w ≥ 0, of a rotation (3, 3): the largest eigenvector (Bar-Itzhack)."""
+    r = rotation
+    matrix = np.array(
+        [
+            [r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
+            [r[0, 1] + r[1, 0], r[1, 1] - r[0, 0] - r[2, 2], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
+            [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
+        ]
+    )
+    found = np.linalg.eigh(matrix)[1][:, -1]
+    return np.asarray(-found if found[3] < 0.0 else found)
+
+
+def _rotation(q: Array) -> Array:
+    """Return (3, 3) of a quaternion (x, y, z, w)."""
+    length = float(np.linalg.norm(q))
+    if not abs(length - 1.0) <= _UNIT:
+        raise MountError("orientation", f"a quaternion of length {length:.4g}; its length must be 1")
+    (x, y, z), w = q[:3] / length, q[3] / length
+    vector = np.array([x, y, z])
+    skew = cross_matrix(vector)
+    return np.asarray(np.eye(3) + 2.0 * w * skew + 2.0 * skew @ skew)
+
+
+def _independent(position: float, rotation: float) -> Array:
+    if not (0.0 <= position <= _FARTHEST and 0.0 <= rotation <= math.pi):
+        raise MountError("stddev", f"{position!r} m and {rotation!r} rad; give 0…{_FARTHEST:g} m and 0…π rad")
+    return np.diag([position**2] * 3 + [rotation**2] * 3)
+
+
+def _numbers(found: Mapping[str, Any], key: str, count: int) -> list[float]:
+    values = found.get(key)
+    right = isinstance(values, list) and len(values) == count
+    if not right or any(isinstance(value, bool) or not isinstance(value, numbers.Real) for value in values or ()):
+        raise MountError(key, f"is {values!r}; give {count} numbers")
+    assert values is not None
+    return [float(value) for value in values]

@@ -1,0 +1,104 @@
+"""The fields of sensor_msgs/Image as arrays that `RgbdImage.make` takes. Nothing here needs ROS.
+
+Encodings and the layout of `data` are those of sensor_msgs/image_encodings.hpp.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.errors import ImageError
+
+_RGB, _BGR, _RGBA, _BGRA = (0, 1, 2), (2, 1, 0), (0, 1, 2), (2, 1, 0)
+_COLORS: dict[str, tuple[type, int, tuple[int, ...]]] = {
+    "rgb8": (np.uint8, 3, _RGB),
+    "bgr8": (np.uint8, 3, _BGR),
+    "rgba8": (np.uint8, 4, _RGBA),
+    "bgra8": (np.uint8, 4, _BGRA),
+    "rgb16": (np.uint16, 3, _RGB),
+    "bgr16": (np.uint16, 3, _BGR),
+    "rgba16": (np.uint16, 4, _RGBA),
+    "bgra16": (np.uint16, 4, _BGRA),
+    "8uc3": (np.uint8, 3, _BGR),  # OpenCV's types are named without an order; cv_bridge hands them over as BGR
+    "8uc4": (np.uint8, 4, _BGRA),
+    "mono8": (np.uint8, 1, (0,)),
+    "8uc1": (np.uint8, 1, (0,)),
+    "mono16": (np.uint16, 1, (0,)),
+    "16uc1": (np.uint16, 1, (0,)),
+}
+"""Of colour: type, channels, and those that are red, green and blue."""
+_DEPTHS: dict[str, type] = {"16uc1": np.uint16, "mono16": np.uint16, "32fc1": np.float32, "64fc1": np.float64}
+_YUV = {"yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0}
+"""Offset of the first luminance in each group of four bytes; the detector looks at luminance alone."""
+
+
+def color_array(
+    encoding: str, height: int, width: int, step: int, data: Any, is_bigendian: bool | int = False
+) -> NDArray[Any]:
+    """Return (H, W, 3) RGB or (H, W) gray, uint8 or uint16, of a colour image's fields.
+
+    Of YUV 4:2:2 images the luminance is returned.
+
+    Args:
+        encoding: such as rgb8, bgr8, rgba8, mono8.
+        height: px.
+        width: px.
+        step: bytes from row to row.
+        data: anything that has the buffer of H · step bytes.
+        is_bigendian: order of the bytes of 16-bit channels.
+
+    Raises:
+        ImageError: the encoding is unknown or raw, or the fields contradict each other.
+    """
+    name = encoding.lower()
+    if name in _YUV:
+        rows = _rows("color", np.uint8, height, width, 2, step, data, False)
+        return np.ascontiguousarray(rows[:, :, _YUV[name]])
+    if name not in _COLORS:
+        raise ImageError("color", f"encoding {encoding!r}; {_advice(name)}")
+    kind, channels, order = _COLORS[name]
+    rows = _rows("color", kind, height, width, channels, step, data, bool(is_bigendian))
+    return rows[:, :, 0] if len(order) == 1 else rows[:, :, list(order)] if order != _RGB else rows[:, :, :3]
+
+
+def depth_array(
+    encoding: str, height: int, width: int, step: int, data: Any, is_bigendian: bool | int = False
+) -> NDArray[Any]:
+    """Return (H, W) uint16 mm or float m of a depth image's fields, as `color_array`.
+
+    Raises:
+        ImageError: the encoding is not 16UC1 (mm) or 32FC1 (m), or the fields contradict each other.
+    """
+    name = encoding.lower()
+    if name not in _DEPTHS:
+        raise ImageError(
+            "depth", f"encoding {encoding!r}; must be 16UC1 in mm or 32FC1 in m: take the depth image aligned to colour"
+        )
+    return _rows("depth", _DEPTHS[name], height, width, 1, step, data, bool(is_bigendian))[:, :, 0]
+
+
+def _rows(
+    what: str, kind: type, height: int, width: int, channels: int, step: int, data: Any, big: bool
+) -> NDArray[Any]:
+    """Return (H, W, channels) in the machine's byte order."""
+    stored = np.dtype(kind).newbyteorder(">" if big else "<")
+    least = width * channels * stored.itemsize
+    if height < 1 or width < 1 or step < least:
+        raise ImageError(what, f"{width} × {height} px with {step} bytes a row; a row needs {max(least, 1)}")
+    flat = np.frombuffer(data, dtype=np.uint8)
+    if flat.size < step * (height - 1) + least:
+        raise ImageError(what, f"{flat.size} bytes of {step * height}; the image was cut off on its way")
+    padded = np.lib.stride_tricks.as_strided(flat, (height, least), (step, 1), writeable=False)
+    pixels = np.ascontiguousarray(padded).view(stored).reshape(height, width, channels)
+    return pixels.astype(kind, copy=False)
+
+
+def _advice(name: str) -> str:
+    if name.startswith("bayer"):
+        return "this is the raw sensor: take the driver's colour topic, or run image_proc's debayer"
+    if "jpeg" in name or "png" in name or "compressed" in name:
+        return "the image is compressed: take the raw topic, or republish it with image_transport"
+    return f"must be one of {', '.join(_COLORS)}"
