@@ -13,13 +13,16 @@ class NodeSpec:
         module: Python module.
         class_name: node class in it.
         port: which port of the scene is its parameter `port` ("servo", "board" or "" for none).
-        stands_in_for: the node whose topics and services it provides, where it is a mock.
+        stands_in_for: the node whose topics and services it provides, where it is a mock or a simulation.
+        sees_target: whether it simulates what sees the target, so that a simulated world's target is its own, and
+            never stands beside real hardware.
     """
 
     module: str
     class_name: str
     port: str = ""
     stands_in_for: str = ""
+    sees_target: bool = False
 
 
 NODES: dict[str, NodeSpec] = {
@@ -31,6 +34,13 @@ NODES: dict[str, NodeSpec] = {
     ),
     "kinematics_node": NodeSpec("deltacharger_kinematics.kinematics_node", "KinematicsNode"),
     "misalignment_node": NodeSpec("deltacharger_tactile.misalignment_node", "MisalignmentNode"),
+    "simulated_camera_node": NodeSpec(
+        "deltacharger_bringup.simulated_camera_node",
+        "SimulatedCameraNode",
+        stands_in_for="camera_node",
+        sees_target=True,
+    ),
+    "electrode_detector_node": NodeSpec("deltacharger_vision.electrode_detector_node", "ElectrodeDetectorNode"),
     "mock_detector_node": NodeSpec(
         "deltacharger_bringup.mock_detector_node", "MockDetectorNode", stands_in_for="electrode_detector_node"
     ),

@@ -11,7 +11,7 @@ import difflib
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +127,9 @@ class Scene:
             ports: "servo" and "board" of a simulated charger; empty takes the scene's own.
         """
         parameters = dict(self.parameters.get(name, {}))
+        if NODES[name].sees_target and self.simulation is not None:
+            target = self.simulation.world.target
+            parameters = {f"target_{item.name}": getattr(target, item.name) for item in fields(target)} | parameters
         port = NODES[name].port
         path = (ports.get(port) or getattr(self.ports, port)) if port else ""
         return {"port": path, **parameters} if path else parameters
@@ -322,8 +325,14 @@ def _is_parameter(value: Any) -> bool:
 def _check_ports(scene: Scene) -> None:
     if scene.simulation is not None and scene.ports != Ports():
         raise SceneError(scene.file, "ports", "excludes 'simulation', which brings its own ports; keep one of them")
-    for name in scene.nodes:
+    for index, name in enumerate(scene.nodes):
         port = NODES[name].port
+        if NODES[name].sees_target and scene.touches_hardware:
+            raise SceneError(
+                scene.file,
+                f"nodes[{index}]",
+                f"'{name}' shows a simulated target, and real servos would go there; keep one of them",
+            )
         if port and scene.simulation is not None and "port" in scene.parameters.get(name, {}):
             raise SceneError(
                 scene.file,

@@ -1,0 +1,56 @@
+"""Arrays as the messages that every RGB-D driver publishes: sensor_msgs/Image and sensor_msgs/CameraInfo."""
+
+from __future__ import annotations
+
+import sys
+from array import array
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image
+
+from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.mount import CAMERA_FRAME
+
+COLOR, DEPTH, CAMERA_INFO = "color/image_raw", "depth/image_raw", "color/camera_info"
+"""Relative names of the topics of an RGB-D camera."""
+
+
+def color_message(color: NDArray[np.uint8], stamp: Time, frame: str = CAMERA_FRAME) -> Image:
+    """Return an (H, W, 3) RGB image as rgb8."""
+    return _message(color, "rgb8", 3, stamp, frame)
+
+
+def depth_message(depth: NDArray[np.float32], stamp: Time, frame: str = CAMERA_FRAME) -> Image:
+    """Return (H, W) m, NaN = unknown, as 16UC1: whole mm, 0 = unknown; what is beyond 65.5 m is unknown."""
+    millimetres = np.nan_to_num(depth * np.float32(1e3), nan=0.0, posinf=0.0, neginf=0.0) + np.float32(0.5)
+    millimetres[millimetres >= 65536.0] = 0.0
+    return _message(millimetres.astype(np.uint16), "16UC1", 2, stamp, frame)
+
+
+def camera_info_message(intrinsics: Intrinsics, stamp: Time, frame: str = CAMERA_FRAME) -> CameraInfo:
+    """Return the calibration of an unrectified image: R is the identity, P the camera matrix."""
+    message = CameraInfo()
+    message.header.stamp, message.header.frame_id = stamp, frame
+    message.height, message.width = intrinsics.height, intrinsics.width
+    message.distortion_model = "rational_polynomial" if len(intrinsics.distortion) == 8 else "plumb_bob"
+    message.d = list(intrinsics.distortion) or [0.0] * 5
+    matrix = intrinsics.matrix()
+    message.k = matrix.ravel()
+    message.r = np.eye(3).ravel()
+    message.p = np.hstack([matrix, np.zeros((3, 1))]).ravel()
+    return message
+
+
+def _message(pixels: NDArray[Any], encoding: str, bytes_per_pixel: int, stamp: Time, frame: str) -> Image:
+    message = Image()
+    message.header.stamp, message.header.frame_id = stamp, frame
+    message.height, message.width = pixels.shape[:2]
+    message.encoding, message.is_bigendian = encoding, int(sys.byteorder == "big")
+    message.step = message.width * bytes_per_pixel
+    data = array("B")  # the one type that rclpy takes without looking at each element
+    data.frombytes(np.ascontiguousarray(pixels).tobytes())
+    message.data = data
+    return message

@@ -1,0 +1,155 @@
+"""Laws of bringing colour and depth together by their stamps."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deltacharger_vision.errors import ParameterError
+from deltacharger_vision.pairing_by_stamp import StampMatcher
+
+PERIOD = 33_333_333  # ns, of 30 images a second
+SECOND = 1_000_000_000
+COLOR, DEPTH = "color", "depth"
+
+Arrival = tuple[str, int]
+Given = tuple[int, int]
+"""Stamps of the colour and of the depth that was given with it."""
+
+arrivals = st.lists(st.tuples(st.sampled_from((COLOR, DEPTH)), st.integers(0, 400)), max_size=120)
+
+
+def pairs(matcher: StampMatcher[int, int], items: Iterable[Arrival]) -> list[Given]:
+    """Each item is its own stamp."""
+    found = []
+    for kind, stamp in items:
+        pair = matcher.add_color(stamp, stamp) if kind == COLOR else matcher.add_depth(stamp, stamp)
+        if pair is not None:
+            assert pair[0] == pair[1]
+            found.append(pair[1:])
+    return found
+
+
+@st.composite
+def interleaved(draw: st.DrawFn, colors: Sequence[int], depths: Sequence[int], lead: int) -> list[Arrival]:
+    """Both in their order, one at most `lead` items ahead of the other."""
+    result: list[Arrival] = []
+    done = {COLOR: 0, DEPTH: 0}
+    streams = {COLOR: colors, DEPTH: depths}
+    while any(done[kind] < len(streams[kind]) for kind in streams):
+        open_kinds = [
+            kind
+            for kind, other in ((COLOR, DEPTH), (DEPTH, COLOR))
+            if done[kind] < len(streams[kind])
+            and (done[kind] - done[other] < lead or done[other] == len(streams[other]))
+        ]
+        kind = draw(st.sampled_from(open_kinds))
+        result.append((kind, streams[kind][done[kind]]))
+        done[kind] += 1
+    return result
+
+
+@given(items=arrivals, tolerance=st.integers(0, 50), depth=st.integers(1, 8))
+def test_pairs_are_near_and_in_order_and_memory_is_bounded(items: list[Arrival], tolerance: int, depth: int) -> None:
+    matcher: StampMatcher[int, int] = StampMatcher(tolerance, depth)
+    found = []
+    for item in items:
+        found += pairs(matcher, [item])
+        assert len(matcher) <= 2 * depth
+    assert all(abs(color - other) <= tolerance for color, other in found)
+    for one, two in itertools.pairwise(found):  # strictly: so nothing is given twice
+        assert one[0] < two[0]
+        assert one[1] < two[1]
+    assert all((COLOR, color) in items and (DEPTH, other) in items for color, other in found)
+
+
+@given(items=arrivals, tolerance=st.integers(0, 50))
+def test_nothing_that_fits_is_left_waiting(items: list[Arrival], tolerance: int) -> None:
+    matcher: StampMatcher[int, int] = StampMatcher(tolerance, 1000)
+    waiting: dict[str, set[int]] = {COLOR: set(), DEPTH: set()}
+    given_last = {COLOR: -1, DEPTH: -1}
+    for kind, stamp in items:
+        other = DEPTH if kind == COLOR else COLOR
+        fresh = stamp > given_last[kind] and stamp not in waiting[kind]
+        near = [abs(stamp - each) for each in waiting[other] if abs(stamp - each) <= tolerance] if fresh else []
+        found = pairs(matcher, [(kind, stamp)])
+        assert bool(found) == bool(near)
+        if fresh:
+            waiting[kind].add(stamp)
+        for pair in found:
+            given_last = dict(zip((COLOR, DEPTH), pair, strict=True))
+            assert abs(pair[0] - pair[1]) == min(near)
+            waiting = {name: {each for each in waiting[name] if each > given_last[name]} for name in waiting}
+
+
+@given(data=st.data(), lead=st.integers(1, 7), lost=st.sets(st.integers(0, 39)), missed=st.sets(st.integers(0, 39)))
+def test_images_of_one_instant_find_each_other_whatever_is_lost(
+    data: st.DataObject, lead: int, lost: set[int], missed: set[int]
+) -> None:
+    colors = [each * PERIOD for each in range(40) if each not in lost]
+    depths = [each * PERIOD for each in range(40) if each not in missed]
+    items = data.draw(interleaved(range(40), range(40), lead))
+    kept = [
+        (kind, each * PERIOD) for kind, each in items if (each not in lost if kind == COLOR else each not in missed)
+    ]
+    both = [(stamp, stamp) for stamp in colors if stamp in depths]
+    assert pairs(StampMatcher(PERIOD // 2 - 1), kept) == both
+
+
+@given(data=st.data(), offset=st.integers(-(PERIOD // 2 - 1), PERIOD // 2 - 1))
+def test_cameras_that_are_not_synchronous_give_each_color_the_nearest_depth(data: st.DataObject, offset: int) -> None:
+    colors = [SECOND + each * PERIOD for each in range(20)]
+    items = data.draw(interleaved(colors, [stamp + offset for stamp in colors], 6))
+    assert pairs(StampMatcher(PERIOD // 2), items) == [(stamp, stamp + offset) for stamp in colors]
+
+
+@given(st.data(), st.integers(2 * SECOND, 10**18), st.integers(0, 6))
+def test_a_clock_that_is_set_back_costs_no_image(data: st.DataObject, start: int, late: int) -> None:
+    """Also where the last depth images from before arrive when colour has begun anew."""
+    stamps = [each * PERIOD for each in range(12)]
+    before = [(kind, start + stamp) for stamp in stamps for kind in (COLOR, DEPTH)]
+    delayed = [item for item in before if item[0] == DEPTH][12 - late :]
+    before = [item for item in before if item not in delayed]
+    after = data.draw(interleaved(stamps, [*(stamp for _, stamp in delayed), *stamps], 8 - late))
+    found = pairs(StampMatcher(PERIOD // 3), [*before, *after])
+    assert [pair for pair in found if pair[0] < start] == [(stamp, stamp) for stamp in stamps]
+
+
+def test_the_exact_match_goes_before_a_near_one() -> None:
+    matcher: StampMatcher[str, str] = StampMatcher(10)
+    for stamp in (92, 100, 108):
+        assert matcher.add_depth(stamp, f"depth {stamp}") is None
+    assert matcher.add_color(100, "color") == (100, "color", "depth 100")
+    assert matcher.add_color(99, "older than the one given") is None
+    assert matcher.add_color(110, "next") == (110, "next", "depth 108")
+
+
+def test_the_first_of_two_with_one_stamp_counts() -> None:
+    matcher: StampMatcher[str, str] = StampMatcher(0)
+    assert matcher.add_color(5, "first") is None
+    assert matcher.add_color(5, "second") is None
+    assert matcher.add_depth(5, "depth") == (5, "first", "depth")
+    assert matcher.add_depth(5, "again") is None
+    assert len(matcher) == 0
+
+
+def test_cleared_it_takes_what_is_older() -> None:
+    matcher: StampMatcher[str, str] = StampMatcher(0)
+    matcher.add_color(7, "color")
+    assert matcher.add_depth(7, "depth")
+    matcher.add_color(9, "waits")
+    matcher.clear()
+    assert len(matcher) == 0
+    assert matcher.add_depth(9, "depth") is None
+    assert matcher.add_color(3, "color") is None
+    assert matcher.add_depth(3, "depth") == (3, "color", "depth")
+
+
+@pytest.mark.parametrize(("tolerance", "depth"), [(-1, 8), (SECOND + 1, 8), (0, 0), (0, 1001)])
+def test_bounds(tolerance: int, depth: int) -> None:
+    with pytest.raises(ParameterError):
+        StampMatcher(tolerance, depth)
