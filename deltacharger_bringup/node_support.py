@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any, Protocol
+from weakref import WeakKeyDictionary, ref
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -203,7 +204,8 @@ class PatientExecutor(MultiThreadedExecutor):
     def __init__(self, num_threads: int, *, context: Context) -> None:
         super().__init__(num_threads, context=context)
         self._failure: BaseException | None = None
-        self._subscriptions: dict[int, Any] = {}  # by id of the event handler; None where a publisher owns it
+        # Of each event handler; None where a publisher owns it. Weak at both ends: a subscription keeps its handlers.
+        self._subscriptions: WeakKeyDictionary[EventHandler, ref[Any] | None] = WeakKeyDictionary()
 
     def can_execute(self, entity: Any) -> bool:
         """Return whether the entity may be waited for, as in the original; an event only with its subscription."""
@@ -211,16 +213,17 @@ class PatientExecutor(MultiThreadedExecutor):
             return False
         if not isinstance(entity, EventHandler):
             return True
-        if id(entity) not in self._subscriptions:
-            self._subscriptions[id(entity)] = self._find_subscription(entity)
-        subscription = self._subscriptions[id(entity)]
+        if entity not in self._subscriptions:
+            self._subscriptions[entity] = self._find_subscription(entity)
+        found = self._subscriptions[entity]
+        subscription = None if found is None else found()
         return subscription is None or super().can_execute(subscription)
 
-    def _find_subscription(self, handler: EventHandler) -> Any:
+    def _find_subscription(self, handler: EventHandler) -> ref[Any] | None:
         for node in self.get_nodes():
             for subscription in node.subscriptions:
                 if handler in subscription.event_handlers:
-                    return subscription
+                    return ref(subscription)
         return None
 
     def _spin_once_impl(self, timeout_sec: Any = None, wait_condition: Callable[[], bool] = lambda: False) -> None:

@@ -44,7 +44,12 @@ _PAUSE = 0.05  # s between two looks for subscribers
 
 
 class SimulatedCameraNode(Node):
-    """See the module's docstring. Images are made in a thread of their own."""
+    """See the module's docstring. Images are made in a thread of their own.
+
+    Attributes:
+        looks: how often it looked for subscribers.
+        rendered: how many images it made.
+    """
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("simulated_camera_node", **kwargs)
@@ -61,6 +66,7 @@ class SimulatedCameraNode(Node):
         self._color = self.create_publisher(Image, COLOR, qos_profile_sensor_data)
         self._depth = self.create_publisher(Image, DEPTH, qos_profile_sensor_data)
         self._info = self.create_publisher(CameraInfo, CAMERA_INFO, qos_profile_sensor_data)
+        self.looks = 0
         self.rendered = 0
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulated camera", daemon=True)
@@ -73,6 +79,7 @@ class SimulatedCameraNode(Node):
 
     def _run(self) -> None:
         while not self._stopping.wait(_PAUSE):
+            self.looks += 1
             if not self._wanted():
                 continue
             arm = self.create_subscription(ServoState, "servo_state", self._on_servo_state, QoSProfile(depth=1))

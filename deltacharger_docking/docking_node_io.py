@@ -39,6 +39,7 @@ LEASE = 0.25  # s; longest lease that tactile_node grants
 _RENEWAL = 0.1  # s between renewals of the lease
 _DISCOVERY = 1.5  # s that a service may take to appear: nodes that start together find each other so late
 _HOLDER = "docking_node"
+_LOOKING = 0.9  # of the time for a detection: why nothing was found must arrive before docking gives up
 
 
 class Inputs:
@@ -163,7 +164,7 @@ class Services:
         elif request.service is Service.ESTIMATE:
             message = PredictMisalignment.Request(frames=request.frames)
         elif request.service is Service.DETECT:
-            message = DetectElectrodes.Request(timeout=duration(request.timeout))
+            message = DetectElectrodes.Request(timeout=duration(_LOOKING * request.timeout))
         else:
             message = client.srv_type.Request()
         future = client.call_async(message)
