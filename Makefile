@@ -10,7 +10,7 @@ COLCON := build/colcon
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_DOMAIN_ID ?= 87
 
-.PHONY: dock test check lint types colcon trainers bench clean
+.PHONY: dock test check lint types colcon trainers cameras bench clean
 
 dock: $(INSTALLED)  ## dock in simulation and draw the run
 	$(BIN)/deltacharger dock --scene $(SCENE) --picture dock.png
@@ -39,6 +39,9 @@ colcon: $(INSTALLED)  ## build as a ROS workspace package and load an interface 
 trainers: $(INSTALLED)  ## what training the classifiers needs, else their tests are skipped
 	$(BIN)/python -m pip install --quiet torch==2.13.0 scikit-learn xgboost-cpu
 
+cameras: $(INSTALLED)  ## the OAK-D's library and the second renderer, else their tests are skipped
+	$(BIN)/python -m pip install --quiet 'depthai>=3,<4' mujoco
+
 # The last two judge by their exit status too: a target that is missed there must not hide the other figures.
 bench: $(INSTALLED)  ## what charger and driver keep up with, about 20 minutes; QUICK=1: the same in 5
 	@echo '== the simulated charger in one process: 1 minute'
@@ -61,7 +64,7 @@ $(INSTALLED): $(SOURCES)
 	  > $(VENV)/build-requirements.txt
 	$(BIN)/python -m pip install --quiet -r $(VENV)/build-requirements.txt
 	@echo 'building deltacharger and its ROS interfaces into $(VENV); about two minutes'
-	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-build-isolation -e '.[dev,record,report]'
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-build-isolation -e '.[dev,record,report,vision]'
 	$(BIN)/python -c 'from deltacharger.msg import TactileFrame'
 	touch $@
 

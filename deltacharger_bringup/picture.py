@@ -79,10 +79,24 @@ def _compose(figure: Figure, run: Run) -> None:
         axes.tick_params(labelbottom=axes is rows[-1], length=3)
     rows[-1].set_xlabel("time since the goal, s")
     _name_phases(rows[0], run, span)
-    side = grid[:, 1].subgridspec(3, 1, height_ratios=(1.0, 1.0, 0.95), hspace=0.32)
-    _heat_maps(figure, side, run)
-    _report(figure.add_subplot(side[2, 0]), run)
+    _side(figure, grid[:, 1], run)
     _title(figure, run)
+
+
+def _side(figure: Figure, place: Any, run: Run) -> None:
+    """Fill the column beside the curves: what the camera saw, where one was asked, what the pads felt, and figures."""
+    if run.seen is None:
+        maps = place.subgridspec(3, 1, height_ratios=(1.0, 1.0, 0.95), hspace=0.32)
+        slots, report = (maps[0, 0], maps[1, 0]), maps[2, 0]
+    else:
+        rows = place.subgridspec(4, 1, height_ratios=(0.95, 0.75, 0.75, 0.95), hspace=0.34)
+        axes = figure.add_subplot(rows[0, 0])
+        axes.imshow(run.seen, interpolation="antialiased")
+        axes.set_title("what the camera saw", pad=4)
+        axes.set_axis_off()
+        slots, report = (rows[1, 0], rows[2, 0]), rows[3, 0]
+    _heat_maps(figure, slots, run)
+    _report(figure.add_subplot(report), run)
 
 
 def _span(run: Run) -> tuple[float, float]:
@@ -194,17 +208,17 @@ def _limits(values: Any, band: tuple[float, float]) -> tuple[float, float]:
     return low - spare, high + spare
 
 
-def _heat_maps(figure: Figure, side: Any, run: Run) -> None:
+def _heat_maps(figure: Figure, slots: tuple[Any, Any], run: Run) -> None:
     """Show both pads as one sees them looking along +z at the target: +x to the left, +y up."""
     if run.frames is None:
-        axes = figure.add_subplot(side[0:2, 0])
+        axes = figure.add_subplot(slots[0])
         axes.set_axis_off()
         axes.text(0.5, 0.5, "no tactile contact", ha="center", va="center", color="#7b8794")
         return
     left, right = run.frames
     top = max(float(np.nanmax(left)), float(np.nanmax(right)), 2.0)
-    for row, (name, frame) in enumerate((("left pad (+x)", left), ("right pad (−x)", right))):
-        axes = figure.add_subplot(side[row, 0])
+    for slot, name, frame in zip(slots, ("left pad (+x)", "right pad (−x)"), (left, right), strict=True):
+        axes = figure.add_subplot(slot)
         shown = axes.imshow(frame, cmap=_heat_colours(), vmin=0.0, vmax=top, interpolation="nearest")
         axes.set_title(f"{name}   {np.nansum(frame):.0f} N", pad=4)
         axes.set_xticks([])

@@ -12,6 +12,7 @@ import numpy as np
 from deltacharger.msg import ChargerPower, DockingState, Misalignment, ServoState, TactileFrame
 from rclpy.context import Context
 from rclpy.node import Node
+from sensor_msgs.msg import Image
 
 from deltacharger_bringup import qos
 from deltacharger_bringup.client import PHASES
@@ -25,7 +26,8 @@ _CONTACT = 1.0  # N on one taxel: what the package calls contact
 
 
 class Recorder:
-    """Fill a `Run` from servo_state, docking_state, tactile_frame, misalignment, charger_power and action feedback.
+    """Fill a `Run` from servo_state, docking_state, tactile_frame, misalignment, charger_power, action feedback, and the
+    detector's annotated image.
 
     The contact force is computed here from servo_state (the arm's weight removed), without kinematics_node.
 
@@ -56,6 +58,7 @@ class Recorder:
         node.create_subscription(TactileFrame, "tactile_frame", self._on_tactile_frame, qos.SENSOR)
         node.create_subscription(Misalignment, "misalignment", self._on_misalignment, qos.DEFAULT_DEPTH)
         node.create_subscription(ChargerPower, "charger_power", self._on_power, qos.LATEST)
+        node.create_subscription(Image, "electrode_detection/image", self._on_image, qos.SENSOR)
         self._spinner: Spinner | None = Spinner(node, 2)
 
     def close(self) -> None:
@@ -141,3 +144,10 @@ class Recorder:
             return
         with self._lock:
             self.run.power.add(self._now(), message.charge_current, float(message.contactor_closed))
+
+    def _on_image(self, message: Image) -> None:
+        from deltacharger_vision.ros_images import color_array
+
+        seen = color_array(message.encoding, message.height, message.width, message.step, message.data)
+        with self._lock:
+            self.run.seen = seen

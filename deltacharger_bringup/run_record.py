@@ -59,6 +59,7 @@ class Run:
         power: charge current (A) and whether the contactor is closed (0 or 1).
         phases: (time, name) at each change.
         frames: the last tactile frames in contact, (left, right), each (rows, columns) N; None = none.
+        seen: the last image that the detector looked at, annotated, (H, W, 3) uint8 RGB; None = it was not asked.
         outcome: how it ended; None = not yet.
         notes: more for the picture's title, e.g. the scene's name.
     """
@@ -70,5 +71,6 @@ class Run:
     power: Series = field(default_factory=lambda: Series("current", "closed"))
     phases: list[tuple[float, str]] = field(default_factory=list)
     frames: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+    seen: NDArray[np.uint8] | None = None
     outcome: Outcome | None = None
     notes: dict[str, Any] = field(default_factory=dict)

@@ -41,6 +41,7 @@ from deltacharger_vision.simulated_parameters import CameraParameters
 from deltacharger_vision.simulated_scene import Scene
 
 _PAUSE = 0.05  # s between two looks for subscribers
+_ARM = 1.0  # s that an image waits for the arm's angles
 
 
 class SimulatedCameraNode(Node):
@@ -83,12 +84,19 @@ class SimulatedCameraNode(Node):
             if not self._wanted():
                 continue
             arm = self.create_subscription(ServoState, "servo_state", self._on_servo_state, QoSProfile(depth=1))
+            self._await_arm()
             due = time.monotonic()
             while self._wanted() and not self._stopping.wait(max(0.0, due - time.monotonic())):
                 due = max(due + self._period, time.monotonic())
                 self._publish()
             self.destroy_subscription(arm)
             self._angles = None
+
+    def _await_arm(self) -> None:
+        """Wait for the arm's angles where there is an arm: the first image must show it like all others."""
+        end = time.monotonic() + _ARM
+        while self._angles is None and self.count_publishers("servo_state") and time.monotonic() < end:
+            self._stopping.wait(0.005)
 
     def _wanted(self) -> bool:
         publishers = (self._color, self._depth, self._info)

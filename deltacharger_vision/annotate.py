@@ -38,7 +38,7 @@ def annotated(image: RgbdImage, found: Detection | None) -> NDArray[np.uint8]:
     x, y, z = 1e3 * found.position
     lines = [
         f"x {x:.1f}  y {y:.1f}  z {z:.1f} mm",
-        f"+- {spread[0]:.1f}  {spread[1]:.1f}  {spread[2]:.1f} mm",
+        f"+- {spread[0]:.2f}  {spread[1]:.2f}  {spread[2]:.2f} mm",
         f"roll {math.degrees(found.roll):.2f} deg  confidence {found.confidence:.2f}  {found.source}",
     ]
     _write(picture, lines)

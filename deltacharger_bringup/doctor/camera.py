@@ -20,10 +20,12 @@ def examine_camera(publishers: int | None, devices: Path = Path("/sys/bus/usb/de
         publishers: of color/image_raw in the charger's ROS domain; None where that could not be asked.
         devices: folder of the USB devices, as the kernel shows them.
     """
-    if find_spec("deltacharger_vision") is None or find_spec("deltacharger_vision.camera_node") is None:
-        yield hint("camera", "this version has no camera driver and no electrode detector yet", _INSTEAD)
+    if find_spec("cv2") is None:
+        remedy = "pip install 'deltacharger[vision]', or python3-opencv; without it " + _INSTEAD
+        yield hint("camera", "OpenCV, with which electrode_detector_node sees, is not installed", remedy)
     if find_spec("depthai") is None:
-        yield hint("camera", "depthai, the library of OAK-D cameras, is not installed", "pip install depthai")
+        remedy = "pip install 'deltacharger[oak]' where camera_node shall drive an OAK-D; other cameras need none"
+        yield hint("camera", "depthai, the library of OAK-D cameras, is not installed", remedy)
     if _on_usb(devices):
         yield ok("camera", "an OAK camera is on USB")
     else:
@@ -31,7 +33,8 @@ def examine_camera(publishers: int | None, devices: Path = Path("/sys/bus/usb/de
     if publishers:
         yield ok("camera", f"{publishers} publisher{'s' if publishers > 1 else ''} of color/image_raw")
     elif publishers is not None:
-        yield hint("camera", "nobody publishes color/image_raw", "start a camera driver, or " + _INSTEAD)
+        remedy = "start camera_node, or the camera's own driver; or " + _INSTEAD
+        yield hint("camera", "nobody publishes color/image_raw", remedy)
 
 
 def _on_usb(devices: Path) -> bool:

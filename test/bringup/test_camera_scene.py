@@ -15,6 +15,7 @@ import pytest
 from deltacharger_bringup.client import ChargerClient
 from deltacharger_bringup.composition import Composition
 from deltacharger_bringup.outcomes import DockRequest, Outcome
+from deltacharger_bringup.recorder import Recorder
 from deltacharger_bringup.scene import Scene, SceneError, load_scene, parse_scene
 
 from .conftest import new_namespace
@@ -62,8 +63,11 @@ def with_opencv() -> None:
 def test_from_the_picture_to_charging(context: Any) -> None:
     with charger(context, load_scene("camera")) as (composition, client):
         phases: list[str] = []
-        outcome = client.dock(BY_CAMERA, lambda progress: phases.append(progress.phase), deadline=120.0)
+        with Recorder(context, client.node.get_namespace()) as recorder:
+            outcome = client.dock(BY_CAMERA, lambda progress: phases.append(progress.phase), deadline=120.0)
         assert outcome.success, outcome
+        assert recorder.run.seen is not None
+        assert recorder.run.seen.shape == (400, 640, 3)
         assert phases[0] == "locate"
         assert composition.charger is not None
         truth = composition.charger.world

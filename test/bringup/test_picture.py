@@ -40,13 +40,23 @@ def full_run() -> Run:
     return run
 
 
+def seeing_run() -> Run:
+    run = full_run()
+    run.seen = np.zeros((40, 64, 3), dtype=np.uint8)
+    return run
+
+
 def failed_run() -> Run:
     run = Run()
     run.outcome = Outcome("dock", False, 301, "UNREACHABLE", "stand 100 mm closer " * 20, True, 0.0)
     return run
 
 
-@pytest.mark.parametrize("run", [full_run(), failed_run(), Run()], ids=["full", "refused at once", "nothing at all"])
+@pytest.mark.parametrize(
+    "run",
+    [full_run(), seeing_run(), failed_run(), Run()],
+    ids=["full", "with a camera", "refused at once", "nothing at all"],
+)
 def test_it_is_drawn(run: Run, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="pictures need deltacharger[report]")
     path = tmp_path / "dock.png"
