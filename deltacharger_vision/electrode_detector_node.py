@@ -4,7 +4,8 @@ Subscribes, only while it looks: color/image_raw, depth/image_raw (aligned to co
 Publishes: electrode_detection when it found something, electrode_detection/image (what it saw, annotated, while
 somebody listens), /diagnostics (1 Hz).
 Serves: detect_electrodes, which looks at fresh images until the electrodes are found or its time is over.
-Parameters: rate (0 = on demand only), timeout, image_age_max, stamp_tolerance, the mount, the terminal's lengths.
+Parameters: rate (0 = on demand only), timeout, image_age_max, stamp_tolerance, the topics, the mount, the terminal's
+lengths.
 It drives nothing. With a rate it looks while somebody subscribes to electrode_detection.
 """
 
@@ -29,7 +30,7 @@ from deltacharger_vision.annotate import annotated
 from deltacharger_vision.detector import ElectrodeDetector
 from deltacharger_vision.electrode_detector_node_io import Camera, Shot, to_message
 from deltacharger_vision.errors import MountError, ParameterError, VisionError
-from deltacharger_vision.image_node_io import COLOR, color_message
+from deltacharger_vision.image_node_io import CAMERA_INFO, COLOR, DEPTH, color_message
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import POSITION_STDDEV, ROTATION_STDDEV, Mount, quaternion
 from deltacharger_vision.terminal import Terminal
@@ -64,11 +65,19 @@ class ElectrodeDetectorNode(Node):
         tolerance = node_support.declare(
             self, "stamp_tolerance", 0.01, "largest difference between the stamps of colour and depth (s)", 0.0, 1.0
         )
+        topics = [
+            node_support.declare(self, name, default, f"topic of the {what}")
+            for name, default, what in (
+                ("color_topic", COLOR, "colour images"),
+                ("depth_topic", DEPTH, "depth images, aligned to colour"),
+                ("camera_info_topic", CAMERA_INFO, "colour images' calibration"),
+            )
+        ]
         self._mount = _declare_mount(self)
         terminal = _declare_terminal(self)
         node_support.reject_unknown(self)
         self._detector = _detector(terminal)
-        self._camera = Camera(self, tolerance)
+        self._camera = Camera(self, tolerance, topics)
         self._tally = _Tally()
         self._looking = threading.Lock()
         self._stopping = threading.Event()
@@ -169,7 +178,7 @@ class ElectrodeDetectorNode(Node):
             level=bad if problem else DiagnosticStatus.OK,
             name=f"{self.get_fully_qualified_name()}: camera",
             message=problem or ("looking" if watched else "idle; looks when asked"),
-            hardware_id=self._camera.names[COLOR],
+            hardware_id=self._camera.names[0],
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])

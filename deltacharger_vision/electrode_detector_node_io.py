@@ -6,7 +6,7 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -68,9 +68,13 @@ class Camera:
     Args:
         node: subscribes.
         tolerance: largest difference between the stamps of colour and depth, s.
+        topics: names of colour, depth and calibration.
+
+    Attributes:
+        names: the same, resolved.
     """
 
-    def __init__(self, node: Node, tolerance: float) -> None:
+    def __init__(self, node: Node, tolerance: float, topics: Sequence[str] = (COLOR, DEPTH, CAMERA_INFO)) -> None:
         self._node = node
         self._matcher: StampMatcher[Image, Image] = StampMatcher(round(1e9 * tolerance))
         self._tolerance = tolerance
@@ -80,10 +84,11 @@ class Camera:
         self._subscriptions: list[Any] = []
         self._since = math.inf
         self._heard: dict[str, float] = {}
+        self._matched = -math.inf
         self._info: CameraInfo | None = None
         self._shot: Shot | None = None
         self._closed = False
-        self.names = {topic: node.resolve_topic_name(topic) for topic in (COLOR, DEPTH, CAMERA_INFO)}
+        self.names = [node.resolve_topic_name(topic) for topic in topics]
 
     @property
     def watched(self) -> bool:
@@ -130,13 +135,13 @@ class Camera:
 
     def problem(self) -> str:
         """Return what keeps images away; '' while they come, and while nobody listens long enough to tell."""
-        absent = [name for name in self.names.values() if not self._node.count_publishers(name)]
+        absent = [name for name in self.names if not self._node.count_publishers(name)]
         if absent:
             return f"nobody publishes {', '.join(absent)}: start camera_node, or the camera's driver with these names"
         with self._news:
             now, since = time.monotonic(), self._since
-            silent = [name for topic, name in self.names.items() if now - self._heard.get(topic, since) > SILENT]
-            unmatched = now - self._heard.get("pair", since) > SILENT
+            silent = [name for name in self.names if now - self._heard.get(name, since) > SILENT]
+            unmatched = now - max(self._matched, since) > SILENT
         if silent:
             return f"{', '.join(silent)} stopped: look at the camera, its cable and its driver"
         if unmatched:
@@ -146,14 +151,22 @@ class Camera:
 
     def _open(self) -> None:
         self._since = time.monotonic()
-        for topic, kind, take in (
-            (CAMERA_INFO, CameraInfo, self._on_info),
-            (COLOR, Image, self._on_color),
-            (DEPTH, Image, self._on_depth),
-        ):
+        kinds: tuple[Any, ...] = (Image, Image, CameraInfo)
+        takers = (self._on_color, self._on_depth, self._on_info)
+        for name, kind, take in zip(self.names, kinds, takers, strict=True):
             self._subscriptions.append(
-                self._node.create_subscription(kind, topic, take, qos_profile_sensor_data, callback_group=self._group)
+                self._node.create_subscription(
+                    kind, name, self._listener(name, take), qos_profile_sensor_data, callback_group=self._group
+                )
             )
+
+    def _listener(self, name: str, take: Callable[[Any], None]) -> Callable[[Any], None]:
+        def on_message(message: Any) -> None:
+            with self._news:
+                self._heard[name] = time.monotonic()
+                take(message)
+
+        return on_message
 
     def _forget(self) -> None:
         """Stop listening; what came is old by the time that somebody listens again."""
@@ -165,26 +178,20 @@ class Camera:
         self._info = None
         self._matcher.clear()
 
-    def _on_info(self, message: CameraInfo) -> None:
-        with self._news:
-            self._heard[CAMERA_INFO] = time.monotonic()
-            self._info = message
-
     def _on_color(self, message: Image) -> None:
-        with self._news:
-            self._heard[COLOR] = time.monotonic()
-            self._take(self._matcher.add_color(_nanoseconds(message), message))
+        self._take(self._matcher.add_color(_nanoseconds(message), message))
 
     def _on_depth(self, message: Image) -> None:
-        with self._news:
-            self._heard[DEPTH] = time.monotonic()
-            self._take(self._matcher.add_depth(_nanoseconds(message), message))
+        self._take(self._matcher.add_depth(_nanoseconds(message), message))
+
+    def _on_info(self, message: CameraInfo) -> None:
+        self._info = message
 
     def _take(self, pair: tuple[int, Image, Image] | None) -> None:
         if pair is None or self._info is None:
             return
         stamp, color, depth = pair
-        self._heard["pair"] = time.monotonic()
+        self._matched = time.monotonic()
         self._shot = Shot(self.shots + 1, stamp, color, depth, self._info)
         self._news.notify_all()
 
