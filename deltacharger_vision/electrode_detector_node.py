@@ -63,7 +63,7 @@ class ElectrodeDetectorNode(Node):
             self, "image_age_max", 0.5, "oldest image that still counts (s)", 0.02, 10.0
         )
         tolerance = node_support.declare(
-            self, "stamp_tolerance", 0.01, "largest difference between the stamps of colour and depth (s)", 0.0, 1.0
+            self, "stamp_tolerance", 0.015, "largest difference between the stamps of colour and depth (s)", 0.0, 1.0
         )
         topics = [
             node_support.declare(self, name, default, f"topic of the {what}")

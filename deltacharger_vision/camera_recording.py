@@ -1,0 +1,226 @@
+"""What an RGB-D camera published, out of an MCAP file: which topics hold it, and their messages as they came (CDR).
+
+Nothing here needs ROS; who has it decodes the messages. Needs the package mcap, `deltacharger[record]`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from deltacharger_vision.errors import VisionError
+
+COLOR, DEPTH, INFO = "color", "depth", "info"
+"""What a topic carries."""
+IMAGE, CAMERA_INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
+_COMPRESSED = "sensor_msgs/msg/CompressedImage"
+_COLOR_NAME = "color/image_raw"
+_DEPTH_NAMES = ("depth/image_raw", "aligned_depth_to_color/image_raw")
+_INFO_NAME = "camera_info"
+
+
+class CameraRecordingError(VisionError, ValueError):
+    """A recording cannot be read, or holds no images. Example: compressed images alone.
+
+    Args:
+        path: of the file.
+        reason: what is wrong and what to do.
+    """
+
+    def __init__(self, path: Path, reason: str) -> None:
+        self.path = path
+        self.reason = reason
+        super().__init__(f"{path}: {reason}")
+
+
+@dataclass(frozen=True)
+class CameraTopics:
+    """Names of a camera's topics; "" = to be found, or none.
+
+    Attributes:
+        color: sensor_msgs/Image.
+        depth: sensor_msgs/Image, aligned to colour.
+        info: sensor_msgs/CameraInfo of the colour image.
+    """
+
+    color: str = ""
+    depth: str = ""
+    info: str = ""
+
+
+class Recorded(NamedTuple):
+    """One message.
+
+    Attributes:
+        kind: COLOR, DEPTH or INFO.
+        time: when it was recorded, ns.
+        data: CDR of IMAGE or CAMERA_INFO.
+    """
+
+    kind: str
+    time: int
+    data: bytes
+
+
+class CameraRecording:
+    """The images of one camera in an MCAP file; one that was cut off is read as far as it goes.
+
+    Where no topics are named, colour is the one topic that ends in color/image_raw, depth the one beside it that ends
+    in depth/image_raw or aligned_depth_to_color/image_raw, and the intrinsics the camera_info beside the colour.
+
+    Args:
+        path: of the file.
+        asked: topics by their names, with or without the first slash; those that are "" are found.
+
+    Attributes:
+        topics: color, and depth and info where there are any.
+        images: number of colour images.
+
+    Raises:
+        OSError: the file cannot be read.
+        ModuleNotFoundError: mcap is not installed.
+        CameraRecordingError: it is no MCAP file, holds no raw colour images, or several cameras.
+    """
+
+    def __init__(self, path: Path, asked: CameraTopics | None = None) -> None:
+        self._mcap = _mcap()
+        self.path = path
+        types, counts = self._contents()
+        self.topics = _Topics(path, types).choose(asked or CameraTopics())
+        self.images = counts[self.topics.color]
+
+    def messages(self, *kinds: str) -> Iterator[Recorded]:
+        """Yield the messages in the order of the file, of some kinds or of all.
+
+        Raises:
+            CameraRecordingError: the file is damaged from here on.
+        """
+        named = {getattr(self.topics, kind): kind for kind in kinds or (COLOR, DEPTH, INFO)}
+        named.pop("", None)
+        for _, channel, message in self._records(list(named)):
+            yield Recorded(named[channel.topic], message.log_time, message.data)
+
+    def _contents(self) -> tuple[dict[str, str], Counter[str]]:
+        """Return the type of each topic, and how many messages it has."""
+        types: dict[str, str] = {}
+        counts: Counter[str] = Counter()
+        with self.path.open("rb") as stream:
+            try:
+                summary = self._mcap.reader.make_reader(stream).get_summary()
+            except Exception:  # cut off, or no MCAP file at all, which reading it will tell
+                summary = None
+        if summary is not None and summary.statistics is not None and summary.channels:
+            for number, channel in summary.channels.items():
+                schema = summary.schemas.get(channel.schema_id)
+                types[channel.topic] = "" if schema is None else schema.name
+                counts[channel.topic] += summary.statistics.channel_message_counts.get(number, 0)
+            return types, counts
+        try:
+            for schema, channel, _ in self._records(None):
+                types[channel.topic] = "" if schema is None else schema.name
+                counts[channel.topic] += 1
+        except CameraRecordingError:
+            if not counts:
+                raise
+        return types, counts
+
+    def _records(self, topics: list[str] | None) -> Iterator[Any]:
+        """Yield schema, channel and message in the file's order; the index at its end, which may lack, is not used."""
+        with self.path.open("rb") as stream:
+            try:
+                reader = self._mcap.reader.NonSeekingReader(stream, validate_crcs=True)
+                yield from reader.iter_messages(topics, log_time_order=False)
+            except OSError:
+                raise
+            except Exception as error:  # a damaged file raises what lz4, zstandard, struct or mcap raise
+                what = str(error) or type(error).__name__
+                raise CameraRecordingError(self.path, f"is damaged or no MCAP file: {what}") from error
+
+
+class _Topics:
+    """The topics of a recording.
+
+    Args:
+        path: of the recording, for errors.
+        types: type of each topic.
+    """
+
+    def __init__(self, path: Path, types: Mapping[str, str]) -> None:
+        self._path = path
+        self._types = types
+
+    def choose(self, asked: CameraTopics) -> CameraTopics:
+        """Return those of the camera; CameraRecordingError where that is not clear."""
+        color = self._held(asked.color, IMAGE) if asked.color else self._color()
+        depth = self._held(asked.depth, IMAGE) if asked.depth else self._depth(color)
+        info = self._held(asked.info, CAMERA_INFO) if asked.info else self._beside(color, _INFO_NAME)
+        return CameraTopics(color, depth, info)
+
+    def _color(self) -> str:
+        images = self._of(IMAGE)
+        found = [topic for topic in images if _ends(topic, _COLOR_NAME)]
+        if len(found) == 1:
+            return found[0]
+        compressed = [topic for topic in self._of(_COMPRESSED) if not images or f"/{_COLOR_NAME}/" in topic]
+        held = ", ".join(found or images or sorted(self._types)) or "nothing"
+        if found:
+            problem = f"several topics end in {_COLOR_NAME}; name one of {held}"
+        elif compressed:
+            problem = _advice(compressed[0])
+        elif images:
+            problem = f"no topic ends in {_COLOR_NAME}; name one of {held}"
+        else:
+            problem = f"holds no images, but {held}"
+        raise CameraRecordingError(self._path, problem)
+
+    def _depth(self, color: str) -> str:
+        found = [topic for topic in self._of(IMAGE) if topic != color and any(_ends(topic, e) for e in _DEPTH_NAMES)]
+        beside = [topic for topic in found if _ends(color, _COLOR_NAME) and _camera(topic) == _camera(color)]
+        if len(beside or found) > 1:
+            raise CameraRecordingError(self._path, f"several depth topics; name one of {', '.join(beside or found)}")
+        return (beside or found or [""])[0]
+
+    def _beside(self, color: str, name: str) -> str:
+        topic = f"{color.rpartition('/')[0]}/{name}"
+        return topic if self._types.get(topic) == CAMERA_INFO else ""
+
+    def _held(self, name: str, kind: str) -> str:
+        topic = f"/{name.lstrip('/')}"
+        held = self._types.get(topic)
+        if held == kind:
+            return topic
+        if held == _COMPRESSED:
+            raise CameraRecordingError(self._path, _advice(topic))
+        if held is not None:
+            raise CameraRecordingError(self._path, f"{topic} is of type {held or 'unknown'} and must be {kind}")
+        raise CameraRecordingError(self._path, f"no topic {topic}; it holds {', '.join(sorted(self._types))}")
+
+    def _of(self, kind: str) -> list[str]:
+        return sorted(topic for topic, held in self._types.items() if held == kind)
+
+
+def _ends(topic: str, name: str) -> bool:
+    return topic.endswith(f"/{name}")
+
+
+def _camera(topic: str) -> str:
+    """Return a topic without its last two names, which the topics of one camera share."""
+    return topic.rsplit("/", 2)[0]
+
+
+def _advice(topic: str) -> str:
+    raw = topic.rpartition("/")[0]
+    return f"{topic} holds compressed images; record {raw} instead, or republish it with image_transport"
+
+
+def _mcap() -> Any:
+    try:
+        import mcap.reader
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "mcap is not installed; install it with pip install 'deltacharger[record]'", name="mcap"
+        ) from error
+    return mcap

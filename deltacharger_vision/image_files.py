@@ -1,0 +1,193 @@
+"""RGB-D images from files, one or a folder of them, and pictures to files. Needs OpenCV, `deltacharger[vision]`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.errors import ImageError
+from deltacharger_vision.images import Intrinsics, RgbdImage
+
+CAMERA_INFO = "camera_info.yaml"
+"""Name of the intrinsics' file beside the images of a folder."""
+PICTURES = (".png", ".jpg", ".jpeg")
+_DEPTHS = (".png", ".npy")
+_COLOR, _DEPTH = "color", "depth"
+
+
+@dataclass(frozen=True)
+class ImageFiles:
+    """Files of one RGB-D image.
+
+    Attributes:
+        name: what they have in common.
+        color: PNG or JPEG; None = only the depth is there.
+        depth: PNG or NPY; None = only the colour is there.
+    """
+
+    name: str
+    color: Path | None
+    depth: Path | None
+
+    def read(self, intrinsics: Intrinsics) -> RgbdImage:
+        """Return the image, without depth where it has none; errors as of `read_rgbd`."""
+        if self.color is None:
+            raise ImageError(str(self.depth), "has no colour image of the same name")
+        return read_rgbd(self.color, self.depth, intrinsics)
+
+
+def require_opencv() -> Any:
+    """Return the module cv2.
+
+    Raises:
+        ModuleNotFoundError: says how to install it.
+    """
+    try:
+        import cv2
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "OpenCV is not installed; install it with pip install 'deltacharger[vision]'", name="cv2"
+        ) from error
+    return cv2
+
+
+def read_rgbd(color: Path, depth: Path | None, intrinsics: Intrinsics) -> RgbdImage:
+    """Return colour and depth of the same pixels.
+
+    Args:
+        color: see `read_color`.
+        depth: see `read_depth`; None = all unknown.
+        intrinsics: of the colour image.
+
+    Raises:
+        OSError: a file cannot be read.
+        ImageError: names the file, what is wrong with it and what to give instead.
+        ModuleNotFoundError: OpenCV is not installed.
+    """
+    pixels = read_color(color)
+    metres = np.full(pixels.shape[:2], np.nan, dtype=np.float32) if depth is None else read_depth(depth)
+    try:
+        return RgbdImage.make(pixels, metres, intrinsics)
+    except ImageError as error:
+        named = depth if error.name == "depth" and depth is not None else color
+        raise ImageError(str(named), str(error)) from error
+
+
+def read_color(path: Path) -> NDArray[Any]:
+    """Return (H, W) gray, (H, W, 3) RGB or (H, W, 4) RGBA, uint8 or uint16, of a PNG or JPEG file.
+
+    A turn that the file asks viewers for is not made: intrinsics belong to the pixels as they were taken.
+
+    Raises:
+        OSError: the file cannot be read.
+        ImageError: it is no image.
+        ModuleNotFoundError: OpenCV is not installed.
+    """
+    cv2 = require_opencv()
+    pixels = _decoded(path)
+    if pixels.ndim == 2:
+        return pixels
+    turned = {3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGBA}
+    return np.asarray(cv2.cvtColor(pixels, turned[pixels.shape[2]]))
+
+
+def read_depth(path: Path) -> NDArray[Any]:
+    """Return (H, W) uint16 mm (0 = unknown) of a 16-bit PNG, or what an NPY file holds.
+
+    Raises:
+        OSError: the file cannot be read.
+        ImageError: it is neither, or has 8 bits or several channels.
+        ModuleNotFoundError: OpenCV is not installed.
+    """
+    if path.suffix.lower() == ".npy":
+        return _array(path)
+    pixels = _decoded(path)
+    if pixels.ndim != 2 or pixels.dtype != np.uint16:
+        channels = 1 if pixels.ndim == 2 else pixels.shape[2]
+        raise ImageError(
+            str(path),
+            f"{channels} × {pixels.dtype.itemsize * 8} bits per pixel, a picture to look at; depth is one channel of "
+            "16 bits in millimetres (PNG), or an array of uint16 mm or float m (.npy)",
+        )
+    return pixels
+
+
+def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Write (H, W, 3) RGB as PNG or JPEG, by the name's ending.
+
+    Raises:
+        OSError: the file cannot be written.
+        ImageError: the name has another ending.
+    """
+    cv2 = require_opencv()
+    check_picture_name(path)
+    _, data = cv2.imencode(path.suffix.lower(), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    path.write_bytes(data.tobytes())
+
+
+def check_picture_name(path: Path) -> None:
+    """Raise ImageError where no picture can have this name."""
+    if path.suffix.lower() not in PICTURES:
+        raise ImageError(str(path), f"give a name that ends in {', '.join(PICTURES)}")
+
+
+def images_in(folder: Path) -> list[ImageFiles]:
+    """Return the images of a folder by name: NAME.color.png with NAME.depth.png, or color/NAME.png with depth/NAME.png.
+
+    Colour may also be .jpg or .jpeg, depth .npy. Where the folder has a folder `color`, that convention holds.
+
+    Raises:
+        OSError: the folder cannot be read.
+        ImageError: it holds no such files, or one name twice.
+    """
+    if (folder / _COLOR).is_dir():
+        colors = _named(folder / _COLOR, "", PICTURES)
+        depths = _named(folder / _DEPTH, "", _DEPTHS) if (folder / _DEPTH).is_dir() else {}
+    else:
+        colors, depths = _named(folder, f".{_COLOR}", PICTURES), _named(folder, f".{_DEPTH}", _DEPTHS)
+    if not colors and not depths:
+        raise ImageError(
+            str(folder),
+            "holds no images; name them NAME.color.png and NAME.depth.png, or color/NAME.png and depth/NAME.png",
+        )
+    return [ImageFiles(name, colors.get(name), depths.get(name)) for name in sorted(colors.keys() | depths.keys())]
+
+
+def _named(folder: Path, ending: str, suffixes: tuple[str, ...]) -> dict[str, Path]:
+    """Return the files of a folder whose names end in `ending` and a suffix, by what stands before."""
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() not in suffixes or not path.stem.endswith(ending) or path.name.startswith("."):
+            continue
+        name = path.stem.removesuffix(ending)
+        if name in found:
+            raise ImageError(str(path), f"and {found[name].name} have the same name; keep one of them")
+        found[name] = path
+    return found
+
+
+def _decoded(path: Path) -> NDArray[Any]:
+    """Return an image file as OpenCV decodes it: (H, W), (H, W, 3) BGR or (H, W, 4) BGRA."""
+    cv2 = require_opencv()
+    data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    if not data.size:
+        raise ImageError(str(path), "is empty; take the image anew")
+    try:
+        pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except cv2.error:  # such as more pixels than OpenCV decodes
+        pixels = None
+    if pixels is None:
+        raise ImageError(str(path), "is no image, or damaged; give PNG or JPEG")
+    return np.asarray(pixels)
+
+
+def _array(path: Path) -> NDArray[Any]:
+    try:
+        with path.open("rb") as file:
+            return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+    except (ValueError, EOFError, MemoryError) as error:
+        raise ImageError(str(path), f"is no NPY file ({error}); write it with numpy.save") from error

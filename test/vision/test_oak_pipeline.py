@@ -1,0 +1,328 @@
+"""The host side of the OAK-D: real depthai without a device, and the keeper over a camera that comes and goes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+
+from deltacharger_vision.camera_keeper import CameraKeeper, CameraUnavailable
+from deltacharger_vision.errors import CameraInfoError, ImageError, ParameterError
+from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.oak_pipeline import OakCamera, OakImage, OakSettings, attach, converted, find_device
+
+DEADLINE = 60.0  # s; far longer than anything takes
+MATRIX = [[441.0, 0.0, 319.5], [0.0, 440.0, 199.5], [0.0, 0.0, 1.0]]
+RATIONAL = [6.5, -3.1, 0.0004, -0.0003, 0.9, 6.7, -2.4, 0.6]
+
+
+def wait_until(condition: Callable[[], Any], what: str) -> None:
+    end = time.monotonic() + DEADLINE
+    while not condition():
+        assert time.monotonic() < end, f"waited {DEADLINE:g} s for: {what}"
+        time.sleep(0.002)
+
+
+@pytest.fixture
+def depthai() -> Any:
+    return pytest.importorskip("depthai", reason="drives an OAK-D with deltacharger[oak]")
+
+
+class Frames:
+    """Frames as an OAK-D sends them; `number` is in every pixel."""
+
+    def __init__(self, depthai: Any, width: int = 640, height: int = 400) -> None:
+        self._depthai, self._width, self._height = depthai, width, height
+
+    def color(self, number: int, taken: Any, distortion: list[float] | None = None, model: str = "Perspective") -> Any:
+        pixels = np.zeros((self._height, self._width, 3), dtype=np.uint8)
+        pixels[:] = number, 100, 200
+        frame = self._frame("RGB888i", pixels, taken)
+        coefficients = [0.0] * 14 if distortion is None else distortion
+        kind = getattr(self._depthai.CameraModel, model)
+        frame.setTransformation(self._depthai.ImgTransformation(self._width, self._height, MATRIX, kind, coefficients))
+        return frame
+
+    def depth(self, number: int, taken: Any) -> Any:
+        return self._frame("RAW16", np.full((self._height, self._width), 300 + number, dtype=np.uint16), taken)
+
+    def _frame(self, kind: str, pixels: Any, taken: Any) -> Any:
+        frame = self._depthai.ImgFrame()
+        frame.setType(getattr(self._depthai.ImgFrame.Type, kind))
+        frame.setWidth(self._width)
+        frame.setHeight(self._height)
+        frame.setData(pixels.reshape(-1).view(np.uint8))
+        frame.setTimestamp(taken)
+        frame.setTimestampDevice(taken)
+        return frame
+
+
+@pytest.fixture
+def pipeline(depthai: Any) -> Iterator[Any]:
+    """A pipeline without a device, stopped at the end."""
+    found = depthai.Pipeline(createImplicitDevice=False)
+    yield found
+    if found.isRunning():
+        found.stop()
+        found.wait()  # nodes written in Python need the interpreter to end
+
+
+def source(depthai: Any, pipeline: Any, count: int, lost: set[int], rate: float) -> Any:
+    """A host node that sends `count` pairs, without the depth of those that are `lost`, and goes on living."""
+    frames = Frames(depthai)
+
+    class Source(depthai.node.ThreadedHostNode):
+        def __init__(self) -> None:
+            super().__init__()
+            self.color, self.depth = self.createOutput(), self.createOutput()
+            self.sent = 0
+
+        def run(self) -> None:
+            for number in range(count):
+                taken = depthai.Clock.now()
+                self.color.send(frames.color(number, taken))
+                if number not in lost:
+                    self.depth.send(frames.depth(number, taken))
+                self.sent += 1
+                time.sleep(1.0 / rate)
+                if not self.isRunning():
+                    return
+            while self.isRunning():
+                time.sleep(0.01)
+
+    return pipeline.create(Source)
+
+
+def test_frames_of_one_instant_come_out_as_images(depthai: Any, pipeline: Any) -> None:
+    """Through depthai's own synchronisation and the host node that converts them."""
+    images: list[OakImage] = []
+    count, lost, rate = 30, {3, 7}, 40.0
+    node = source(depthai, pipeline, count, lost, rate)
+    attach(pipeline, node.color, node.depth, rate, lambda color, depth: images.append(converted(color, depth)))
+    began = time.monotonic()
+    pipeline.start()
+    wait_until(lambda: images and images[-1].image.color[0, 0, 0] == count - 1, "the last image")
+    assert len(images) > 1
+    numbers = [int(each.image.color[0, 0, 0]) for each in images]
+    assert numbers == sorted(set(numbers) - lost)
+    for number, each in zip(numbers, images, strict=True):
+        assert each.image.color.shape == (400, 640, 3)
+        assert each.image.color[5, 9].tolist() == [number, 100, 200]
+        np.testing.assert_allclose(each.image.depth, (300 + number) * 1e-3, atol=1e-6)
+        assert each.image.intrinsics == Intrinsics(640, 400, 441.0, 440.0, 319.5, 199.5)
+        assert began <= each.time <= time.monotonic()
+
+
+def test_images_that_nobody_takes_in_time_are_dropped_not_queued(depthai: Any, pipeline: Any) -> None:
+    go_on, numbers = threading.Event(), []
+
+    def take(color: Any, depth: Any) -> None:
+        numbers.append(int(color.getFrame()[0, 0, 0]))
+        go_on.wait(DEADLINE)
+
+    count = 60
+    node = source(depthai, pipeline, count, set(), 200.0)
+    attach(pipeline, node.color, node.depth, 30.0, take)
+    pipeline.start()
+    wait_until(lambda: numbers, "the first image")
+    wait_until(lambda: node.sent == count, "the last one sent")
+    go_on.set()
+    wait_until(lambda: numbers[-1] == count - 1, "the newest image")
+    assert len(numbers) < count // 2
+
+
+def test_the_lens_is_told_as_the_device_tells_it(depthai: Any) -> None:
+    frames, now = Frames(depthai), depthai.Clock.now()
+    found = converted(frames.color(1, now, RATIONAL + [0.0] * 6), frames.depth(1, now)).image
+    np.testing.assert_allclose(found.intrinsics.distortion, RATIONAL, rtol=1e-6)
+    with pytest.raises(CameraInfoError, match="the device's calibration"):
+        converted(frames.color(1, now, [*RATIONAL, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]), frames.depth(1, now))
+    with pytest.raises(CameraInfoError, match="Fisheye"):
+        converted(frames.color(1, now, [0.1, 0.0, 0.0, 0.0], "Fisheye"), frames.depth(1, now))
+    with pytest.raises(ImageError, match="depth"):
+        converted(frames.color(1, now), Frames(depthai, 320, 200).depth(1, now))
+
+
+class Bench:
+    """depthai with a device that is one in name only: its images come from a host node, its set-up is written down.
+
+    Every name that is called on a node must be one of the real node's.
+    """
+
+    def __init__(self, depthai: Any, monkeypatch: pytest.MonkeyPatch, rate: float, count: int = 10_000) -> None:
+        self._depthai = depthai
+        self.real = depthai.Pipeline(createImplicitDevice=False)
+        self.feed = source(depthai, self.real, count, set(), rate)
+        self._sink = self.real.create(self._sink_class())
+        self.cameras: list[Any] = []
+        self.stereo = self._node(depthai.node.StereoDepth)
+        self.stereo.depth, self.stereo.inputAlignTo = self.feed.depth, self._sink.entry
+        self.device = self._node(depthai.Device)
+        self.calibration = self.device.readCalibration.return_value = self._node(depthai.CalibrationHandler)
+        self.calibration.getLensPosition.return_value = 130
+        info = depthai.DeviceInfo("14442C10D13EABCE00")
+        found = mock.Mock(return_value=self.device, getAllAvailableDevices=lambda: [info])
+        monkeypatch.setattr(depthai, "Device", found)
+        monkeypatch.setattr(depthai, "Pipeline", lambda device: self)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.real, name)
+
+    def create(self, kind: Any) -> Any:
+        if kind is self._depthai.node.StereoDepth:
+            return self.stereo
+        if kind is not self._depthai.node.Camera:
+            return self.real.create(kind)
+        camera = self._node(kind)
+        camera.build.return_value = camera
+        camera.initialControl = self._node(self._depthai.CameraControl)
+        camera.requestOutput.return_value = self.feed.color if not self.cameras else mock.Mock()
+        self.cameras.append(camera)
+        return camera
+
+    @staticmethod
+    def _node(kind: Any) -> Any:
+        return mock.create_autospec(kind, instance=True)
+
+    def _sink_class(self) -> Any:
+        class Sink(self._depthai.node.ThreadedHostNode):
+            def __init__(self) -> None:
+                super().__init__()
+                self.entry = self.createInput(blocking=False, queueSize=1)
+
+            def run(self) -> None:
+                pass
+
+        return Sink
+
+
+def test_the_camera_is_set_up_for_docking_and_tells_when_it_is_gone(
+    depthai: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench, images, wanted = Bench(depthai, monkeypatch, 50.0), [], [False]
+    camera = OakCamera(OakSettings(rate=50.0, exposure_us=7000, iso=200), lambda: wanted[0], images.append)
+    try:
+        assert camera.name == "14442C10D13EABCE00"
+        color, left, right = bench.cameras
+        sockets = depthai.CameraBoardSocket
+        assert [each.build.call_args.args[0] for each in bench.cameras] == [sockets.CAM_A, sockets.CAM_B, sockets.CAM_C]
+        color.initialControl.setManualExposure.assert_called_once_with(7000, 200)
+        color.initialControl.setManualFocus.assert_called_once_with(130)
+        assert color.requestOutput.call_args.args == ((640, 400), depthai.ImgFrame.Type.RGB888i)
+        assert color.requestOutput.call_args.kwargs == {"fps": 50.0, "enableUndistortion": True}
+        left.requestOutput.return_value.link.assert_called_once_with(bench.stereo.left)
+        right.requestOutput.return_value.link.assert_called_once_with(bench.stereo.right)
+        for name in ("setExtendedDisparity", "setSubpixel", "setLeftRightCheck"):
+            getattr(bench.stereo, name).assert_called_once_with(True)
+        sent = bench.feed.sent
+        wait_until(lambda: bench.feed.sent > sent + 5, "images that nobody wants")
+        assert not images
+        wanted[0] = True
+        wait_until(lambda: images, "an image")
+        assert images[-1].image.color.shape == (400, 640, 3)
+        assert camera.problem() == ""
+        bench.real.stop()
+        wait_until(lambda: "OAK camera 14442C10D13EABCE00 is gone" in camera.problem(), "the loss")
+    finally:
+        camera.close()
+    bench.device.close.assert_called_once_with()
+
+
+def test_a_camera_that_falls_silent_is_noticed(depthai: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("deltacharger_vision.oak_pipeline._SILENCE", 0.3)
+    bench, images = Bench(depthai, monkeypatch, 50.0, count=5), []
+    camera = OakCamera(OakSettings(rate=50.0), lambda: True, images.append)
+    try:
+        wait_until(lambda: "14442C10D13EABCE00 is silent" in camera.problem(), "the silence")
+        assert images
+        assert bench.real.isRunning()
+    finally:
+        camera.close()
+
+
+def test_a_camera_that_cannot_be_opened_is_released_and_named(depthai: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(depthai, monkeypatch, 50.0)
+    bench.device.readCalibration.side_effect = RuntimeError("no EEPROM")
+    with pytest.raises(CameraUnavailable, match="14442C10D13EABCE00 cannot be opened: no EEPROM"):
+        OakCamera(OakSettings(), lambda: True, lambda image: None)
+    bench.device.close.assert_called_once_with()
+    with pytest.raises(CameraUnavailable, match="no OAK camera other found; there is 14442C10D13EABCE00"):
+        OakCamera(OakSettings(device_id="other"), lambda: True, lambda image: None)
+
+
+def test_a_device_that_is_not_there_is_named(depthai: Any) -> None:
+    if depthai.Device.getAllAvailableDevices():
+        pytest.skip("an OAK camera is connected")
+    with pytest.raises(CameraUnavailable, match="no OAK camera found"):
+        find_device("")
+    with pytest.raises(CameraUnavailable, match="no OAK camera 14442C10D13EABCE00 found"):
+        find_device("14442C10D13EABCE00")
+
+
+def test_settings_have_bounds() -> None:
+    assert OakSettings(rate=60.0, exposure_us=16_000).rate == 60.0
+    for wrong in ({"rate": 0.5}, {"iso": 50}, {"width": 8}, {"exposure_us": 0}, {"lens_position": 256}):
+        with pytest.raises(ParameterError, match=next(iter(wrong))):
+            OakSettings(**wrong)
+    with pytest.raises(ParameterError, match="exposure_us = 20000 is outside 1…16666"):
+        OakSettings(rate=60.0, exposure_us=20_000)
+
+
+def test_depthai_is_imported_only_for_a_camera() -> None:
+    code = (
+        "import sys, deltacharger_vision.camera_node, deltacharger_vision.oak_pipeline;"
+        "print('depthai' in sys.modules, 'cv2' in sys.modules)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert said.split() == ["False", "False"]
+
+
+class Camera:
+    """Delivers until it is told why not."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.trouble, self.closed = name, "", False
+
+    def problem(self) -> str:
+        return self.trouble
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_camera_that_comes_and_goes_is_opened_as_often_as_it_takes() -> None:
+    script: list[Camera | str] = ["none found", "none found", Camera("oak 1"), "none found", Camera("oak 2")]
+    cameras = [each for each in script if isinstance(each, Camera)]
+    told: list[tuple[str, str]] = []
+
+    def open_camera() -> Camera:
+        next_one = script.pop(0)
+        if isinstance(next_one, str):
+            raise CameraUnavailable(next_one)
+        return next_one
+
+    keeper = CameraKeeper(open_camera, lambda: told.append((keeper.name, keeper.problem)))
+    assert keeper.problem
+    keeper.start()
+    wait_until(lambda: len(told) == 2, "the camera")
+    assert told == [("", "none found"), ("oak 1", "")]
+    cameras[0].trouble = "oak 1 is gone"
+    wait_until(lambda: len(told) == 5, "the second camera")
+    assert told[2:] == [("oak 1", "oak 1 is gone"), ("oak 1", "none found"), ("oak 2", "")]
+    assert cameras[0].closed
+    assert not cameras[1].closed
+    keeper.close()
+    assert cameras[1].closed
+    keeper.close()
+    assert len(told) == 5
+
+
+def test_a_keeper_that_never_began_can_be_closed() -> None:
+    CameraKeeper(lambda: Camera("oak"), lambda: None).close()
