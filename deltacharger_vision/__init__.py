@@ -1,2 +1,1 @@
-"""Electrode detection in RGB-D images. Not yet available: give docking the electrodes' pose, or any node that serves
-`detect_electrodes`."""
+"""Cameras on the charger: images, the electrode detector, where the camera sits, and simulated cameras."""

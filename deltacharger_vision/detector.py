@@ -17,7 +17,7 @@ from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.judgement import Candidate, Judge, JudgementSettings
 from deltacharger_vision.mount import line_angle
-from deltacharger_vision.pairing import PairingSettings, find_pairs
+from deltacharger_vision.pairing import Pair, PairingSettings, find_pairs
 from deltacharger_vision.poses import cross_matrix, face_corners
 from deltacharger_vision.projection import check_lens, project
 from deltacharger_vision.segmentation import SegmentationSettings, find_blobs
@@ -72,6 +72,8 @@ class ElectrodeDetector:
         judge = Judge(smooth, image, self.terminal, settings.judgement)
         best: Candidate | None = None
         for pair in find_pairs(find_blobs(grey, settings.segmentation), self.terminal, settings.pairing):
+            if best is not None and self._covers(best, pair, image.intrinsics):
+                continue
             try:
                 candidate = judge.judge(pair)
             except CameraInfoError:  # a cut bar rebuilt beyond what the lens shows
@@ -81,6 +83,12 @@ class ElectrodeDetector:
                 if best.confidence >= settings.sure:
                     break
         return None if best is None else self._detection(best, image.intrinsics)
+
+    def _covers(self, found: Candidate, pair: Pair, intrinsics: Intrinsics) -> bool:
+        """Return whether a pair lies where a terminal was found: no other can be there."""
+        middle, end = np.zeros(3), np.array([0.5 * self.terminal.bar_length, 0.0, 0.0])
+        here, there = project(found.pose.points(np.stack([middle, end])), intrinsics)
+        return bool(np.hypot(*(pair.centre.mean(axis=0) - here)) < np.hypot(*(there - here)))
 
     def _detection(self, found: Candidate, intrinsics: Intrinsics) -> Detection:
         pose = found.pose

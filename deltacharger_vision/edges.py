@@ -21,6 +21,7 @@ _REACH = 3  # steps on either side of the steepest place that its centroid takes
 _CORNER = 1.5  # px near a corner in which another edge disturbs
 _PULL = 0.3  # of the peak
 _SATURATED = 250.0  # of 255
+_SHARP = 2.5  # px: ramp of an edge, as wide as its step over its steepest slope, that a sharp image has
 _INDEPENDENT = 2.0  # px between samples of an edge that share little noise
 
 
@@ -51,6 +52,7 @@ class EdgePoints:
         weight: (L,) independent samples per sample.
         missed: independent samples of the bars' sides at which the image shows no edge.
         saturated: share of the places beside which the bar is as bright as the image can tell.
+        blur: (L,) px by which the ramp of a line is wider than in a sharp image.
     """
 
     lines: Lines
@@ -61,6 +63,7 @@ class EdgePoints:
     weight: Array
     missed: float
     saturated: float
+    blur: Array
 
 
 def find_edges(
@@ -85,7 +88,7 @@ def find_edges(
     offsets = offsets[1:-1]
     # Of a side's two lines each is looked for on its own side of the middle between them.
     beyond = np.where(lines.outer[:, None], -offsets, offsets)
-    offset, height = _steepest(fall, offsets, beyond <= 0.5 * lines.room[:, None])
+    offset, height, ramp = _steepest(fall, offsets, beyond <= 0.5 * lines.room[:, None])
     enough = max(settings.contrast, settings.share * float(np.median(height[lines.outer])))
     bounds = np.array(grey.shape[::-1], dtype=float) - 1.0
     inside = np.all((centre > 0.0) & (centre < bounds), axis=2)
@@ -93,9 +96,10 @@ def find_edges(
     weight = np.minimum(1.0, length / (_INDEPENDENT * SAMPLES))
     seen = inside & (height >= enough)
     missed = _leave_inner(seen, inside, weight, lines)
+    blur = np.maximum(np.median(np.where(seen, ramp, 0.0), axis=1) - _SHARP, 0.0)
     # An edge sampled well inside the bar.
     saturated = float(np.mean(values[lines.outer, :, : steps // 2].max(axis=2) >= _SATURATED))
-    return EdgePoints(lines, model, found, seen, inside, weight, missed, saturated)
+    return EdgePoints(lines, model, found, seen, inside, weight, missed, saturated, blur)
 
 
 def _leave_inner(seen: NDArray[np.bool_], inside: NDArray[np.bool_], weight: Array, lines: Lines) -> float:
@@ -116,10 +120,11 @@ def _leave_inner(seen: NDArray[np.bool_], inside: NDArray[np.bool_], weight: Arr
     return missed
 
 
-def _steepest(fall: Array, offsets: Array, allowed: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the offset (L, S) px of the steepest place of profiles (L, S, K), and how steep it is.
+def _steepest(fall: Array, offsets: Array, allowed: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Return the offset (L, S) px of the steepest place of profiles (L, S, K), how steep it is, and the ramp's width.
 
-    Only offsets (L, K) that are allowed count. It is 0 where the steepest place is not a peak of the profile.
+    Only offsets (L, K) that are allowed count. The slope is 0 where the steepest place is not a peak of the profile.
+    The width is that of a straight ramp as high and as steep, px.
     """
     near = fall * allowed[:, None]
     peak = np.argmax(near, axis=2)[..., None]
@@ -132,4 +137,5 @@ def _steepest(fall: Array, offsets: Array, allowed: NDArray[np.bool_]) -> tuple[
     # Only what exceeds part of the peak counts: the neighbour's edge does not pull.
     strong = np.maximum(np.take_along_axis(near, reach, axis=2) - _PULL * height[..., None], 0.0)
     offset = np.sum(strong * offsets[reach], axis=2) / np.maximum(strong.sum(axis=2), 1e-9)
-    return offset, np.where(inner, height, 0.0)
+    ramp = _STEP * near.sum(axis=2) / np.maximum(height, 1e-9)
+    return offset, np.where(inner, height, 0.0), ramp

@@ -94,3 +94,15 @@ class SceneError(VisionError, ValueError):
         self.name = name
         self.reason = reason
         super().__init__(f"{name}: {reason}")
+
+
+class RendererError(VisionError, RuntimeError):
+    """A renderer cannot be used on this machine. Example: MuJoCo without EGL.
+
+    Args:
+        reason: what is missing and what to install.
+    """
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+        super().__init__(reason)

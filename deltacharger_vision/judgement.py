@@ -19,16 +19,18 @@ from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.outlines import visible_lines
 from deltacharger_vision.pairing import Pair
 from deltacharger_vision.plane import Plane, PlaneSettings, Region, fit_plane, plate_region
-from deltacharger_vision.poses import Array, Pose, facing
-from deltacharger_vision.refine import Edges, Fit, RefineSettings
+from deltacharger_vision.poses import Array, Pose, face_corners, facing
+from deltacharger_vision.refine import ROUNDS, Edges, Fit, RefineSettings
 from deltacharger_vision.starts import LARGE_LEANS, SMALL_LEANS, by_corners, laid_over, leaning, mirrored, tilted
 from deltacharger_vision.support import SupportSettings, outline_shares, plate_is_dark, supported
 from deltacharger_vision.terminal import Terminal
 
 _SAME_TILT = 0.03  # rad
-_UNSETTLED, _NOTHING = 5.0, 10.0  # times `clear`
+_UNSETTLED, _NOTHING = 5.0, 5.0  # times `clear`
 _HOPELESS = 3.0
 _FOLLOWED = 4  # times that edges are found anew at most
+_ROUGH = 5  # steps of a fit to edges that will be found anew
+_SETTLED = 0.2  # px: edges found anew after so little movement are the same ones
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,10 @@ class JudgementSettings(Bounded):
     clear: float = value(60.0, 1.0, 1000.0, "", "squared error below which no other start is tried")
     ambiguous: float = value(12.0, 0.0, 1000.0, "", "rise of the squared error by which a mirrored tilt is ruled out")
     agreement: float = value(0.15, 0.01, 1.0, "", "relative difference of range by image and depth below stereo range")
+    exact: float = value(
+        10.0, 0.0, 1000.0, "", "rise of the squared error with depth above which the focal length is fitted too"
+    )
+    calibration: float = value(0.007, 0.0, 0.1, "", "relative standard deviation of a focal length that is fitted")
     alone: float = value(1.7, 1.0, 100.0, "", "factor on the covariance by image alone, whose tilt nothing checks")
     edges: EdgeSettings = field(default_factory=EdgeSettings)
     refine: RefineSettings = field(default_factory=RefineSettings)
@@ -93,6 +99,7 @@ class Judge:
         self._grey = grey
         self._image = image
         self._terminal = terminal
+        self._corners = face_corners(terminal)
         self._settings = settings
         self._focal = math.sqrt(image.intrinsics.fx * image.intrinsics.fy)
 
@@ -128,16 +135,23 @@ class Judge:
         found: list[_Explanation] = []
         for sides in (True, False):
             pose = laid_over(start, pair, self._terminal, self._image.intrinsics, sides)
-            followed = self._follow(pose, settings.edges.search, plane)
-            for round_ in range(_FOLLOWED):
+            followed = self._follow(pose, settings.edges.search, plane, _ROUGH)
+            settled = False
+            for round_ in range(_FOLLOWED + 1):
                 hopeless = _HOPELESS * least + settings.ambiguous
                 if followed is None or self._misfit(*followed, plane) > (4.0 if round_ == 0 else 1.0) * hopeless:
                     followed = None
                     break
+                if settled or round_ == _FOLLOWED:
+                    break
                 if round_ > 1 and self._misfit(*followed, missed=False) < settings.clear:
                     break
-                followed = self._follow(followed[1].pose, settings.edges.follow, plane)
+                before = followed[1].pose
+                followed = self._follow(before, settings.edges.follow, plane)
+                settled = followed is not None and self._moved(before, followed[1].pose) < _SETTLED
             if followed is None:
+                if round_ == 0 and math.isfinite(least):  # at this tilt the other silhouette would not fit either
+                    break
                 continue
             found.append(_Explanation(*followed, self._misfit(*followed, plane)))
             least = min(least, found[-1].misfit)
@@ -145,13 +159,20 @@ class Judge:
                 break
         return sorted(found, key=lambda each: each.misfit)
 
+    def _moved(self, before: Pose, after: Pose) -> float:
+        """Return by how much the corners of the bars move in the image between two poses, px at most."""
+        one, two = (pose.points(self._corners) for pose in (before, after))
+        return self._focal * float(np.abs(one[..., :2] / one[..., 2:] - two[..., :2] / two[..., 2:]).max())
+
     def _misfit(self, edges: Edges, found: Fit, plane: Plane | None = None, missed: bool = True) -> float:
         return edges.misfit(found, self._settings.refine.noise, plane, missed)
 
-    def _follow(self, pose: Pose, window: float, plane: Plane | None = None) -> tuple[Edges, Fit] | None:
+    def _follow(
+        self, pose: Pose, window: float, plane: Plane | None = None, rounds: int = ROUNDS
+    ) -> tuple[Edges, Fit] | None:
         """Return the edges near those of a pose, and the pose that fits them."""
         edges = self._edges(pose, window)
-        found = edges.fit(pose, plane)
+        found = edges.fit(pose, plane, rounds=rounds)
         return None if found is None else (edges, found)
 
     def _edges(self, pose: Pose, window: float) -> Edges:
@@ -219,9 +240,29 @@ class Judge:
         if alone is None:
             return None
         rise = edges.misfit(fused, alone.scatter, plane) - edges.misfit(alone, alone.scatter)
+        if rise > settings.exact and settings.calibration:
+            return self._by_both_rescaled(alone.pose, plane)
         if not rise <= settings.support.disagreement:
             return None
         return self._candidate(edges, fused, fused.covariance, True, True)
+
+    def _by_both_rescaled(self, alone: Pose, plane: Plane) -> Candidate | None:
+        """Return the pose by edges and plane of a camera whose focal length is a little off, where that explains both.
+
+        Args:
+            alone: pose by edges alone, where the lines are seen.
+            plane: the plate's.
+        """
+        settings = self._settings
+        edges = self._edges(alone, settings.edges.follow)
+        start = edges.fit(alone)
+        both = None if start is None else edges.fit(start.pose, plane, settings.calibration)
+        if start is None or both is None:
+            return None
+        rise = edges.misfit(both, start.scatter, plane, calibration=settings.calibration)
+        if not rise - edges.misfit(start, start.scatter) <= settings.support.disagreement:
+            return None
+        return self._candidate(edges, both, both.covariance, True, True)
 
     def _candidate(self, edges: Edges, found: Fit, covariance: Array, fused: bool, upright: bool) -> Candidate | None:
         settings, pose = self._settings, found.pose

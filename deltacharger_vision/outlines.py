@@ -95,5 +95,6 @@ def _normals(pixels: Array, pose: Pose, intrinsics: Intrinsics, middle: Array) -
     along = pixels[:, 1] - pixels[:, 0]
     along = along / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
     normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
-    beyond = project(pose.points(middle + 1e-4 * _OUTWARD[_SIDES]), intrinsics) - pixels.mean(axis=1)
-    return np.where(np.sum(beyond * normal, axis=1)[:, None] < 0.0, -normal, normal)
+    # The middle itself is projected: that of both ends lies beside the line where the lens bends it.
+    at, beyond = project(pose.points(np.stack([middle, middle + 1e-4 * _OUTWARD[_SIDES]])), intrinsics)
+    return np.where(np.sum((beyond - at) * normal, axis=1)[:, None] < 0.0, -normal, normal)

@@ -25,6 +25,7 @@ _FACES = [(axis, sign) for axis in range(3) for sign in (-1, 1)]
 _EDGES = [(i, j) for i in range(6) for j in range(i + 1, 6) if _FACES[i][0] != _FACES[j][0]]
 _EDGE_FACES = np.array(_EDGES)
 _FACE_AXIS = np.array([axis for axis, _ in _FACES])
+_FACE_ACROSS = np.array([[(axis + 1) % 3, (axis + 2) % 3] for axis, _ in _FACES])
 _FACE_SIGN = np.array([sign for _, sign in _FACES], dtype=float)
 _EDGE_AXIS = np.array([3 - _FACES[i][0] - _FACES[j][0] for i, j in _EDGES])
 _NEAREST = 1e-3
@@ -112,7 +113,8 @@ class Rays:
             return None
         normals = _FACE_SIGN[:, None] * axes[_FACE_AXIS]
         heights = normals @ centre + half[_FACE_AXIS]
-        seen = heights < -1e-9
+        # A face without area has no outline, and its plane would cut off the pixels that an edge half covers.
+        seen = (heights < -1e-9) & (half[_FACE_ACROSS].prod(axis=1) > 0.0)
         if not seen.any():
             return None
         covered = self._covered(axes, centre, half, seen, window, edge_width)

@@ -24,6 +24,34 @@ _LARGEST_KEPT = 31 << 20
 """Bytes; glibc keeps nothing larger (its limit is 32 MiB on 64-bit machines)."""
 
 
+def taken(
+    light: Plane,
+    depth: tuple[Plane, Plane] | None,
+    intrinsics: Intrinsics,
+    parameters: CameraParameters,
+    unevenness: float,
+    random: np.random.Generator,
+) -> RgbdImage:
+    """Return the image that a camera with the defects of `parameters` takes of what lies before it.
+
+    Args:
+        light: (3, H, W) linear, which is changed.
+        depth: (H, W) 1/m, one over the true depth, and (H, W) share of holes; None leaves all depth unknown.
+        intrinsics: of the camera.
+        parameters: its defects.
+        unevenness: relative range of slow changes of the light over the image.
+        random: draws all of them.
+    """
+    p, shape = parameters, (intrinsics.height, intrinsics.width)
+    if unevenness:
+        light *= slow_field(shape, unevenness, random)
+    light = blurred(light, p.defocus, p.motion_x, p.motion_y)
+    image = developed(light, p.exposure, p.shot_noise, p.read_noise, random)
+    if depth is None:
+        return RgbdImage(image, np.full(shape, np.nan, dtype=np.float32), intrinsics)
+    return RgbdImage(image, measured(*depth, intrinsics.fx, p, random), intrinsics)
+
+
 class SimulatedCamera:
     """An RGB-D camera: colour and the depth of the same pixels, with the defects of `parameters`.
 
@@ -57,16 +85,9 @@ class SimulatedCamera:
             SceneError: the pose is not a rigid transform.
         """
         check_pose("camera_T_terminal", camera_T_terminal)
-        p = self.parameters
-        pose = np.asarray(camera_T_terminal, dtype=float)
-        color, inverse, holes = self._painted(scene, pose, random)
-        if scene.parameters.unevenness:
-            color *= slow_field(self._rays.shape, scene.parameters.unevenness, random)
-        color = blurred(color, p.defocus, p.motion_x, p.motion_y)
-        image = developed(color, p.exposure, p.shot_noise, p.read_noise, random)
-        if color_only:
-            return RgbdImage(image, np.full(self._rays.shape, np.nan, dtype=np.float32), self.intrinsics)
-        return RgbdImage(image, measured(inverse, holes, self.intrinsics.fx, p, random), self.intrinsics)
+        color, inverse, holes = self._painted(scene, np.asarray(camera_T_terminal, dtype=float), random)
+        depth = None if color_only else (inverse, holes)
+        return taken(color, depth, self.intrinsics, self.parameters, scene.parameters.unevenness, random)
 
     def _painted(self, scene: Scene, pose: Array, random: np.random.Generator) -> tuple[Plane, Plane, Plane]:
         """Return light (3, H, W), 1/z (H, W) 1/m and the share of holes (H, W)."""

@@ -47,7 +47,7 @@ def brushed(
     axes = pose[:3, :3].T
     along, *across = (rays.linear(axis, piece.window) for axis in axes)
     if uneven:
-        gray = gray * _streaks(box, pose, piece, along, across, parameters, random)
+        gray = gray * streaks(box, pose, piece.inverse, (along, *across), parameters, random)
     if not parameters.highlight:
         return gray, None
     length = np.sqrt(along * along + across[0] * across[0] + across[1] * across[1])
@@ -63,23 +63,31 @@ def brushed(
     return gray, np.float32(parameters.highlight) * glare
 
 
-def _streaks(
+def streaks(
     box: Box,
     pose: Array,
-    piece: Piece,
-    along: Plane,
-    across: list[Plane],
+    inverse: Plane,
+    along: tuple[Plane, ...],
     parameters: SceneParameters,
     random: np.random.Generator,
 ) -> Plane:
-    """Return (h, w) factors about 1: lines along x, and slow changes from end to end."""
+    """Return (h, w) factors about 1 on the light of metal: lines along its x, and slow changes from end to end.
+
+    Args:
+        box: the metal.
+        pose: (4, 4) of the box in the optical frame.
+        inverse: (h, w) 1/m, 1/z on its surface.
+        along: (h, w) each, products of every pixel's ray with the box's three axes.
+        parameters: how strong both are.
+        random: draws them.
+    """
     fine = 1.0 + parameters.streaks * random.standard_normal(_STREAKS)
     slow = 1.0 + parameters.mirrored * random.standard_normal(_BLOTCHES)
     centre = pose[:3, :3].T @ pose[:3, 3]
-    depth = 1.0 / np.maximum(piece.inverse, 1e-6)
+    depth = 1.0 / np.maximum(inverse, 1e-6)
     # y and z in one: a line runs along the face in front and along the face above.
-    beside = (across[0] + across[1]) * depth - (centre[1] + centre[2])
-    x = along * depth - centre[0]
+    beside = (along[1] + along[2]) * depth - (centre[1] + centre[2])
+    x = along[0] * depth - centre[0]
     width, length = max(box.size[1] + box.size[2], 1e-6), max(box.size[0], 1e-6)
     lines = np.interp((beside / width + 0.5) * (_STREAKS - 1), np.arange(_STREAKS), fine)
     ends = np.interp((x / length + 0.5) * (_BLOTCHES - 1), np.arange(_BLOTCHES), slow)

@@ -215,6 +215,41 @@ def test_distorted_lens_is_allowed_for() -> None:
     assert ignored is None or np.linalg.norm(error(ignored, pose)) > 0.002
 
 
+@pytest.mark.parametrize(
+    "distortion",
+    [
+        (-0.3, 0.12, 0.001, -0.0005, -0.02),
+        (-0.1, 0.01, 0.0, 0.0, 0.0),
+        (6.5, -3.1, 0.0004, -0.0003, 0.9, 6.7, -2.4, 0.6),
+    ],
+)
+def test_a_lens_that_bends_the_bars_hides_none_of_their_sides(distortion: tuple[float, ...]) -> None:
+    camera = SimulatedCamera(dataclasses.replace(OAK_D, distortion=distortion))
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        scene, pose = random_view(random, 0.2, 0.35)
+        found = DETECTOR.detect(render(scene, pose, random, camera))
+        assert found is not None, seed
+        assert np.linalg.norm(error(found, pose)) < 0.001
+
+
+@pytest.mark.parametrize("percent", [-2.0, -1.0, 1.0, 2.0])
+def test_a_focal_length_that_is_a_little_off_is_found_out_by_depth(percent: float) -> None:
+    factor = 1.0 + percent / 100.0
+    told = dataclasses.replace(OAK_D, fx=OAK_D.fx * factor, fy=OAK_D.fy * factor)
+    errors = []
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        scene, pose = random_view(random, 0.2, 0.35)
+        image = render(scene, pose, random)
+        found = DETECTOR.detect(RgbdImage(image.color, image.depth, told))
+        if found is not None:
+            errors.append(float(np.linalg.norm(error(found, pose))))
+    assert len(errors) >= 11
+    assert np.median(errors) < 0.0005  # the image alone would be off by 1 % of the range: 2–3.5 mm
+    assert max(errors) < 0.005
+
+
 def test_wide_lens_may_show_the_terminal_at_the_border() -> None:
     lens = Intrinsics(640, 400, 400.0, 400.0, 319.5, 199.5, (-0.30, 0.12, 0.001, -0.0005, -0.02))
     camera = SimulatedCamera(lens)

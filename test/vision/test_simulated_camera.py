@@ -16,7 +16,7 @@ from deltacharger_vision.simulated_parameters import CameraParameters, ScenePara
 from deltacharger_vision.simulated_scene import Box, Scene, shifted
 from deltacharger_vision.terminal import LOWER, UPPER, Terminal
 
-from .views import DISTORTIONS, linear, shown, view
+from .views import DISTORTIONS, edge_errors, linear, shown, view
 
 IDEAL = CameraParameters.ideal()
 EVEN = SceneParameters.even()
@@ -33,33 +33,6 @@ VIEWS = [
 
 def rendered(scene: Scene, pose: np.ndarray, camera: SimulatedCamera | None = None, seed: int = 0) -> RgbdImage:
     return (camera or SimulatedCamera(parameters=IDEAL)).render(scene, pose, np.random.default_rng(seed))
-
-
-def sampled(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Return (N,) values of (H, W) at pixels (N, 2), linear between them."""
-    column, row = np.floor(pixels).astype(int).T
-    x, y = (pixels - np.floor(pixels)).T
-    upper = image[row, column] * (1 - x) + image[row, column + 1] * x
-    lower = image[row + 1, column] * (1 - x) + image[row + 1, column + 1] * x
-    return upper * (1 - y) + lower * y
-
-
-def edge_errors(image: RgbdImage, pose: np.ndarray) -> np.ndarray:
-    """Return by how many px the light's step lies outside each edge of the touched faces, at three places each."""
-    light, found, reach = linear(image.color), [], np.arange(-2.0, 2.01, 0.05)
-    for bar in Terminal().corners():
-        middle = shown(bar.mean(axis=0), pose, image.intrinsics)
-        for start, end in zip(bar, np.roll(bar, -1, axis=0), strict=True):
-            for share in (0.3, 0.5, 0.7):
-                place, ahead = shown(
-                    start + np.array([[share], [share + 1e-3]]) * (end - start), pose, image.intrinsics
-                )
-                along = (ahead - place) / np.linalg.norm(ahead - place)
-                outward = np.array([along[1], -along[0]])
-                outward *= np.sign(outward @ (place - middle))
-                profile = sampled(light, place + reach[:, None] * outward)
-                found.append(reach[np.flatnonzero(profile > profile[0] / 2)[-1]])
-    return np.array(found)
 
 
 @pytest.mark.parametrize("distortion", DISTORTIONS)

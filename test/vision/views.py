@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.lens import distort
+from deltacharger_vision.terminal import Terminal
 
 DISTORTIONS = ((), (-0.30, 0.12, 0.001, -0.0005, -0.02), (6.5, -3.1, 0.0004, -0.0003, 0.9, 6.7, -2.4, 0.6))
 
@@ -36,3 +37,30 @@ def linear(color: np.ndarray) -> np.ndarray:
     """Return light (H, W) of an sRGB image's green, full scale 1."""
     encoded = color[:, :, 1] / 255.0
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
+def sampled(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Return (N,) values of (H, W) at pixels (N, 2), linear between them."""
+    column, row = np.floor(pixels).astype(int).T
+    x, y = (pixels - np.floor(pixels)).T
+    upper = image[row, column] * (1 - x) + image[row, column + 1] * x
+    lower = image[row + 1, column] * (1 - x) + image[row + 1, column + 1] * x
+    return upper * (1 - y) + lower * y
+
+
+def edge_errors(image: RgbdImage, pose: np.ndarray) -> np.ndarray:
+    """Return by how many px the light's step lies outside each edge of the touched faces, at three places each."""
+    light, found, reach = linear(image.color), [], np.arange(-2.0, 2.01, 0.05)
+    for bar in Terminal().corners():
+        middle = shown(bar.mean(axis=0), pose, image.intrinsics)
+        for start, end in zip(bar, np.roll(bar, -1, axis=0), strict=True):
+            for share in (0.3, 0.5, 0.7):
+                place, ahead = shown(
+                    start + np.array([[share], [share + 1e-3]]) * (end - start), pose, image.intrinsics
+                )
+                along = (ahead - place) / np.linalg.norm(ahead - place)
+                outward = np.array([along[1], -along[0]])
+                outward *= np.sign(outward @ (place - middle))
+                profile = sampled(light, place + reach[:, None] * outward)
+                found.append(reach[np.flatnonzero(profile > profile[0] / 2)[-1]])
+    return np.array(found)

@@ -1,0 +1,244 @@
+"""Boxes drawn by MuJoCo's OpenGL rasteriser without a window: colour, 1/z and which box, of every pixel.
+
+The rasteriser's list of geoms is filled anew for each image, so that no MuJoCo model is compiled for a scene. Colour is
+drawn at twice the size with four samples a pixel and averaged; 1/z and the box's number are those of the pixel's
+centre. Depth is kept as a 32-bit float that is 1 at the near plane and 0 at the far one, and so is linear in 1/z.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import weakref
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.errors import RendererError
+from deltacharger_vision.images import Intrinsics
+
+Array = NDArray[np.float64]
+Plane = NDArray[np.float32]
+
+NEAR, FAR = 0.01, 500.0
+"""Distance of the clipping planes, m; what is nearer to the camera's plane is cut away."""
+NONE = -1
+"""Number of the box where there is none."""
+WIDEST = 2.0
+"""Largest width of an edge that averaging gives, px; the narrowest is 1 px, a pixel's own."""
+_LARGER = 2
+_SAMPLES = 4
+_SHADOW_SIDE = 2048  # px of the map of shadows
+_SHADOW_REACH = 0.3  # m around the middle within which shadows are cast
+_LIGHT_AWAY = 1.0  # m; a light from one direction needs a place for the map of shadows alone
+_GEOMS = 64
+_INSTALL = "install libegl1, libegl-mesa0 and libgl1-mesa-dri (Debian, Ubuntu) and set MUJOCO_GL=egl"
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A box to draw.
+
+    Attributes:
+        pose: (4, 4) of its centre in the optical frame.
+        size: (3,) m.
+        color: what it reflects of red, green, blue light; with a light of 1, at most 1.
+        mirror: what it reflects as a highlight, likewise.
+    """
+
+    pose: Array
+    size: tuple[float, float, float]
+    color: tuple[float, float, float]
+    mirror: float = 0.0
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """The light of a scene.
+
+    Attributes:
+        toward: (3,) unit vector toward it in the optical frame.
+        middle: (3,) m, around which shadows are cast.
+        ambient: light from everywhere.
+        diffuse: light from `toward`.
+        sharpness: exponent of the highlight (Blinn, Phong), at most 128.
+    """
+
+    toward: Array
+    middle: Array
+    ambient: float
+    diffuse: float
+    sharpness: float
+
+
+class BoxRasteriser:
+    """Draws boxes as a pinhole camera sees them. Use it in one thread at a time; `close` releases it.
+
+    Args:
+        intrinsics: of the camera; its lens must not distort.
+
+    Raises:
+        RendererError: MuJoCo or off-screen OpenGL is missing, or the image is larger than it can draw.
+    """
+
+    def __init__(self, intrinsics: Intrinsics) -> None:
+        if intrinsics.distortion:
+            raise RendererError("MuJoCo draws no lens distortion; give intrinsics without, or use SimulatedCamera")
+        self._mujoco = _imported()
+        self._shape = (intrinsics.height, intrinsics.width)
+        with ExitStack() as opened:
+            self._open(opened)
+            self._closing = opened.pop_all()
+        self._finalizer = weakref.finalize(self, self._closing.close)
+        self._scene = self._sized(_GEOMS)
+        self._intrinsics = intrinsics
+
+    def close(self) -> None:
+        """Release OpenGL's memory; a second call does nothing."""
+        self._finalizer()
+
+    def draw(self, solids: Sequence[Solid], lamp: Lamp, edge_width: float) -> tuple[Plane, Plane, NDArray[np.int32]]:
+        """Return light (3, H, W) in 0…1, 1/z (H, W) 1/m and the number of the box (H, W), NONE where there is none.
+
+        Args:
+            solids: what to draw.
+            lamp: what lights it.
+            edge_width: px over which an edge passes from 0 to 1, 1…WIDEST.
+
+        Raises:
+            RendererError: it was closed.
+        """
+        if not self._finalizer.alive:
+            raise RendererError("the renderer was closed; make a new one")
+        if len(solids) > self._scene.maxgeom:
+            self._scene = self._sized(2 * len(solids))
+        self._fill(solids, lamp)
+        with self._gl.as_current():
+            large = self._read(self._fine, _LARGER, False)[0]
+            ids, depth = self._read(self._plain, 1, True)
+        found = ids.astype(np.int32) @ np.array([1, 1 << 8, 1 << 16], dtype=np.int32) + NONE
+        inverse = depth * np.float32(1.0 / NEAR - 1.0 / FAR) + np.float32(1.0 / FAR)
+        inverse[found == NONE] = 1e-6
+        return _averaged(large, edge_width), inverse, found
+
+    def _open(self, opened: ExitStack) -> None:
+        """Make the OpenGL context and its two buffers, each to be released when `opened` closes."""
+        mujoco = self._mujoco
+        height, width = self._shape
+        try:
+            self._gl = mujoco.GLContext(_LARGER * width, _LARGER * height)
+        except Exception as error:  # of each backend its own
+            raise RendererError(f"no off-screen OpenGL ({error}); {_INSTALL}") from error
+        opened.callback(self._gl.free)
+        with self._gl.as_current():
+            self._fine = self._buffer(opened, _LARGER, _SAMPLES, _SHADOW_SIDE)
+            self._plain = self._buffer(opened, 1, 0, 0)
+
+    def _buffer(self, opened: ExitStack, larger: int, samples: int, shadow: int) -> Any:
+        mujoco = self._mujoco
+        height, width = self._shape
+        model = self._model = mujoco.MjSpec().compile()
+        model.vis.global_.offwidth, model.vis.global_.offheight = larger * width, larger * height
+        model.vis.quality.offsamples, model.vis.quality.shadowsize = samples, shadow
+        model.stat.extent, model.vis.map.shadowclip = _SHADOW_REACH, 1.0
+        try:
+            buffer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        except mujoco.FatalError as error:
+            size = f"{larger * width} × {larger * height} px"
+            raise RendererError(f"no OpenGL buffer of {size} ({error}); take a smaller image, or {_INSTALL}") from error
+        opened.callback(_release, self._gl, buffer)
+        buffer.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        return buffer
+
+    def _sized(self, geoms: int) -> Any:
+        scene, flag = self._mujoco.MjvScene(self._model, maxgeom=geoms), self._mujoco.mjtRndFlag
+        for off in (flag.mjRND_REFLECTION, flag.mjRND_SKYBOX, flag.mjRND_HAZE):
+            scene.flags[off] = False
+        scene.flags[flag.mjRND_SHADOW] = True
+        return scene
+
+    def _fill(self, solids: Sequence[Solid], lamp: Lamp) -> None:
+        mujoco, scene = self._mujoco, self._scene
+        for index, solid in enumerate(solids):
+            geom, half = scene.geoms[index], np.asarray(solid.size) / 2
+            place, turn, rgba = solid.pose[:3, 3], solid.pose[:3, :3].ravel(), np.array([*solid.color, 1.0], np.float32)
+            mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_BOX, half, place, turn, rgba)
+            geom.segid, geom.category = index, mujoco.mjtCatBit.mjCAT_STATIC
+            geom.specular, geom.shininess = solid.mirror, lamp.sharpness / 128.0
+        scene.ngeom = len(solids)
+        # Shadow takes all light of a lamp away, so what comes from everywhere is a lamp of its own.
+        scene.nlight = 2
+        for light, ambient, diffuse in ((scene.lights[0], lamp.ambient, 0.0), (scene.lights[1], 0.0, lamp.diffuse)):
+            light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+            light.pos, light.dir = lamp.middle + _LIGHT_AWAY * lamp.toward, -lamp.toward
+            light.attenuation = (1.0, 0.0, 0.0)
+            light.ambient, light.diffuse = (ambient,) * 3, (diffuse,) * 3
+            light.specular = (1.0 if diffuse else 0.0,) * 3
+            light.castshadow = bool(diffuse)
+        self._aim()
+
+    def _aim(self) -> None:
+        """Set the frustum of the camera: pixels' centres are whole numbers, so the image begins half a pixel before."""
+        of = self._intrinsics
+        left, right = ((edge - of.cx) / of.fx * NEAR for edge in (-0.5, of.width - 0.5))
+        top, bottom = ((of.cy - edge) / of.fy * NEAR for edge in (-0.5, of.height - 0.5))
+        for camera in self._scene.camera:
+            camera.pos, camera.forward, camera.up = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)
+            camera.frustum_near, camera.frustum_far = NEAR, FAR
+            camera.frustum_top, camera.frustum_bottom = top, bottom
+            camera.frustum_center, camera.frustum_width = (left + right) / 2, (right - left) / 2
+
+    def _read(self, buffer: Any, larger: int, numbers: bool) -> tuple[NDArray[np.uint8], Plane]:
+        """Draw into a buffer and return colours (h, w, 3), or numbers of the boxes in them, and depth (h, w)."""
+        mujoco, flag = self._mujoco, self._mujoco.mjtRndFlag
+        height, width = larger * self._shape[0], larger * self._shape[1]
+        self._scene.flags[flag.mjRND_SEGMENT] = self._scene.flags[flag.mjRND_IDCOLOR] = numbers
+        color, area = np.empty((height, width, 3), dtype=np.uint8), mujoco.MjrRect(0, 0, width, height)
+        depth = np.empty((height, width) if numbers else (0, 0), dtype=np.float32)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, buffer)  # OpenGL knows one at a time
+        mujoco.mjr_render(area, self._scene, buffer)
+        mujoco.mjr_readPixels(color, depth if numbers else None, area, buffer)
+        return color[::-1], depth[::-1]
+
+
+def _imported() -> Any:
+    if sys.platform == "linux":
+        os.environ.setdefault("MUJOCO_GL", "egl")  # read when MuJoCo is imported
+    try:
+        import mujoco
+    except ModuleNotFoundError as error:
+        if error.name != "mujoco":
+            raise RendererError(f"MuJoCo lacks {error.name}; {_INSTALL}") from error
+        raise RendererError("MuJoCo is not installed; install deltacharger[sim]") from error
+    except Exception as error:  # a missing library shows as many kinds
+        raise RendererError(f"no off-screen OpenGL ({error}); {_INSTALL}") from error
+    if not hasattr(mujoco, "GLContext"):
+        raise RendererError(f"MuJoCo's OpenGL is switched off (MUJOCO_GL={os.environ.get('MUJOCO_GL')}); {_INSTALL}")
+    return mujoco
+
+
+def _release(gl: Any, buffer: Any) -> None:
+    with gl.as_current():
+        buffer.free()
+
+
+def _averaged(large: NDArray[np.uint8], edge_width: float) -> Plane:
+    """Return (3, H, W) in 0…1 of colours (2H, 2W, 3): four pixels in a row, the outer ones weighing what widens edges.
+
+    Halves of a pixel at ±1/4 and, weighing `outer` each, at ±3/4 px spread an edge by a variance of 1/12 + outer px²;
+    a ramp of width w has w²/12.
+    """
+    outer = np.float32((np.clip(edge_width, 1.0, WIDEST) ** 2 - 1.0) / 12.0)
+    inner = np.float32(0.5) - outer
+    halved: NDArray[Any] = large
+    for axis in (0, 1):
+        wide = np.pad(halved, [(1, 1) if i == axis else (0, 0) for i in range(3)], mode="edge")
+        size, kind = halved.shape[axis], np.uint16 if halved.dtype == np.uint8 else np.float32
+        part = [wide[(slice(None),) * axis + (slice(start, start + size - 1, 2),)] for start in range(4)]
+        halved = inner * np.add(part[1], part[2], dtype=kind) + outer * np.add(part[0], part[3], dtype=kind)
+    planes: Plane = np.multiply(np.moveaxis(halved, 2, 0), np.float32(1.0 / 255.0), order="C")
+    return planes
