@@ -1,0 +1,129 @@
+"""A drawn charger whose platform carries a board, as numbers and as images: what hand-eye tests know the truth of."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from deltacharger_bringup.camera_views import ViewsFolder
+from deltacharger_bringup.view_places import view_places
+from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_vision.board_drawing import bracket, with_board
+from deltacharger_vision.calibration_board import AprilTag, Board, Sighting
+from deltacharger_vision.hand_eye import Calibration
+from deltacharger_vision.hand_eye_views import Beliefs, View
+from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.mount import Mount
+from deltacharger_vision.poses import cross_matrix, turn
+from deltacharger_vision.projection import project
+from deltacharger_vision.scene_drawing import charger_parts
+from deltacharger_vision.simulated_camera import OAK_D, SimulatedCamera
+from deltacharger_vision.simulated_parameters import CameraParameters
+from deltacharger_vision.simulated_scene import Scene, shifted
+
+ARM = ScalarDelta()
+DOCK = np.array([0.0, 0.0, 0.080])
+JOINTS, OFFSET, PLAY, PIXEL = math.radians(0.1), 0.0005, 0.0001, 0.05
+"""Standard deviations of a usual charger: rad, m, m, px."""
+
+
+class Rig:
+    """One charger.
+
+    Args:
+        seed: draws all of it.
+        board: on the platform.
+        joints, offset: standard deviations of the arm angles' errors (rad) and of the ruler (m).
+        true_size: of the board, in units of what is stated.
+        intrinsics: of the camera.
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        board: Board | None = None,
+        joints: float = JOINTS,
+        offset: float = OFFSET,
+        true_size: float = 1.0,
+        intrinsics: Intrinsics = OAK_D,
+    ) -> None:
+        self.random = np.random.default_rng(seed)
+        self.board, self.true_size, self.intrinsics = board or AprilTag(), true_size, intrinsics
+        self.mount = np.array(Mount.default().pose)
+        self.mount[:3, 3] += self.random.normal(scale=0.003, size=3)
+        self.mount[:3, :3] = turn(self.random.normal(scale=0.02, size=3)) @ self.mount[:3, :3]
+        self.place = bracket() @ shifted((0.0, 0.0, 0.005))
+        self.place[:3, :3] = turn(self.random.normal(scale=0.05, size=3)) @ self.place[:3, :3]
+        self.joints = self.random.normal(scale=joints, size=3)
+        first, second, third = self.place[:3, 3] + self.random.normal(scale=offset, size=3)
+        self.offset: Vector = (float(first), float(second), float(third))
+        self.beliefs = Beliefs(self.offset, offset, joints)
+
+    def stands(self) -> Iterator[tuple[Vector, Vector]]:
+        """Yield places (m) with the angles (rad) that servo_node reports there."""
+        radius = math.hypot(*self.board.pattern) / 2 + self.board.margin
+        for place in view_places(DeltaGeometry(), 0.06, Mount.default(), self.intrinsics, self.offset, radius):
+            yield place, ARM.inverse(*place)
+
+    def platform(self, angles: Vector) -> Vector:
+        """Return where the platform truly is, m."""
+        first, second, third = np.array(angles) + self.joints
+        return ARM.forward(float(first), float(second), float(third))
+
+    def views(self, count: int, pixel: float = PIXEL, arm: float = PLAY) -> list[View]:
+        """Return views as numbers, with scatter of corners (px) and of positions (m)."""
+        found = []
+        for (place, angles), _ in zip(self.stands(), range(count), strict=False):
+            true = np.array(self.platform(angles)) + self.random.normal(scale=arm, size=3)
+            points = self.true_size * self.board.corners() @ self.place[:3, :3].T + self.place[:3, 3] + true
+            pixels = project((points - self.mount[:3, 3]) @ self.mount[:3, :3], self.intrinsics)
+            pixels += self.random.normal(scale=pixel, size=pixels.shape)
+            slope = np.array(ARM.jacobian(*place)).reshape(3, 3)
+            found.append(View(np.array(place), Sighting(self.board.corners(), pixels), slope))
+        return found
+
+    def image(self, angles: Vector, board: Board | None = None, ideal: bool = False) -> np.ndarray:
+        """Return an image (H, W, 3) RGB with board, platform and arms."""
+        camera = SimulatedCamera(self.intrinsics, CameraParameters.ideal() if ideal else None)
+        platform = self.platform(angles)
+        pose = np.linalg.inv(self.mount) @ shifted(platform) @ self.place
+        scene = with_board(Scene(target=False), board or self.board, pose, in_camera=True)
+        parts = charger_parts(self.mount, platform, angles)
+        scene = dataclasses.replace(scene, foreground=(*scene.foreground, *parts))
+        before = np.linalg.inv(self.mount) @ shifted((0.0, 0.0, 0.3))
+        return camera.render(scene, before, self.random, color_only=True).color
+
+    def write(self, folder: Path, count: int, board: Board | None = None) -> Path:
+        """Fill a folder of views and return it."""
+        files = ViewsFolder(folder, self.intrinsics)
+        for (_, angles), _ in zip(self.stands(), range(count), strict=False):
+            files.add(self.image(angles, board), angles)
+        return folder
+
+    def error(self, found: Mount) -> np.ndarray:
+        """Return the error (6,) of a mount as its covariance has it: m and rad."""
+        turned = found.pose[:3, :3] @ self.mount[:3, :3].T
+        rotation = 0.5 * np.array(
+            [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]
+        )
+        return np.append(found.pose[:3, 3] - self.mount[:3, 3], rotation)
+
+    def dock_error(self, found: Mount) -> np.ndarray:
+        """Return the error (3,) m of a point that is seen at the dock."""
+        error = self.error(found)
+        return error[:3] - cross_matrix(DOCK - found.pose[:3, 3]) @ error[3:]
+
+
+def squared(error: np.ndarray, covariance: np.ndarray) -> float:
+    """Return the squared error in units of its covariance."""
+    return float(error @ np.linalg.solve(covariance, error))
+
+
+def held(found: Calibration) -> float:
+    """Return the largest held-out error, m."""
+    return float(np.linalg.norm(found.held_out_errors, axis=1).max())

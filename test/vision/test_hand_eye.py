@@ -1,0 +1,302 @@
+"""Laws of hand-eye calibration: exact data, the exact mount; noise stays within the covariance; doubts are named."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from deltacharger_vision.calibration_board import AprilTag, Board, Charuco, Sighting
+from deltacharger_vision.hand_eye import Calibration, calibrate
+from deltacharger_vision.hand_eye_checks import doubts, drift, held_out_rms, notes
+from deltacharger_vision.hand_eye_model import FREE_WITH_SCALE, State, jacobian, residuals
+from deltacharger_vision.hand_eye_start import start
+from deltacharger_vision.hand_eye_views import Beliefs, Corners, HandEyeError, View
+from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.poses import turn
+from deltacharger_vision.projection import project, rays
+from deltacharger_vision.simulated_camera import OAK_D
+
+from .hand_eye_rig import DOCK, OFFSET, Rig, held, squared
+
+pytest.importorskip("cv2")
+
+ALL = 1000
+"""Holds no view out, where that is not asked about."""
+LENS = Intrinsics(640, 400, 441.0, 439.0, 317.0, 203.0, (-0.12, 0.03, 0.001, -0.0005, 0.0))
+
+
+def names(views: Sequence[View]) -> list[str]:
+    return [f"view_{number}.png" for number in range(len(views))]
+
+
+def moved(view: View, by: Sequence[float]) -> View:
+    """Return a view whose position was noted wrongly (m)."""
+    return View(view.position + by, view.sighting, view.slope)
+
+
+def judged(rig: Rig, views: Sequence[View]) -> tuple[Calibration, list[str]]:
+    found = calibrate(views, rig.intrinsics, rig.beliefs)
+    return found, doubts(found, rig.board.length, names(views))
+
+
+@pytest.mark.parametrize("board", [AprilTag(), Charuco()], ids=["tag", "charuco"])
+@pytest.mark.parametrize("intrinsics", [OAK_D, LENS], ids=["pinhole", "lens"])
+def test_exact_data_give_the_exact_mount(board: Board, intrinsics: Intrinsics) -> None:
+    rig = Rig(1, board, joints=0.0, offset=0.0, intrinsics=intrinsics)
+    found = calibrate(rig.views(12, pixel=0.0, arm=0.0), intrinsics, rig.beliefs)
+    assert np.abs(rig.error(found.mount)).max() < 1e-7
+    np.testing.assert_allclose(found.board, rig.place[:3, :3], atol=1e-7)
+    assert found.size == pytest.approx(1.0, abs=1e-6)
+    assert held(found) < 1e-7
+    assert found.reprojection.max() < 1e-5
+    assert found.decided
+
+
+def test_the_offset_alone_is_not_seen_and_goes_into_place_and_covariance() -> None:
+    rig = Rig(2, joints=0.0, offset=0.0)
+    views = rig.views(12, pixel=0.0, arm=0.0)
+    right = calibrate(views, OAK_D, rig.beliefs)
+    x, y, z = rig.offset
+    wrong = calibrate(views, OAK_D, dataclasses.replace(rig.beliefs, offset=(x + 0.003, y, z), offset_stddev=0.002))
+    np.testing.assert_allclose(wrong.mount.pose[:3, 3] - right.mount.pose[:3, 3], (0.003, 0.0, 0.0), atol=1e-9)
+    np.testing.assert_allclose(wrong.reprojection, right.reprojection, atol=1e-9)
+    difference = wrong.mount.covariance - right.mount.covariance
+    np.testing.assert_allclose(difference, np.diag([4e-6] * 3 + [0.0] * 3), atol=1e-12)
+
+
+def test_the_derivatives_are_those_of_the_residuals() -> None:
+    rig = Rig(3, Charuco())
+    corners = Corners.of(rig.views(6), OAK_D)
+    first = start(corners)
+    state = State(first.camera, first.shift, first.board, np.array([0.001, -0.002, 0.001]), 1.1)
+    step = np.random.default_rng(0).normal(scale=0.05, size=FREE_WITH_SCALE)
+    slopes, by_position = jacobian(corners, state, step)
+    for column in range(FREE_WITH_SCALE):
+        small = np.zeros(FREE_WITH_SCALE)
+        small[column] = 1e-6
+        high, low = (residuals(corners, state.moved(step + sign * small)) for sign in (1, -1))
+        np.testing.assert_allclose(slopes[:, :, column], (high - low) / 2e-6, rtol=1e-5, atol=1e-3)
+    shifted = dataclasses.replace(corners, positions=corners.positions + np.array([1e-7, 0.0, 0.0]))
+    change = (residuals(shifted, state.moved(step)) - residuals(corners, state.moved(step))) / 1e-7
+    np.testing.assert_allclose(by_position[:, :, 0], change, rtol=1e-4, atol=1e-2)
+
+
+@pytest.mark.parametrize(("count", "pixel", "arm"), [(5, 0.05, 1e-4), (12, 0.3, 1e-5), (12, 0.05, 4e-4)])
+def test_errors_are_as_large_as_the_covariance_says(count: int, pixel: float, arm: float) -> None:
+    pose, point, dock = [], [], []
+    for seed in range(50):
+        rig = Rig(100 + seed)
+        found = calibrate(rig.views(count, pixel, arm), OAK_D, rig.beliefs, every=ALL)
+        pose.append(squared(rig.error(found.mount), found.mount.covariance))
+        point.append(squared(rig.dock_error(found.mount), found.point_covariance(DOCK)))
+        dock.append(np.linalg.norm(rig.dock_error(found.mount)))
+    # Of 50 draws of χ² the mean scatters by √(2 · 6 / 50) = 0.49 and √(2 · 3 / 50) = 0.35.
+    assert 4.4 < np.mean(pose) < 7.8
+    assert 2.0 < np.mean(point) < 4.2
+    assert np.median(dock) < 0.0015
+
+
+def test_the_spreads_come_from_the_views() -> None:
+    found = [calibrate(rig.views(40, 0.2, 3e-4), OAK_D, rig.beliefs).fit.spread for rig in map(Rig, range(5))]
+    assert np.mean([spread.pixel for spread in found]) == pytest.approx(0.2, rel=0.1)
+    assert np.mean([spread.arm for spread in found]) == pytest.approx(3e-4, rel=0.15)
+
+
+def test_more_views_help_until_the_ruler_decides() -> None:
+    spreads = []
+    for count in (5, 20):
+        rig = Rig(4)
+        found = calibrate(rig.views(count), OAK_D, rig.beliefs)
+        spreads.append(math.sqrt(float(np.trace(found.point_covariance(DOCK)))))
+    assert spreads[0] > spreads[1] > math.sqrt(3.0) * OFFSET
+
+
+def test_held_out_views_judge_a_fit_that_did_not_see_them() -> None:
+    rig = Rig(5)
+    views = rig.views(20)
+    found = calibrate(views, OAK_D, rig.beliefs)
+    assert found.held_out == (4, 9, 14, 19)
+    assert 5e-5 < held_out_rms(found) < 5e-4
+    # A view with a wrong position shows as such, and as no error of the others.
+    views[9] = moved(views[9], (0.004, 0.0, 0.0))
+    again = calibrate(views, OAK_D, rig.beliefs)
+    errors = np.linalg.norm(again.held_out_errors, axis=1)
+    assert errors[1] == pytest.approx(0.004, abs=5e-4)
+    assert max(errors[0], errors[2], errors[3]) < 5e-4
+    assert not again.fit.kept[9]
+
+
+def test_wrong_views_are_left_out_and_named() -> None:
+    rig = Rig(6)
+    views = rig.views(20)
+    clean = calibrate(views, OAK_D, rig.beliefs)
+    views[3] = moved(views[3], (0.0, 0.03, 0.0))
+    views[11] = moved(views[11], (0.002, 0.0, -0.001))
+    pixels = views[15].sighting.pixels.copy()
+    pixels[0] += (6.0, -4.0)
+    views[15] = View(views[15].position, Sighting(views[15].sighting.corners, pixels), views[15].slope)
+    found, said = judged(rig, views)
+    assert sorted(np.flatnonzero(~found.fit.kept)) == [3, 11, 15]
+    assert not said
+    assert any("view_3.png, view_11.png, view_15.png" in text for text in notes(found, names(views)))
+    assert np.linalg.norm(rig.dock_error(found.mount) - rig.dock_error(clean.mount)) < 2e-4
+
+
+def test_a_third_of_wrong_views_is_a_doubt() -> None:
+    rig = Rig(7)
+    views = rig.views(20)
+    for index in (1, 4, 8, 9, 13, 17):
+        views[index] = moved(views[index], rig.random.normal(scale=0.01, size=3))
+    found, said = judged(rig, views)
+    assert len(said) == 1
+    assert "6 of 20 views contradict" in said[0]
+    assert np.linalg.norm(rig.dock_error(found.mount)) < 0.002
+
+
+@pytest.mark.parametrize("true_size", [0.75, 0.97, 1.03, 1.5])
+def test_a_wrong_size_is_told_with_the_likely_one(true_size: float) -> None:
+    rig = Rig(8, true_size=true_size)
+    _, said = judged(rig, rig.views(15))
+    assert len(said) == 1
+    assert "measure the print" in said[0]
+    assert float(said[0].split("size is ")[1].split()[0]) == pytest.approx(40.0 * true_size, rel=0.005)
+
+
+def test_a_right_size_is_not_doubted() -> None:
+    for seed in range(10):
+        rig = Rig(300 + seed, Charuco() if seed % 2 else AprilTag())
+        found, said = judged(rig, rig.views(10))
+        assert not said
+        assert abs(found.size - 1.0) < 5.0 * found.size_stddev
+
+
+def test_joints_that_err_by_more_than_was_stated_are_told() -> None:
+    wrong, right, surprise = 0, 0, []
+    for seed in range(12):
+        rig = Rig(500 + seed, joints=math.radians(1.0))
+        views = rig.views(15)
+        stated = dataclasses.replace(rig.beliefs, joint_stddev=math.radians(0.1))
+        for beliefs in (stated, rig.beliefs):
+            found = calibrate(views, OAK_D, beliefs, every=ALL)
+            texts = doubts(found, rig.board.length, names(views))
+            said = any("angles are off" in text or "arm's geometry is wrong" in text for text in texts)
+            if beliefs is stated:
+                wrong += said
+            else:
+                right += said
+                surprise.append(found.joint_surprise)
+                assert squared(rig.dock_error(found.mount), found.point_covariance(DOCK)) < 25.0
+    assert wrong >= 6
+    assert right == 0
+    assert 1.0 < np.mean(surprise) < 6.0
+
+
+@pytest.mark.parametrize("degrees", [0.3, 1.0, 3.0])
+def test_a_camera_that_was_pushed_is_told_with_the_moment(degrees: float) -> None:
+    rig = Rig(9)
+    views = rig.views(20)
+    for index in range(12, 20):
+        view = views[index]
+        ray = np.append(rays(view.sighting.pixels, OAK_D), np.ones((4, 1)), axis=1)
+        pixels = project(ray @ turn(np.array([0.0, math.radians(degrees), 0.0])).T, OAK_D)
+        views[index] = View(view.position, Sighting(view.sighting.corners, pixels), view.slope)
+    _, said = judged(rig, views)
+    assert any("from view_12.png on" in text and "moved" in text for text in said)
+
+
+def test_scatter_alone_is_no_drift() -> None:
+    random = np.random.default_rng(0)
+    told = [drift(random.normal(scale=2e-4, size=(20, 3)))[2] < 0.002 for _ in range(60)]
+    assert sum(told) <= 1
+    first, shift, chance = drift(np.repeat([[0.0, 0.0, 0.0], [1e-3, 0.0, 0.0]], 10, axis=0))
+    assert (first, chance < 0.002) == (10, True)
+    assert shift == pytest.approx(1e-3)
+
+
+def test_of_the_two_tilts_that_fit_an_image_the_one_is_taken_that_fits_all() -> None:
+    import cv2
+
+    wrong = 0
+    for seed in range(12):
+        rig = Rig(400 + seed, AprilTag(size=0.010))  # small, so that perspective hardly tells the tilt
+        views = rig.views(15, pixel=0.8)
+        corners = Corners.of(views, OAK_D)
+        true = rig.mount[:3, :3].T @ rig.place[:3, :3]
+        for index in range(15):
+            rows = corners.rows[index]
+            image = corners.seen[rows] / corners.focal
+            found = cv2.solvePnPGeneric(corners.points[rows], image, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+            turned = cv2.Rodrigues(found[1][0])[0]
+            wrong += np.sum(turned * true) < 1.0 + 2.0 * math.cos(math.radians(15.0))
+        first = start(corners)
+        assert np.sum((first.camera.T @ first.board) * true) > 1.0 + 2.0 * math.cos(math.radians(5.0))
+    assert wrong > 30  # single images would have chosen the other
+
+
+def test_moves_along_a_line_are_refused_with_the_direction() -> None:
+    rig = Rig(10)
+    views = rig.views(12)
+    line = [View(np.array([view.position[0], 0.01, 0.02]), view.sighting, view.slope) for view in views]
+    with pytest.raises(HandEyeError, match="along one line, x"):
+        calibrate(line, OAK_D, rig.beliefs)
+
+
+def test_moves_in_a_plane_are_enough_and_noted() -> None:
+    rig = Rig(11)
+    flat = [view for view in rig.views(80) if abs(view.position[2] - 0.03) < 0.005][:12]
+    assert len(flat) == 12
+    found, said = judged(rig, flat)
+    assert squared(rig.error(found.mount), found.mount.covariance) < 25.0
+    assert any("along z" in text for text in notes(found, names(flat)))
+    assert not said
+
+
+def test_short_moves_leave_the_rotation_uncertain_and_say_so() -> None:
+    rig = Rig(12)
+    near = [view for view in rig.views(600) if np.linalg.norm(view.position - (0.0, 0.0, 0.03)) < 0.013][:10]
+    assert len(near) == 10
+    found, said = judged(rig, near)
+    assert any("rotation is known to" in text for text in said)
+    assert squared(rig.error(found.mount), found.mount.covariance) < 25.0
+
+
+def test_too_few_views_and_places_are_refused() -> None:
+    rig = Rig(13)
+    views = rig.views(6)
+    with pytest.raises(HandEyeError, match="4 views show the board"):
+        calibrate(views[:4], OAK_D, rig.beliefs)
+    with pytest.raises(HandEyeError, match="3 places"):
+        calibrate([*views[:3], *views[:3]], OAK_D, rig.beliefs)
+    with pytest.raises(HandEyeError, match="hold out fewer"):
+        calibrate(views[:5], OAK_D, rig.beliefs, every=2)
+    found = calibrate(views, OAK_D, rig.beliefs, every=100)
+    assert found.held_out == ()
+    assert math.isnan(held_out_rms(found))
+    assert any("6 views are few" in text for text in notes(found, names(views)))
+
+
+def test_positions_of_other_images_are_refused_or_doubted() -> None:
+    rig = Rig(14)
+    views = rig.views(20)
+    mixed = [View(other.position, view.sighting, other.slope) for view, other in zip(views, views[::-1], strict=True)]
+    try:
+        _, said = judged(rig, mixed)
+    except HandEyeError:
+        return
+    assert said
+
+
+def test_nonsense_is_refused() -> None:
+    view = Rig(15).views(1)[0]
+    with pytest.raises(HandEyeError, match="finite"):
+        View(np.array([0.0, math.nan, 0.0]), view.sighting, view.slope)
+    with pytest.raises(HandEyeError, match="metres"):
+        View(np.array([0.0, 0.0, 60.0]), view.sighting, view.slope)
+    with pytest.raises(HandEyeError, match="offset"):
+        Beliefs((0.0, 20.0, 0.0))
+    with pytest.raises(ValueError, match="offset_stddev"):
+        Beliefs(offset_stddev=-1.0)
