@@ -34,6 +34,7 @@ NODES: dict[str, NodeSpec] = {
     ),
     "kinematics_node": NodeSpec("deltacharger_kinematics.kinematics_node", "KinematicsNode"),
     "misalignment_node": NodeSpec("deltacharger_tactile.misalignment_node", "MisalignmentNode"),
+    "camera_node": NodeSpec("deltacharger_vision.camera_node", "CameraNode"),
     "simulated_camera_node": NodeSpec(
         "deltacharger_bringup.simulated_camera_node",
         "SimulatedCameraNode",

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
+from rclpy.context import Context
 from rclpy.node import Node
 
 _OWN = ("use_sim_time", "start_type_description_service")  # every ROS node has them
@@ -50,22 +52,40 @@ def _allowed(descriptor: Any) -> str:
     return str(descriptor.additional_constraints)
 
 
+@contextmanager
+def every_node(context: Context, namespace: str) -> Iterator[list[Node]]:
+    """Run the nodes of a robot and those of its simulation, each once, and return them."""
+    from deltacharger_bringup.composition import Composition
+    from deltacharger_bringup.scene import STANDARD_NODES, parse_scene
+    from deltacharger_vision.camera_keeper import CameraUnavailable
+    from deltacharger_vision.camera_node import CameraNode
+
+    def no_camera(*arguments: Any) -> Any:
+        raise CameraUnavailable("its parameters alone are looked at")
+
+    names = [*STANDARD_NODES, "simulated_camera_node", "electrode_detector_node"]
+    scene = parse_scene({"nodes": names, "simulation": {}}, "parameters")  # nothing but defaults
+    with Composition(scene, context, namespace) as composition:
+        camera = CameraNode(no_camera, context=context, namespace=namespace, use_global_arguments=False)
+        try:
+            yield [*(running.node for running in composition.nodes), camera]
+        finally:
+            camera.close()
+            camera.destroy_node()
+
+
 def main() -> int:
-    """Start the nodes of the simulated scene and print their page."""
+    """Print the page."""
     from deltacharger_bringup import environment
 
     environment.prepare()
     environment.isolate()
     import rclpy
-    from rclpy.context import Context
-
-    from deltacharger_bringup.composition import Composition
-    from deltacharger_bringup.scene import load_scene
 
     context = Context()
     rclpy.init(context=context, args=[])
-    with Composition(load_scene("simulated"), context, "parameter_table") as composition:
-        sys.stdout.write(document(running.node for running in composition.nodes))
+    with every_node(context, "parameter_table") as nodes:
+        sys.stdout.write(document(nodes))
     rclpy.try_shutdown(context=context)
     return 0
 

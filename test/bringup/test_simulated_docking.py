@@ -7,7 +7,6 @@ import math
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +14,6 @@ import pytest
 from deltacharger_bringup.client import ChargerClient
 from deltacharger_bringup.composition import Composition
 from deltacharger_bringup.outcomes import DockRequest, Outcome, Pose, Progress
-from deltacharger_bringup.parameter_table import document
 from deltacharger_bringup.scene import load_scene
 
 HERE = Pose(0.0, 0.0, 0.080)
@@ -85,11 +83,6 @@ def test_a_goal_that_cannot_be_served_is_aborted_with_its_code_and_nothing_moves
     assert outcome.error_message
     assert (outcome.details["suggested_base_pose"] is not None) == (code == "UNREACHABLE")
     assert_safe(charger)
-
-
-def test_the_page_of_parameters_is_what_the_nodes_declare(charger: Composition) -> None:
-    page = Path(__file__).parents[2] / "docs" / "parameters.md"
-    assert page.read_text(encoding="utf-8") == document(running.node for running in charger.nodes)
 
 
 @pytest.mark.parametrize("phase", PHASES)
