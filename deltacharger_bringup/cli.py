@@ -14,26 +14,25 @@ import sys
 from collections.abc import Sequence
 from types import FrameType
 
-from deltacharger_bringup.cli_calibrate_options import add_kinematics, add_tactile_calibration
+from deltacharger_bringup.cli_calibrate_options import add_camera, add_kinematics, add_tactile_calibration
 from deltacharger_bringup.cli_hardware_options import add_doctor, add_fault, add_simulate
 from deltacharger_bringup.cli_output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
 from deltacharger_bringup.cli_parser import Parser, Version, add_command
 from deltacharger_bringup.cli_tactile_options import add_comparison, add_tactile
 from deltacharger_bringup.cli_types import DEGREES, MILLIMETRES, POSITIVE, SEED, deadline, namespace, whole
+from deltacharger_bringup.cli_vision_options import add_vision
 
 DEFAULT_SCENE = "simulated"
 DEFAULT_PICTURE = "dock.png"
 DEFAULT_REPORT = "report-kinematics"
 
 _LATER: dict[str, tuple[str, ...]] = {
-    "vision": ("detect",),
     "campaign": (),
     "view": (),
     "replay": (),
 }
 """Commands of the interface that this version knows and does not have yet."""
 _LATER_ACTIONS: dict[str, tuple[str, ...]] = {
-    "calibrate": ("camera",),
     "report": ("simulation", "vision", "footprint"),
 }
 """What is not there yet of commands that are."""
@@ -118,6 +117,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_calibrate(commands)
     _add_report(commands)
     _add_tactile(commands)
+    _add_vision(commands)
     for name, parts in _LATER.items():
         what = f" ({'|'.join(parts)})" if parts else ""
         commands.add_parser(name, help=f"not yet available{what}", add_help=False)
@@ -235,7 +235,7 @@ def _add_doctor(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 def _add_calibrate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = commands.add_parser(
-        "calibrate", help="fit this one charger's dimensions and pads", description="Calibrate."
+        "calibrate", help="fit this one charger's dimensions, camera and pads", description="Calibrate."
     )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     kinematics = add_command(
@@ -249,8 +249,10 @@ def _add_calibrate(commands: argparse._SubParsersAction[argparse.ArgumentParser]
     module = "deltacharger_bringup.cli_calibrate_tactile"
     text = "find gains, dead taxels and constant errors of one rig's pads from dockings at known poses"
     add_tactile_calibration(add_command(actions, "tactile", (module, "tactile"), text))
-    for name in _LATER_ACTIONS["calibrate"]:
-        actions.add_parser(name, help="not yet available", add_help=False)
+    text = "find where the camera sits from images of a board on the platform"
+    camera = add_command(actions, "camera", ("deltacharger_bringup.cli_calibrate_camera", "camera"), text)
+    add_camera(camera)
+    _add_namespace(camera)
 
 
 def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -280,6 +282,13 @@ def _add_tactile(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = commands.add_parser("tactile", help=text, description=text[0].upper() + text[1:] + ".")
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     add_tactile(actions)
+
+
+def _add_vision(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    text = "find electrodes in images"
+    parser = commands.add_parser("vision", help=text, description=text[0].upper() + text[1:] + ".")
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    add_vision(actions)
 
 
 def _refuse_later(words: Sequence[str]) -> int:
