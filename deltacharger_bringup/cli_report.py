@@ -60,6 +60,32 @@ def tactile(options: argparse.Namespace) -> int:
     return DONE
 
 
+def vision(options: argparse.Namespace) -> int:
+    """Write what the electrode detector does on simulated images into a folder."""
+    from deltacharger_bringup.reports import vision_plan, vision_report
+
+    directory = _folder(options.out)
+    plan = vision_plan.plan(options.images, options.seed, options.quick)
+    command = (
+        f"deltacharger report vision{' --quick' if options.quick else ''} --images {plan.images} --seed {plan.seed}"
+    )
+    for name, reason in plan.absent.items():
+        say(f"{name} is absent: {reason}")
+    if "opencv" in plan.absent:
+        raise CommandError(f"OpenCV is absent: {plan.absent['opencv']}", FAILED)
+    results = vision_report.build(plan, directory, command, say)
+    for name, reason in results["missing_pictures"].items():
+        say(f"no picture {name}: {reason}")
+    files = [vision_report.PAGE, vision_report.HTML, vision_report.FIGURES]
+    say(f"{directory / vision_report.HTML}: written in {results['elapsed_s']:.0f} s")
+    if options.json:
+        write_json(_summary(results, directory, files, ("simulated", "seed", "images")))
+        return DONE
+    tell("simulated images:")
+    _tell_targets(results)
+    return DONE
+
+
 def _tell_targets(results: dict[str, Any]) -> None:
     for target in results["targets"]:
         verdict = "not measured" if target["met"] is None else "met" if target["met"] else "NOT MET"
