@@ -10,7 +10,7 @@ COLCON := build/colcon
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_DOMAIN_ID ?= 87
 
-.PHONY: dock test check lint types colcon trainers cameras bench clean
+.PHONY: dock test check lint types colcon trainers optional bench clean
 
 dock: $(INSTALLED)  ## dock in simulation and draw the run
 	$(BIN)/deltacharger dock --scene $(SCENE) --picture dock.png
@@ -39,8 +39,8 @@ colcon: $(INSTALLED)  ## build as a ROS workspace package and load an interface 
 trainers: $(INSTALLED)  ## what training the classifiers needs, else their tests are skipped
 	$(BIN)/python -m pip install --quiet torch==2.13.0 scikit-learn xgboost-cpu
 
-cameras: $(INSTALLED)  ## the OAK-D's library and the second renderer, else their tests are skipped
-	$(BIN)/python -m pip install --quiet 'depthai>=3,<4' mujoco
+optional: trainers  ## every optional library, else the tests that need it are skipped
+	$(BIN)/python -m pip install --quiet 'depthai>=3,<4' mujoco pyarrow distributed
 
 # The last two judge by their exit status too: a target that is missed there must not hide the other figures.
 bench: $(INSTALLED)  ## what charger and driver keep up with, about 20 minutes; QUICK=1: the same in 5
