@@ -26,8 +26,8 @@ _CONTACT = 1.0  # N on one taxel: what the package calls contact
 
 
 class Recorder:
-    """Fill a `Run` from servo_state, docking_state, tactile_frame, misalignment, charger_power, the detector's image and
-    action feedback.
+    """Fill a `Run` from servo_state, docking_state, tactile_frame, misalignment, charger_power, the detector's
+    annotated image and action feedback.
 
     The contact force is computed here from servo_state (the arm's weight removed), without kinematics_node.
 
