@@ -19,6 +19,7 @@ from deltacharger_bringup.cli_hardware_options import add_doctor, add_fault, add
 from deltacharger_bringup.cli_output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
 from deltacharger_bringup.cli_parser import Parser, Version, add_command
 from deltacharger_bringup.cli_report_options import add_vision as add_vision_report
+from deltacharger_bringup.cli_simulation_options import add_simulation_report
 from deltacharger_bringup.cli_tactile_options import add_comparison, add_tactile
 from deltacharger_bringup.cli_types import DEGREES, MILLIMETRES, POSITIVE, SEED, deadline, namespace, whole
 from deltacharger_bringup.cli_vision_options import add_vision
@@ -34,7 +35,7 @@ _LATER: dict[str, tuple[str, ...]] = {
 }
 """Commands of the interface that this version knows and does not have yet."""
 _LATER_ACTIONS: dict[str, tuple[str, ...]] = {
-    "report": ("simulation", "footprint"),
+    "report": ("footprint",),
 }
 """What is not there yet of commands that are."""
 
@@ -276,6 +277,8 @@ def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     add_comparison(add_command(actions, "tactile", ("deltacharger_bringup.cli_report", "tactile"), text))
     text = "the electrode detector on simulated images: what it finds, errors, run time, false alarms, both renderers"
     add_vision_report(add_command(actions, "vision", ("deltacharger_bringup.cli_report", "vision"), text))
+    text = "error against run time, stability, energy and extremes of the simulated charger's mechanics"
+    add_simulation_report(add_command(actions, "simulation", ("deltacharger_bringup.cli_report", "simulation"), text))
     for name in _LATER_ACTIONS["report"]:
         actions.add_parser(name, help="not yet available", add_help=False)
 

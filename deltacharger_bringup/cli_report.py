@@ -86,6 +86,27 @@ def vision(options: argparse.Namespace) -> int:
     return DONE
 
 
+def simulation(options: argparse.Namespace) -> int:
+    """Write the report of the simulated charger's mechanics into a folder."""
+    from deltacharger_bringup.reports import simulation_map, simulation_plan, simulation_report
+
+    directory = _folder(options.out)
+    plan = simulation_plan.quick_plan() if options.quick else simulation_plan.full_plan()
+    command = f"deltacharger report simulation{' --quick' if options.quick else ''}"
+    for name, reason in simulation_plan.absent().items():
+        say(f"{name} is absent: {reason}")
+    results = simulation_report.build(plan, directory, command, say)
+    for name, reason in results["missing_pictures"].items():
+        say(f"no picture {name}: {reason}")
+    say(f"{directory / simulation_report.PAGE}: written in {results['elapsed_s']:.0f} s")
+    if options.json:
+        files = [simulation_report.PAGE, simulation_report.FIGURES, simulation_map.MODULE]
+        write_json(_summary(results, directory, files, ("models", "quick")))
+        return DONE
+    _tell_targets(results)
+    return DONE
+
+
 def _tell_targets(results: dict[str, Any]) -> None:
     for target in results["targets"]:
         verdict = "not measured" if target["met"] is None else "met" if target["met"] else "NOT MET"

@@ -28,6 +28,10 @@ class Phase(Enum):
     RAMP_DOWN = 3
 
 
+# An enumeration's members are looked up slowly, and a step asks for several.
+_OPEN, _PRECHARGE, _CLOSED, _RAMP_DOWN = Phase.OPEN, Phase.PRECHARGE, Phase.CLOSED, Phase.RAMP_DOWN
+
+
 class Circuit:
     """The electrical side. Faults that the stage detects stay until the next command to close or to open.
 
@@ -39,7 +43,7 @@ class Circuit:
 
     def __init__(self, parameters: CircuitParameters) -> None:
         self._parameters = parameters
-        self._phase = Phase.OPEN
+        self._phase = _OPEN
         self._since = 0.0
         self._limit = 0.0
         self._stuck = False
@@ -47,7 +51,9 @@ class Circuit:
         self._idle_for = 0.0
         self._flowed = False
         self._overlap: Overlap | None = None
+        self._force = 0.0
         self._resistance = math.inf
+        self._shorted = False
         self.current = 0.0
         self.fault = 0
         self.broken_current = 0.0
@@ -55,45 +61,47 @@ class Circuit:
     @property
     def closed(self) -> bool:
         """Whether the contactor's contacts touch."""
-        return self._stuck or self._phase in (Phase.CLOSED, Phase.RAMP_DOWN)
+        return self._stuck or self._phase is _CLOSED or self._phase is _RAMP_DOWN
 
     def close(self) -> None:
         """Begin pre-charge, then close and ramp up."""
-        if self._phase is Phase.OPEN:
+        if self._phase is _OPEN:
             self.fault = 0
-            self._enter(Phase.PRECHARGE)
+            self._enter(_PRECHARGE)
 
     def open(self, ramp: bool) -> None:
         """Open: after ramping the current down, or at once."""
         self.fault = 0
-        if self._phase is Phase.CLOSED and ramp:
-            self._enter(Phase.RAMP_DOWN)
-        elif not ramp or self._phase is Phase.PRECHARGE:
+        if self._phase is _CLOSED and ramp:
+            self._enter(_RAMP_DOWN)
+        elif not ramp or self._phase is _PRECHARGE:
             self._break()
 
     def step(self, dt: float, overlap: Overlap | None, force: float) -> None:
         """Advance by `dt` s with the terminals lying on each other as `overlap` (None = apart) under `force` N."""
         self._since += dt
-        self._overlap = overlap
-        self._resistance = self._contact_resistance(force)
+        if force != self._force or overlap is not self._overlap:
+            self._overlap, self._force = overlap, force
+            self._resistance = self._contact_resistance(force)
+            self._shorted = overlap is not None and overlap.short
         # What was shorted when this step began has now been so for its length.
         self._shorted_for = self._shorted_for + dt if self._shorted and self.current >= _SHORT_CURRENT else 0.0
-        if self._phase is Phase.PRECHARGE and self._since >= self._parameters.precharge_time:
+        if self._phase is _PRECHARGE and self._since >= self._parameters.precharge_time:
             self._leave_precharge()
         if not self.closed:
             self.current = 0.0
             return
-        if self._phase is Phase.CLOSED:
+        if self._phase is _CLOSED:
             self._limit = min(self._limit + self._parameters.ramp_up * dt, self._parameters.current_limit)
-        elif self._phase is Phase.RAMP_DOWN and not self._stuck:
+        elif self._phase is _RAMP_DOWN and not self._stuck:
             self._limit = max(self._limit - self._parameters.ramp_down * dt, 0.0)
         self.current = self._flow()
         idle = self.current < _IDLE_CURRENT
         self._idle_for = self._idle_for + dt if idle else 0.0
         self._flowed = self._flowed or not idle
-        if self._phase is Phase.RAMP_DOWN and (self._stuck or self.current < _OPEN_CURRENT):
+        if self._phase is _RAMP_DOWN and (self._stuck or self.current < _OPEN_CURRENT):
             self._break()
-        elif self._phase is not Phase.OPEN:
+        elif self._phase is not _OPEN:
             self._detect()
 
     def voltages(self) -> tuple[float, float]:
@@ -113,14 +121,10 @@ class Circuit:
             return min(2.0 * self._resistance, 0.9), 0.0
         return self._parameters.target_leakage + self._resistance, self._parameters.target_voltage
 
-    @property
-    def _shorted(self) -> bool:
-        return self._overlap is not None and self._overlap.short
-
     def _enter(self, phase: Phase) -> None:
         self._phase = phase
         self._since = 0.0
-        if phase is Phase.CLOSED:
+        if phase is _CLOSED:
             self._limit = self._idle_for = 0.0
             self._flowed = False
             self._stuck = self._parameters.welded
@@ -143,7 +147,7 @@ class Circuit:
         elif not self._parameters.voltage_min <= voltage <= self._parameters.voltage_max:
             self._trip(VOLTAGE)
         else:
-            self._enter(Phase.CLOSED)
+            self._enter(_CLOSED)
 
     def _flow(self) -> float:
         parameters = self._parameters
@@ -172,7 +176,7 @@ class Circuit:
 
     def _break(self) -> None:
         """Tell the contactor to open; one that is welded stays closed and is found out, unless something worse was."""
-        self._enter(Phase.OPEN)
+        self._enter(_OPEN)
         if self._stuck:
             self.fault = self.fault or WELDED
             return

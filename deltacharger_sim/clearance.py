@@ -30,18 +30,25 @@ class Overlap:
 
 def overlap(terminal: TerminalParameters, x: float, y: float, angle: float) -> Overlap:
     """Return how the bars lie for a target at (x, y) m, turned by `angle` rad, in end_effector."""
-    ours = [_bar(terminal, side) for side in (1.0, -1.0)]
     cosine, sine = math.cos(angle), math.sin(angle)
+    ours = [_bar(terminal, side) for side in (1.0, -1.0)]
     theirs = [
         [(x + cosine * u - sine * v, y + sine * u + cosine * v) for u, v in _bar(terminal, side)]
         for side in (1.0, -1.0)
     ]
-    areas = [[_area(_clip(ours[i], theirs[j])) for j in (0, 1)] for i in (0, 1)]
-    clearance = min(_separation(ours[0], theirs[1]), _separation(ours[1], theirs[0]))
-    touch = [[areas[i][j] > 0.0 for j in (0, 1)] for i in (0, 1)]
-    short = any(all(touch[i]) for i in (0, 1)) or any(touch[0][j] and touch[1][j] for j in (0, 1))
-    matched = areas[0][0] + areas[1][1]
-    return Overlap(matched, matched / (2.0 * terminal.length * terminal.height), clearance, short)
+    # From one bar's centre to the wrong one's; the target's bars lie along its own turned y.
+    pitch = 0.5 * (terminal.gap + terminal.height)
+    across_x, across_y = sine * pitch, -pitch - cosine * pitch
+    down = _separation(terminal, x + across_x, y + across_y, cosine, sine)
+    up = _separation(terminal, x - across_x, y - across_y, cosine, sine)
+    areas = [_area(_clip(ours[0], theirs[0])), _area(_clip(ours[1], theirs[1]))]
+    crossed = [
+        down < 0.0 and _area(_clip(ours[0], theirs[1])) > 0.0,
+        up < 0.0 and _area(_clip(ours[1], theirs[0])) > 0.0,
+    ]
+    short = (crossed[0] or crossed[1]) and (areas[0] > 0.0 or areas[1] > 0.0)
+    matched = areas[0] + areas[1]
+    return Overlap(matched, matched / (2.0 * terminal.length * terminal.height), min(down, up), short)
 
 
 def _bar(terminal: TerminalParameters, side: float) -> Polygon:
@@ -80,13 +87,11 @@ def _area(polygon: Polygon) -> float:
     return max(0.5 * total, 0.0)
 
 
-def _separation(first: Polygon, second: Polygon) -> float:
-    """Return the largest gap between the two along an edge normal; negative where they overlap."""
-    widest = -math.inf
-    for one, other in ((first, second), (second, first)):
-        for (ax, ay), (bx, by) in zip(one, one[1:] + one[:1], strict=True):
-            length = math.hypot(bx - ax, by - ay)
-            nx, ny = (by - ay) / length, -(bx - ax) / length
-            gap = min(nx * (px - ax) + ny * (py - ay) for px, py in other)
-            widest = max(widest, gap)
-    return widest
+def _separation(terminal: TerminalParameters, x: float, y: float, cosine: float, sine: float) -> float:
+    """Return the largest gap (m) along an edge normal of two bars, the second's centre at (x, y) m, turned; < 0
+    overlap."""
+    half_x, half_y = 0.5 * terminal.length, 0.5 * terminal.height
+    wide = half_x + half_x * abs(cosine) + half_y * abs(sine)
+    high = half_y + half_x * abs(sine) + half_y * abs(cosine)
+    along, across = cosine * x + sine * y, cosine * y - sine * x
+    return max(abs(x) - wide, abs(y) - high, abs(along) - wide, abs(across) - high)

@@ -1,11 +1,16 @@
 """Platform, servos, electrodes and magnets as one implicit step in plain Python floats.
 
-The unknown of a step is the platform's displacement δ (3). Servos are springs and dampers behind a torque limit,
-τ = clip(k (reference − θ) − d θ̇, ±limit), with θ = θ₀ + J⁻¹δ; gears and electrodes rub by radial return (an elastic
+The unknown of a step is the platform's displacement δ (3). Servos are springs and dampers behind a torque limit, τ =
+clip(k (reference − θ) − d θ̇, ±limit), with θ = θ₀ + (dθ/dp) δ; gears and electrodes rub by radial return (an elastic
 bristle whose force is cut back to the friction limit), which has no smoothing speed and so stays right at any step;
-electrodes are springs with a hard stop; magnets pull across the gap. Backward Euler on their balance,
-m δ̈ = Σ forces, is solved by a damped Newton iteration, each part giving its own tangent. The magnets' negative
-stiffness is left out of the tangent, so that the iteration moves on to the stable side of a snap instead of diverging.
+electrodes are springs with a hard stop; magnets pull across the gap. Backward Euler on their balance, m δ̈ = Σ
+forces, is solved by a damped Newton iteration, each part giving its own tangent. The magnets' negative stiffness
+counts in the tangent only while it is less than half of the rest, so that the iteration moves on to the stable side
+of a snap instead of diverging.
+
+Within a step the kinematics are linear. A step that would move the platform by more than 5 mm, or that finds no
+balance, is taken in two halves. At rest nothing is computed: once a step has moved nothing and its inputs stay, the
+next ones would move nothing either.
 """
 
 from __future__ import annotations
@@ -13,19 +18,28 @@ from __future__ import annotations
 import math
 
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, DeltaGeometry, Vector
-from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_sim.magnets import pull
-from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.linkage import Linkage
+from deltacharger_sim.parameters import NOMINAL_VOLTAGE, WorldParameters
+from deltacharger_sim.touch import Touch
 
-_GEAR_BRISTLE = 400.0  # N·m/rad; a gear yields 0.15 mrad before it slips
-_LATERAL_MOST = 1e6  # N/m; stiffer bristles would give less than 20 µm and only make stick and slip hard to solve
-_END_STOP = 2000.0  # N·m/rad behind a joint limit
+GEAR_BRISTLE = 400.0  # N·m/rad; a gear yields 0.15 mrad before it slips
+END_STOP = 2000.0  # N·m/rad behind a joint limit
 _ITERATIONS = 60
-_TOLERANCE = 1e-9  # m of displacement
+_FULL_STEPS = 20  # later ones are halved: piecewise-linear parts can make full Newton steps go back and forth
+_SHORTEST = 1e-12  # m of a Newton step, below which nothing changes any more
 _LONGEST = 0.004  # m that one Newton step may move the platform
-_FORCE_LIMIT = 1e-5  # N of imbalance that ends the iteration
+_ENOUGH = 1e-5**2  # N² of imbalance that ends the iteration
+_FARTHEST = 0.005**2  # m² that a step may move the platform; one that would go further is taken in halves
+_UNSOLVED = 0.01  # N of imbalance above which a step is taken in halves
+_FINEST = 0.001  # s of a step that is not halved any more
+_REST = 1e-10  # m in a step, below which it is tried to stand still
+_REST_ENOUGH = 1e-6**2  # N² of imbalance that lets it
 
-Symmetric = tuple[float, float, float, float, float, float]
+# Of one joint in a step: the row dθ/dp, spring torque before it turns, spring and damper against turning, torque limit,
+# gear bristle's torque, its friction, turns to the lower and upper joint limit, and torque of weight and inertia.
+_Joint = tuple[float, float, float, float, float, float, float, float, float, float, float]
+# Imbalance (N) and the positive-definite tangent (N/m): xx, xy, xz, yy, yz, zz.
+_Balance = tuple[float, float, float, float, float, float, float, float, float]
 
 
 class Mechanics:
@@ -37,38 +51,65 @@ class Mechanics:
         angles: of the arms, rad.
         rates: rad/s.
         torques: of the motors, N·m, before gear friction.
+        gear: torque of each gear's friction on its arm, N·m.
+        rub: lateral friction of the electrodes on the platform, N.
         slack: how far play lets each encoder run ahead of its arm, rad.
+        tilt: of the platform about x and y, rad; 0 without compliance.
+        pad_share: share of the contact force that the left pad carries; 0.5 without compliance or tilt.
         contact_force: normal force on the electrodes together, N.
+        magnet_force: pull of the magnets, N.
         imbalance: what the last step's solution left unbalanced, N; small unless the step is long and friction slips.
         gap: distance of the touched faces, m; negative = compression of the springs; inf without a target.
+        still: whether the last step moved nothing, so that the next one with the same inputs will not either.
     """
 
     def __init__(self, parameters: WorldParameters, geometry: DeltaGeometry, start: Vector) -> None:
         self._parameters = parameters
-        self._kinematics = ScalarDelta(geometry)
+        self._linkage = Linkage(geometry)
         self._geometry = geometry
         self._mass = geometry.platform_mass + 1.5 * geometry.rod_mass
         self._gravity = (parameters.gravity_x, parameters.gravity_y, parameters.gravity_z)
+        # Torque of an elbow's weight = first · cos θ − second · sin θ.
+        self._elbows = tuple(
+            (half * parameters.gravity_z, half * (parameters.gravity_x * cosine + parameters.gravity_y * sine))
+            for half, (cosine, sine) in (
+                (0.5 * geometry.rod_mass * geometry.limb(index).arm, LIMB_DIRECTIONS[index]) for index in range(3)
+            )
+        )
+        self._target_z = parameters.target.z if parameters.target.present else math.inf
+        self._touch = Touch(parameters)
+        self._play = 0.5 * parameters.servo.backlash
+        here = self._linkage.linearise(*start)
+        if here is None:
+            raise ValueError(f"start {start!r} is out of the arm's reach: give a point of its workspace (m)")
+        self.angles, self._rows, self._turns = here
         self.position: Vector = start
         self.velocity: Vector = (0.0, 0.0, 0.0)
-        self.angles: Vector = self._kinematics.inverse(*start)
         self.rates: Vector = (0.0, 0.0, 0.0)
         self.torques: Vector = (0.0, 0.0, 0.0)
+        self.gear: Vector = (0.0, 0.0, 0.0)
+        self.rub: tuple[float, float] = (0.0, 0.0)
         self.slack: Vector = (0.0, 0.0, 0.0)
+        self.tilt: tuple[float, float] = (0.0, 0.0)
+        self.pad_share = 0.5
         self.contact_force = 0.0
         self.magnet_force = 0.0
         self.imbalance = 0.0
-        self._gear = [0.0, 0.0, 0.0]
-        self._rub = [0.0, 0.0]
+        self.still = False
+        # Rates by the rows that the step began with. The next step's are by its own, and the difference of the two
+        # holds all of d²θ/dt² = (dθ/dp) a + (d/dt dθ/dp) v; with the exact rates half of the second term would miss.
+        self._spin: Vector = (0.0, 0.0, 0.0)
+        self._inputs: tuple[object, ...] = ()
+        self._servos: tuple[tuple[float, float, float, float, float], ...] = ()
+        self._found: tuple[list[float], list[float], float, float, float, float] = ([], [], 0.0, 0.0, 0.0, 0.0)
 
     @property
     def gap(self) -> float:
         """Distance between the touched faces (m); negative = springs compressed."""
-        target = self._parameters.target
-        return target.z - self.position[2] if target.present else math.inf
+        return self._target_z - self.position[2]
 
     def step(
-        self, dt: float, enabled: tuple[bool, bool, bool], reference: Vector, limit: Vector, offset: float
+        self, dt: float, enabled: tuple[bool, bool, bool], reference: Vector, limit: Vector, x: float, y: float
     ) -> None:
         """Advance by `dt` s.
 
@@ -77,247 +118,213 @@ class Mechanics:
             enabled: whether each servo's torque is on.
             reference: goal angle of each servo, rad.
             limit: current bound of each servo, A.
-            offset: lateral distance of the terminals' centres, m; it weakens the magnets.
+            x: centre of the target's terminal in end_effector, m; its distance weakens the magnets.
+            y: the same along y, m.
         """
-        balance = _Balance(self, dt, enabled, reference, limit, offset)
-        displacement = balance.solve()
-        self._accept(displacement, dt, balance)
+        inputs = (dt, enabled, reference, limit, x, y)
+        if inputs == self._inputs:
+            if self.still:
+                return
+        else:
+            self._set_inputs(inputs, dt, enabled, reference, limit, x, y)
+        dx, dy, dz = self._solve(self._joints(dt), dt)
+        if dt > _FINEST and (dx * dx + dy * dy + dz * dz > _FARTHEST or self.imbalance > _UNSOLVED):
+            self.step(0.5 * dt, enabled, reference, limit, x, y)
+            self.step(0.5 * dt, enabled, reference, limit, x, y)
+            return
+        self._accept(dx, dy, dz, dt)
 
-    def _accept(self, displacement: list[float], dt: float, balance: _Balance) -> None:
-        scale = 1.0
-        while True:
-            x, y, z = (p + scale * d for p, d in zip(self.position, displacement, strict=True))
-            angles = self._kinematics.inverse(x, y, z)
-            if angles[0] == angles[0]:
-                break
-            scale *= 0.5
-            if scale < 1e-6:
-                x, y, z = self.position
-                angles = self.angles
-                break
-        moved = (x - self.position[0], y - self.position[1], z - self.position[2])
-        self.velocity = (moved[0] / dt, moved[1] / dt, moved[2] / dt)
-        self.rates = (
-            (angles[0] - self.angles[0]) / dt,
-            (angles[1] - self.angles[1]) / dt,
-            (angles[2] - self.angles[2]) / dt,
-        )
-        self.position = (x, y, z)
-        self.angles = angles
-        self.torques = balance.motor
-        if balance.play > 0.0:
-            self.slack = balance.slack(angles)
-        self._gear = balance.gear
-        self._rub = balance.rub
-        self.contact_force = balance.normal
-        self.magnet_force = balance.magnet
-        self.imbalance = balance.imbalance
-
-
-class _Balance:
-    """Forces of one step as functions of the displacement, with their tangents."""
-
-    def __init__(
+    def _set_inputs(
         self,
-        state: Mechanics,
+        inputs: tuple[object, ...],
         dt: float,
         enabled: tuple[bool, bool, bool],
         reference: Vector,
         limit: Vector,
-        offset: float,
+        x: float,
+        y: float,
     ) -> None:
-        parameters = state._parameters
-        servo = parameters.servo
-        self._dt = dt
-        self._contact = parameters.contact
-        self._magnets = parameters.magnets
-        self._offset = offset
-        self._state = state
-        self._gap = state.gap
-        self._gravity = state._gravity
-        self._inverse = _inverse(state._kinematics.jacobian(*state.position))
-        self.play = 0.5 * servo.backlash
-        self._reference = reference
-        self._stiffness = servo.stiffness
-        self._damping = servo.damping / dt
+        """Keep what of the inputs stays through the iterations and through steps with the same inputs."""
+        servo = self._parameters.servo
+        known = self._inputs[:4]
+        self._inputs = inputs
+        self._touch.lie(x, y)
+        if inputs[:4] == known:
+            return
         self._inertia = servo.inertia / (dt * dt)
-        self._limits = [min(bound * servo.torque_constant, servo.stall_torque) for bound in limit]
-        self._enabled = enabled
-        self._lead = [goal - angle for goal, angle in zip(reference, state.angles, strict=True)]
-        self._friction = [servo.friction if on else servo.unpowered_friction for on in enabled]
-        self._carried = self._carried_torque()
-        self.motor: Vector = (0.0, 0.0, 0.0)
-        self.gear = list(state._gear)
-        self.rub = list(state._rub)
-        self.normal = 0.0
-        self.magnet = 0.0
-        self.imbalance = 0.0
+        self._mass_rate = self._mass / (dt * dt)
+        self._servos = tuple(
+            (servo.stiffness, servo.stiffness + servo.damping / dt, bound * servo.torque_constant, servo.friction, goal)
+            if on
+            else (0.0, 0.0, 0.0, servo.unpowered_friction, 0.0)
+            for on, goal, bound in zip(enabled, reference, limit, strict=True)
+        )
 
-    def solve(self) -> list[float]:
+    def _joints(self, dt: float) -> list[_Joint]:
+        servo, geometry = self._parameters.servo, self._geometry
+        most = servo.stall_torque
+        if servo.stall_sag > 0.0:
+            most *= 1.0 - servo.stall_sag * (1.0 - self.voltage / NOMINAL_VOLTAGE)
+        momentum, low, high = self._inertia * dt, geometry.joint_min, geometry.joint_max
+        joints = []
+        parts = (self._rows, self.angles, self._spin, self._turns, self.gear, self._servos, self._elbows)
+        for row, angle, spin, (cosine, sine), gear, servo_now, (up, out) in zip(*parts):  # noqa: B905 strict costs
+            stiffness, slope, limit, friction, goal = servo_now
+            carried = up * cosine - out * sine + momentum * spin
+            lead = stiffness * (goal - angle)
+            most_now = limit if limit < most else most
+            joints.append((*row, lead, slope, most_now, gear, friction, low - angle, high - angle, carried))
+        return joints
+
+    def _solve(self, joints: list[_Joint], dt: float) -> Vector:
         """Return the displacement (m) at which the forces balance, or the best found."""
-        dt, velocity = self._dt, self._state.velocity
-        guess = [value * dt for value in velocity]
-        best, best_force = list(guess), math.inf
+        vx, vy, vz = self.velocity
+        dx, dy, dz = vx * dt, vy * dt, vz * dt
+        enough = _ENOUGH
+        if -_REST < dx < _REST and -_REST < dy < _REST and -_REST < dz < _REST:
+            dx = dy = dz = 0.0
+            enough = _REST_ENOUGH
+        best, least = (dx, dy, dz), math.inf
         for iteration in range(_ITERATIONS):
-            force, tangent = self._evaluate(guess)
-            size = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
-            if size < best_force:
-                best, best_force = list(guess), size
-            if size < _FORCE_LIMIT:
+            fx, fy, fz, xx, xy, xz, yy, yz, zz = self._evaluate(joints, dx, dy, dz, dt)
+            size = fx * fx + fy * fy + fz * fz
+            if size < least:
+                best, least = (dx, dy, dz), size
+            if size < enough:
                 break
-            change = _solve(tangent, force)
-            length = math.sqrt(change[0] ** 2 + change[1] ** 2 + change[2] ** 2)
-            if length < _TOLERANCE * 1e-3:
+            enough = _ENOUGH
+            # Cholesky's factors of the tangent.
+            l21, l31 = xy / xx, xz / xx
+            d2 = yy - l21 * xy
+            l32 = (yz - l31 * xy) / d2
+            y1 = fy - l21 * fx
+            cz = (fz - l31 * fx - l32 * y1) / (zz - l31 * xz - l32 * l32 * d2)
+            cy = y1 / d2 - l32 * cz
+            cx = fx / xx - l21 * cy - l31 * cz
+            length = math.sqrt(cx * cx + cy * cy + cz * cz)
+            if not length >= _SHORTEST:
                 break
-            # Late iterations are halved: piecewise-linear parts can make full Newton steps go back and forth.
-            damping = 1.0 if iteration < 20 else 0.5
-            damping = min(damping, _LONGEST / length) if length > 0.0 else damping
-            guess = [g + damping * c for g, c in zip(guess, change, strict=True)]
-        self._evaluate(best)
-        self.imbalance = best_force
+            share = 1.0 if iteration < _FULL_STEPS else 0.5
+            if share * length > _LONGEST:
+                share = _LONGEST / length
+            dx, dy, dz = dx + share * cx, dy + share * cy, dz + share * cz
+        if (dx, dy, dz) != best:
+            self._evaluate(joints, *best, dt)
+        self.imbalance = math.sqrt(least)
         return best
 
-    def slack(self, angles: Vector) -> Vector:
-        """Return how far each encoder is ahead of its arm (rad): toward its goal, as far as the play allows."""
-        ahead = list(self._state.slack)
-        for index, angle in enumerate(angles):
-            if self._enabled[index]:
-                ahead[index] = max(-self.play, min(self.play, self._reference[index] - angle))
-        return ahead[0], ahead[1], ahead[2]
-
-    def _evaluate(self, d: list[float]) -> tuple[list[float], Symmetric]:
-        """Return the imbalance (N) at displacement `d` (m) and the positive-definite tangent (N/m)."""
-        state, dt, inverse = self._state, self._dt, self._inverse
-        mass = state._mass / (dt * dt)
-        velocity, gravity = state.velocity, self._gravity
-        fx = -mass * (d[0] - velocity[0] * dt) + state._mass * gravity[0]
-        fy = -mass * (d[1] - velocity[1] * dt) + state._mass * gravity[1]
-        fz = -mass * (d[2] - velocity[2] * dt) + state._mass * gravity[2]
+    def _evaluate(self, joints: list[_Joint], dx: float, dy: float, dz: float, dt: float) -> _Balance:
+        """Return imbalance (N) and tangent (N/m) at a displacement (m), and keep the parts' forces in `_found`."""
+        mass, inertia, play = self._mass_rate, self._inertia, self._play
+        vx, vy, vz = self.velocity
+        gravity_x, gravity_y, gravity_z = self._gravity
+        fx = mass * (vx * dt - dx) + self._mass * gravity_x
+        fy = mass * (vy * dt - dy) + self._mass * gravity_y
+        fz = mass * (vz * dt - dz) + self._mass * gravity_z
         xx = yy = zz = mass
         xy = xz = yz = 0.0
-        motor = []
-        for index in range(3):
-            gx, gy, gz = inverse[index]
-            turn = gx * d[0] + gy * d[1] + gz * d[2]
-            torque, stiffness, drive = self._joint(index, turn)
-            motor.append(drive)
-            fx += gx * torque
-            fy += gy * torque
-            fz += gz * torque
-            xx += stiffness * gx * gx
-            yy += stiffness * gy * gy
-            zz += stiffness * gz * gz
-            xy += stiffness * gx * gy
-            xz += stiffness * gx * gz
-            yz += stiffness * gy * gz
-        self.motor = (motor[0], motor[1], motor[2])
-        fx, fy, fz, side, along = self._touch(d, fx, fy, fz)
-        return [fx, fy, fz], (xx + side, xy, xz, yy + side, yz, zz + along)
-
-    def _joint(self, index: int, turn: float) -> tuple[float, float, float]:
-        """Return torque on the arm, its tangent (N·m/rad) and the motor's share, for a turn (rad) in this step."""
-        state = self._state
-        drive, tangent = 0.0, 0.0
-        if self._enabled[index]:
-            limit = self._limits[index]
-            error, slope = self._lead[index] - turn, self._stiffness + self._damping
-            if self.play > 0.0:
-                # Within the play the position loop turns its own side of the gear only; the arm feels no spring.
-                if abs(error) < self.play:
-                    error, slope = 0.0, self._damping
-                else:
-                    error -= math.copysign(self.play, error)
-            drive = self._stiffness * error - self._damping * turn
+        motors, gears = [], []
+        for gx, gy, gz, lead, slope, limit, gear, friction, low, high, carried in joints:
+            turn = gx * dx + gy * dy + gz * dz
+            if play:
+                lead, slope = self._through_play(lead, slope, turn)
+            drive = lead - slope * turn
+            stiffness = inertia
             if drive > limit:
                 drive = limit
             elif drive < -limit:
                 drive = -limit
             else:
-                tangent = slope
-        friction = self._friction[index]
-        gear = state._gear[index] - _GEAR_BRISTLE * turn
-        if gear > friction:
-            gear = friction
-        elif gear < -friction:
-            gear = -friction
-        else:
-            tangent += _GEAR_BRISTLE
-        self.gear[index] = gear
-        angle = state.angles[index] + turn
-        stop = 0.0
-        if angle < state._geometry.joint_min:
-            stop = _END_STOP * (state._geometry.joint_min - angle)
-            tangent += _END_STOP
-        elif angle > state._geometry.joint_max:
-            stop = _END_STOP * (state._geometry.joint_max - angle)
-            tangent += _END_STOP
-        inertia = -self._inertia * (turn - state.rates[index] * self._dt)
-        return drive + gear + stop + inertia + self._carried[index], tangent + self._inertia, drive
+                stiffness += slope
+            gear -= GEAR_BRISTLE * turn
+            if gear > friction:
+                gear = friction
+            elif gear < -friction:
+                gear = -friction
+            else:
+                stiffness += GEAR_BRISTLE
+            torque = drive + gear + carried - inertia * turn
+            if turn < low:
+                torque += END_STOP * (low - turn)
+                stiffness += END_STOP
+            elif turn > high:
+                torque += END_STOP * (high - turn)
+                stiffness += END_STOP
+            motors.append(drive)
+            gears.append(gear)
+            fx += gx * torque
+            fy += gy * torque
+            fz += gz * torque
+            sx, sy = stiffness * gx, stiffness * gy
+            xx += sx * gx
+            xy += sx * gy
+            xz += sx * gz
+            yy += sy * gy
+            yz += sy * gz
+            zz += stiffness * gz * gz
+        magnet = normal = rx = ry = side = 0.0
+        gap = self._target_z - self.position[2] - dz
+        if gap < math.inf:
+            magnet, normal, rx, ry, side, along = self._touch.forces(gap, dx, dy, self.rub, zz)
+            fx, fy, fz = fx + rx, fy + ry, fz + magnet - normal
+            zz += along
+        self._found = motors, gears, magnet, normal, rx, ry
+        return fx, fy, fz, xx + side, xy, xz, yy + side, yz, zz
 
-    def _touch(self, d: list[float], fx: float, fy: float, fz: float) -> tuple[float, float, float, float, float]:
-        """Add contact, its friction and the magnets; return the forces and the lateral and normal tangents."""
-        self.normal = self.magnet = 0.0
-        if self._gap == math.inf:
-            self.rub = [0.0, 0.0]
-            return fx, fy, fz, 0.0, 0.0
-        gap = self._gap - d[2]
-        self.magnet, _ = pull(self._magnets, gap, self._offset)
-        fz += self.magnet
-        if gap >= 0.0:
-            self.rub = [0.0, 0.0]
-            return fx, fy, fz, 0.0, 0.0
-        contact = self._contact
-        stiffness = 2.0 * contact.stiffness
-        normal, along = -gap * stiffness, stiffness
-        if -gap > contact.hard_stop:
-            normal += (-gap - contact.hard_stop) * contact.hard_stop_stiffness
-            along += contact.hard_stop_stiffness
-        self.normal = normal
-        fz -= normal
-        side = min(stiffness, _LATERAL_MOST)
-        rx, ry = self._state._rub[0] - side * d[0], self._state._rub[1] - side * d[1]
-        size, most = math.hypot(rx, ry), contact.friction * normal
-        if size > most:
-            scale = most / size
-            rx, ry = rx * scale, ry * scale
-            side *= scale
-        self.rub = [rx, ry]
-        return fx + rx, fy + ry, fz, side, along
+    def _through_play(self, lead: float, slope: float, turn: float) -> tuple[float, float]:
+        """Return spring torque and slope with play: within it the arm feels the damper alone."""
+        stiffness = self._parameters.servo.stiffness
+        if slope == 0.0:
+            return lead, slope
+        error, play = lead - stiffness * turn, stiffness * self._play
+        if abs(error) < play:
+            return 0.0, slope - stiffness
+        return lead - math.copysign(play, error), slope
 
-    def _carried_torque(self) -> list[float]:
-        """Return what the weight of the rods' elbow halves does to each arm (N·m)."""
-        state = self._state
-        geometry, (gx, gy, gz) = state._geometry, self._gravity
-        half = 0.5 * geometry.rod_mass * geometry.arm
-        torques = []
-        for angle, (cosine, sine) in zip(state.angles, LIMB_DIRECTIONS, strict=True):
-            torques.append(half * (gz * math.cos(angle) - (gx * cosine + gy * sine) * math.sin(angle)))
-        return torques
+    def _accept(self, dx: float, dy: float, dz: float, dt: float) -> None:
+        """Take the displacement (m) over, or as much of it as the arm reaches."""
+        before, angles, (first, second, third) = self.position, self.angles, self._rows
+        at_rest = self.velocity == self.rates == (0.0, 0.0, 0.0)
+        share = 1.0
+        while True:
+            moved = (share * dx, share * dy, share * dz)
+            self.position = (before[0] + moved[0], before[1] + moved[1], before[2] + moved[2])
+            here = self._linkage.linearise(*self.position)
+            if here is not None:
+                self.angles, self._rows, self._turns = here
+                break
+            share = 0.5 * share if share > 1e-6 else 0.0
+        self.velocity = (moved[0] / dt, moved[1] / dt, moved[2] / dt)
+        vx, vy, vz = self.velocity
+        self._spin = (
+            first[0] * vx + first[1] * vy + first[2] * vz,
+            second[0] * vx + second[1] * vy + second[2] * vz,
+            third[0] * vx + third[1] * vy + third[2] * vz,
+        )
+        now = self.angles
+        self.rates = ((now[0] - angles[0]) / dt, (now[1] - angles[1]) / dt, (now[2] - angles[2]) / dt)
+        self.still = at_rest and moved == (0.0, 0.0, 0.0)
+        motors, gears, self.magnet_force, self.contact_force, rx, ry = self._found
+        self.torques = (motors[0], motors[1], motors[2])
+        self.gear = (gears[0], gears[1], gears[2])
+        self.rub = (rx, ry)
+        if self._play:
+            self._take_up_play()
+        tilt = self._touch.tilt
+        if tilt is not None:
+            self.tilt, self.pad_share = tilt.angles, tilt.left_share
 
+    def _take_up_play(self) -> None:
+        """Let each powered encoder run ahead of its arm toward its goal, as far as the play allows."""
+        play, ahead = self._play, list(self.slack)
+        for index, (drive, angle) in enumerate(zip(self._servos, self.angles, strict=True)):
+            if drive[0] > 0.0:
+                ahead[index] = max(-play, min(play, drive[4] - angle))
+        self.slack = (ahead[0], ahead[1], ahead[2])
 
-def _inverse(m: tuple[float, ...]) -> tuple[Vector, Vector, Vector]:
-    """Return the inverse of a 3×3 matrix given row by row, as rows."""
-    a, b, c, d, e, f, g, h, i = m
-    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    s = 1.0 / determinant
-    return (
-        ((e * i - f * h) * s, (c * h - b * i) * s, (b * f - c * e) * s),
-        ((f * g - d * i) * s, (a * i - c * g) * s, (c * d - a * f) * s),
-        ((d * h - e * g) * s, (b * g - a * h) * s, (a * e - b * d) * s),
-    )
-
-
-def _solve(matrix: Symmetric, right: list[float]) -> list[float]:
-    """Solve a symmetric positive-definite 3×3 system by Cholesky's factors."""
-    xx, xy, xz, yy, yz, zz = matrix
-    l21, l31 = xy / xx, xz / xx
-    d2 = yy - l21 * xy
-    l32 = (yz - l31 * xy) / d2
-    d3 = zz - l31 * xz - l32 * (yz - l31 * xy)
-    y0 = right[0]
-    y1 = right[1] - l21 * y0
-    y2 = right[2] - l31 * y0 - l32 * y1
-    z2 = y2 / d3
-    z1 = y1 / d2 - l32 * z2
-    z0 = y0 / xx - l21 * z1 - l31 * z2
-    return [z0, z1, z2]
+    @property
+    def voltage(self) -> float:
+        """Of the servos' supply under what they draw (V)."""
+        servo, torques = self._parameters.servo, self.torques
+        drawn = (abs(torques[0]) + abs(torques[1]) + abs(torques[2])) / servo.torque_constant
+        return servo.supply_voltage - servo.supply_resistance * drawn

@@ -11,7 +11,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from deltacharger_sim.contradictions import contradictions
+
 T = TypeVar("T")
+
+NOMINAL_VOLTAGE = 12.0  # V, at which the servos' stall torque is told
 
 
 class ParameterError(ValueError):
@@ -69,6 +73,9 @@ class ServoParameters(Bounded):
     current_noise: float = number(0.008, 0.0, 0.2, "A", "standard deviation of one current reading")
     supply_voltage: float = number(12.0, 9.5, 16.0, "V", "regulator's output")
     supply_resistance: float = number(0.05, 0.0, 1.0, "Ω", "of regulator and cable, common to the servos")
+    stall_sag: float = number(0.0, 0.0, 1.0, "", "share of the stall torque that goes with the voltage below 12 V")
+    command_latency: float = number(0.0, 0.0, 0.2, "s", "from a command to the servo's obeying it")
+    reading_latency: float = number(0.0, 0.0, 0.2, "s", "age of what a servo tells")
     ambient_temperature: float = number(28.0, -20.0, 60.0, "°C", "of the room")
     heating: float = number(9.0, 0.0, 100.0, "K/A²", "temperature rise at rest per squared current")
     heating_time: float = number(600.0, 10.0, 10000.0, "s", "time constant of that rise")
@@ -104,6 +111,14 @@ class TerminalParameters(Bounded):
 
 
 @dataclass(frozen=True)
+class PlatformParameters(Bounded):
+    """How the platform yields to an off-centre or tilted contact; rigid by default."""
+
+    compliance: float = number(0.0, 0.0, 0.1, "rad/(N·m)", "tilt about x and y per moment; 0 = rigid")
+    lever: float = number(0.02, 0.0, 0.1, "m", "from the point it tilts about to its touched faces")
+
+
+@dataclass(frozen=True)
 class TargetParameters(Bounded):
     """Where the target's electrodes are, in charger_base."""
 
@@ -112,6 +127,8 @@ class TargetParameters(Bounded):
     y: float = number(0.0, -0.2, 0.2, "m", "midpoint between the electrodes")
     z: float = number(0.080, 0.0, 1.0, "m", "touched faces")
     roll: float = number(0.0, -0.8, 0.8, "rad", "about z, from +x to +y")
+    tilt_x: float = number(0.0, -0.1, 0.1, "rad", "of the touched faces about x, relative to the platform")
+    tilt_y: float = number(0.0, -0.1, 0.1, "rad", "of the touched faces about y, relative to the platform")
 
 
 @dataclass(frozen=True)
@@ -136,18 +153,24 @@ class CircuitParameters(Bounded):
 
 @dataclass(frozen=True)
 class WorldParameters(Bounded):
-    """Everything about the simulated world."""
+    """Everything about the simulated world; one whose parts contradict each other is refused by key."""
 
     servo: ServoParameters = field(default_factory=ServoParameters)
     contact: ContactParameters = field(default_factory=ContactParameters)
     magnets: MagnetParameters = field(default_factory=MagnetParameters)
     terminal: TerminalParameters = field(default_factory=TerminalParameters)
+    platform: PlatformParameters = field(default_factory=PlatformParameters)
     target: TargetParameters = field(default_factory=TargetParameters)
     circuit: CircuitParameters = field(default_factory=CircuitParameters)
     gravity_x: float = number(0.0, -20.0, 20.0, "m/s²", "gravity along x of charger_base")
     gravity_y: float = number(-9.81, -20.0, 20.0, "m/s²", "gravity along y of charger_base")
     gravity_z: float = number(0.0, -20.0, 20.0, "m/s²", "gravity along z of charger_base")
-    step: float = number(0.005, 0.001, 0.1, "s", "integration step")
+    step: float = number(0.005, 0.0001, 0.1, "s", "integration step")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for key, value, problem in contradictions(self):
+            raise ParameterError(key, value, problem)
 
 
 def from_mapping(mapping: Any, cls: type[T], path: str = "") -> T:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import math
 import random
+import warnings
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,14 @@ from numpy.typing import NDArray
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.circuit import Circuit
 from deltacharger_sim.clearance import Overlap, overlap
+from deltacharger_sim.latency import Latency, delays
 from deltacharger_sim.mechanics import Mechanics
+from deltacharger_sim.motion import MakeMotion, Motion
 from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.proven import UnprovenWarning, doubts
 
 _APART = 0.001  # m of gap that ends a docking; less is a bounce
+T = TypeVar("T")
 Pose = tuple[float, float, float]
 Array = NDArray[np.float64]
 
@@ -86,6 +91,13 @@ class World:
         seed: of the current noise.
         geometry: of the delta.
         start: where the platform begins, m, charger_base.
+        mechanics: what moves the arm; `deltacharger_sim.mujoco_world` has another one.
+
+    Warns:
+        UnprovenWarning: step and stiffnesses are outside of what the report of the simulation has shown to be right.
+
+    Raises:
+        ValueError: the arm does not reach `start`.
     """
 
     def __init__(
@@ -95,43 +107,62 @@ class World:
         seed: int = 0,
         geometry: DeltaGeometry | None = None,
         start: Vector = (0.0, 0.0, 0.0),
+        mechanics: MakeMotion = Mechanics,
     ) -> None:
         self.parameters = parameters
         self.geometry = geometry or DeltaGeometry()
-        self.mechanics = Mechanics(parameters, self.geometry, start)
+        self.mechanics: Motion = mechanics(parameters, self.geometry, start)
         self.circuit = Circuit(parameters.circuit)
         self.record = Record()
         self.time = 0.0
         self._tactile = tactile
         self._random = random.Random(seed)
-        self._enabled = [False, False, False]
-        self._reference = list(self.mechanics.angles)
-        self._limit = [0.0, 0.0, 0.0]
+        self._enabled = (False, False, False)
+        self._reference = self.mechanics.angles
+        self._limit = (0.0, 0.0, 0.0)
+        self._late = Latency(parameters.servo) if delays(parameters.servo) else None
         self._jitter: Pose = (0.0, 0.0, 0.0)
         self._docked = False
         self._overlap: Overlap | None = None
         self._overlap_pose: Pose | None = None
         self._was_short = self._was_parted = self._was_unpowered = False
         self._temperature = [parameters.servo.ambient_temperature] * 3
+        self._goals: Vector = (0.0, 0.0, 0.0)
+        self._goals_of: Vector | None = None
+        for warning in doubts(parameters):
+            warnings.warn(warning, UnprovenWarning, stacklevel=2)
 
     def command(self, index: int, enabled: bool, reference: float, current_limit: float) -> None:
         """Set what servo `index` does: torque on, goal angle (rad), current bound (A)."""
-        self._enabled[index] = enabled
-        if math.isfinite(reference):
-            self._reference[index] = reference
-        self._limit[index] = current_limit if math.isfinite(current_limit) else 0.0
+        if self._late is not None:
+            self._late.command(self.time, index, enabled, reference, current_limit)
+            return
+        self._obey(index, enabled, reference, current_limit)
+
+    def _obey(self, index: int, enabled: bool, reference: float, current_limit: float) -> None:
+        bound = current_limit if math.isfinite(current_limit) else 0.0
+        if enabled != self._enabled[index]:
+            self._enabled = _with(self._enabled, index, enabled)
+        if reference != self._reference[index] and math.isfinite(reference):
+            self._reference = _with(self._reference, index, reference)
+        if bound != self._limit[index]:
+            self._limit = _with(self._limit, index, bound)
 
     def step(self, dt: float | None = None) -> None:
         """Advance by `dt` s (default: the parameter `step`)."""
         dt = self.parameters.step if dt is None else dt
         mechanics = self.mechanics
-        enabled = (self._enabled[0], self._enabled[1], self._enabled[2])
-        reference = (self._reference[0], self._reference[1], self._reference[2])
-        limit = (self._limit[0], self._limit[1], self._limit[2])
-        x, y, _ = self._relative()
-        mechanics.step(dt, enabled, reference, limit, math.hypot(x, y))
+        if self._late is not None:
+            for index, enabled, reference, limit in self._late.due(self.time):
+                self._obey(index, enabled, reference, limit)
+        target, position, jitter = self.parameters.target, mechanics.position, self._jitter
+        x, y = target.x - position[0] + jitter[0], target.y - position[1] + jitter[1]
+        mechanics.step(dt, self._enabled, self._reference, self._limit, x, y)
         self.time += dt
-        self._follow_contact()
+        if self._late is not None:
+            self._late.keep(self.time, [self._state(index) for index in range(3)])
+        if not mechanics.still:
+            self._follow_contact()
         self.circuit.step(dt, self._overlap, mechanics.contact_force)
         self._heat(dt)
         self._take_record(dt)
@@ -160,24 +191,43 @@ class World:
 
     def servo(self, index: int) -> tuple[float, float, float, float, float]:
         """Return angle (rad), rate (rad/s), measured current (A), voltage (V) and temperature (°C) of a servo."""
-        servo = self.parameters.servo
-        current = self.mechanics.torques[index] / servo.torque_constant
-        drawn = sum(abs(torque) for torque in self.mechanics.torques) / servo.torque_constant
-        measured = current + self._random.gauss(0.0, servo.current_noise) if self._enabled[index] else 0.0
-        voltage = servo.supply_voltage - servo.supply_resistance * drawn
-        angle = self.mechanics.angles[index] + self.mechanics.slack[index]
-        return angle, self.mechanics.rates[index], measured, voltage, self._temperature[index]
+        state = self._state(index) if self._late is None else self._late.state(index) or self._state(index)
+        angle, rate, current, voltage, temperature = state
+        noise = self.parameters.servo.current_noise
+        if not self._enabled[index]:
+            current = 0.0
+        elif noise > 0.0:
+            current += self._random.gauss(0.0, noise)
+        return angle, rate, current, voltage, temperature
+
+    def _state(self, index: int) -> tuple[float, float, float, float, float]:
+        """Return what servo `index` would tell without noise and delay."""
+        mechanics = self.mechanics
+        current = mechanics.torques[index] / self.parameters.servo.torque_constant
+        angle = mechanics.angles[index] + mechanics.slack[index]
+        return angle, mechanics.rates[index], current, mechanics.voltage, self._temperature[index]
 
     def taxels(self) -> tuple[Array, Array]:
         """Return both pads' raw readings (10, 10) N now."""
         if self._tactile is None:
             return np.zeros((10, 10)), np.zeros((10, 10))
-        return self._tactile.sample(self.time, self.misalignment, self.mechanics.contact_force)
+        time, pose, force = self.time, self.misalignment, self.mechanics.contact_force
+        share = self.mechanics.pad_share
+        if share == 0.5:
+            return self._tactile.sample(time, pose, force)
+        left, _ = self._tactile.sample(time, pose, 2.0 * share * force)
+        _, right = self._tactile.sample(time, pose, 2.0 * (1.0 - share) * force)
+        return left, right
 
     def _relative(self) -> Pose:
         target, position = self.parameters.target, self.mechanics.position
         dx, dy, turn = self._jitter
-        return target.x - position[0] + dx, target.y - position[1] + dy, target.roll + turn
+        x, y = target.x - position[0] + dx, target.y - position[1] + dy
+        tilt = self.mechanics.tilt
+        if tilt != (0.0, 0.0):
+            lever = self.parameters.platform.lever
+            x, y = x - lever * tilt[1], y + lever * tilt[0]
+        return x, y, target.roll + turn
 
     def _follow_contact(self) -> None:
         """Draw a new docking's jitter at first touch; judge the overlap anew when the pose has changed."""
@@ -188,8 +238,7 @@ class World:
                 if self._tactile is not None:
                     self._jitter = self._tactile.begin_docking()
             pose = self._relative()
-            known = self._overlap_pose
-            if known is None or max(abs(a - b) for a, b in zip(pose, known, strict=True)) > 1e-6:
+            if _differs(pose, self._overlap_pose):
                 self._overlap_pose = pose
                 self._overlap = overlap(self.parameters.terminal, *pose)
             return
@@ -199,27 +248,57 @@ class World:
             self._jitter = (0.0, 0.0, 0.0)
 
     def _heat(self, dt: float) -> None:
-        servo = self.parameters.servo
-        for index, torque in enumerate(self.mechanics.torques):
-            goal = servo.ambient_temperature + servo.heating * (torque / servo.torque_constant) ** 2
-            self._temperature[index] += (goal - self._temperature[index]) * min(dt / servo.heating_time, 1.0)
+        servo, torques, warm = self.parameters.servo, self.mechanics.torques, self._temperature
+        if torques is not self._goals_of:
+            self._goals_of = torques
+            ambient, per_torque = servo.ambient_temperature, servo.heating / servo.torque_constant**2
+            self._goals = (
+                ambient + per_torque * torques[0] * torques[0],
+                ambient + per_torque * torques[1] * torques[1],
+                ambient + per_torque * torques[2] * torques[2],
+            )
+        share = dt / servo.heating_time if dt < servo.heating_time else 1.0
+        first, second, third = self._goals
+        warm[0] += (first - warm[0]) * share
+        warm[1] += (second - warm[1]) * share
+        warm[2] += (third - warm[2]) * share
 
     def _take_record(self, dt: float) -> None:
-        record, live = self.record, self.circuit.closed
-        record.broken_current = self.circuit.broken_current
-        record.peak_force = max(record.peak_force, self.mechanics.contact_force)
-        record.peak_push = max(record.peak_push, self.push())
+        record, circuit = self.record, self.circuit
+        force = self.mechanics.contact_force
+        if force > record.peak_force:
+            record.peak_force = force
+        if self._docked and force - self.mechanics.magnet_force > record.peak_push:
+            record.peak_push = force - self.mechanics.magnet_force
+        record.broken_current = circuit.broken_current
+        live = circuit.closed
+        if not live:
+            self._was_short = self._was_parted = self._was_unpowered = False
+            return
         lies = self._overlap
-        if live:
-            record.energised += dt
-            if lies is not None and lies.clearance < 0.0:
-                record.energised_unsafe += dt
-        short = live and lies is not None and lies.short
+        record.energised += dt
+        if lies is not None and lies.clearance < 0.0:
+            record.energised_unsafe += dt
+        short = lies is not None and lies.short
         record.energised_shorts += short and not self._was_short
         self._was_short = short
-        parted = live and lies is None
+        parted = lies is None
         record.parted_live += parted and not self._was_parted
         self._was_parted = parted
-        unpowered = live and not all(self._enabled)
+        unpowered = not all(self._enabled)
         record.unpowered_live += unpowered and not self._was_unpowered
         self._was_unpowered = unpowered
+
+
+def _differs(pose: Pose, known: Pose | None) -> bool:
+    """Return whether a pose is not as good as the known one: by more than 1 µm or 1 µrad."""
+    if known is None:
+        return True
+    x, y, turn = pose[0] - known[0], pose[1] - known[1], pose[2] - known[2]
+    return not (-1e-6 <= x <= 1e-6 and -1e-6 <= y <= 1e-6 and -1e-6 <= turn <= 1e-6)
+
+
+def _with(three: tuple[T, T, T], index: int, value: T) -> tuple[T, T, T]:
+    changed = list(three)
+    changed[index] = value
+    return changed[0], changed[1], changed[2]

@@ -134,7 +134,7 @@ def test_without_mpmath_it_says_what_to_install(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("part", ["simulation", "footprint"])
+@pytest.mark.parametrize("part", ["footprint"])
 def test_the_other_reports_are_not_there_yet(capsys: pytest.CaptureFixture[str], part: str) -> None:
     assert main(("report", part, "--json")) == 1
     assert "not yet available" in json.loads(capsys.readouterr().out)["error"]

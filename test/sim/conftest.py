@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import pytest
 
-from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.statics import TORQUE_CONSTANT
 from deltacharger_sim.parameters import WorldParameters
@@ -57,6 +58,21 @@ class Arm:
         self.dock()
         self.world.circuit.close()
         self.run(seconds)
+
+    def energy(self) -> float:
+        """Kinetic energy, weight and elastic energy of the joint stops of a limp, free arm (J)."""
+        mechanics, geometry = self.world.mechanics, self.world.geometry
+        mass = geometry.platform_mass + 1.5 * geometry.rod_mass
+        total = 0.5 * mass * sum(v * v for v in mechanics.velocity)
+        total += 0.5 * self.world.parameters.servo.inertia * sum(rate * rate for rate in mechanics.rates)
+        total -= mass * sum(g * p for g, p in zip(self.gravity, mechanics.position, strict=True))
+        elbow = 0.5 * geometry.rod_mass * geometry.arm
+        for angle, (cosine, sine) in zip(mechanics.angles, LIMB_DIRECTIONS, strict=True):
+            outward = self.gravity[0] * cosine + self.gravity[1] * sine
+            total -= elbow * (self.gravity[2] * math.sin(angle) + outward * math.cos(angle))
+            beyond = max(geometry.joint_min - angle, angle - geometry.joint_max, 0.0)
+            total += 0.5 * 2000.0 * beyond * beyond
+        return total
 
     @property
     def contact_current(self) -> float:

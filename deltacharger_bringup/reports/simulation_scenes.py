@@ -1,0 +1,155 @@
+"""What all parts of the simulation's report share: the models, an arm that is led by platform positions, and a
+docking."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.statics import TORQUE_CONSTANT
+from deltacharger_sim.parameters import ContactParameters, ServoParameters, WorldParameters
+from deltacharger_sim.world import World
+
+DELTA = ScalarDelta()
+LIGHT = "light"
+TICK = 0.1  # s between commands of the docking; every step of the report divides it
+SAMPLE = 0.01  # s between places that are compared, where the step allows
+TRAVEL, PUSH = 0.060, 0.086  # m of command along z before and at the end of the docking
+PATH_TICKS, HOLD = 12, 1.0  # of the compared path; s of rest after it, until the force is read
+
+
+@dataclass(frozen=True)
+class Model:
+    """One way to move the arm: the light model, or MuJoCo with one of its integrators."""
+
+    name: str
+
+    def world(self, parameters: WorldParameters, step: float) -> World:
+        """Return a world of this model whose steps are of `step` s."""
+        if self.name == LIGHT:
+            return World(parameters)
+        from deltacharger_sim.mujoco_world import mujoco_world
+
+        # That it diverges somewhere is what the report finds out.
+        logging.getLogger("deltacharger_sim.mujoco_world").setLevel(logging.ERROR)
+        return mujoco_world(parameters, step=step, integrator=self.name.split()[-1])
+
+
+class Arm:
+    """A world whose servos are commanded by platform positions, with the weight of the arm led in."""
+
+    def __init__(self, world: World, step: float) -> None:
+        self.world = world
+        self.step = step
+        self.trace: list[Vector] = []
+        self.used = 0.0
+        values = world.parameters
+        self.gravity = (values.gravity_x, values.gravity_y, values.gravity_z)
+
+    def aim(self, point: Vector, bound: float = 4.1, lead: bool = True) -> None:
+        """Command all servos toward `point` (m, charger_base) with at most `bound` A each."""
+        held = DELTA.holding_torque(*point, self.gravity) if lead else (0.0, 0.0, 0.0)
+        stiffness = self.world.parameters.servo.stiffness
+        for index, (angle, torque) in enumerate(zip(DELTA.inverse(*point), held, strict=True)):
+            self.world.command(index, True, angle + torque / stiffness, bound)
+
+    def release(self) -> None:
+        """Take all torque off."""
+        for index in range(3):
+            self.world.command(index, False, 0.0, 0.0)
+
+    def run(self, seconds: float, sample: float = math.inf) -> None:
+        """Let time pass, keep the place every `sample` s, and add the processor time to `used` (s)."""
+        every = max(1, round(sample / self.step)) if sample < math.inf else 0
+        started = time.process_time()
+        for index in range(1, max(1, round(seconds / self.step)) + 1):
+            self.world.step(self.step)
+            if every and index % every == 0:
+                self.trace.append(self.world.mechanics.position)
+        self.used += time.process_time() - started
+
+    def go(self, point: Vector, seconds: float = 1.0, bound: float = 4.1, lead: bool = True) -> None:
+        """Aim and wait."""
+        self.aim(point, bound, lead)
+        self.run(seconds)
+
+    def contact_current(self) -> float:
+        """Per-servo current that pushes along +z (A), as docking computes it but without noise."""
+        position = self.world.mechanics.position
+        if math.isnan(position[0]):
+            return math.nan
+        held = DELTA.holding_torque(*position, self.gravity)
+        push = [torque - hold for torque, hold in zip(self.world.mechanics.torques, held, strict=True)]
+        force = DELTA.force(*position, (push[0], push[1], push[2]))[2]
+        return force * sum(DELTA.jacobian(*position)[6:]) / (3.0 * TORQUE_CONSTANT)
+
+
+def docking(model: Model, parameters: WorldParameters, step: float) -> dict[str, Any]:
+    """Approach, snap, push and hold: places every SAMPLE, settled force and current, and what it cost.
+
+    Returns:
+        trace (list of m), force (N), current (A), speed (m/s left at the end), and how many times faster than real time
+        one core was in motion (`moving`) and in all (`all`).
+    """
+    arm = Arm(model.world(parameters, step), step)
+    arm.go((0.0, 0.0, TRAVEL), 1.0)
+    arm.used = 0.0
+    for index in range(PATH_TICKS):
+        share = min((index + 1) / 8.0, 1.0)
+        arm.aim((0.0, 0.0, TRAVEL + (PUSH - TRAVEL) * share))
+        arm.run(TICK, max(SAMPLE, step))
+    trace, moved = arm.trace, arm.used
+    hold = HOLD * max(1.0, 15.0 / parameters.servo.stiffness)
+    arm.run(hold)
+    mechanics = arm.world.mechanics
+    return {
+        "trace": trace,
+        "force": mechanics.contact_force,
+        "current": arm.contact_current(),
+        "speed": max(map(abs, mechanics.velocity)),
+        "moving": PATH_TICKS * TICK / max(moved, 1e-6),
+        "all": (PATH_TICKS * TICK + hold) / max(arm.used, 1e-6),
+    }
+
+
+def rms(trace: Sequence[Vector], exact: Sequence[Vector]) -> float:
+    """Return the rms distance (m) of places from those of a finer or equal sampling of the same time."""
+    every = len(exact) // len(trace)
+    squares = [math.dist(place, exact[(index + 1) * every - 1]) ** 2 for index, place in enumerate(trace)]
+    return math.sqrt(sum(squares) / len(squares))
+
+
+def world(
+    stiffness: float = 1e5, servo: float = 15.0, friction: float | None = None, **changes: Any
+) -> WorldParameters:
+    """Return parameters of a contact and servo stiffness; `friction` of the gears (N·m), None = default."""
+    gears = {} if friction is None else {"friction": friction}
+    return WorldParameters(
+        servo=ServoParameters(stiffness=servo, **gears), contact=ContactParameters(stiffness=stiffness), **changes
+    )
+
+
+def settled_exactly(parameters: WorldParameters, command: float) -> float:
+    """Return the contact force (N) at rest on the axis, weightless, by bisection of springs and magnets.
+
+    No integrator has a part in it; `command` is the commanded z (m), at which the target is touched.
+    """
+    goal, wall = DELTA.inverse(0.0, 0.0, command)[0], parameters.target.z
+    low, high = wall, wall + 0.025
+    for _ in range(200):
+        z = 0.5 * (low + high)
+        lever = sum(DELTA.jacobian(0.0, 0.0, z)[6:]) / 3.0
+        pushed = parameters.servo.stiffness * (goal - DELTA.inverse(0.0, 0.0, z)[0]) / lever + parameters.magnets.force
+        low, high = (z, high) if pushed > electrode_force(parameters.contact, z - wall) else (low, z)
+    return electrode_force(parameters.contact, 0.5 * (low + high) - wall)
+
+
+def electrode_force(contact: ContactParameters, depth: float) -> float:
+    """Return the force (N) of both electrodes at a compression (m)."""
+    return 2.0 * contact.stiffness * depth + contact.hard_stop_stiffness * max(depth - contact.hard_stop, 0.0)

@@ -1,0 +1,197 @@
+"""The charger as a MuJoCo model, from the same parameters as the light one.
+
+Every limb is a driven arm on a hinge and a rod on a universal joint; the platform slides along x, y and z, as the
+parallelograms force it to; the rods' ends are tied to it by equality constraints, so that the loops are closed by the
+solver and no formula of the light model is used. The touched faces are a sphere and a plane, the stop behind the
+electrodes' springs a second sphere further back.
+
+A contact that MuJoCo regularises with R = (1 − d)/d · A (A its estimate of the bodies' inverse weight) and pulls back
+with solref = (−s, −b) is a spring of s/((1 − d) A) at rest, whatever else acts; s is chosen so that this is the
+electrodes' stiffness, and b = 2√s. MuJoCo documentation, "Solver parameters".
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
+from deltacharger_sim.parameters import ParameterError, WorldParameters
+
+IMPEDANCE = 0.9  # d of contacts and joint stops: how much of the solver's motion a constraint decides
+TIGHT = 0.9999  # d of what must not give: closed loops and dry friction
+STICTION = 1e4  # how much stiffer friction is than the contact's normal; with 1 a pressed contact creeps by cm/s
+END_STOP = 2000.0  # N·m/rad behind a joint limit, as in the light model
+_RADIUS = 0.005  # m of the spheres that stand for the electrodes
+_SPECK = 1e-6  # kg of an arm; its inertia is the rotor's, as in the light model
+INTEGRATORS = ("discrete", "implicitfast", "implicit", "Euler")
+
+
+def load() -> Any:
+    """Import MuJoCo.
+
+    Raises:
+        ModuleNotFoundError: it is not installed; says what to install.
+    """
+    try:
+        import mujoco
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "MuJoCo, the reference of the simulation, is not installed; install deltacharger[sim]", name="mujoco"
+        ) from error
+    return mujoco
+
+
+def integrators() -> tuple[str, ...]:
+    """Return the integrators that the installed MuJoCo has, best first; `discrete` came with 3.13."""
+    known = load().mjtIntegrator
+    return tuple(name for name in INTEGRATORS if hasattr(known, f"mjINT_{name.upper()}"))
+
+
+def refuse(parameters: WorldParameters) -> None:
+    """Refuse what the reference does not have.
+
+    Raises:
+        ParameterError: names the key.
+    """
+    without = (
+        ("servo.backlash", parameters.servo.backlash, "play"),
+        ("servo.stall_sag", parameters.servo.stall_sag, "loss of stall torque"),
+        ("platform.compliance", parameters.platform.compliance, "tilt of the platform"),
+        ("target.tilt_x", parameters.target.tilt_x, "tilt of the target"),
+        ("target.tilt_y", parameters.target.tilt_y, "tilt of the target"),
+    )
+    for key, value, what in without:
+        if value != 0.0:
+            raise ParameterError(
+                key, value, f"{value!r}: the MuJoCo reference has no {what}; give 0 or the light model"
+            )
+
+
+def build(parameters: WorldParameters, geometry: DeltaGeometry, step: float, integrator: str) -> Any:
+    """Return the mujoco.MjModel with time step `step` (s), its contact and stop stiffnesses set.
+
+    Raises:
+        ModuleNotFoundError: MuJoCo is not installed.
+        ParameterError: the reference does not have something that the parameters ask for.
+        ValueError: no such integrator in the installed MuJoCo.
+    """
+    mujoco = load()
+    refuse(parameters)
+    if integrator not in integrators():
+        raise ValueError(f"integrator {integrator!r}: the installed MuJoCo has {', '.join(integrators())}")
+    model = mujoco.MjModel.from_xml_string(_xml(parameters, geometry, step, integrator))
+    contact = parameters.contact
+    inverse = float(model.body_invweight0[model.body("platform").id, 0])
+    for index, stiffness in enumerate((2.0 * contact.stiffness, contact.hard_stop_stiffness)[: model.npair]):
+        model.pair_solref[index] = spring(stiffness, inverse)
+    for index in range(LIMB_COUNT):
+        joint = model.joint(f"arm{index}").id
+        inverse = float(model.dof_invweight0[model.jnt_dofadr[joint]])
+        model.jnt_solref[joint] = spring(END_STOP, inverse)
+    return model
+
+
+def spring(stiffness: float, inverse: float, impedance: float = IMPEDANCE) -> tuple[float, float]:
+    """Return the solref of a constraint that is a spring of `stiffness` at rest, given its inverse weight."""
+    s = stiffness * (1.0 - impedance) * inverse
+    return -s, -2.0 * math.sqrt(s)
+
+
+def rod_angles(geometry: DeltaGeometry, index: int, position: Vector, angle: float) -> tuple[float, float]:
+    """Return the two angles (rad) of a limb's universal joint for a platform position (m) and arm angle (rad)."""
+    limb = geometry.limb(index)
+    x, y, z = position
+    u = x * limb.cosine + y * limb.sine - limb.difference
+    v = y * limb.cosine - x * limb.sine - limb.tangential_offset
+    w = z + limb.motor_height
+    true = angle + limb.angle_offset
+    pitch = math.atan2(w - limb.arm * math.sin(true), u - limb.arm * math.cos(true))
+    return pitch - true, math.asin(max(-1.0, min(1.0, v / limb.rod)))
+
+
+def _xml(parameters: WorldParameters, geometry: DeltaGeometry, step: float, integrator: str) -> str:
+    # Closed loops and friction give way by less than a micrometre when their time constant is two steps.
+    tie = f'solref="{2.0 * step!r} 1" solimp="{TIGHT} {TIGHT} 0.001"'
+    gravity = f"{parameters.gravity_x!r} {parameters.gravity_y!r} {parameters.gravity_z!r}"
+    limbs = range(LIMB_COUNT)
+    servo = parameters.servo
+    return f"""<mujoco>
+<compiler angle="radian" autolimits="false"/>
+<option timestep="{step!r}" integrator="{integrator}" cone="elliptic" impratio="{STICTION}" gravity="{gravity}"
+ tolerance="1e-12">
+  <flag refsafe="disable" autoreset="disable"/>
+</option>
+<worldbody>
+{"".join(_limb(geometry, index, servo.inertia, step) for index in limbs)}
+{_platform(parameters, geometry)}
+</worldbody>
+<equality>
+{"".join(f'<connect site1="tip{index}" site2="foot{index}" {tie}/>' for index in limbs)}
+</equality>
+<contact>{_pairs(parameters)}</contact>
+<actuator>
+{"".join(_servo(index, servo.stiffness, servo.damping) for index in limbs)}
+</actuator>
+</mujoco>"""
+
+
+def _limb(geometry: DeltaGeometry, index: int, inertia: float, step: float) -> str:
+    limb = geometry.limb(index)
+    radius = limb.base_radius + limb.radius_offset
+    turned = math.atan2(limb.sine, limb.cosine)
+    half = 0.5 * limb.angle_offset
+    flexible = f"{max(geometry.rod_mass, _SPECK) * limb.rod**2 / 12.0!r}"
+    return f"""<body pos="0 0 {-limb.motor_height!r}" quat="{math.cos(turned / 2)!r} 0 0 {math.sin(turned / 2)!r}">
+ <body pos="{radius!r} {limb.tangential_offset!r} 0" quat="{math.cos(half)!r} 0 {-math.sin(half)!r} 0">
+  <inertial pos="0 0 0" mass="{_SPECK}" diaginertia="1e-9 1e-9 1e-9"/>
+  <joint name="arm{index}" axis="0 -1 0" armature="{inertia!r}" limited="true"
+   range="{geometry.joint_min!r} {geometry.joint_max!r}" solimplimit="{IMPEDANCE} {IMPEDANCE} 0.001"
+   frictionloss="1e-9" solreffriction="{2.0 * step!r} 1" solimpfriction="{TIGHT} {TIGHT} 0.001"/>
+  <body pos="{limb.arm!r} 0 0">
+   <inertial pos="{0.5 * limb.rod!r} 0 0" mass="{max(geometry.rod_mass, _SPECK)!r}"
+    diaginertia="1e-8 {flexible} {flexible}"/>
+   <joint name="pitch{index}" axis="0 -1 0"/>
+   <joint name="swing{index}" axis="0 0 1"/>
+   <site name="tip{index}" pos="{limb.rod!r} 0 0"/>
+  </body>
+ </body>
+</body>
+"""
+
+
+def _platform(parameters: WorldParameters, geometry: DeltaGeometry) -> str:
+    feet = []
+    for index in range(LIMB_COUNT):
+        limb = geometry.limb(index)
+        along, across = limb.platform_radius * limb.cosine, limb.platform_radius * limb.sine
+        feet.append(f'<site name="foot{index}" pos="{along!r} {across!r} 0"/>')
+    sphere = f'type="sphere" size="{_RADIUS}" mass="0" contype="0" conaffinity="0"'
+    slides = "".join(
+        f'<joint name="{axis}" type="slide" axis="{way}"/>'
+        for axis, way in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"))  # noqa: B905
+    )
+    plane = f'<geom name="target" type="plane" size="1 1 1" pos="0 0 {parameters.target.z!r}" quat="0 1 0 0" '
+    plane += 'contype="0" conaffinity="0"/>'
+    return f"""<body name="platform">
+ <inertial pos="0 0 0" mass="{geometry.platform_mass!r}" diaginertia="1e-4 1e-4 1e-4"/>
+ {slides}{"".join(feet)}
+ <geom name="electrodes" {sphere} pos="0 0 {-_RADIUS}"/>
+ <geom name="stop" {sphere} pos="0 0 {-_RADIUS - parameters.contact.hard_stop!r}"/>
+</body>
+{plane if parameters.target.present else ""}"""
+
+
+def _pairs(parameters: WorldParameters) -> str:
+    if not parameters.target.present:
+        return ""
+    rub = max(parameters.contact.friction, 1e-5)  # MuJoCo takes none below
+    how = f'condim="3" friction="{rub!r} {rub!r}" solimp="{IMPEDANCE} {IMPEDANCE} 0.001"'
+    return "".join(f'<pair geom1="target" geom2="{name}" {how}/>' for name in ("electrodes", "stop"))
+
+
+def _servo(index: int, stiffness: float, damping: float) -> str:
+    return (
+        f'<general name="servo{index}" joint="arm{index}" gainprm="{stiffness!r}" biastype="affine" '
+        f'biasprm="0 {-stiffness!r} {-damping!r}" forcelimited="true" forcerange="-1 1"/>\n'
+    )

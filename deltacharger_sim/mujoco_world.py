@@ -1,0 +1,156 @@
+"""A world whose arm is moved by MuJoCo: the yardstick of the light model, on the same parameters. Never a requirement.
+
+`mujoco_world(...)` is a World: circuit, jitter, record and readings are those of the light one; only what moves
+differs.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from typing import Any
+
+from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_sim import mujoco_model
+from deltacharger_sim.magnets import pull
+from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.world import TactileSource, World
+
+STEP = 0.001  # s; with `discrete` the settled force is as right as at a tenth of it
+
+_LOG = logging.getLogger(__name__)
+_DEAD = 1e-12  # N·m that a servo without power may give; MuJoCo wants a range
+
+
+class MujocoMechanics:
+    """What `Mechanics` is, by MuJoCo: the same attributes, units and frames; NaN once MuJoCo has diverged.
+
+    Args:
+        parameters: of the world.
+        geometry: of the delta.
+        start: where the platform begins, m, charger_base.
+        step: of MuJoCo, s; a world's step is made of as many of them as it needs.
+        integrator: one of `mujoco_model.integrators()`; "" = the best of them.
+
+    Raises:
+        ModuleNotFoundError: MuJoCo is not installed.
+        ParameterError: the reference does not have something that the parameters ask for.
+        ValueError: the arm does not reach `start`, or there is no such integrator.
+    """
+
+    def __init__(
+        self,
+        parameters: WorldParameters,
+        geometry: DeltaGeometry,
+        start: Vector,
+        step: float = STEP,
+        integrator: str = "",
+    ) -> None:
+        self._mujoco = mujoco_model.load()
+        # Otherwise MuJoCo writes a file into the current folder when it diverges.
+        self._mujoco.set_mju_user_warning(_LOG.warning)
+        self._parameters = parameters
+        self._step = step
+        self.model: Any = mujoco_model.build(parameters, geometry, step, integrator or mujoco_model.integrators()[0])
+        self.data: Any = self._mujoco.MjData(self.model)
+        names = [f"arm{index}" for index in range(LIMB_COUNT)]
+        self._arms = [int(self.model.joint(name).qposadr[0]) for name in names]
+        self._axes = [int(self.model.joint(axis).qposadr[0]) for axis in "xyz"]
+        self._target_z = parameters.target.z if parameters.target.present else math.inf
+        self._inputs: tuple[object, ...] = ()
+        self._begin(geometry, start)
+        self.slack: Vector = (0.0, 0.0, 0.0)
+        self.torques: Vector = (0.0, 0.0, 0.0)
+        self.tilt: tuple[float, float] = (0.0, 0.0)
+        self.pad_share = 0.5
+        self.contact_force = self.magnet_force = self.imbalance = 0.0
+        self.still = False
+        self._read()
+
+    def _begin(self, geometry: DeltaGeometry, start: Vector) -> None:
+        """Put arms, rods and platform where the loops are closed."""
+        angles = ScalarDelta(geometry).inverse(*start)
+        if math.isnan(angles[0]):
+            raise ValueError(f"start {start!r} is out of the arm's reach: give a point of its workspace (m)")
+        for index, angle in enumerate(angles):
+            pitch, swing = mujoco_model.rod_angles(geometry, index, start, angle)
+            for name, value in (("arm", angle), ("pitch", pitch), ("swing", swing)):
+                self.data.joint(f"{name}{index}").qpos[0] = value
+        for axis, value in zip(self._axes, start, strict=True):
+            self.data.qpos[axis] = value
+
+    @property
+    def gap(self) -> float:
+        """Distance between the touched faces (m); negative = springs compressed."""
+        return self._target_z - self.position[2]
+
+    @property
+    def voltage(self) -> float:
+        """Of the servos' supply under what they draw (V)."""
+        servo = self._parameters.servo
+        return servo.supply_voltage - servo.supply_resistance * sum(map(abs, self.torques)) / servo.torque_constant
+
+    def step(
+        self, dt: float, enabled: tuple[bool, bool, bool], reference: Vector, limit: Vector, x: float, y: float
+    ) -> None:
+        """Advance by `dt` s, which is rounded to whole steps of MuJoCo; arguments as those of `Mechanics.step`."""
+        inputs = (enabled, reference, limit)
+        if inputs != self._inputs:
+            self._inputs = inputs
+            self._command(enabled, reference, limit)
+        data, model, present = self.data, self.model, self._parameters.target.present
+        offset, vertical = math.hypot(x, y), self._axes[2]
+        for _ in range(max(1, round(dt / self._step))):
+            if present:
+                gap = self._target_z - float(data.qpos[vertical])
+                self.magnet_force, _ = pull(self._parameters.magnets, gap, offset)
+                data.qfrc_applied[vertical] = self.magnet_force
+            self._mujoco.mj_step(model, data)
+        self._read()
+
+    def _command(self, enabled: tuple[bool, bool, bool], reference: Vector, limit: Vector) -> None:
+        servo, model = self._parameters.servo, self.model
+        for index, (on, goal, bound) in enumerate(zip(enabled, reference, limit, strict=True)):
+            most = min(bound * servo.torque_constant, servo.stall_torque) if on else 0.0
+            model.actuator_forcerange[index] = (-max(most, _DEAD), max(most, _DEAD))
+            model.actuator_gainprm[index, 0] = servo.stiffness if on else 0.0
+            model.actuator_biasprm[index, 1:3] = (-servo.stiffness, -servo.damping) if on else (0.0, 0.0)
+            model.dof_frictionloss[self._arms[index]] = servo.friction if on else servo.unpowered_friction
+            self.data.ctrl[index] = goal
+
+    def _read(self) -> None:
+        data = self.data
+        place, speed, force = data.qpos.tolist(), data.qvel.tolist(), data.actuator_force.tolist()
+        x, y, z = self._axes
+        first, second, third = self._arms
+        self.position: Vector = (place[x], place[y], place[z])
+        self.velocity: Vector = (speed[x], speed[y], speed[z])
+        self.angles: Vector = (place[first], place[second], place[third])
+        self.rates: Vector = (speed[first], speed[second], speed[third])
+        self.torques = (force[0], force[1], force[2])
+        rows = [int(row) for row in data.contact.efc_address] if data.ncon else []
+        self.contact_force = float(sum(data.efc_force[row] for row in rows if row >= 0))
+
+
+def mujoco_world(
+    parameters: WorldParameters,
+    tactile: TactileSource | None = None,
+    seed: int = 0,
+    geometry: DeltaGeometry | None = None,
+    start: Vector = (0.0, 0.0, 0.0),
+    step: float = STEP,
+    integrator: str = "",
+) -> World:
+    """Return a World moved by MuJoCo in steps of `step` s; arguments as those of World and MujocoMechanics.
+
+    Raises:
+        ModuleNotFoundError: MuJoCo is not installed.
+        ParameterError: the reference does not have something that the parameters ask for.
+        ValueError: the arm does not reach `start`, or there is no such integrator.
+    """
+
+    def moved(parameters: WorldParameters, geometry: DeltaGeometry, start: Vector) -> MujocoMechanics:
+        return MujocoMechanics(parameters, geometry, start, step, integrator)
+
+    return World(parameters, tactile, seed, geometry, start, moved)

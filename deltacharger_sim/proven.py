@@ -1,0 +1,62 @@
+"""Where the light model has been shown to be right, and what to say of a world outside."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.stability_map import CELLS, CONTACT_STIFFNESSES, PROVEN, SERVO_STIFFNESSES, STEPS
+
+
+class UnprovenWarning(UserWarning):
+    """Step and stiffnesses lie where the simulation has not been shown to be right."""
+
+
+def doubts(parameters: WorldParameters) -> tuple[str, ...]:
+    """Return what is to be said of a world's step and stiffnesses, empty where they are proven.
+
+    Between the map's points, the points around must all be proven. The map is that of `deltacharger report simulation`:
+    nothing diverged, the settled force within 0.5 % of a bisection, the path within 0.3 mm rms of that of tiny steps.
+    """
+    asked = parameters.servo.stiffness, parameters.contact.stiffness, parameters.step
+    axes = (SERVO_STIFFNESSES, CONTACT_STIFFNESSES, STEPS)
+    around = [_around(axis, value) for axis, value in zip(axes, asked, strict=True)]
+    if all(around) and all(proven(i, j, k) for i in around[0] for j in around[1] for k in around[2]):
+        return ()
+    servo, contact, step = nearest(*asked)
+    return (
+        f"step {asked[2]:g} s with contact.stiffness {asked[1]:g} N/m and servo.stiffness {asked[0]:g} N·m/rad has not "
+        f"been shown to be right; the nearest that has: step {step:g} s, contact.stiffness {contact:g} N/m, "
+        f"servo.stiffness {servo:g} N·m/rad",
+    )
+
+
+def proven(servo: int, contact: int, step: int) -> bool:
+    """Return whether the map's point with these indices is proven."""
+    return CELLS[servo][contact][step] == PROVEN
+
+
+def nearest(servo: float, contact: float, step: float) -> tuple[float, float, float]:
+    """Return servo stiffness (N·m/rad), contact stiffness (N/m) and step (s) of the proven point nearest by ratio."""
+    points = [
+        (SERVO_STIFFNESSES[i], CONTACT_STIFFNESSES[j], STEPS[k])
+        for i in range(len(SERVO_STIFFNESSES))
+        for j in range(len(CONTACT_STIFFNESSES))
+        for k in range(len(STEPS))
+        if proven(i, j, k)
+    ]
+    asked = (servo, contact, step)
+    return min(points, key=lambda point: sum(abs(math.log(a / b)) for a, b in zip(point, asked, strict=True)))
+
+
+def _around(axis: Sequence[float], value: float) -> list[int]:
+    """Return the indices of the one or two points of an axis that hold `value` between them; none outside."""
+    same = [index for index, point in enumerate(axis) if math.isclose(point, value, rel_tol=1e-9)]
+    if same:
+        return same
+    return [index for index in range(len(axis)) if _holds(axis, index, value) or _holds(axis, index - 1, value)]
+
+
+def _holds(axis: Sequence[float], index: int, value: float) -> bool:
+    return 0 <= index < len(axis) - 1 and axis[index] < value < axis[index + 1]

@@ -1,0 +1,80 @@
+"""What the target does to the platform: pull of the magnets, electrodes with their stop, lateral friction."""
+
+from __future__ import annotations
+
+from math import hypot
+
+from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.tilt import PlatformTilt, tilts
+
+LATERAL_MOST = 1e6  # N/m; stiffer bristles would give less than 20 µm and only make stick and slip hard to solve
+
+
+class Touch:
+    """Magnets and electrodes against a target whose terminal lies aside by `lie`.
+
+    Attributes:
+        tilt: of the platform in contact; None where nothing tilts.
+    """
+
+    def __init__(self, parameters: WorldParameters) -> None:
+        self._magnets, self._contact = parameters.magnets, parameters.contact
+        self.tilt = PlatformTilt(parameters) if tilts(parameters) else None
+        self._pull = 0.0
+        self._aside = (0.0, 0.0)
+
+    def lie(self, x: float, y: float) -> None:
+        """Put the target's centre to (x, y) in end_effector, m."""
+        distance = hypot(x, y) / self._magnets.width
+        self._pull = self._magnets.force * max(self._magnets.floor, 1.0 / (1.0 + distance * distance))
+        self._aside = (x, y)
+
+    def forces(
+        self, gap: float, dx: float, dy: float, rub: tuple[float, float], before: float
+    ) -> tuple[float, float, float, float, float, float]:
+        """Return pull, normal force, lateral friction along x and y (N), and two tangents (N/m).
+
+        Args:
+            gap: of the faces, m; negative = compression.
+            dx: lateral displacement in this step, m.
+            dy: the same along y, m.
+            rub: lateral friction at the step's start, N.
+            before: tangent along z of everything else, N/m.
+
+        Returns:
+            The tangents are the lateral one and what the normal one gains. The magnets' own, which is negative, counts
+            only while it is less than half of `before`.
+        """
+        reach = self._magnets.range
+        if gap > 0.0:
+            ratio = 1.0 + gap / reach
+            magnet = self._pull / (ratio * ratio)
+            softer = 2.0 * magnet / (ratio * reach)
+            along = -softer if softer < 0.5 * before else 0.0
+        else:
+            magnet, along = self._pull, 0.0
+        if self.tilt is not None:
+            normal, stiffer = self.tilt.press(-gap, *self._aside)
+        elif gap >= 0.0:
+            return magnet, 0.0, 0.0, 0.0, 0.0, along
+        else:
+            normal, stiffer = self._press(-gap)
+        if normal <= 0.0:
+            return magnet, 0.0, 0.0, 0.0, 0.0, along
+        contact = self._contact
+        side = min(2.0 * contact.stiffness, LATERAL_MOST)
+        rx, ry = rub[0] - side * dx, rub[1] - side * dy
+        size, most = hypot(rx, ry), contact.friction * normal
+        if size > most:
+            scale = most / size
+            rx, ry, side = rx * scale, ry * scale, side * scale
+        return magnet, normal, rx, ry, side, along + stiffer
+
+    def _press(self, depth: float) -> tuple[float, float]:
+        """Return the normal force (N) and stiffness (N/m) of both electrodes at a compression (m)."""
+        contact = self._contact
+        stiffness = 2.0 * contact.stiffness
+        if depth > contact.hard_stop:
+            stop = contact.hard_stop_stiffness
+            return depth * stiffness + (depth - contact.hard_stop) * stop, stiffness + stop
+        return depth * stiffness, stiffness

@@ -1,0 +1,96 @@
+"""Worlds whose numbers are each possible and together are not, and worlds outside of what is proven."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from deltacharger_sim import stability_map
+from deltacharger_sim.parameters import (
+    ContactParameters,
+    MagnetParameters,
+    ParameterError,
+    ServoParameters,
+    WorldParameters,
+    from_mapping,
+)
+from deltacharger_sim.proven import UnprovenWarning, doubts, nearest
+from deltacharger_sim.world import World
+
+
+@pytest.mark.parametrize(
+    ("content", "key", "problem"),
+    [
+        ({"circuit": {"voltage_min": 30.0, "voltage_max": 20.0}}, "circuit.voltage_min", "circuit.voltage_max"),
+        ({"circuit": {"voltage_min": 30.0}}, "circuit.voltage_min", "circuit.voltage_max"),
+        ({"circuit": {"voltage_min": 20.0, "voltage_limit": 19.0}}, "circuit.voltage_limit", "circuit.voltage_min"),
+        ({"contact": {"stiffness": 9e3, "hard_stop": 0.0021}}, "contact.hard_stop", "at most 0.002"),
+        ({"contact": {"stiffness": 5e4, "hard_stop_stiffness": 1e4}}, "contact.hard_stop_stiffness", "at least 100000"),
+        (
+            {"contact": {"stiffness": 6e4, "hard_stop_stiffness": 1e5, "hard_stop": 0.001}},
+            "contact.hard_stop_stiffness",
+            "softer than the springs",
+        ),
+        ({"servo": {"friction": 1.0, "stall_torque": 0.9}}, "servo.friction", "servo.stall_torque"),
+        ({"servo": {"friction": 1.0, "stall_torque": 1.0}}, "servo.friction", "no servo could turn"),
+        ({"servo": {"supply_resistance": 1.0}}, "servo.supply_resistance", "servo.supply_voltage"),
+        ({"servo": {"supply_resistance": 0.5, "stall_torque": 12.0}}, "servo.supply_resistance", "smaller"),
+    ],
+)
+def test_what_cannot_be_together_is_refused_by_key(content: dict[str, Any], key: str, problem: str) -> None:
+    with pytest.raises(ParameterError, match=problem) as caught:
+        from_mapping(content, WorldParameters, "simulation.world")
+    assert caught.value.key == f"simulation.world.{key}"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"contact": {"stiffness": 9e3, "hard_stop": 0.002}},
+        {"contact": {"stiffness": 1e4, "hard_stop": 0.02}},
+        {"contact": {"stiffness": 1e9}},  # its springs never reach the stop, whatever it is like
+        {"contact": {"stiffness": 1e3, "hard_stop_stiffness": 1e4}},
+        {"circuit": {"target_voltage": -24.0}},
+        {"servo": {"unpowered_friction": 0.0}},
+        {"magnets": {"force": 300.0, "range": 0.0002}},
+    ],
+)
+def test_what_is_merely_odd_is_taken(content: dict[str, Any]) -> None:
+    from_mapping(content, WorldParameters)
+
+
+def test_the_world_as_delivered_is_proven() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        World(WorldParameters())
+
+
+@pytest.mark.parametrize("step", [0.0001, 0.0003, 0.001, 0.003, 0.01])
+@pytest.mark.parametrize("stiffness", [1e3, 3e4, 1e5, 2e8, 1e9])
+@pytest.mark.parametrize("servo", [2.5, 4.0, 15.0, 20.0])
+def test_every_stiffness_is_proven_up_to_ten_milliseconds(step: float, stiffness: float, servo: float) -> None:
+    contact = ContactParameters(stiffness=stiffness)
+    assert doubts(WorldParameters(step=step, contact=contact, servo=ServoParameters(stiffness=servo))) == ()
+
+
+def test_a_world_outside_of_what_is_proven_warns_with_the_nearest_that_is() -> None:
+    bold = WorldParameters(step=0.1, magnets=MagnetParameters(force=0.0))
+    with pytest.warns(UnprovenWarning, match=r"step 0\.1 s .* nearest that has: step 0\.0\d+ s") as caught:
+        World(bold)
+    assert len(caught) == 1
+    servo, contact, step = nearest(15.0, 1e5, 0.1)
+    assert (servo, contact) == (15.0, 1e5)
+    near = replace(bold, step=step)
+    assert doubts(near) == ()
+
+
+def test_the_map_is_whole_and_nothing_on_it_diverged() -> None:
+    assert len(stability_map.CELLS) == len(stability_map.SERVO_STIFFNESSES)
+    for rows in stability_map.CELLS:
+        assert len(rows) == len(stability_map.CONTACT_STIFFNESSES)
+        for row in rows:
+            assert len(row) == len(stability_map.STEPS)
+            assert set(row) <= {"+", "p"}
