@@ -6,6 +6,7 @@ The machine gets only what the robot's topics carry.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -16,6 +17,7 @@ from deltacharger_docking.clearance import Estimate
 from deltacharger_docking.codes import State
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import (
+    Command,
     Detection,
     DockGoal,
     Observation,
@@ -26,11 +28,12 @@ from deltacharger_docking.observation import (
     Waypoint,
 )
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.statics import TORQUE_CONSTANT
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.shared_world import SharedWorld
-from deltacharger_sim.world import World
-from deltacharger_tactile import default_model
+from deltacharger_sim.world import TactileSource, World
+from deltacharger_tactile import PoseEstimator, default_model
 from deltacharger_tactile.source import ContactSource
 
 TICK = 0.01
@@ -38,20 +41,37 @@ FRAME = 1.0 / 120.0
 GOAL = Detection((0.0, 0.0, 0.080), 0.0)
 
 
-def _counts(current: float) -> float:
+@functools.cache
+def packaged_model() -> PoseEstimator:
+    """Return the packaged model of the pads, read once per process."""
+    return default_model()
+
+
+def counts(current: float) -> float:
     """Return a current (A) as the servo's register resolves it: counts of 3.36 mA."""
     return round(current / 0.00336) * 0.00336
 
 
 @dataclass
-class _Pending:
+class Pending:
+    """A request on its way: when it was asked and is answered (s), and the frames (N) that its answer is made of."""
+
     request: Request
+    asked: float
     due: float
     frames: list[np.ndarray]
 
 
 class VirtualCharger:
-    """Steps everything by 10 ms; `distort` may change each observation to stage a fault."""
+    """Steps everything by 10 ms; `distort` may change each observation to stage a fault.
+
+    Args:
+        world: the simulated world; None = defaults.
+        parameters: of docking; None = defaults with the world's servo stiffness.
+        seed: course of noise and jitter.
+        rig_seed: which device's pads.
+        tactile: the pads; None = those of `rig_seed` and `seed`.
+    """
 
     def __init__(
         self,
@@ -59,18 +79,19 @@ class VirtualCharger:
         parameters: DockingParameters | None = None,
         seed: int = 1,
         rig_seed: int = 900,
+        tactile: TactileSource | None = None,
     ) -> None:
         self.now = 0.0
         world = world or WorldParameters()
         self.parameters = parameters or DockingParameters(servo_stiffness=world.servo.stiffness)
-        self.world = World(world, ContactSource(None, rig_seed, seed), seed)
+        self.world = World(world, tactile or ContactSource(None, rig_seed, seed), seed)
         self.plant = SharedWorld(self.world, clock=lambda: self.now)
-        self.machine = DockingMachine(self.parameters)
+        self.machine = self._make_machine()
         self.distort: Callable[[Observation], Observation] = lambda observation: observation
         self.answer: dict[Service, Callable[[Reply], Reply | None]] = {}
         self.states: list[State] = []
         self.outcome: Outcome | None = None
-        self._model = default_model()
+        self._model = packaged_model()
         self._tare = np.zeros((2, 10, 10))
         self._tared = False
         self._torque = False
@@ -79,11 +100,14 @@ class VirtualCharger:
         self._goal = [0.0, 0.0, 0.0]
         self._from = [0.0, 0.0, 0.0]
         self._bound = [0.83] * 3
-        self._pending: list[_Pending] = []
+        self._pending: list[Pending] = []
         self._replies: list[Reply] = []
         self._energised = False
         self._frame = np.zeros((2, 10, 10))
         self._frame_at = -math.inf
+
+    def _make_machine(self) -> DockingMachine:
+        return DockingMachine(self.parameters)
 
     def dock(self, goal: DockGoal | None = None, limit: float = 240.0) -> Outcome:
         """Serve a Dock goal to its end."""
@@ -126,8 +150,19 @@ class VirtualCharger:
         self._servos()
         self._sample()
         self._serve()
+        self._step()
+
+    def _step(self) -> None:
+        """Let the machine decide, and carry out what it says."""
         command = self.machine.step(self.distort(self.observe()))
         self._replies = []
+        self._follow(command)
+        if not self.states or self.states[-1] is not self.machine.status.state:
+            self.states.append(self.machine.status.state)
+        if self.machine.outcome is not None:
+            self.outcome, self.machine.outcome = self.machine.outcome, None
+
+    def _follow(self, command: Command) -> None:
         if command.trajectory is not None:
             self._trajectory = command.trajectory
             self._started = self.now
@@ -142,24 +177,20 @@ class VirtualCharger:
                 self.plant.close_contactor()
             else:
                 self.plant.open_contactor(True)
-        if not self.states or self.states[-1] is not self.machine.status.state:
-            self.states.append(self.machine.status.state)
-        if self.machine.outcome is not None:
-            self.outcome, self.machine.outcome = self.machine.outcome, None
 
     def observe(self) -> Observation:
         """Return what the topics would tell."""
-        readings = [self.plant.read_servo(index) for index in range(3)]
+        angles, currents = self._reading()
         _, target, current, closed, fault = self.plant.read_power()
         return Observation(
             time=self.now,
-            angles=(readings[0][0], readings[1][0], readings[2][0]),
-            currents=(_counts(readings[0][2]), _counts(readings[1][2]), _counts(readings[2][2])),
+            angles=angles,
+            currents=currents,
             servo_age=0.0,
             servos_valid=True,
             torque_enabled=self._torque,
             tactile_age=0.0,
-            tactile_contact=bool(np.nanmax(self._frame) >= 1.0),
+            tactile_contact=self._feels(),
             tared=self._tared,
             power_age=0.0,
             contactor_closed=closed,
@@ -168,6 +199,15 @@ class VirtualCharger:
             power_fault=fault,
             replies=tuple(self._replies),
         )
+
+    def _reading(self) -> tuple[Vector, Vector]:
+        """Return angles (rad) and currents (A) as servo_state tells them."""
+        (a, _, i, _, _), (b, _, j, _, _), (c, _, k, _, _) = (self.plant.read_servo(index) for index in range(3))
+        return (a, b, c), (counts(i), counts(j), counts(k))
+
+    def _feels(self) -> bool:
+        """Return whether some taxel feels 1 N."""
+        return bool(np.nanmax(self._frame) >= 1.0)
 
     def _angles(self) -> list[float]:
         return [self.plant.read_servo(index)[0] for index in range(3)]
@@ -195,7 +235,7 @@ class VirtualCharger:
 
     def _accept(self, request: Request) -> None:
         delay = {Service.TARE: 0.2, Service.PROBE: 0.2, Service.ESTIMATE: (request.frames + 1) * FRAME}
-        self._pending.append(_Pending(request, self.now + delay.get(request.service, 0.02), []))
+        self._pending.append(Pending(request, self.now, self.now + delay.get(request.service, 0.02), []))
 
     def _serve(self) -> None:
         for pending in [pending for pending in self._pending if self.now >= pending.due]:
@@ -206,7 +246,7 @@ class VirtualCharger:
             if answer is not None:
                 self._replies.append(answer)
 
-    def _reply(self, pending: _Pending) -> Reply:
+    def _reply(self, pending: Pending) -> Reply:
         number, service = pending.request.number, pending.request.service
         if service in (Service.TORQUE_ON, Service.TORQUE_OFF):
             self._torque = service is Service.TORQUE_ON

@@ -7,7 +7,7 @@ from collections import deque
 
 from deltacharger_docking.observation import NAN3
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.geometry import LIMB_COUNT, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.statics import TORQUE_CONSTANT
 
@@ -26,32 +26,68 @@ class ContactCurrent:
         self._kinematics = kinematics
         self._gravity = parameters.gravity
         self._signal = parameters.current_signal
+        geometry = kinematics.geometry
+        self._limbs = tuple(geometry.limb(index) for index in range(LIMB_COUNT))
+        self._platform = geometry.platform_mass + 1.5 * geometry.rod_mass
+        self._half_rod = 0.5 * geometry.rod_mass
         self._window: deque[tuple[float, float]] = deque()
+        self._median = math.nan
         self._tare = 0.0
         self._factor = math.nan
+        self._angles: Vector = NAN3
+        self._along_z: Vector = NAN3
+        self._weight = math.nan
         self.position: Vector = NAN3
 
     def update(self, time: float, angles: Vector, currents: Vector) -> None:
         """Take one reading of arm angles (rad) and currents (A) made at `time` (s)."""
-        kinematics = self._kinematics
-        self.position = x, y, z = kinematics.forward(*angles)
-        jacobian = kinematics.jacobian(x, y, z)
-        self._factor = (jacobian[6] + jacobian[7] + jacobian[8]) / (3.0 * TORQUE_CONSTANT)
+        if angles != self._angles:
+            self._move(angles)
         if self._signal == "contact":
-            held = kinematics.holding_torque(x, y, z, self._gravity)
-            push = [current * TORQUE_CONSTANT - hold for current, hold in zip(currents, held, strict=True)]
-            value = kinematics.force(x, y, z, (push[0], push[1], push[2]))[2]
+            a, b, c = self._along_z
+            value = TORQUE_CONSTANT * (a * currents[0] + b * currents[1] + c * currents[2]) - self._weight
         else:
             raw = max(abs(current) for current in currents) if self._signal == "max" else sum(map(abs, currents))
             value = raw / self._factor
+        window = self._window
         if math.isfinite(value):
-            self._window.append((time, value))
-        while self._window and self._window[0][0] < time - _WINDOW:
-            self._window.popleft()
+            window.append((time, value))
+        while window and window[0][0] < time - _WINDOW:
+            window.popleft()
+        self._median = math.nan
+
+    def _move(self, angles: Vector) -> None:
+        """Take over arm angles (rad): where the platform is, and what the servos' torques do there.
+
+        The force along z is the last column of J⁻¹ times the torques, less its reading of those that hold the arm,
+        τ_hold = Jᵀ(−m g) − rods: with them its own weight comes back, −m g_z, and what the rods' elbow halves add.
+        """
+        self._angles = angles
+        self.position = x, y, z = self._kinematics.forward(*angles)
+        a, b, c, d, e, f, g, h, i = self._kinematics.jacobian(x, y, z)
+        self._factor = (g + h + i) / (3.0 * TORQUE_CONSTANT)
+        p, q, r = b * f - c * e, c * d - a * f, a * e - b * d
+        determinant = g * p + h * q + i * r
+        if determinant == 0.0 or not math.isfinite(determinant):  # a limb at its edge, or angles that are none
+            self._along_z, self._weight = NAN3, math.nan
+            return
+        self._along_z = p / determinant, q / determinant, r / determinant
+        self._weight = self._rods_along_z() - self._platform * self._gravity[2]
+
+    def _rods_along_z(self) -> float:
+        """Return the force (N) along z that the torques bear which hold the rods' elbow halves."""
+        gx, gy, gz = self._gravity
+        force = 0.0
+        for share, limb, angle in zip(self._along_z, self._limbs, self._angles, strict=True):
+            turned = angle + limb.angle_offset
+            torque = limb.arm * (gz * math.cos(turned) - (gx * limb.cosine + gy * limb.sine) * math.sin(turned))
+            force -= share * self._half_rod * torque
+        return force
 
     def clear(self) -> None:
         """Forget what was read before, so that the next value holds only what follows."""
         self._window.clear()
+        self._median = math.nan
 
     def tare(self) -> None:
         """Take the present force as zero (free air, at rest after a motion along +z); raw signals have no zero."""
@@ -61,12 +97,11 @@ class ContactCurrent:
     @property
     def force(self) -> float:
         """Force (N) of the servos on the target along +z, median over 0.12 s; NaN without readings."""
-        if not self._window:
-            return math.nan
-        values = sorted(value for _, value in self._window)
-        middle = len(values) // 2
-        median = values[middle] if len(values) % 2 else 0.5 * (values[middle - 1] + values[middle])
-        return median - self._tare
+        if self._median != self._median and self._window:
+            values = sorted(value for _, value in self._window)
+            middle = len(values) // 2
+            self._median = values[middle] if len(values) % 2 else 0.5 * (values[middle - 1] + values[middle])
+        return self._median - self._tare
 
     @property
     def value(self) -> float:

@@ -32,12 +32,18 @@ _SPRING_TRAVEL = 0.004  # m of retreat that electrodes on springs cannot follow,
 class Context:
     """State shared by the scripts; the machine fills `observation` before and reads the commands after each tick."""
 
-    def __init__(self, parameters: DockingParameters, geometry: DeltaGeometry) -> None:
+    def __init__(
+        self,
+        parameters: DockingParameters,
+        geometry: DeltaGeometry,
+        planner: Planner | None = None,
+        feed: TrajectoryFeed | None = None,
+    ) -> None:
         self.parameters = parameters
         self.kinematics = ScalarDelta(geometry)
         self.contact = ContactCurrent(self.kinematics, parameters)
-        self.planner = Planner(parameters, geometry)
-        self.feed = TrajectoryFeed(parameters.servo_damping / parameters.servo_stiffness)
+        self.planner = planner or Planner(parameters, geometry)
+        self.feed = feed or TrajectoryFeed(parameters.servo_damping / parameters.servo_stiffness)
         self.status = Status()
         self.observation = Observation(time=0.0)
         self.energise = False
@@ -45,6 +51,8 @@ class Context:
         self.energy = 0.0
         self.commanded: Vector = (math.nan, math.nan, math.nan)
         self.deadline = math.inf
+        self.idle_until = -math.inf
+        self.reads = False  # the readings up to then count
         self._retreats = False  # the line under way leads away from the target
         self._numbers = itertools.count(1)
         self._told: Piece | None = None  # in place of the line under way
@@ -64,6 +72,7 @@ class Context:
     def observe(self, observation: Observation) -> None:
         """Take the observation of this tick."""
         previous, self.observation = self.observation, observation
+        self.idle_until, self.reads = -math.inf, False
         if observation.servos_valid:
             self.contact.update(observation.time, observation.angles, observation.currents)
         self._replies.update((reply.number, reply) for reply in observation.replies)
@@ -103,10 +112,11 @@ class Context:
             return None
         return PhaseTimeout(f"{self.status.state.name} took longer than allowed; see the parameter for this phase")
 
-    def wait(self, seconds: float) -> Script[None]:
-        """Let `seconds` pass."""
+    def wait(self, seconds: float, reads: bool = False) -> Script[None]:
+        """Let `seconds` pass; `reads` where the contact current is judged by the readings of this time."""
         end = self.time + seconds
         while self.time < end:
+            self.idle_until, self.reads = end, reads
             yield
 
     def ask(self, service: Service, error: type[DockingError], timeout: float, frames: int = 0) -> Script[Reply]:
@@ -121,6 +131,7 @@ class Context:
         while request.number not in self._replies:
             if self.time > end:
                 raise error(f"no answer from {service.value} within {timeout:.1f} s; is its node running?")
+            self.idle_until = end
             yield
         return self._replies.pop(request.number)
 
@@ -154,6 +165,7 @@ class Context:
         self._retreats = goal[2] < start[2]
         self.commanded = goal
         while self.feed.is_under_way(self.time):
+            self.idle_until = self.feed.end
             yield
         if settle:
             yield from self.rest()
@@ -180,7 +192,7 @@ class Context:
         """
         yield from self.wait(self.parameters.settle_time)
         self.contact.clear()
-        yield from self.wait(0.13)
+        yield from self.wait(0.13, reads=True)
         end = self.time + self.parameters.servo_age_max
         while not math.isfinite(self.contact.value) or self.observation.servo_age > self.parameters.press_age_max:
             if self.time > end:

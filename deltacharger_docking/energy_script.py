@@ -65,6 +65,8 @@ def energise(context: Context) -> Script[None]:
             stable_since = math.inf
         elif stable_since == math.inf:
             stable_since = context.time
+        if flowing:
+            context.idle_until, context.reads = stable_since + parameters.charge_stable_time, True
         yield
 
 

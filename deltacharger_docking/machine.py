@@ -32,9 +32,11 @@ from deltacharger_docking.contact_script import approach, contact, first_push
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.energy_script import CONTACT_LOST, charge, de_energise, energise
 from deltacharger_docking.goal_check import check_goal, check_place, suggested_base
+from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, Detection, DockGoal, Observation, Outcome, Service, Status
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_docking.trajectory_feed import TrajectoryFeed
+from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 
 _NEEDS_TORQUE = (State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
 _NEEDS_TOUCH = (State.APPROACH, *_NEEDS_TORQUE)
@@ -46,11 +48,19 @@ class DockingMachine:
     Args:
         parameters: what it decides by.
         geometry: the delta's dimensions.
+        planner: of lines; None = the usual one.
+        feed: that tells lines to the servos; None = piece by piece.
     """
 
-    def __init__(self, parameters: DockingParameters, geometry: DeltaGeometry | None = None) -> None:
+    def __init__(
+        self,
+        parameters: DockingParameters,
+        geometry: DeltaGeometry | None = None,
+        planner: Planner | None = None,
+        feed: TrajectoryFeed | None = None,
+    ) -> None:
         self.parameters = parameters
-        self._context = Context(parameters, geometry or DeltaGeometry())
+        self._context = Context(parameters, geometry or DeltaGeometry(), planner, feed)
         self._script: Generator[None, None, None] | None = None
         self._cancel = False
         self._interruptible = False
@@ -69,6 +79,24 @@ class DockingMachine:
     def busy(self) -> bool:
         """Whether a goal is being served; supervision after success leaves the machine free for the next goal."""
         return self._script is not None and not self._supervising
+
+    @property
+    def idle_until(self) -> float:
+        """Until when (s) the script only lets time pass, as far as it knows; what interrupts it is looked at in steps.
+
+        A shell in virtual time may take longer steps until then: it must only take them before the pieces of a line
+        run out, and feed the readings between them to `read` where `reads`.
+        """
+        return self._context.idle_until
+
+    @property
+    def reads(self) -> bool:
+        """Whether the script judges by the readings made until `idle_until`."""
+        return self._context.reads
+
+    def read(self, time: float, angles: Vector, currents: Vector) -> None:
+        """Take a reading of the servos (s, rad, A) between two steps."""
+        self._context.contact.update(time, angles, currents)
 
     def start_dock(self, goal: DockGoal, observation: Observation) -> None:
         """Begin to dock.

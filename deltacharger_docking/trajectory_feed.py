@@ -49,6 +49,11 @@ class TrajectoryFeed:
         """Forget the line."""
         self._line, self._times = (), ()
 
+    @property
+    def end(self) -> float:
+        """When the line ends (s) if nothing holds it; it must not be empty."""
+        return self._origin + self._times[-1]
+
     def is_under_way(self, time: float) -> bool:
         """Return whether the line has not come to its end; held ones have not."""
         if not self._line:
