@@ -19,10 +19,13 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
-from deltacharger_bringup.virtual_charger import GOAL, VirtualCharger
-from deltacharger_docking.observation import DockGoal, Outcome
+from deltacharger_bringup.campaign.docking import run
+from deltacharger_bringup.campaign.draw import Drawn
+from deltacharger_bringup.virtual_charger import GOAL
+from deltacharger_docking.observation import DockGoal
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
+from deltacharger_tactile.parameters import TactileParameters
 
 BANDS = ((0.0, 5.0), (5.0, 7.0), (7.0, 8.0), (8.0, 9.0), (9.0, 10.0), (10.0, 12.0), (12.0, 16.0))  # degrees
 STIFFNESS = (2.5, 5.0, 10.0, 15.0, 20.0)  # N·m/rad
@@ -41,17 +44,16 @@ class Tally:
     unsafe: float = 0.0
     peak_push: float = 0.0
 
-    def add(self, run: VirtualCharger, outcome: Outcome) -> None:
-        truth, record = run.world.snapshot(), run.world.record
-        self.codes[outcome.code.name] += 1
-        self.shorts += record.energised_shorts
-        self.unsafe += record.energised_unsafe
-        self.peak_push = max(self.peak_push, record.peak_push)
-        if outcome.success and truth.misalignment is not None:
-            self.times.append(outcome.elapsed)
-            self.moves.append(outcome.alignments)
-            self.rest.append(1000 * math.hypot(*truth.misalignment[:2]))
-            self.in_band += 0.4 <= outcome.contact_current <= 0.5
+    def add(self, row: dict[str, Any]) -> None:
+        self.codes[row["code_name"]] += 1
+        self.shorts += row["shorts"]
+        self.unsafe += row["energised_unsafe"]
+        self.peak_push = max(self.peak_push, row["peak_push"])
+        if row["charged"] and not math.isnan(row["final_misalignment"]):
+            self.times.append(row["time"])
+            self.moves.append(row["moves"])
+            self.rest.append(1000 * row["final_misalignment"])
+            self.in_band += 0.4 <= row["contact_current"] <= 0.5
 
     def summary(self) -> dict[str, Any]:
         count = sum(self.codes.values())
@@ -71,8 +73,8 @@ class Tally:
         }
 
 
-def dock(number: int, roll: float, stiffness: float, approach: str, charge: bool) -> tuple[VirtualCharger, Outcome]:
-    """Run docking `number` on a target with `roll` (degrees)."""
+def dock(number: int, roll: float, stiffness: float, approach: str, charge: bool) -> dict[str, Any]:
+    """Run docking `number` on a target with `roll` (degrees), computing all that the nodes would."""
     draw = random.Random(number)
     target = TargetParameters(
         x=draw.uniform(-0.008, 0.008),
@@ -82,8 +84,8 @@ def dock(number: int, roll: float, stiffness: float, approach: str, charge: bool
     )
     world = WorldParameters(target=target, servo=ServoParameters(stiffness=stiffness))
     parameters = DockingParameters(servo_stiffness=stiffness, approach=approach)
-    run = VirtualCharger(world, parameters, seed=number, rig_seed=number)
-    return run, run.dock(DockGoal(GOAL, start_charging=charge))
+    drawn = Drawn(number, {}, world, TactileParameters(), parameters, GOAL, number, number, (0.0, 0.0))
+    return run(drawn, exact=True, goal=DockGoal(GOAL, start_charging=charge))
 
 
 def main() -> int:
@@ -102,8 +104,7 @@ def main() -> int:
             number += 1
             draw = random.Random(number)
             roll = draw.uniform(low, high) * draw.choice((-1, 1))
-            run, outcome = dock(number, roll, stiffness or draw.choice(STIFFNESS), approach, stiffness is None)
-            tally.add(run, outcome)
+            tally.add(dock(number, roll, stiffness or draw.choice(STIFFNESS), approach, stiffness is None))
             print(f"\r{name}: {sum(tally.codes.values())}/{arguments.dockings}   ", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     summaries = {name: tally.summary() for name, tally in groups.items()}

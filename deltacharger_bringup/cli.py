@@ -11,25 +11,24 @@ import importlib
 import math
 import signal
 import sys
+import warnings
 from collections.abc import Sequence
 from types import FrameType
 
 from deltacharger_bringup.cli_calibrate_options import add_camera, add_kinematics, add_tactile_calibration
+from deltacharger_bringup.cli_campaign_options import add_campaign
 from deltacharger_bringup.cli_hardware_options import add_doctor, add_fault, add_simulate
 from deltacharger_bringup.cli_output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
 from deltacharger_bringup.cli_parser import Parser, Version, add_command
-from deltacharger_bringup.cli_report_options import add_vision as add_vision_report
-from deltacharger_bringup.cli_simulation_options import add_simulation_report
-from deltacharger_bringup.cli_tactile_options import add_comparison, add_tactile
-from deltacharger_bringup.cli_types import DEGREES, MILLIMETRES, POSITIVE, SEED, deadline, namespace, whole
+from deltacharger_bringup.cli_report_options import add_reports
+from deltacharger_bringup.cli_tactile_options import add_tactile
+from deltacharger_bringup.cli_types import DEGREES, MILLIMETRES, POSITIVE, deadline, namespace
 from deltacharger_bringup.cli_vision_options import add_vision
 
 DEFAULT_SCENE = "simulated"
 DEFAULT_PICTURE = "dock.png"
-DEFAULT_REPORT = "report-kinematics"
 
 _LATER: dict[str, tuple[str, ...]] = {
-    "campaign": (),
     "view": (),
     "replay": (),
 }
@@ -45,6 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if arguments is not None:
         return _run(words)
+    warnings.showwarning = _show_warning
     try:
         signal.signal(signal.SIGINT, _interrupt)  # until the command, imported later, takes signals over
         return _run(words)
@@ -56,6 +56,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     finally:
         if signal.getsignal(signal.SIGINT) is _interrupt:  # nobody catches it while the interpreter ends
             signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _show_warning(message: Warning | str, *where: object, **more: object) -> None:
+    say(f"warning: {message}")
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -117,9 +121,10 @@ def build_parser() -> argparse.ArgumentParser:
     _add_fault(commands)
     _add_doctor(commands)
     _add_calibrate(commands)
-    _add_report(commands)
+    add_reports(commands, _LATER_ACTIONS["report"])
     _add_tactile(commands)
     _add_vision(commands)
+    add_campaign(commands)
     for name, parts in _LATER.items():
         what = f" ({'|'.join(parts)})" if parts else ""
         commands.add_parser(name, help=f"not yet available{what}", add_help=False)
@@ -255,32 +260,6 @@ def _add_calibrate(commands: argparse._SubParsersAction[argparse.ArgumentParser]
     camera = add_command(actions, "camera", ("deltacharger_bringup.cli_calibrate_camera", "camera"), text)
     add_camera(camera)
     _add_namespace(camera)
-
-
-def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = commands.add_parser("report", help="measure a part and write a page", description="Measure and report.")
-    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
-    kinematics = add_command(
-        actions,
-        "kinematics",
-        ("deltacharger_bringup.cli_report", "kinematics"),
-        "error against run time of inverse and forward kinematics, extremes, and pictures of the workspace",
-    )
-    kinematics.add_argument(
-        "--out", default=DEFAULT_REPORT, metavar="DIR", help=f"folder, made where missing (default: {DEFAULT_REPORT})"
-    )
-    points = "per set, 50 to 100000 (default: 5000, with --quick 200)"
-    kinematics.add_argument("--points", type=whole(50, 100_000), metavar="N", help=points)
-    kinematics.add_argument("--seed", type=SEED, default=1, metavar="S", help="of every set (default: 1)")
-    kinematics.add_argument("--quick", action="store_true", help="fewer points and shorter timings, for a first look")
-    text = "compare the classifiers of misalignment on simulated data: accuracy, run time, splits, shifts, confidence"
-    add_comparison(add_command(actions, "tactile", ("deltacharger_bringup.cli_report", "tactile"), text))
-    text = "the electrode detector on simulated images: what it finds, errors, run time, false alarms, both renderers"
-    add_vision_report(add_command(actions, "vision", ("deltacharger_bringup.cli_report", "vision"), text))
-    text = "error against run time, stability, energy and extremes of the simulated charger's mechanics"
-    add_simulation_report(add_command(actions, "simulation", ("deltacharger_bringup.cli_report", "simulation"), text))
-    for name in _LATER_ACTIONS["report"]:
-        actions.add_parser(name, help="not yet available", add_help=False)
 
 
 def _add_tactile(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

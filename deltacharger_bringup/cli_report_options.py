@@ -1,20 +1,55 @@
-"""Options of `deltacharger report vision`."""
+"""The options of `deltacharger report`; what it does stands in cli_report.py."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 
+from deltacharger_bringup.cli_parser import add_command
+from deltacharger_bringup.cli_tactile_options import add_comparison
 from deltacharger_bringup.cli_types import SEED, whole
 
-DEFAULT_REPORT = "report-vision"
+_MODULE = "deltacharger_bringup.cli_report"
 
 
-def add_vision(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the report of the electrode detector."""
-    parser.add_argument(
-        "--out", default=DEFAULT_REPORT, metavar="DIR", help=f"folder, made where missing (default: {DEFAULT_REPORT})"
-    )
+def add_reports(commands: argparse._SubParsersAction[argparse.ArgumentParser], later: Sequence[str]) -> None:
+    """Add the command with a report of each part; those of `later` are named as not yet available."""
+    parser = commands.add_parser("report", help="measure a part and write a page", description="Measure and report.")
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
+    text = "error against run time of inverse and forward kinematics, extremes, and pictures of the workspace"
+    _add_kinematics(add_command(actions, "kinematics", (_MODULE, "kinematics"), text))
+    text = "compare the classifiers of misalignment on simulated data: accuracy, run time, splits, shifts, confidence"
+    add_comparison(add_command(actions, "tactile", (_MODULE, "tactile"), text))
+    text = "the electrode detector on simulated images: what it finds, errors, run time, false alarms, both renderers"
+    _add_vision(add_command(actions, "vision", (_MODULE, "vision"), text))
+    text = "error against run time, stability, energy and extremes of the simulated charger's mechanics"
+    _add_simulation(add_command(actions, "simulation", (_MODULE, "simulation"), text))
+    for name in later:
+        actions.add_parser(name, help="not yet available", add_help=False)
+
+
+def _add_kinematics(parser: argparse.ArgumentParser) -> None:
+    _add_folder(parser, "report-kinematics")
+    points = "per set, 50 to 100000 (default: 5000, with --quick 200)"
+    parser.add_argument("--points", type=whole(50, 100_000), metavar="N", help=points)
+    parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="of every set (default: 1)")
+    parser.add_argument("--quick", action="store_true", help="fewer points and shorter timings, for a first look")
+
+
+def _add_vision(parser: argparse.ArgumentParser) -> None:
+    _add_folder(parser, "report-vision")
     images = "of a usual row, 2 to 1000 (default: 150, with --quick 15); rows of targets have more"
     parser.add_argument("--images", type=whole(2, 1000), metavar="N", help=images)
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="shifts the seeds of all images (default: 0)")
     parser.add_argument("--quick", action="store_true", help="a tenth of the images, for a first look")
+
+
+def _add_simulation(parser: argparse.ArgumentParser) -> None:
+    _add_folder(parser, "report-simulation")
+    parser.add_argument("--quick", action="store_true", help="few steps and stiffnesses, for a first look")
+
+
+def _add_folder(parser: argparse.ArgumentParser, default: str) -> None:
+    parser.add_argument(
+        "--out", default=default, metavar="DIR", help=f"folder, made where missing (default: {default})"
+    )

@@ -9,6 +9,7 @@ from typing import Any
 
 from deltacharger_bringup.cli_output import DONE, WRONG_INPUT, CommandError, say, tell, write_json
 from deltacharger_bringup.scene import Scene, SceneError, load_scene, packaged_scenes
+from deltacharger_sim.proven import doubts
 
 
 def load_for_command(name_or_file: str) -> Scene:
@@ -42,14 +43,19 @@ def list_scenes(options: argparse.Namespace) -> int:
 
 
 def check(options: argparse.Namespace) -> int:
-    """Load scenes and report each one's first problem."""
+    """Load scenes and report each one's first problem, and what of a simulated world is not proven."""
     reports = []
     for name in options.scenes or list(packaged_scenes()):
         try:
             scene = load_scene(name)
-            reports.append({"scene": scene.name, "file": scene.file, "ok": True, "key": "", "problem": ""})
+            warnings = [] if scene.simulation is None else list(doubts(scene.simulation.world))
+            good = {"scene": scene.name, "file": scene.file, "ok": True, "key": "", "problem": "", "warnings": warnings}
+            reports.append(good)
+            for warning in warnings:
+                say(f"{scene.file}: warning: simulation.world: {warning}")
         except SceneError as error:
-            reports.append({"scene": name, "file": error.file, "ok": False, "key": error.key, "problem": error.problem})
+            refused = {"scene": name, "file": error.file, "ok": False, "key": error.key, "problem": error.problem}
+            reports.append({**refused, "warnings": []})
             say(str(error))
     if options.json:
         write_json({"ok": all(report["ok"] for report in reports), "scenes": reports})
@@ -60,12 +66,16 @@ def check(options: argparse.Namespace) -> int:
 
 
 def explain(options: argparse.Namespace) -> int:
-    """Show what a scene sets; with --all also every key that it could set."""
+    """Show what a scene sets, starts, loads and leaves out; with --all also every key that it could set."""
+    from deltacharger_bringup.scene_parts import describe_parts, tell_parts
+
     scene = load_for_command(options.scene)
     keys = list(describe(scene))
     shown = keys if options.all or options.json else [key for key in keys if key["set"]]
+    parts = describe_parts(scene)
     if options.json:
-        write_json({"scene": scene.name, "description": scene.description, "file": scene.file, "keys": shown})
+        head = {"scene": scene.name, "description": scene.description, "file": scene.file}
+        write_json({**head, "keys": shown, **parts})
         return DONE
     tell(f"{scene.name} ({_kind(scene)}): {scene.description}\n{scene.file}\n")
     for key in shown:
@@ -75,6 +85,7 @@ def explain(options: argparse.Namespace) -> int:
             tell(f"    {'; '.join(about)}")
     if not options.all:
         tell(f"\n{len(keys) - len(shown)} more keys stand at their default; --all shows them.")
+    tell(f"\n{tell_parts(parts)}")
     return DONE
 
 

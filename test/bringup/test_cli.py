@@ -171,6 +171,16 @@ def test_scene_list_check_and_explain_print_one_object_each(capsys: pytest.Captu
     assert any(key["key"] == "simulation.world.servo.stiffness" for key in one_object(out)["keys"])
 
 
+def test_scene_check_warns_of_a_world_that_is_not_proven(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "coarse.yaml"
+    path.write_text("simulation: {world: {step: 0.1}}\n")
+    code, out, err = run(capsys, "scene", "check", "--json", str(path))
+    assert code == 0
+    (report,) = json.loads(out)["scenes"]
+    assert "the nearest that has: step" in report["warnings"][0]
+    assert "warning" in err
+
+
 def test_scene_check_is_2_where_one_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "bad.yaml"
     path.write_text("goal: {x: 9}", encoding="utf-8")

@@ -1,0 +1,1 @@
+"""Campaigns: thousands of simulated dockings without ROS, each drawn from the campaign's seed and its number alone."""

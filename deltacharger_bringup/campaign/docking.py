@@ -1,0 +1,185 @@
+"""One docking of a campaign, from its number to its row of results."""
+
+from __future__ import annotations
+
+import math
+import traceback
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from deltacharger_bringup.campaign.draw import AXES, Drawn, draw
+from deltacharger_bringup.campaign.keys import known_keys
+from deltacharger_bringup.campaign.quick_charger import QuickCharger
+from deltacharger_bringup.campaign.scene import CampaignScene
+from deltacharger_bringup.virtual_charger import VirtualCharger
+from deltacharger_docking.codes import Code, DockingError
+from deltacharger_docking.observation import DockGoal, Outcome, Reply, Service
+from deltacharger_tactile.source import ContactSource
+
+LIMIT = 420.0  # simulated s; docking itself ends after goal_timeout and its way back
+CRASHED = "CRASHED"
+_TEXT_MOST = 2000
+
+RESULTS: dict[str, tuple[type, str]] = {
+    "code": (int, "code of the outcome, 0 = charged; -1 = the docking crashed, see error"),
+    "code_name": (str, "its name"),
+    "message": (str, "what docking said"),
+    "charged": (bool, "whether charge current flowed stably"),
+    "aligned": (bool, "whether the filtered misalignment had come within the tolerance"),
+    "time": (float, "s from the goal to its outcome"),
+    "moves": (int, "lateral corrections"),
+    "contact_current": (float, "A per servo at the outcome, as measured"),
+    "charge_current": (float, "A into the target at the outcome"),
+    "shorts": (int, "times that live electrodes were shorted"),
+    "energised_unsafe": (float, "s that electrodes were live with negative clearance"),
+    "parted_live": (int, "times that live electrodes left the target"),
+    "contacts": (int, "times that the electrodes met the target"),
+    "peak_force": (float, "N, largest normal force on the electrodes"),
+    "peak_push": (float, "N, largest force of the servos along z"),
+    "time_above_band": (float, "s in contact with a contact current above the band"),
+    "final_horizontal": (float, "m, truth at the outcome, target in end_effector; NaN = not in contact"),
+    "final_vertical": (float, "m, likewise"),
+    "final_angle": (float, "rad, likewise"),
+    "final_misalignment": (float, "m, distance of the centres of a charged docking; NaN = not charged"),
+    "clearance": (float, "m, truth at the outcome, between the nearest wrong bars; NaN = not in contact"),
+    "felt_horizontal": (float, "m, last estimate"),
+    "felt_vertical": (float, "m, last estimate"),
+    "felt_angle": (float, "rad, last estimate"),
+    "error": (str, "of a docking that crashed, else empty"),
+}
+"""Columns of what came out, with type, unit and meaning."""
+
+
+def columns(scene: CampaignScene) -> dict[str, tuple[type, str]]:
+    """Return every column of a campaign's results: number and seeds, what was drawn, what came out."""
+    found: dict[str, tuple[type, str]] = {
+        "number": (int, "of the docking, from 0"),
+        "seed": (int, "of its noise and jitter"),
+        "rig_seed": (int, "of its pads"),
+    }
+    for axis in AXES:
+        found[f"goal_{axis}"] = (float, "what the goal said, charger_base, m or rad")
+        found[f"place_{axis}"] = (float, "where the target really stood, charger_base, m or rad")
+    for name in scene.drawn():
+        key = known_keys()[name]
+        found[name] = (key.kind, f"{key.doc}, {key.unit}" if key.unit else key.doc)
+    return found | RESULTS
+
+
+def dock_once(scene: CampaignScene, seed: int, number: int, approach: str, exact: bool = False) -> dict[str, Any]:
+    """Run docking `number` of a campaign and return its row; one that crashes tells so in its row.
+
+    Args:
+        scene: what is drawn from.
+        seed: of the campaign.
+        number: of the docking.
+        approach: "guarded" or "paper".
+        exact: every tick and every tactile frame as the nodes make them, slower.
+    """
+    row: dict[str, Any] = {"number": number, "seed": 0, "rig_seed": 0} | _nothing()
+    try:
+        drawn = draw(scene, seed, number, approach)
+        row |= _what_was_drawn(drawn)
+        row |= run(drawn, exact)
+    except Exception as error:  # whatever it is, the other dockings go on
+        row |= _nothing()
+        row |= {"code": -1, "code_name": CRASHED, "message": f"{type(error).__name__}: {error}"}
+        row["error"] = "".join(traceback.format_exception(error))[-_TEXT_MOST:]
+    return row
+
+
+def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict[str, Any]:
+    """Run one docking to its outcome and return the columns of `RESULTS`."""
+    charger = make_charger(drawn, exact)
+    above, top = 0.0, drawn.docking.current_max
+    try:
+        charger.begin(goal or DockGoal(drawn.goal))
+    except DockingError as error:
+        refused = Outcome(False, error.code, str(error), error.retriable)
+        return result(charger, refused, 0.0)
+    while charger.outcome is None:
+        before = charger.now
+        if before > LIMIT:
+            raise TimeoutError(f"no outcome within {LIMIT:g} s; state {charger.machine.status.state.name}")
+        charger.tick()
+        if charger.machine.status.contact_current > top and charger.world.misalignment is not None:
+            above += charger.now - before
+    return result(charger, charger.outcome, above)
+
+
+def make_charger(drawn: Drawn, exact: bool) -> VirtualCharger:
+    """Return the charger of a docking, with the estimator's noise that was drawn."""
+    charger: VirtualCharger
+    if exact:
+        pads = ContactSource(drawn.tactile, drawn.rig_seed, drawn.seed)
+        charger = VirtualCharger(drawn.world, drawn.docking, drawn.seed, drawn.rig_seed, pads)
+    else:
+        charger = QuickCharger(drawn.world, drawn.docking, drawn.tactile, drawn.seed, drawn.rig_seed)
+    if any(drawn.estimator):
+        charger.answer[Service.ESTIMATE] = _noise(drawn)
+    return charger
+
+
+def _noise(drawn: Drawn) -> Callable[[Reply], Reply | None]:
+    """Return what adds noise to each estimate that its standard deviations do not tell."""
+    source, (place, turn) = drawn.source("estimator"), drawn.estimator
+
+    def worse(reply: Reply) -> Reply | None:
+        x, y, angle = place * source.gauss(0.0, 1.0), place * source.gauss(0.0, 1.0), turn * source.gauss(0.0, 1.0)
+        felt = reply.estimate
+        if felt is None:
+            return reply
+        changed = replace(felt, horizontal=felt.horizontal + x, vertical=felt.vertical + y, angle=felt.angle + angle)
+        return replace(reply, estimate=changed)
+
+    return worse
+
+
+def result(charger: VirtualCharger, outcome: Outcome, above: float) -> dict[str, Any]:
+    """Return the columns of `RESULTS` for a docking that has come to its `outcome`."""
+    truth, record, felt = charger.world.snapshot(), charger.world.record, outcome.estimate
+    x, y, angle = truth.misalignment or (math.nan, math.nan, math.nan)
+    return {
+        "code": int(outcome.code),
+        "code_name": outcome.code.name,
+        "message": "" if outcome.success else outcome.message,
+        "charged": outcome.success,
+        "aligned": outcome.aligned,
+        "time": outcome.elapsed,
+        "moves": outcome.alignments,
+        "contact_current": outcome.contact_current,
+        "charge_current": outcome.charge_current,
+        "shorts": int(record.energised_shorts),
+        "energised_unsafe": record.energised_unsafe,
+        "parted_live": int(record.parted_live),
+        "contacts": record.contacts,
+        "peak_force": record.peak_force,
+        "peak_push": record.peak_push,
+        "time_above_band": above,
+        "final_horizontal": x,
+        "final_vertical": y,
+        "final_angle": angle,
+        "final_misalignment": math.hypot(x, y) if outcome.success else math.nan,
+        "clearance": truth.clearance,
+        "felt_horizontal": felt.horizontal if felt is not None else math.nan,
+        "felt_vertical": felt.vertical if felt is not None else math.nan,
+        "felt_angle": felt.angle if felt is not None else math.nan,
+        "error": "",
+    }
+
+
+def _what_was_drawn(drawn: Drawn) -> dict[str, Any]:
+    target, goal = drawn.world.target, drawn.goal
+    told = (*goal.position, goal.roll)
+    row: dict[str, Any] = {"seed": drawn.seed, "rig_seed": drawn.rig_seed, **drawn.values}
+    for axis, value in zip(AXES, told, strict=True):
+        row[f"goal_{axis}"] = value
+        row[f"place_{axis}"] = getattr(target, axis)
+    return row
+
+
+def _nothing() -> dict[str, Any]:
+    """Return the columns of a docking of which nothing is known."""
+    nothing: dict[type, Any] = {int: 0, float: math.nan, bool: False, str: ""}
+    return {name: nothing[kind] for name, (kind, _) in RESULTS.items()} | {"code": int(Code.INTERNAL)}

@@ -1,0 +1,142 @@
+"""What a campaign draws a value from: a number, a range, a normal distribution or a choice."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from deltacharger_sim.parameters import ParameterError
+
+Value = float | bool
+_REDRAWS = 1000  # of a normal distribution outside the bounds; then its mean
+HELP = "give a number, a range [low, high], {mean: …, stddev: …} or {choose: [ … ]}"
+
+
+@dataclass(frozen=True)
+class Key:
+    """One value that a campaign may set.
+
+    Attributes:
+        low, high: bounds, inclusive.
+        unit: of value and bounds.
+        doc: what it is.
+        default: without the key; None = what the part itself has.
+        kind: float, int or bool.
+    """
+
+    low: float
+    high: float
+    unit: str
+    doc: str
+    default: float | bool | None = None
+    kind: type = float
+
+    def check(self, value: Any, where: str) -> Value:
+        """Return the value in its own type.
+
+        Raises:
+            ParameterError: it has the wrong type or lies outside the bounds.
+        """
+        if self.kind is bool:
+            if not isinstance(value, bool):
+                raise ParameterError(where, value, f"{value!r} is not true or false")
+            return value
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise ParameterError(where, value, f"{value!r} is not a number; {HELP}")
+        if not self.low <= value <= self.high:
+            raise ParameterError(
+                where, value, f"{value!r} is outside {self.low:g} to {self.high:g} {self.unit}".rstrip()
+            )
+        if self.kind is int and value != int(value):
+            raise ParameterError(where, value, f"{value!r} is not a whole number")
+        return int(value) if self.kind is int else float(value)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Where a value comes from.
+
+    Attributes:
+        shape: "fixed", "range", "normal" or "choose".
+        numbers: the value; low and high; mean and standard deviation; or the choices.
+        key: bounds and kind.
+    """
+
+    shape: str
+    numbers: tuple[Value, ...]
+    key: Key
+
+    def draw(self, source: random.Random) -> Value:
+        """Return one value, which lies within the bounds."""
+        first = self.numbers[0]
+        if self.shape == "fixed":
+            return first
+        if self.shape == "choose":
+            return self.numbers[source.randrange(len(self.numbers))]
+        if self.shape == "normal":
+            return self._normal(source)
+        last = self.numbers[1]
+        return source.randint(int(first), int(last)) if self.key.kind is int else source.uniform(first, last)
+
+    def _normal(self, source: random.Random) -> float:
+        mean, stddev = self.numbers
+        for _ in range(_REDRAWS):
+            value = source.gauss(mean, stddev)
+            if self.key.low <= value <= self.key.high:
+                return value
+        return float(mean)
+
+    @property
+    def ends(self) -> tuple[Value, Value]:
+        """Smallest and largest value of a range or a choice; the mean of a normal distribution."""
+        if self.shape == "normal":
+            return self.numbers[0], self.numbers[0]
+        return min(self.numbers), max(self.numbers)
+
+
+def read_spread(value: Any, key: Key, where: str) -> Spread:
+    """Return the spread that a YAML value describes.
+
+    Args:
+        value: number, truth value, [low, high], {mean, stddev} or {choose}.
+        key: what it may be.
+        where: dotted key, for messages.
+
+    Raises:
+        ParameterError: it is none of these, or a number in it lies outside the bounds.
+    """
+    if isinstance(value, list | tuple):
+        return _read_range(value, key, where)
+    if isinstance(value, Mapping):
+        if set(value) == {"choose"}:
+            choices = value["choose"]
+            if not isinstance(choices, list | tuple) or not choices:
+                raise ParameterError(f"{where}.choose", choices, f"{choices!r} is not a list of values")
+            checked = (key.check(item, f"{where}.choose[{index}]") for index, item in enumerate(choices))
+            return Spread("choose", tuple(checked), key)
+        if set(value) == {"mean", "stddev"} and key.kind is float:
+            return _read_normal(value, key, where)
+        raise ParameterError(where, dict(value), f"{dict(value)!r} is no distribution; {HELP}")
+    return Spread("fixed", (key.check(value, where),), key)
+
+
+def _read_range(value: Any, key: Key, where: str) -> Spread:
+    if len(value) != 2 or key.kind is bool:
+        raise ParameterError(where, value, f"{value!r} is no range [low, high]; {HELP}")
+    low, high = (key.check(item, f"{where}[{index}]") for index, item in enumerate(value))
+    if low > high:
+        raise ParameterError(where, value, f"{value!r} is empty: {low:g} is above {high:g}; give the lower one first")
+    return Spread("range", (low, high), key)
+
+
+def _read_normal(value: Mapping[str, Any], key: Key, where: str) -> Spread:
+    mean, stddev = key.check(value["mean"], f"{where}.mean"), value["stddev"]
+    known = not isinstance(stddev, bool) and isinstance(stddev, int | float)
+    if not known or not 0.0 <= stddev <= key.high - key.low:
+        raise ParameterError(
+            f"{where}.stddev", stddev, f"{stddev!r} is outside 0 to {key.high - key.low:g} {key.unit}".rstrip()
+        )
+    return Spread("normal", (mean, float(stddev)), key)
