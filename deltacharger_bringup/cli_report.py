@@ -24,16 +24,9 @@ def kinematics(options: argparse.Namespace) -> int:
         if error.name != "mpmath":
             raise
         raise CommandError("mpmath is not installed; install deltacharger[report]", FAILED) from error
-    for name, reason in results["missing_pictures"].items():
-        say(f"no picture {name}: {reason}")
     for name, reason in results["absent"].items():
         say(f"{name} is absent: {reason}")
-    say(f"{directory / report.PAGE}: written in {results['elapsed_s']:.0f} s")
-    if options.json:
-        write_json(_summary(results, directory, [report.PAGE, report.FIGURES], ("seed", "points")))
-        return DONE
-    _tell_targets(results)
-    return DONE
+    return _end(options, results, directory, [report.PAGE, report.FIGURES], ("seed", "points"))
 
 
 def tactile(options: argparse.Namespace) -> int:
@@ -48,16 +41,8 @@ def tactile(options: argparse.Namespace) -> int:
     if not plan.names:
         raise CommandError("nothing that trains is installed; install deltacharger[train]", FAILED)
     results = tactile_report.build(plan, directory, command, say)
-    for name, reason in results["missing_pictures"].items():
-        say(f"no picture {name}: {reason}")
-    files = [tactile_report.PAGE, tactile_report.HTML, tactile_report.FIGURES]
-    say(f"{directory / tactile_report.HTML}: written in {results['elapsed_s']:.0f} s")
-    if options.json:
-        write_json(_summary(results, directory, files, ("simulated", "rigs", "seeds")))
-        return DONE
-    tell("simulated data:")
-    _tell_targets(results)
-    return DONE
+    files = [tactile_report.HTML, tactile_report.PAGE, tactile_report.FIGURES]
+    return _end(options, results, directory, files, ("simulated", "rigs", "seeds"), "simulated data:")
 
 
 def vision(options: argparse.Namespace) -> int:
@@ -74,16 +59,8 @@ def vision(options: argparse.Namespace) -> int:
     if "opencv" in plan.absent:
         raise CommandError(f"OpenCV is absent: {plan.absent['opencv']}", FAILED)
     results = vision_report.build(plan, directory, command, say)
-    for name, reason in results["missing_pictures"].items():
-        say(f"no picture {name}: {reason}")
-    files = [vision_report.PAGE, vision_report.HTML, vision_report.FIGURES]
-    say(f"{directory / vision_report.HTML}: written in {results['elapsed_s']:.0f} s")
-    if options.json:
-        write_json(_summary(results, directory, files, ("simulated", "seed", "images")))
-        return DONE
-    tell("simulated images:")
-    _tell_targets(results)
-    return DONE
+    files = [vision_report.HTML, vision_report.PAGE, vision_report.FIGURES]
+    return _end(options, results, directory, files, ("simulated", "seed", "images"), "simulated images:")
 
 
 def simulation(options: argparse.Namespace) -> int:
@@ -96,13 +73,27 @@ def simulation(options: argparse.Namespace) -> int:
     for name, reason in simulation_plan.absent().items():
         say(f"{name} is absent: {reason}")
     results = simulation_report.build(plan, directory, command, say)
+    files = [simulation_report.PAGE, simulation_report.FIGURES, simulation_map.MODULE]
+    return _end(options, results, directory, files, ("models", "quick"))
+
+
+def _end(
+    options: argparse.Namespace,
+    results: dict[str, Any],
+    directory: Path,
+    files: list[str],
+    more: tuple[str, ...],
+    of_what: str = "",
+) -> int:
+    """Say what was written, the file to read first of all, and which targets are met."""
     for name, reason in results["missing_pictures"].items():
         say(f"no picture {name}: {reason}")
-    say(f"{directory / simulation_report.PAGE}: written in {results['elapsed_s']:.0f} s")
+    say(f"{directory / files[0]}: written in {results['elapsed_s']:.0f} s")
     if options.json:
-        files = [simulation_report.PAGE, simulation_report.FIGURES, simulation_map.MODULE]
-        write_json(_summary(results, directory, files, ("models", "quick")))
+        write_json(_summary(results, directory, files, more))
         return DONE
+    if of_what:
+        tell(of_what)
     _tell_targets(results)
     return DONE
 

@@ -7,7 +7,21 @@ class VisionError(Exception):
     """Root of every error raised by deltacharger_vision."""
 
 
-class ImageError(VisionError, ValueError):
+class _NamedError(VisionError, ValueError):
+    def __init__(self, name: str, reason: str) -> None:
+        self.name = name
+        self.reason = reason
+        super().__init__(f"{name}: {reason}")
+
+
+class _SourcedError(VisionError, ValueError):
+    def __init__(self, source: str, reason: str) -> None:
+        self.source = source
+        self.reason = reason
+        super().__init__(f"{source}: {reason}")
+
+
+class ImageError(_NamedError):
     """Arrays are not an RGB-D image. Example: colour 640 × 400 and depth 1280 × 720.
 
     Args:
@@ -15,13 +29,8 @@ class ImageError(VisionError, ValueError):
         reason: what is wrong with it and what to give instead.
     """
 
-    def __init__(self, name: str, reason: str) -> None:
-        self.name = name
-        self.reason = reason
-        super().__init__(f"{name}: {reason}")
 
-
-class CameraInfoError(VisionError, ValueError):
+class CameraInfoError(_SourcedError):
     """Intrinsics or a calibration file cannot be used. Example: a camera that was never calibrated has fx = 0.
 
     Args:
@@ -29,13 +38,8 @@ class CameraInfoError(VisionError, ValueError):
         reason: what is wrong and what to do.
     """
 
-    def __init__(self, source: str, reason: str) -> None:
-        self.source = source
-        self.reason = reason
-        super().__init__(f"{source}: {reason}")
 
-
-class TerminalError(VisionError, ValueError):
+class TerminalError(_SourcedError):
     """A terminal's geometry cannot be used. Example: a file in millimetres, bar_length: 70.
 
     Args:
@@ -43,24 +47,14 @@ class TerminalError(VisionError, ValueError):
         reason: what is wrong and what to do.
     """
 
-    def __init__(self, source: str, reason: str) -> None:
-        self.source = source
-        self.reason = reason
-        super().__init__(f"{source}: {reason}")
 
-
-class MountError(VisionError, ValueError):
+class MountError(_SourcedError):
     """The camera's pose on the charger cannot be used. Example: a quaternion of length 0.
 
     Args:
         source: file or field.
         reason: what is wrong and what to do.
     """
-
-    def __init__(self, source: str, reason: str) -> None:
-        self.source = source
-        self.reason = reason
-        super().__init__(f"{source}: {reason}")
 
 
 class ParameterError(VisionError, ValueError):
@@ -82,18 +76,13 @@ class ParameterError(VisionError, ValueError):
         super().__init__(f"{name} = {value!r} is outside {low:g}…{high:g} {unit}".rstrip() + "; correct it")
 
 
-class SceneError(VisionError, ValueError):
+class SceneError(_NamedError):
     """A scene cannot be rendered. Example: a pose that is not a rigid transform.
 
     Args:
         name: what it is about.
         reason: what is wrong and what to do.
     """
-
-    def __init__(self, name: str, reason: str) -> None:
-        self.name = name
-        self.reason = reason
-        super().__init__(f"{name}: {reason}")
 
 
 class RendererError(VisionError, RuntimeError):

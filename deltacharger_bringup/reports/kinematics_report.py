@@ -35,6 +35,7 @@ from deltacharger_bringup.reports.kinematics_solvers import (
 )
 from deltacharger_bringup.reports.kinematics_timing import Stopwatch
 from deltacharger_bringup.reports.kinematics_workspace import slice_workspace
+from deltacharger_bringup.reports.machine import processor
 from deltacharger_kinematics import DeltaGeometry
 
 PAGE, FIGURES = "kinematics.md", "kinematics.json"
@@ -200,19 +201,9 @@ def _target(name: str, wanted: str, value: float, unit: str, met: bool) -> dict[
 
 def _machine() -> dict[str, Any]:
     return {
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "system": platform.system(),
         "python": platform.python_version(),
         "numpy": np.__version__,
     }
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text("utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()

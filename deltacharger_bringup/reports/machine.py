@@ -19,10 +19,11 @@ def machine(libraries: Iterable[str]) -> dict[str, Any]:
         except PackageNotFoundError:
             continue
     about = {"cores": os.cpu_count(), "system": platform.system(), "python": platform.python_version()}
-    return {**about, "processor": _processor(), "load": os.getloadavg()[0], "versions": versions}
+    return {**about, "processor": processor(), "load": os.getloadavg()[0], "versions": versions}
 
 
-def _processor() -> str:
+def processor() -> str:
+    """Return what the processor calls itself."""
     try:
         lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
     except OSError:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import datetime
 import json
-import os
-import platform
 import tempfile
 import time
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from deltacharger_bringup.outcomes import json_ready
 from deltacharger_bringup.reports import tactile_plan, tactile_splits, tactile_summary
+from deltacharger_bringup.reports.machine import machine
 from deltacharger_bringup.reports.tactile_ceiling import ROWS
 from deltacharger_bringup.reports.tactile_html import write_html
 from deltacharger_bringup.reports.tactile_measure import WINDOWS, judge_rig
@@ -44,7 +42,7 @@ def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], N
     results: dict[str, Any] = {
         "simulated": True,
         "digest": TactileParameters().digest(),
-        "machine": _machine(),
+        "machine": machine(_LIBRARIES),
         "command": command,
         "date": datetime.date.today().isoformat(),
         "rigs": list(plan.rigs),
@@ -103,23 +101,3 @@ def tasks(plan: Plan, kept: str) -> list[Task]:
         for rig in plan.ceiling_rigs:
             found += [Task("one docking", row, (rig, plan.seeds[0], plan), 3.0) for row in ROWS]
     return found
-
-
-def _machine() -> dict[str, Any]:
-    versions = {}
-    for name in _LIBRARIES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    about = {"cores": os.cpu_count(), "system": platform.system(), "python": platform.python_version()}
-    return {**about, "processor": _processor(), "load": os.getloadavg()[0], "versions": versions}
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
-    except OSError:
-        lines = []
-    names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.processor() or platform.machine())

@@ -57,7 +57,7 @@ def refused(context: Any, what: Scene) -> Outcome:
 
 @pytest.fixture(autouse=True)
 def with_opencv() -> None:
-    pytest.importorskip("cv2")
+    pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 
 def test_from_the_picture_to_charging(context: Any) -> None:

@@ -22,7 +22,7 @@ from deltacharger_vision.simulated_camera import OAK_D
 
 from ..vision.hand_eye_rig import ARM, Rig, squared
 
-cv2 = pytest.importorskip("cv2")
+cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 COUNT = 10
 

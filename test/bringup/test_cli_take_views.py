@@ -33,7 +33,7 @@ from deltacharger_vision.simulated_camera import OAK_D
 from ..vision.hand_eye_rig import ARM, Rig, squared
 from .conftest import DEADLINE, Process, new_namespace, wait_until
 
-pytest.importorskip("cv2")
+pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 SCENE = """
 nodes: [mock_servo_node, mock_tactile_node, mock_detector_node, kinematics_node, misalignment_node, docking_node,

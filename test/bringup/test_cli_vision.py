@@ -22,7 +22,7 @@ from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.simulated_camera import OAK_D, SimulatedCamera
 from deltacharger_vision.simulated_scene import Scene
 
-cv2 = pytest.importorskip("cv2")
+cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 Array = np.ndarray[Any, Any]
 KEYS = {

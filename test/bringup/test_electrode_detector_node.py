@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator
@@ -13,93 +12,26 @@ from typing import Any
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Duration, Time
+from builtin_interfaces.msg import Duration
 from deltacharger.msg import ElectrodeDetection
 from deltacharger.srv import DetectElectrodes
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.node import Node
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_bringup.node_support import Spinner, StartupError
 from deltacharger_bringup.simulated_camera_node import SimulatedCameraNode
-from deltacharger_vision.image_node_io import camera_info_message, color_message, depth_message
-from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.simulated_camera import SimulatedCamera
 from deltacharger_vision.simulated_scene import Scene
 
+from .camera_driver import TARGET, Driver, picture
 from .conftest import wait_until
 
-pytest.importorskip("cv2")
+pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 from deltacharger_vision.electrode_detector_node import ElectrodeDetectorNode
-
-TARGET = (0.012, -0.009, 0.084, 0.06)
-
-
-def picture(target: bool = True) -> RgbdImage:
-    """What a camera at the default mount sees of a target at TARGET."""
-    pose = np.eye(4)
-    c, s = math.cos(TARGET[3]), math.sin(TARGET[3])
-    pose[:2, :2], pose[:3, 3] = [[c, -s], [s, c]], TARGET[:3]
-    camera_T_terminal = np.linalg.inv(Mount.default().pose) @ pose
-    return SimulatedCamera().render(Scene(target=target), camera_T_terminal, np.random.default_rng(5))
-
-
-class Driver(Node):
-    """An RGB-D driver that repeats one image at 20 Hz, with faults to order."""
-
-    def __init__(self, context: Any, namespace: str) -> None:
-        super().__init__("driver", context=context, namespace=namespace, use_global_arguments=False)
-        self.color = self.create_publisher(Image, "color/image_raw", qos_profile_sensor_data)
-        self.depth = self.create_publisher(Image, "depth/image_raw", qos_profile_sensor_data)
-        self.info = self.create_publisher(CameraInfo, "color/camera_info", qos_profile_sensor_data)
-        self.image, self.age, self.apart, self.silent = picture(), 0.0, 0.0, False
-        self.spoil: Callable[[Image, Image, CameraInfo], None] = lambda color, depth, info: None
-        self.client = self.create_client(DetectElectrodes, "detect_electrodes")
-        self.said: list[DiagnosticStatus] = []
-        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self.create_timer(0.05, self._publish)
-
-    @property
-    def listeners(self) -> int:
-        return sum(each.get_subscription_count() for each in (self.color, self.depth, self.info))
-
-    def ask(self, timeout: float = 0.0) -> DetectElectrodes.Response:
-        done = threading.Event()
-        seconds, rest = divmod(timeout, 1.0)
-        future = self.client.call_async(
-            DetectElectrodes.Request(timeout=Duration(sec=int(seconds), nanosec=int(1e9 * rest)))
-        )
-        future.add_done_callback(lambda _: done.set())
-        assert done.wait(30.0)
-        return future.result()
-
-    def _publish(self) -> None:
-        if self.silent:
-            return
-        now = self.get_clock().now().nanoseconds - round(1e9 * self.age)
-        messages = []
-        for make, content, late in (
-            (color_message, self.image.color, 0.0),
-            (depth_message, self.image.depth, self.apart),
-            (camera_info_message, self.image.intrinsics, 0.0),
-        ):
-            messages.append(make(content, _stamp(now + round(1e9 * late))))
-        color, depth, info = messages
-        self.spoil(color, depth, info)
-        self.info.publish(info)
-        self.color.publish(color)
-        self.depth.publish(depth)
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self.said += [each for each in message.status if self.get_namespace() in each.name]
-
-
-def _stamp(nanoseconds: int) -> Time:
-    return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
 
 
 def parameters(**values: Any) -> dict[str, Any]:

@@ -118,7 +118,7 @@ def test_the_platform_is_in_the_picture_where_the_servos_say(
 
 
 def test_a_board_on_the_platform_is_seen(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
-    cv2 = pytest.importorskip("cv2")
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
     arm_at(viewer, (0.0, 0.0, 0.03))
     camera(board="apriltag:36h11:7", board_size=0.03)
     viewer.watch("color/image_raw")

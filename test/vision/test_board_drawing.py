@@ -16,7 +16,7 @@ from deltacharger_vision.simulated_scene import Scene, shifted
 
 from .views import linear, view
 
-pytest.importorskip("cv2")
+pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 CAMERA = SimulatedCamera(parameters=CameraParameters.ideal())
 BACKGROUND = Scene(target=False, parameters=SceneParameters.even())

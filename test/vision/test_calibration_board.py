@@ -18,7 +18,7 @@ from deltacharger_vision.simulated_scene import Scene, shifted
 
 from .views import DISTORTIONS, view
 
-pytest.importorskip("cv2")
+pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 BOARDS = [
     AprilTag(),

@@ -31,7 +31,7 @@ from .detector_scenes import (
     without_depth,
 )
 
-pytest.importorskip("cv2")
+pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 DETECTOR = ElectrodeDetector()
 

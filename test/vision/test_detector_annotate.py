@@ -11,7 +11,7 @@ from deltacharger_vision.simulated_scene import Scene
 
 from .detector_scenes import pose_at, render
 
-pytest.importorskip("cv2")
+pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 
 def test_picture_is_a_copy_that_shows_what_was_found() -> None:

@@ -22,7 +22,7 @@ from deltacharger_vision.simulated_camera import OAK_D
 
 from .hand_eye_rig import DOCK, OFFSET, Rig, held, squared
 
-pytest.importorskip("cv2")
+pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 ALL = 1000
 """Holds no view out, where that is not asked about."""

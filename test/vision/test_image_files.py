@@ -16,7 +16,7 @@ from deltacharger_vision.errors import ImageError
 from deltacharger_vision.image_files import images_in, read_color, read_depth, read_rgbd, write_picture
 from deltacharger_vision.images import Intrinsics
 
-cv2 = pytest.importorskip("cv2")
+cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 CAMERA = Intrinsics(64, 40, 50.0, 50.0, 31.5, 19.5)
 Array = np.ndarray[Any, Any]

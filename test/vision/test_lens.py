@@ -19,7 +19,7 @@ def test_there_and_back(distortion: tuple[float, ...]) -> None:
 
 @pytest.mark.parametrize("distortion", DISTORTIONS[1:])
 def test_it_is_the_distortion_of_opencv(distortion: tuple[float, ...]) -> None:
-    cv2 = pytest.importorskip("cv2")
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
     points = np.concatenate([GRID, np.ones((*GRID.shape[:2], 1))], axis=-1).reshape(-1, 1, 3)
     theirs, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), np.eye(3), np.array(distortion))
     np.testing.assert_allclose(distort(GRID, distortion), theirs.reshape(GRID.shape), atol=1e-12)
