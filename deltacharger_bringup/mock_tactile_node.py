@@ -112,9 +112,11 @@ class MockTactileNode(Node):
             with self._lock:
                 fault = self._fault.active()
                 self._power.misbehaviour = fault if fault in POWER_FAULTS else ""
+                before = self._power.fault
                 self._power.advance(now, self._touching())
                 frame = self._sample(now, fault)
-                power = self._power_message(now) if now >= next_power else None
+                new_fault = self._power.fault != before  # told before an opening can clear it
+                power = self._power_message(now) if new_fault or now >= next_power else None
             if power is not None:
                 next_power = max(next_power + 1.0 / _POWER_RATE, now)
             if self.context.ok():

@@ -11,7 +11,7 @@ from typing import TypeVar
 from deltacharger_docking.codes import DockingError, PhaseTimeout, ServoFailure, State, Stuck
 from deltacharger_docking.contact_current import ContactCurrent
 from deltacharger_docking.motion import Planner
-from deltacharger_docking.observation import Command, Observation, Reply, Request, Service, Status
+from deltacharger_docking.observation import Command, Decision, Observation, Reply, Request, Service, Status
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.trajectory_feed import Piece, TrajectoryFeed, pull
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
@@ -58,6 +58,7 @@ class Context:
         self._told: Piece | None = None  # in place of the line under way
         self._requests: list[Request] = []
         self._replies: dict[int, Reply] = {}
+        self._decisions: list[Decision] = []
 
     @property
     def time(self) -> float:
@@ -89,9 +90,9 @@ class Context:
             trajectory = self._told
         if trajectory and not self.observation.torque_enabled:
             trajectory = None  # limp servos refuse it
-        command = Command(trajectory, tuple(self._requests), self.energise)
+        command = Command(trajectory, tuple(self._requests), self.energise, tuple(self._decisions))
         self._told = None
-        self._requests = []
+        self._requests, self._decisions = [], []
         return command
 
     @property
@@ -138,6 +139,10 @@ class Context:
     def tell(self, service: Service) -> None:
         """Call a service without waiting for its reply."""
         self._requests.append(Request(next(self._numbers), service))
+
+    def decide(self, kind: str, text: str, **values: float) -> None:
+        """Tell whoever reads this docking later what was decided, by which numbers; their names end in the unit."""
+        self._decisions.append(Decision(self.time, self.status.state, kind, text, tuple(values.items())))
 
     def hold(self) -> None:
         """Stop where the arm is."""

@@ -33,6 +33,7 @@ _ZERO_CURRENT = 0.5  # A below which the contactor counts as open
 CONTACT_LOST = 0.15  # A of contact current below which the electrodes no longer rest on the target
 _RETREAT_LOST = 0.0015  # m of retreat that means contact is lost whatever the current says
 _SERVO_SILENT = 0.2  # s without servo_state that opens: with lease and ramp the contactor is open within 0.35 s
+_FAULT_DELAY = 0.15  # s that a fault may be told later than the refusal it brings about: charger_power comes at 20 Hz
 _UNSAFE_TWICE = 2  # successive estimates without clearance that end charging
 _BLIND_MAX = 3  # successive estimates that fail or stay unsure, after which nobody watches the clearance any more
 
@@ -92,7 +93,8 @@ def charge(context: Context, goal: DockGoal, critical_angle: float) -> Script[No
     checks = _clearance_checks(context, critical_angle)
     while True:
         problem = watch.problem()
-        if problem is None and context.observation.charge_current < parameters.charge_current_min:
+        starved = context.observation.charge_current < parameters.charge_current_min
+        if problem is None and starved and not watch.refused:
             problem = NoChargeCurrent(_no_current(context))
         if problem is not None:
             raise problem
@@ -139,12 +141,18 @@ def _is_open(context: Context, begun: float) -> bool:
 
 
 class Watch:
-    """What must stay true while the contactor is closed."""
+    """What must stay true while the contactor is closed.
+
+    Attributes:
+        refused: why a renewal of the lease was refused; '' = it was not.
+    """
 
     def __init__(self, context: Context) -> None:
         self._context = context
         self._z = context.position[2]
         self._was_closed = False
+        self._refused_at = math.inf
+        self.refused = ""
 
     def problem(self) -> DockingError | None:
         """Return what went wrong, if anything did; the cause before what it brings about.
@@ -180,8 +188,8 @@ class Watch:
             return PowerStale("charger_power stopped; check the board's cable and tactile_node")
         if refusal and not self._was_closed:
             return NoChargeCurrent(f"the contactor was not closed: {refusal}")
-        if refusal:
-            return PowerStale(f"the contactor's lease was not renewed: {refusal}")
+        if refusal or self.refused:
+            return self._refusal(refusal)
         if self._was_closed and not observation.contactor_closed:
             return PowerStale("the contactor opened by itself: its lease or heartbeat was lost")
         if self._was_closed and not math.isfinite(observation.charge_current):
@@ -193,6 +201,16 @@ class Watch:
                 f"{observation.charge_current:.1f} A exceed the limit of {parameters.charge_current_max} A"
             )
         return None
+
+    def _refusal(self, refusal: str) -> DockingError | None:
+        """Open at once, and give charger_power time to name the fault that a refused renewal may come from."""
+        context = self._context
+        if not self.refused:
+            self.refused, self._refused_at = refusal, context.time
+            context.energise = False
+        if context.time - self._refused_at <= _FAULT_DELAY:
+            return None
+        return PowerStale(f"the contactor's lease was not renewed: {self.refused}")
 
     def _contact_problem(self) -> DockingError | None:
         context = self._context

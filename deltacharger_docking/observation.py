@@ -96,6 +96,18 @@ class Waypoint:
 
 
 @dataclass(frozen=True)
+class Decision:
+    """What was decided at `time` (s, the observation's clock), in one word of docs/docking.md, in a sentence, and by
+    which numbers; each name ends in its unit."""
+
+    time: float
+    state: State
+    kind: str
+    text: str
+    values: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True)
 class Command:
     """What to do now. The contactor is wanted only while `energise`.
 
@@ -106,6 +118,7 @@ class Command:
     trajectory: tuple[Waypoint, ...] | None = None
     requests: tuple[Request, ...] = ()
     energise: bool = False
+    decisions: tuple[Decision, ...] = ()
 
 
 @dataclass(frozen=True)

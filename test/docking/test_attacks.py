@@ -259,3 +259,20 @@ def test_docked_without_charging_is_watched_over() -> None:
     run.until(lambda: run.machine.status.code is Code.SERVO_FAULT, 1.0)
     run.run(0.5)
     assert not run.observe().torque_enabled
+
+
+@pytest.mark.parametrize(
+    ("fault", "code"), [(1, Code.NO_CHARGE_CURRENT), (2, Code.SHORT_CIRCUIT), (0, Code.POWER_STALE)]
+)
+def test_a_refused_renewal_opens_at_once_and_is_named_by_the_fault_that_follows(fault: int, code: Code) -> None:
+    run = charging()
+    refused_at = run.now
+
+    def refuse(observation: Observation) -> Observation:
+        known = run.now - refused_at > 0.1
+        return replace(observation, contactor_refusal="refused", power_fault=fault if known else 0)
+
+    run.distort = refuse
+    assert until_open(run) <= 0.1
+    run.run(0.5)
+    assert run.machine.status.code is code
