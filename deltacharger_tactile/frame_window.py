@@ -52,14 +52,14 @@ class FrameWindow:
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
-        self._frames: deque[Frame] = deque(maxlen=LARGEST)
+        self._frames: deque[tuple[float, Frame]] = deque(maxlen=LARGEST)  # with the time.monotonic() of their arrival
         self._arrived = threading.Condition()
         self._closed = False
 
     def add(self, frame: Frame) -> None:
         """Take a frame, and wake who waits for one."""
         with self._arrived:
-            self._frames.append(frame)
+            self._frames.append((time.monotonic(), frame))
             self._arrived.notify_all()
 
     def close(self) -> None:
@@ -78,10 +78,12 @@ class FrameWindow:
     def newest(self, count: int) -> list[Frame]:
         """Return at most `count` frames, oldest first."""
         with self._arrived:
-            return list(self._frames)[-count:]
+            return [frame for _, frame in self._frames][-count:]
 
     def fresh(self, wanted: int, timeout: float) -> list[Frame]:
-        """Wait for `wanted` frames sampled from now on.
+        """Wait for `wanted` frames that are sampled from now on and have not arrived yet.
+
+        The second matters where the clock is set back: then frames of before claim to come after now.
 
         Args:
             wanted: frames, at most LARGEST.
@@ -90,11 +92,11 @@ class FrameWindow:
         Raises:
             Refused: they did not come in time, or the window was closed.
         """
-        since = self._now()
-        deadline = time.monotonic() + timeout + wanted / FRAME_RATE
+        since, asked = self._now(), time.monotonic()
+        deadline = asked + timeout + wanted / FRAME_RATE
         with self._arrived:
             while True:
-                fresh = [frame for frame in self._frames if frame.sampled > since]
+                fresh = [frame for arrived, frame in self._frames if arrived > asked and frame.sampled > since]
                 if self._closed:
                     raise Refused("the node is closing")
                 if len(fresh) >= wanted:
@@ -117,6 +119,10 @@ class FrameWindow:
         age = self._now() - frames[-1].sampled
         if age > max_age:
             raise Refused(f"the newest tactile frame is {age:.3f} s old, more than max_age {max_age:g} s")
+        if age < -max_age:
+            raise Refused(
+                f"the newest tactile frame is stamped {-age:.3f} s ahead of this node's clock; set both clocks"
+            )
         if not all(frame.tared for frame in frames):
             raise Refused("the tactile frames are not tared; call the service tare out of contact")
         left, right = (np.mean([getattr(frame, side) for frame in frames], axis=0) for side in ("left", "right"))
@@ -125,7 +131,7 @@ class FrameWindow:
     def _why_too_few(self, fresh: int, wanted: int) -> str:
         if not self._frames:
             return "no tactile_frame has arrived; check that tactile_node runs"
-        age = self._now() - self._frames[-1].sampled
+        age = self._now() - self._frames[-1][1].sampled
         return (
             f"{fresh} of {wanted} fresh frames in time, the newest is {age:.2f} s old; "
             "check tactile_node and that both hosts' clocks agree"
