@@ -54,7 +54,7 @@ def test_frames_that_arrive_late_do_not_count() -> None:
         ask(window, 1, [frame(clock.time - 0.2)])
 
 
-@pytest.mark.parametrize(("stamp", "problem"), [(-0.3, "0.300 s old"), (0.3, "0.300 s ahead of this clock")])
+@pytest.mark.parametrize(("stamp", "problem"), [(-0.3, "0.300 s old"), (0.3, "0.300 s ahead of this node")])
 def test_an_average_is_of_now(stamp: float, problem: str) -> None:
     clock = Clock()
     with pytest.raises(Refused, match=problem):
