@@ -5,12 +5,13 @@ SCENE ?= simulated
 INSTALLED := $(VENV)/.installed
 SOURCES := pyproject.toml setup.py setup.cfg package.xml CMakeLists.txt $(wildcard msg/*.msg srv/*.srv action/*.action)
 COLCON := build/colcon
+NAVIGATION := build/nav2_msgs
 
 # Traffic stays on this machine, in a domain of its own.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_DOMAIN_ID ?= 87
 
-.PHONY: dock test check lint types colcon trainers optional bench clean
+.PHONY: dock test check lint types colcon trainers navigation optional bench clean
 
 dock: $(INSTALLED)  ## dock in simulation and draw the run
 	$(BIN)/deltacharger dock --scene $(SCENE) --picture dock.png
@@ -39,8 +40,17 @@ colcon: $(INSTALLED)  ## build as a ROS workspace package and load an interface 
 trainers: $(INSTALLED)  ## what training the classifiers needs, else their tests are skipped
 	$(BIN)/python -m pip install --quiet torch==2.13.0 scikit-learn xgboost-cpu
 
-optional: trainers  ## every optional library, else the tests that need it are skipped
-	$(BIN)/python -m pip install --quiet 'depthai>=3,<4' mujoco pyarrow distributed
+# Nav2's messages are not on PyPI. Nothing is built where they are installed.
+navigation: $(INSTALLED)  ## a stand-in for nav2_msgs with NavigateToPose alone, else tests of driving are skipped
+	@$(BIN)/python -c 'import nav2_msgs.action' 2>/dev/null || { \
+	  export PATH="$(CURDIR)/$(BIN):$$PATH" AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" CMAKE_PREFIX_PATH="$(CURDIR)/$(VENV)"; \
+	  cmake -S test/nav2_msgs -B $(NAVIGATION) -G Ninja -DCMAKE_INSTALL_PREFIX="$(CURDIR)/$(VENV)" -Wno-dev \
+	    -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF -DPython3_EXECUTABLE="$(CURDIR)/$(BIN)/python" && \
+	  cmake --build $(NAVIGATION) --target install; } > $(VENV)/navigation.log 2>&1 || { cat $(VENV)/navigation.log; exit 1; }
+	$(BIN)/python -c 'from nav2_msgs.action import NavigateToPose'
+
+optional: trainers navigation  ## every optional library, else the tests that need it are skipped
+	$(BIN)/python -m pip install --quiet 'depthai>=3,<4' mujoco pyarrow distributed 'rerun-sdk>=0.39' xacro
 
 # The last two judge by their exit status too: a target that is missed there must not hide the other figures.
 bench: $(INSTALLED)  ## what charger and driver keep up with, about 20 minutes; QUICK=1: the same in 5
