@@ -21,6 +21,7 @@ from typing import Any
 
 from deltacharger_bringup.campaign.docking import run
 from deltacharger_bringup.campaign.draw import Drawn
+from deltacharger_bringup.campaign.felt import EstimatorErrors
 from deltacharger_bringup.virtual_charger import GOAL
 from deltacharger_docking.observation import DockGoal
 from deltacharger_docking.parameters import DockingParameters
@@ -84,7 +85,7 @@ def dock(number: int, roll: float, stiffness: float, approach: str, charge: bool
     )
     world = WorldParameters(target=target, servo=ServoParameters(stiffness=stiffness))
     parameters = DockingParameters(servo_stiffness=stiffness, approach=approach)
-    drawn = Drawn(number, {}, world, TactileParameters(), parameters, GOAL, number, number, (0.0, 0.0))
+    drawn = Drawn(number, {}, world, TactileParameters(), parameters, GOAL, number, number, EstimatorErrors())
     return run(drawn, exact=True, goal=DockGoal(GOAL, start_charging=charge))
 
 

@@ -7,18 +7,18 @@ session, the arm is taken back and its torque switched off.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from deltacharger_docking.arm_script import lift_off, prepare, retract
-from deltacharger_docking.codes import Busy, Code, DockingError, ServoFailure, State, Unreachable
+from deltacharger_docking.codes import Busy, DockingError, ServoFailure, State, Unreachable
 from deltacharger_docking.contact_script import approach, contact
 from deltacharger_docking.context import Script
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import Observation, Outcome
+from deltacharger_docking.observation import Observation
 from deltacharger_kinematics.geometry import Vector
 
 _RUN_UP = 0.006  # m below the standoff from which it is approached along +z
@@ -97,21 +97,17 @@ class RecordingMachine(DockingMachine):
         """
         if self.busy:
             raise Busy("a session is running; cancel it or wait for its end")
-        self._begin("", observation)
-        self._goal_deadline = math.inf
-        self._leave_supervision()
-        self._script = self._guarded(self._session(commands, dwell, holding, keeper))
+        self._start("", observation, lambda: self._session(commands, dwell, holding, keeper))
+        self._desk.deadline = math.inf
 
     def _problem(self) -> DockingError | None:
         problem = super()._problem()
         silent = self._context.observation.servo_age > self.parameters.servo_age_max
         return ServoSilence(str(problem)) if silent and isinstance(problem, ServoFailure) else problem
 
-    def _session(
-        self, commands: Sequence[Vector], dwell: float, holding: float, keeper: Keeper
-    ) -> Generator[None, None, None]:
+    def _session(self, commands: Sequence[Vector], dwell: float, holding: float, keeper: Keeper) -> Script[None]:
         context = self._context
-        yield from prepare(context, self._started)
+        yield from prepare(context)
         for number, command in enumerate(commands):
             keeper.begin(number)
             yield from self._go_before(command)
@@ -123,7 +119,7 @@ class RecordingMachine(DockingMachine):
                 yield
         yield from retract(context, wanted=True)
         context.enter(State.IDLE, math.inf)
-        self._finish(Outcome(True, Code.NONE, "every docking was recorded"))
+        self._desk.succeed("every docking was recorded")
 
     def _go_before(self, command: Vector) -> Script[None]:
         """Go sideways in free air, far enough from the target that the approach tares in a motion along +z."""

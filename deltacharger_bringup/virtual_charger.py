@@ -10,6 +10,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -39,6 +40,13 @@ from deltacharger_tactile.source import ContactSource
 TICK = 0.01
 FRAME = 1.0 / 120.0
 GOAL = Detection((0.0, 0.0, 0.080), 0.0)
+
+
+class PoseModel(Protocol):
+    """What makes an estimate of two averaged, tared pads."""
+
+    def predict(self, left: np.ndarray, right: np.ndarray) -> Any:
+        """Return what has the attributes of docking's `Estimate`."""
 
 
 @functools.cache
@@ -91,7 +99,7 @@ class VirtualCharger:
         self.answer: dict[Service, Callable[[Reply], Reply | None]] = {}
         self.states: list[State] = []
         self.outcome: Outcome | None = None
-        self._model = packaged_model()
+        self.model: PoseModel = packaged_model()
         self._tare = np.zeros((2, 10, 10))
         self._tared = False
         self._torque = False
@@ -258,7 +266,7 @@ class VirtualCharger:
             return Reply(number, True, resistance=ohm, target_voltage=volt)
         elif service is Service.ESTIMATE:
             left, right = np.mean(pending.frames, axis=0)
-            felt = self._model.predict(left, right)
+            felt = self.model.predict(left, right)
             estimate = Estimate(**{item.name: getattr(felt, item.name) for item in fields(Estimate)})
             return Reply(number, True, estimate=estimate)
         elif service is Service.DETECT:

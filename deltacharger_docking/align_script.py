@@ -5,34 +5,48 @@ from __future__ import annotations
 import math
 
 from deltacharger_docking.alignment import AlignmentFilter
-from deltacharger_docking.clearance import Estimate, Verdict, judge
+from deltacharger_docking.clearance import Estimate, Verdict, clearance, clearance_stddev, judge
 from deltacharger_docking.codes import CriticalAngle, EstimateUnsure, Misaligned, NoTactileContact, State, TactileStale
 from deltacharger_docking.contact_script import contact
 from deltacharger_docking.context import Context, Script
+from deltacharger_docking.ease_script import ease
 from deltacharger_docking.observation import Service
+from deltacharger_docking.release_script import take_off
 
 _SAME_PLACE_MAX = 2  # dockings at one offset whose estimate stays unsure
 _UNSURE_MAX = 4  # unsure estimates in all
 _WORTH_MOVING = 0.002  # m; a smaller offset is no reason for a pad to lose its ridge
+_KNOWN = 3.0  # standard deviations from zero at which an unsure estimate still tells the direction
 _ESTIMATE_TIMEOUT = 3.0  # s
 
 
 class Alignment:
-    """The loop of measuring and moving. One instance serves one goal."""
+    """The loop of measuring and moving. One instance serves one target, from its first contact until it is left.
+
+    Attributes:
+        critical_angle: limit of the goal, rad.
+        aligned: whether the filtered misalignment lies within the tolerance.
+    """
 
     def __init__(self, context: Context, critical_angle: float, depth: float) -> None:
         self._context = context
-        self._critical_angle = critical_angle
+        self.critical_angle = critical_angle
         self._depth = depth
-        parameters = context.parameters
-        self._filter = AlignmentFilter(parameters.docking_jitter, parameters.gain_error)
+        self._filter = self._new_filter()
         self._angles: list[float] = []
         self._unsure = self._unsure_here = 0
         self._passed = 0
         self.aligned = False
 
-    def run(self) -> Script[None]:
-        """Align until the estimate allows current to flow.
+    def _new_filter(self) -> AlignmentFilter:
+        parameters = self._context.parameters
+        return AlignmentFilter(parameters.docking_jitter, parameters.gain_error)
+
+    def run(self, stay: bool = False) -> Script[None]:
+        """Align until the estimate allows current to flow, with the arm at ease.
+
+        Args:
+            stay: the electrodes have been aligned before and may rest where they are, if they have clearance there.
 
         Raises:
             CriticalAngle: the target is tilted too far.
@@ -41,30 +55,61 @@ class Alignment:
             NoTactileContact: the pads feel nothing.
         """
         context, parameters = self._context, self._context.parameters
+        self._passed, self._angles = 0, []
+        self._unsure = self._unsure_here = 0
         while True:
             estimate = yield from self._measure()
-            if not (estimate.sure and estimate.in_range and estimate.complete):
-                self._passed = 0
+            if not estimate.usable:
+                self._passed, stay = 0, False
                 yield from self._dock_again(*self._look_elsewhere(estimate))
                 continue
             self._unsure_here = 0
             place = context.position[0], context.position[1]
             self._filter.update(place, estimate)
+            if self._filter.contradicts_itself and not stay:
+                context.decide("contradiction", "the pads do not feel the arm's own moves", x_m=estimate.horizontal)
+                raise EstimateUnsure(
+                    "what the pads feel contradicts the arm's own moves; do their frames repeat themselves, or does "
+                    "the target move?"
+                )
             verdict = self._judge(estimate)
             x, y = self._filter.misalignment(place)
             self.aligned = max(abs(x), abs(y)) <= parameters.alignment_tolerance
+            landed = self._filter.landing <= parameters.landing_limit
             exhausted = context.status.alignments >= parameters.alignments_max
-            settled = self.aligned or (exhausted and parameters.charge_when_not_aligned)
+            settled = stay or (self.aligned and landed) or (exhausted and parameters.charge_when_not_aligned)
             safe = verdict is Verdict.SAFE or (verdict is Verdict.PROBABLY_SAFE and self._passed >= 2)
-            if settled and safe:
+            if stay and not safe:
+                self._filter = self._new_filter()  # the target is not any more where it was
+            stay = False
+            if settled and safe and (yield from self._stands()):
+                text = "the target lies within the tolerance" if self.aligned else "the electrodes have clearance here"
+                context.decide("aligned" if self.aligned else "exhausted", text, x_m=x, y_m=y)
                 return
             if exhausted:
+                context.decide("exhausted", "no correction is left", x_m=x, y_m=y, moves=context.status.alignments)
                 raise Misaligned(
-                    f"after {context.status.alignments} alignments the electrodes are still "
+                    f"after {context.status.alignments} alignments no clearance is sure; the electrodes are "
                     f"{1000 * x:.1f} mm horizontally and {1000 * y:.1f} mm vertically off"
                 )
             context.status.alignments += 1
-            yield from self._dock_again(*((0.0, 0.0) if self.aligned else (x, y)))
+            if self.aligned:
+                text = "clearance is not sure yet" if landed else "this landing lies too far beside the target"
+                context.decide("again", f"{text}: docking again", beside_m=self._filter.landing, x_m=x, y_m=y)
+            else:
+                context.decide("move", "the electrodes are taken to where the target was felt", x_m=x, y_m=y)
+            yield from self._dock_again(x, y)
+
+    def _stands(self) -> Script[bool]:
+        """Put the arm at ease and return whether the electrodes still have clearance: it may have slipped."""
+        if not (yield from ease(self._context)):
+            return True
+        estimate = yield from self._measure()
+        verdict = judge(estimate, self._context.parameters, self.critical_angle) if estimate.usable else None
+        if verdict in (Verdict.SAFE, Verdict.PROBABLY_SAFE):
+            return True
+        self._passed = 0
+        return False
 
     def _measure(self) -> Script[Estimate]:
         """Return what the pads feel, sure or not.
@@ -81,6 +126,7 @@ class Alignment:
         if not reply.success or reply.estimate is None:
             raise TactileStale(f"no misalignment estimate: {reply.message}")
         context.status.estimate = reply.estimate
+        self._tell(reply.estimate)
         if not reply.estimate.contact:
             raise NoTactileContact("the pads lost contact before the misalignment was measured")
         return reply.estimate
@@ -93,19 +139,46 @@ class Alignment:
         self._unsure_here += 1
         self._unsure += 1
         place = self._context.position
-        x, y = estimate.horizontal, estimate.vertical
-        lost = estimate.complete and not estimate.in_range and math.hypot(x, y) > _WORTH_MOVING
+        x, y = _pointed_at(estimate)
+        lost = estimate.complete and math.hypot(x, y) > _WORTH_MOVING
         reachable = lost and not self._context.planner.reachable((place[0] + x, place[1] + y, place[2]))
         if reachable and self._unsure < _UNSURE_MAX:
             self._unsure_here = 0
             self._context.status.alignments += 1
+            self._context.decide("elsewhere", "a pad has lost its ridge: it is looked for", x_m=x, y_m=y)
             return x, y
         if self._unsure_here >= _SAME_PLACE_MAX or self._unsure >= _UNSURE_MAX:
             self._give_up(estimate)
+        self._context.decide("again", "the estimate is unsure and is made anew by docking again", times=self._unsure)
         return 0.0, 0.0
 
+    def _tell(self, estimate: Estimate) -> None:
+        self._context.decide(
+            "measured",
+            "sure" if estimate.sure and estimate.in_range else "unsure" if estimate.in_range else "out of range",
+            angle_rad=estimate.angle,
+            angle_stddev_rad=estimate.angle_stddev,
+            vertical_m=estimate.vertical,
+            vertical_stddev_m=estimate.vertical_stddev,
+            horizontal_m=estimate.horizontal,
+            horizontal_stddev_m=estimate.horizontal_stddev,
+        )
+
+    def _tell_verdict(self, estimate: Estimate, verdict: Verdict) -> None:
+        parameters = self._context.parameters
+        gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
+        left = clearance(estimate.angle, estimate.vertical, gap, length)
+        sigma = clearance_stddev(estimate, gap, length)
+        self._context.decide(
+            "verdict",
+            verdict.value,
+            clearance_m=left,
+            margin_3_sigma_m=left - 3.0 * sigma - parameters.clearance_min,
+            margin_6_sigma_m=left - 6.0 * sigma - parameters.clearance_min,
+        )
+
     def _give_up(self, estimate: Estimate) -> None:
-        limit = min(self._critical_angle, self._context.parameters.critical_angle)
+        limit = min(self.critical_angle, self._context.parameters.critical_angle)
         if math.isfinite(estimate.angle) and abs(estimate.angle) >= limit:
             raise CriticalAngle(_too_tilted(estimate.angle))
         what = "outside what the estimator knows" if not estimate.in_range else "unsure"
@@ -115,14 +188,15 @@ class Alignment:
         """Judge this docking, and the mean angle once two have been made."""
         parameters = self._context.parameters
         self._angles.append(estimate.angle)
-        verdict = judge(estimate, parameters, self._critical_angle)
+        verdict = judge(estimate, parameters, self.critical_angle)
+        self._tell_verdict(estimate, verdict)
         self._passed = self._passed + 1 if verdict in (Verdict.SAFE, Verdict.PROBABLY_SAFE) else 0
         if len(self._angles) >= 2:
             mean = sum(self._angles) / len(self._angles)
             centred = Estimate(
                 mean, estimate.angle_stddev, 0.0, estimate.vertical_stddev, 0.0, estimate.horizontal_stddev
             )
-            if judge(centred, parameters, self._critical_angle) is Verdict.CRITICAL:
+            if judge(centred, parameters, self.critical_angle) is Verdict.CRITICAL:
                 raise CriticalAngle(_too_tilted(mean))
         return verdict
 
@@ -140,10 +214,18 @@ class Alignment:
         place = commanded[0] + x, commanded[1] + y, z - parameters.lift
         context.check_way((*context.position[:2], place[2]), place, (*place[:2], z))
         context.enter(State.ALIGN, parameters.align_timeout)
-        yield from context.release()
-        yield from context.move((*context.position[:2], place[2]), parameters.travel_speed, settle=False)
+        yield from take_off(context, place[2])
         yield from context.move(place, parameters.travel_speed)
         yield from contact(context, self._depth)
+
+
+def _pointed_at(estimate: Estimate) -> tuple[float, float]:
+    """Return where (m) an unsure estimate points: out of range all of it, else along the axes that it knows."""
+    x, y = estimate.horizontal, estimate.vertical
+    if estimate.in_range:
+        x = x if abs(x) > _KNOWN * estimate.horizontal_stddev else 0.0
+        y = y if abs(y) > _KNOWN * estimate.vertical_stddev else 0.0
+    return x, y
 
 
 def _too_tilted(angle: float) -> str:

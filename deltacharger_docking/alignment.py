@@ -6,6 +6,9 @@ import math
 
 from deltacharger_docking.clearance import Estimate
 
+_SIGMAS = 2.2  # that a contact is judged at; with it 1 % of them lie beyond the limit (docs/docking.md)
+_CONTRADICTION = 25.0, 4.0  # sum of squared innovations, in variances, above which they are none: 25 + 4 for each look
+
 
 class AlignmentFilter:
     """Kalman filter of a fixed target position (x, y in charger_base) seen by touch.
@@ -23,6 +26,10 @@ class AlignmentFilter:
         self._gain_error = gain_error
         self._mean = [0.0, 0.0]
         self._information = [0.0, 0.0]
+        self._innovations = [0.0, 0.0]
+        self._looks = 0
+        self.landing = math.inf
+        """How far (m) the last contact may lie beside the target on its worse axis: |mean| + 2.2 σ."""
 
     def update(self, platform: tuple[float, float], estimate: Estimate) -> None:
         """Take one estimate made with the platform at (x, y) m of charger_base."""
@@ -30,11 +37,34 @@ class AlignmentFilter:
             (platform[0] + estimate.horizontal, estimate.horizontal, estimate.horizontal_stddev),
             (platform[1] + estimate.vertical, estimate.vertical, estimate.vertical_stddev),
         )
+        self.landing = 0.0
+        self._looks += 1
         for axis, (place, offset, stddev) in enumerate(readings):
-            variance = self._jitter**2 + stddev**2 + (self._gain_error * offset) ** 2
+            felt = stddev**2 + (self._gain_error * offset) ** 2
+            variance = self._jitter**2 + felt
+            self.landing = max(self.landing, self._land(axis, place - offset, offset, max(felt, 1e-12)))
             weight = 1.0 / max(variance, 1e-12)
+            if self._information[axis] > 0.0:
+                expected = variance + 1.0 / self._information[axis]
+                self._innovations[axis] += (place - self._mean[axis]) ** 2 / max(expected, 1e-12)
             self._information[axis] += weight
             self._mean[axis] += (place - self._mean[axis]) * weight / self._information[axis]
+
+    @property
+    def contradicts_itself(self) -> bool:
+        """Whether the looks differ by more than their errors allow: the pads do not feel where the arm has gone."""
+        fixed, each = _CONTRADICTION
+        return max(self._innovations) > fixed + each * self._looks
+
+    def _land(self, axis: int, platform: float, offset: float, variance: float) -> float:
+        """Return |mean| + 2.2 σ (m) of this contact: what is felt, and where earlier ones say that the target is."""
+        information = self._information[axis]
+        mean, weight = offset, 1.0 / variance
+        if information > 0.0:
+            known = 1.0 / (self._jitter**2 + 1.0 / information + 1e-12)
+            mean = (weight * offset + known * (self._mean[axis] - platform)) / (weight + known)
+            weight += known
+        return abs(mean) + _SIGMAS / math.sqrt(weight)
 
     @property
     def target(self) -> tuple[float, float]:

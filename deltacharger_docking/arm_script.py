@@ -8,6 +8,7 @@ from deltacharger_docking.codes import ServoFailure, State, Stuck, TactileStale
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.energy_script import de_energise
 from deltacharger_docking.observation import Service
+from deltacharger_docking.release_script import take_off
 
 FIRST_DATA = 3.0  # s that nodes which have just started may take to be heard
 _SERVICE_TIMEOUT = 3.0  # s for services that answer at once
@@ -15,9 +16,10 @@ _OFF_TIME = 0.1  # s that servo_node needs to switch the torque off
 _FREE_CURRENT = 0.06  # A of contact current either way that tells contact or magnets from free air
 
 
-def prepare(context: Context, started: float) -> Script[None]:
+def prepare(context: Context) -> Script[None]:
     """Switch the torque on and tare the pads, both in free air; nodes that have just started are waited for."""
     context.enter(State.APPROACH, context.parameters.approach_timeout)
+    started = context.time
     while math.inf in (context.observation.servo_age, context.observation.tactile_age):
         if context.time - started > FIRST_DATA:
             break
@@ -39,6 +41,7 @@ def prepare(context: Context, started: float) -> Script[None]:
     reply = yield from context.ask(Service.TARE, TactileStale, _SERVICE_TIMEOUT)
     if not reply.success:
         raise TactileStale(f"the pads were not tared: {reply.message}; they must be free before docking")
+    context.decide("tared", "the pads are tared in free air")
 
 
 def torque_on(context: Context) -> Script[None]:
@@ -80,17 +83,20 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         yield from context.move(parameters.home, parameters.travel_speed, settle=False)
         yield from context.wait(parameters.settle_time)
         away = math.dist(context.position, parameters.home)
+        context.decide("retracted", "the arm is home" if away <= parameters.lift else "the arm stayed", away_m=away)
         if away > parameters.lift:
             raise Stuck(f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand")
     context.status.docked = False
     reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, _SERVICE_TIMEOUT)
     if not reply.success:
         raise ServoFailure(f"the servos' torque was not switched off: {reply.message}")
+    context.decide("limp", "the servos' torque is off")
 
 
 def let_go(context: Context) -> Script[None]:
     """Stop, and switch the torque off without insisting on an answer; IDLE follows when it should be off."""
     context.hold()
+    context.decide("limp", "the servos are told to let go where the arm is")
     context.tell(Service.TORQUE_OFF)
     yield from context.wait(_OFF_TIME)
 
@@ -98,9 +104,11 @@ def let_go(context: Context) -> Script[None]:
 def lift_off(context: Context, pull: bool = False) -> Script[None]:
     """Pull off the magnets where there is contact or `pull` says so, then go straight back, to move sideways."""
     parameters = context.parameters
-    if pull or context.observation.tactile_contact or abs(context.contact.value) > _FREE_CURRENT:
-        yield from context.release()
-    context.status.docked = False
-    x, y, z = context.commanded = context.position
+    x, y, z = context.measured()
     clear = min(max(z - parameters.lift, parameters.home_z), z)
-    yield from context.move((x, y, clear), parameters.travel_speed, settle=False)
+    if pull or context.observation.tactile_contact or abs(context.contact.value) > _FREE_CURRENT:
+        yield from take_off(context, clear)
+    else:
+        context.commanded = x, y, z
+        yield from context.move((x, y, clear), parameters.travel_speed, settle=False)
+    context.status.docked = False

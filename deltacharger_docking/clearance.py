@@ -30,6 +30,12 @@ class Estimate:
     in_range: bool = True
 
     @property
+    def usable(self) -> bool:
+        """Whether clearance may be judged by it."""
+        stddevs = (self.angle_stddev, self.vertical_stddev, self.horizontal_stddev)
+        return self.contact and self.sure and self.in_range and self.complete and min(stddevs) >= 0.0
+
+    @property
     def complete(self) -> bool:
         """Whether every number is finite."""
         return all(

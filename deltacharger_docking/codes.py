@@ -56,10 +56,15 @@ class Code(IntEnum):
 
 
 class DockingError(Exception):
-    """Root of every way a goal can fail; `code` names it, `retriable` says whether the same goal may succeed later."""
+    """Root of every way a goal can fail.
+
+    `code` names it, `retriable` says whether the same goal may succeed later, `mended_by_docking` whether docking again
+    at once may mend it.
+    """
 
     code: ClassVar[Code] = Code.INTERNAL
     retriable: ClassVar[bool] = False
+    mended_by_docking: ClassVar[bool] = False
 
 
 class Rejected(DockingError):
@@ -121,6 +126,7 @@ class NoContact(DockingError):
 
     code = Code.NO_CONTACT
     retriable = True
+    mended_by_docking = True
 
 
 class Overcurrent(DockingError):
@@ -128,12 +134,14 @@ class Overcurrent(DockingError):
 
     code = Code.OVERCURRENT
     retriable = True
+    mended_by_docking = True
 
 
 class ChargeOvercurrent(Overcurrent):
     """More charge current flowed than the power stage allows. Example: its current limiter failed."""
 
     retriable = False
+    mended_by_docking = False
 
 
 class ServoFailure(DockingError):
@@ -154,6 +162,7 @@ class NoTactileContact(DockingError):
 
     code = Code.NO_TACTILE_CONTACT
     retriable = True
+    mended_by_docking = True
 
 
 class TactileStale(DockingError):
@@ -174,6 +183,7 @@ class EstimateUnsure(DockingError):
 
     code = Code.ESTIMATE_UNSURE
     retriable = True
+    mended_by_docking = True
 
 
 class Misaligned(DockingError):
@@ -181,6 +191,7 @@ class Misaligned(DockingError):
 
     code = Code.MISALIGNED
     retriable = True
+    mended_by_docking = True
 
 
 class NoChargeCurrent(DockingError):

@@ -30,7 +30,7 @@ class ContactCurrent:
         self._limbs = tuple(geometry.limb(index) for index in range(LIMB_COUNT))
         self._platform = geometry.platform_mass + 1.5 * geometry.rod_mass
         self._half_rod = 0.5 * geometry.rod_mass
-        self._window: deque[tuple[float, float]] = deque()
+        self._window: deque[tuple[float, float, Vector]] = deque()
         self._median = math.nan
         self._tare = 0.0
         self._factor = math.nan
@@ -51,7 +51,7 @@ class ContactCurrent:
             value = raw / self._factor
         window = self._window
         if math.isfinite(value):
-            window.append((time, value))
+            window.append((time, value, currents))
         while window and window[0][0] < time - _WINDOW:
             window.popleft()
         self._median = math.nan
@@ -98,10 +98,24 @@ class ContactCurrent:
     def force(self) -> float:
         """Force (N) of the servos on the target along +z, median over 0.12 s; NaN without readings."""
         if self._median != self._median and self._window:
-            values = sorted(value for _, value in self._window)
+            values = sorted(value for _, value, _ in self._window)
             middle = len(values) // 2
             self._median = values[middle] if len(values) % 2 else 0.5 * (values[middle - 1] + values[middle])
         return self._median - self._tare
+
+    @property
+    def currents(self) -> Vector:
+        """Mean of the servos' currents (A) over 0.12 s; NaN without readings."""
+        count = len(self._window)
+        if not count:
+            return NAN3
+        a, b, c = (sum(reading[2][index] for reading in self._window) / count for index in range(3))
+        return a, b, c
+
+    @property
+    def per_force(self) -> float:
+        """Contact current for each newton of force, A/N."""
+        return self._factor
 
     @property
     def value(self) -> float:

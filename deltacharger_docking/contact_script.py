@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
 from deltacharger_docking.context import Context, Script
+from deltacharger_docking.release_script import take_off
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.statics import TORQUE_CONSTANT
 
 _LEFT_BASELINE = 0.06  # A of contact current either way that tell contact or the pull of the magnets from free air
 _CAUTION = 0.7  # of the way to the band that one step may take, so that it is entered from below
 _SLOPE_RANGE = (0.4, 2.5)  # a measured slope is believed within these multiples of the expected one
+_HARDEST = 0.6  # A that a step may lead to at most where the contact turns out to be as stiff as expected
 _ATTEMPTS = 3  # overshoots after which contact is given up
 
 
@@ -25,6 +27,7 @@ def approach(context: Context, target: Vector) -> Script[None]:
     run_up = min(0.004, max(standoff - context.position[2], 0.0))
     yield from context.move((x, y, standoff - run_up), parameters.travel_speed, settle=False)
     yield from context.move((x, y, standoff), parameters.contact_speed)
+    context.decide("zero", "the contact current is tared at the standoff", contact_current_A=context.contact.value)
     context.contact.tare()
 
 
@@ -53,6 +56,13 @@ def contact(context: Context, depth: float) -> Script[None]:
             f"the servos push with {context.contact.value:.2f} A but no taxel feels 1 N: the pads missed the target's "
             "ridges, or something else is in the way"
         )
+    context.decide(
+        "contact",
+        "the electrodes rest on the target with the contact current in its band",
+        contact_current_A=context.contact.value,
+        contact_force_N=context.contact.force,
+        z_m=context.position[2],
+    )
 
 
 def first_push(context: Context, target: Vector) -> Script[None]:
@@ -66,12 +76,14 @@ def back_off(context: Context) -> Script[None]:
     """Take the electrodes back by the paper's 30 mm."""
     parameters = context.parameters
     context.enter(State.BACK_OFF, parameters.contact_timeout)
+    context.decide("backoff", "the first push was too hard", contact_current_A=context.contact.value)
     x, y, z = context.position
     context.check_way((x, y, z - parameters.back_off))
     if context.observation.tactile_contact:
-        yield from context.release()
-    x, y, z = context.position
-    yield from context.move((x, y, z - parameters.back_off), parameters.travel_speed)
+        yield from take_off(context, z - parameters.back_off)
+        yield from context.rest()
+    else:
+        yield from context.move((x, y, z - parameters.back_off), parameters.travel_speed)
     context.enter(State.CONTACT, parameters.contact_timeout)
 
 
@@ -119,6 +131,9 @@ def _guarded(context: Context, depth: float) -> Script[None]:
             return
         if before > high:
             overshoots += 1
+            context.decide(
+                "overshoot", "the push is above its band and is given back", contact_current_A=before, times=overshoots
+            )
             if overshoots > _ATTEMPTS:
                 raise Overcurrent(
                     f"contact current overshot to {before:.2f} A {overshoots} times; is the target moving, or the "
@@ -131,7 +146,8 @@ def _guarded(context: Context, depth: float) -> Script[None]:
         if touching:
             caution = _CAUTION if before < 0.75 * low else 1.0
             step = caution * (parameters.current_target - before) / slope
-            step = min(step, 3.0 * parameters.paper_step)
+            stiff = (_HARDEST - before) / expected  # soft springs may bottom within the step
+            step = min(step, 3.0 * parameters.paper_step, max(stiff, 0.0))
         else:
             step = min(parameters.coarse_step, _CAUTION * parameters.current_min / expected)
         yield from step_to(context, z + step)

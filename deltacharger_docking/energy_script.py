@@ -1,19 +1,17 @@
-"""Energy under watch: probe, close, charge, and open again before anything else goes wrong."""
+"""Energy under watch: probe, close, look at what must stay true, and open before anything else goes wrong."""
 
 from __future__ import annotations
 
 import math
 
-from deltacharger_docking.clearance import Verdict, judge
 from deltacharger_docking.codes import (
     POWER_FAULTS,
     ChargeOvercurrent,
     ContactorWelded,
-    CriticalAngle,
     DockingError,
-    EstimateUnsure,
     NoChargeCurrent,
     NoContact,
+    NoTactileContact,
     PowerStale,
     ReverseCurrent,
     ReversePolarity,
@@ -24,7 +22,7 @@ from deltacharger_docking.codes import (
     VoltageOutOfRange,
 )
 from deltacharger_docking.context import Context, Script
-from deltacharger_docking.observation import DockGoal, Reply, Service
+from deltacharger_docking.observation import Reply, Service
 
 _PROBE_TIMEOUT = 2.0  # s; the board answers within 250 ms
 _OPEN_TIMEOUT = 1.0  # s until current must be gone after an opening
@@ -33,9 +31,8 @@ _ZERO_CURRENT = 0.5  # A below which the contactor counts as open
 CONTACT_LOST = 0.15  # A of contact current below which the electrodes no longer rest on the target
 _RETREAT_LOST = 0.0015  # m of retreat that means contact is lost whatever the current says
 _SERVO_SILENT = 0.2  # s without servo_state that opens: with lease and ramp the contactor is open within 0.35 s
+_SLEPT = 1.0  # s beyond its pace that docking may stand still; the lease has lapsed long before
 _FAULT_DELAY = 0.15  # s that a fault may be told later than the refusal it brings about: charger_power comes at 20 Hz
-_UNSAFE_TWICE = 2  # successive estimates without clearance that end charging
-_BLIND_MAX = 3  # successive estimates that fail or stay unsure, after which nobody watches the clearance any more
 
 
 def energise(context: Context) -> Script[None]:
@@ -49,14 +46,24 @@ def energise(context: Context) -> Script[None]:
     if context.observation.power_fault:
         yield from _clear_fault(context)
     reply = yield from context.ask(Service.PROBE, PowerStale, _PROBE_TIMEOUT)
+    context.decide(
+        "probe",
+        f"the probe {'answered' if reply.success else 'failed: ' + reply.message}",
+        resistance_ohm=reply.resistance,
+        target_voltage_V=reply.target_voltage,
+    )
     _check_probe(context, reply)
-    context.energise = context.live = True
     watch = Watch(context)
+    problem = watch.speaks_against_closing()
+    if problem is not None:
+        raise problem
+    context.decide("close", "nothing speaks against current: the contactor is told to close")
+    context.energise = context.live = True
     stable_since = math.inf
     while context.time - stable_since < parameters.charge_stable_time:
         problem = watch.problem()
         if problem is None and context.time > context.deadline - 0.2:
-            problem = NoChargeCurrent(_no_current(context))
+            problem = NoChargeCurrent(no_current(context))
         if problem is not None:
             raise problem
         flowing = context.observation.contactor_closed and (
@@ -69,6 +76,12 @@ def energise(context: Context) -> Script[None]:
         if flowing:
             context.idle_until, context.reads = stable_since + parameters.charge_stable_time, True
         yield
+    context.decide(
+        "charging",
+        f"charge current has been stable for {parameters.charge_stable_time:g} s",
+        charge_current_A=context.observation.charge_current,
+        target_voltage_V=context.observation.target_voltage,
+    )
 
 
 def _clear_fault(context: Context) -> Script[None]:
@@ -76,33 +89,6 @@ def _clear_fault(context: Context) -> Script[None]:
     yield from context.ask(Service.OPEN, PowerStale, _PROBE_TIMEOUT)
     end = context.time + _OPEN_TIMEOUT
     while context.observation.power_fault and context.time < end:
-        yield
-
-
-def charge(context: Context, goal: DockGoal, critical_angle: float) -> Script[None]:
-    """Watch over charging until a stop condition of the goal is met, or for ever.
-
-    Raises:
-        DockingError: what ended charging; the caller opens and retracts.
-    """
-    parameters = context.parameters
-    context.enter(State.CHARGING, math.inf)
-    context.status.charging = True
-    watch = Watch(context)
-    started = context.time
-    checks = _clearance_checks(context, critical_angle)
-    while True:
-        problem = watch.problem()
-        starved = context.observation.charge_current < parameters.charge_current_min
-        if problem is None and starved and not watch.refused:
-            problem = NoChargeCurrent(_no_current(context))
-        if problem is not None:
-            raise problem
-        if goal.stop_energy and context.energy >= goal.stop_energy:
-            return
-        if goal.stop_after and context.time - started >= goal.stop_after:
-            return
-        next(checks)
         yield
 
 
@@ -114,6 +100,9 @@ def de_energise(context: Context) -> Script[None]:
     """
     observation = context.observation
     closed = context.live or observation.contactor_closed or abs(observation.charge_current) >= _ZERO_CURRENT
+    if closed:
+        current = observation.charge_current
+        context.decide("open", "the contactor is told to open", charge_current_A=current)
     context.energise = False
     context.status.charging = False
     begun, end = context.time, context.time + _OPEN_TIMEOUT
@@ -121,6 +110,9 @@ def de_energise(context: Context) -> Script[None]:
         if context.time > end:
             raise _welded(context)
         yield
+    if closed:
+        current = context.observation.charge_current
+        context.decide("opened", "no current flows any more", charge_current_A=current, time_s=context.time - begun)
     context.live = False
 
 
@@ -154,6 +146,17 @@ class Watch:
         self._refused_at = math.inf
         self.refused = ""
 
+    def speaks_against_closing(self) -> DockingError | None:
+        """Return what must not be so at the instant of closing; from then on it is `problem` that looks."""
+        context, observation = self._context, self._context.observation
+        if observation.power_age > context.parameters.power_age_max:
+            return PowerStale("charger_power stopped; check the board's cable and tactile_node")
+        if observation.tactile_age > context.parameters.tactile_age_max:
+            return TactileStale("tactile frames stopped; check the board's cable and tactile_node")
+        if not observation.tactile_contact:
+            return NoTactileContact("the pads lost contact before the contactor was closed")
+        return self._servo_problem() or self._contact_problem()
+
     def problem(self) -> DockingError | None:
         """Return what went wrong, if anything did; the cause before what it brings about.
 
@@ -161,6 +164,10 @@ class Watch:
         """
         observation = self._context.observation
         self._was_closed |= observation.contactor_closed
+        if self._context.slept > _SLEPT:
+            return PowerStale(
+                f"docking itself stood still for {self._context.slept:.1f} s while the electrodes were live"
+            )
         if observation.power_fault:
             kind, words = POWER_FAULTS.get(observation.power_fault, (PowerStale, f"fault {observation.power_fault}"))
             return kind(f"the power stage opened the contactor: {words}")
@@ -177,7 +184,7 @@ class Watch:
             return ServoFailure("the servos' currents or angles are not measured any more; check the servo bus")
         if not observation.torque_enabled:
             return ServoFailure("the servos lost their torque while the electrodes were live")
-        if observation.thermal_reserve < context.parameters.thermal_reserve_min:
+        if not observation.thermal_reserve >= context.parameters.thermal_reserve_min:
             return ServoFailure("the servos' thermal reserve is used up; let them cool and dock again")
         return None
 
@@ -221,36 +228,6 @@ class Watch:
         return None
 
 
-def _clearance_checks(context: Context, critical_angle: float) -> Script[None]:
-    """Feel the misalignment every few seconds; end charging when clearance is gone twice or unknown thrice in a row."""
-    parameters = context.parameters
-    unsafe = blind = 0
-    while True:
-        yield from context.wait(parameters.clearance_period)
-        reply = yield from context.ask(Service.ESTIMATE, TactileStale, parameters.measure_timeout, 12)
-        estimate = reply.estimate
-        if estimate is None or not (estimate.complete and estimate.sure and estimate.in_range):
-            blind += 1
-            if blind >= _BLIND_MAX:
-                raise _blind(reply, blind)
-            continue
-        blind = 0
-        context.status.estimate = estimate
-        lost = judge(estimate, parameters, critical_angle) in (Verdict.CRITICAL, Verdict.TOO_CLOSE)
-        unsafe = unsafe + 1 if lost else 0
-        if unsafe >= _UNSAFE_TWICE:
-            raise CriticalAngle(
-                f"the target moved while charging: {math.degrees(estimate.angle):.1f}°, "
-                f"{1000 * estimate.vertical:.1f} mm vertical leave no clearance"
-            )
-
-
-def _blind(reply: Reply, count: int) -> DockingError:
-    if reply.estimate is None:
-        return TactileStale(f"no misalignment estimate while charging, {count} times in a row: {reply.message}")
-    return EstimateUnsure(f"the tactile estimate stayed unsure while charging, {count} times in a row")
-
-
 def _check_probe(context: Context, reply: Reply) -> None:
     parameters = context.parameters
     if not reply.success:
@@ -268,7 +245,8 @@ def _check_probe(context: Context, reply: Reply) -> None:
         )
 
 
-def _no_current(context: Context) -> str:
+def no_current(context: Context) -> str:
+    """Return in words that no charge current flows."""
     contactor = "closed" if context.observation.contactor_closed else "open"
     return (
         f"charge current is {context.observation.charge_current:.2f} A with the contactor {contactor}; the target may "

@@ -41,6 +41,10 @@ class Planner:
         try:
             line = plan_line(self._delta, start, goal, speed)
         except LineRefused as error:
+            if error.share == 0.0:
+                raise Unreachable(
+                    f"the arm stands where it cannot be moved from: {error}; push it back by hand, with its torque off"
+                ) from error
             raise Unreachable(f"the arm cannot go that way: {error}; move the robot closer to the target") from error
         held = self._delta.holding_torque(line.positions, self._parameters.gravity)
         angles, velocities = self._command(line, held / self._parameters.servo_stiffness)

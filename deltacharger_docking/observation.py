@@ -112,12 +112,14 @@ class Command:
     """What to do now. The contactor is wanted only while `energise`.
 
     A trajectory replaces what the arm follows; its times count from the observation's, and its last point holds. It is
-    only a piece of the way (see `trajectory_feed`): None = go on with the last one, empty = hold.
+    only a piece of the way (see `trajectory_feed`): None = go on with the last one, empty = hold. `states` are those
+    entered since the last command, in their order: each is to be published, though some last no tick.
     """
 
     trajectory: tuple[Waypoint, ...] | None = None
     requests: tuple[Request, ...] = ()
     energise: bool = False
+    states: tuple[State, ...] = ()
     decisions: tuple[Decision, ...] = ()
 
 

@@ -61,12 +61,18 @@ class DockingParameters:
     electrode_half_length: float = _number(0.035, 0.005, 0.1, "half the length of a bar, m")
     clearance_min: float = _number(0.0003, 0.0, 0.005, "clearance that must remain at three standard deviations, m")
     alignment_tolerance: float = _number(0.001, 0.0001, 0.01, "filtered misalignment that counts as aligned, m")
+    landing_limit: float = _number(
+        0.0025, 0.001, 0.02, "misalignment within which this very contact must lie, at 2.2 standard deviations, m"
+    )
     alignments_max: int = _number(15, 1, 50, "lateral corrections before alignment ends, as in the paper")
     docking_jitter: float = _number(0.00095, 0.0, 0.01, "scatter of one docking beside its commanded place, m")
     gain_error: float = _number(0.15, 0.0, 1.0, "relative error of a misalignment estimate that grows with its size")
     charge_when_not_aligned: bool = field(
         default=True,
         metadata={"description": "start charging after the last alignment as published; clearance is always required"},
+    )
+    redockings_max: int = _number(
+        0, 0, 10, "how often docking begins again by itself after what a new docking may mend; 0 = never"
     )
     estimate_frames: int = _number(24, 1, 240, "tactile frames averaged in one estimate")
     charge_current_min: float = _number(0.5, 0.05, 18.0, "charge current that counts as charging, A")

@@ -54,6 +54,7 @@ class Circuit:
         self._force = 0.0
         self._resistance = math.inf
         self._shorted = False
+        self._voltage = parameters.target_voltage  # of the target's battery without load
         self.current = 0.0
         self.fault = 0
         self.broken_current = 0.0
@@ -96,6 +97,8 @@ class Circuit:
         elif self._phase is _RAMP_DOWN and not self._stuck:
             self._limit = max(self._limit - self._parameters.ramp_down * dt, 0.0)
         self.current = self._flow()
+        if self._parameters.target_capacity and not self._shorted:
+            self._voltage += self.current * dt / self._parameters.target_capacity
         idle = self.current < _IDLE_CURRENT
         self._idle_for = self._idle_for + dt if idle else 0.0
         self._flowed = self._flowed or not idle
@@ -111,7 +114,7 @@ class Circuit:
             return parameters.battery_voltage, math.nan
         if self._shorted:
             return parameters.battery_voltage, 0.0
-        return parameters.battery_voltage, parameters.target_voltage + self.current * parameters.target_resistance
+        return parameters.battery_voltage, self._voltage + self.current * parameters.target_resistance
 
     def probe(self) -> tuple[float, float]:
         """Return resistance (Ω; inf = open) and target voltage (V) at low voltage."""
@@ -119,7 +122,7 @@ class Circuit:
             return math.inf, math.nan
         if self._shorted:
             return min(2.0 * self._resistance, 0.9), 0.0
-        return self._parameters.target_leakage + self._resistance, self._parameters.target_voltage
+        return self._parameters.target_leakage + self._resistance, self._voltage
 
     def _enter(self, phase: Phase) -> None:
         self._phase = phase
@@ -137,7 +140,7 @@ class Circuit:
         return self._parameters.contact_resistance / fraction * math.sqrt(_NOMINAL_FORCE / force)
 
     def _leave_precharge(self) -> None:
-        voltage = self._parameters.target_voltage
+        voltage = self._voltage
         if self._shorted:
             self._trip(SHORT)
         elif math.isinf(self._resistance):
@@ -155,9 +158,7 @@ class Circuit:
             return _SHORT_CURRENT
         if math.isinf(self._resistance) or not parameters.target_accepts:
             return 0.0
-        driven = (parameters.voltage_limit - parameters.target_voltage) / (
-            parameters.target_resistance + self._resistance
-        )
+        driven = (parameters.voltage_limit - self._voltage) / (parameters.target_resistance + self._resistance)
         return min(driven, self._limit)
 
     def _detect(self) -> None:

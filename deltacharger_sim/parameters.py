@@ -142,6 +142,7 @@ class CircuitParameters(Bounded):
     ramp_down: float = number(500.0, 50.0, 5000.0, "A/s", "fall of the current before a wanted opening")
     precharge_time: float = number(0.1, 0.0, 1.0, "s", "until both sides match within 1 V")
     target_voltage: float = number(24.0, -60.0, 60.0, "V", "open-circuit voltage of the target; negative = swapped")
+    target_capacity: float = number(0.0, 0.0, 1e9, "C/V", "charge that lifts that voltage by a volt; 0 = none does")
     target_resistance: float = number(0.15, 0.001, 100.0, "Ω", "inner resistance of the target")
     target_leakage: float = number(2000.0, 0.0, 1e6, "Ω", "what the probe sees of a healthy target; < 1 is a short")
     target_accepts: bool = True

@@ -37,28 +37,23 @@ class PlatformTilt:
         self._compliance = parameters.platform.compliance
         self._target = parameters.target.tilt_x, parameters.target.tilt_y
         self._contact = parameters.contact
-        self._terminal = parameters.terminal
+        terminal = parameters.terminal
+        self._length, self._up = terminal.length, 0.5 * (terminal.gap + terminal.height)
         self.angles = (0.0, 0.0)
         self.left_share = 0.5
 
     def press(self, depth: float, x: float, y: float) -> tuple[float, float]:
         """Return normal force (N) and stiffness (N/m) at the centre's compression (m) with the target at x, y (m)."""
-        points = self._points(x, y)
+        # The electrodes press at four points around the middle of what overlaps.
+        half = max(self._length - abs(x), 0.0) / _ROOT_12
+        middle_x, middle_y, up = 0.5 * x, 0.5 * y, self._up
         # More than this no point can be compressed, whatever the platform does.
-        reach = max(abs(u) for u, _ in points) * abs(self._target[1]) + max(abs(v) for _, v in points) * abs(
-            self._target[0]
-        )
+        reach = (abs(middle_x) + half) * abs(self._target[1]) + (abs(middle_y) + up) * abs(self._target[0])
         if depth + reach <= 0.0:
             self.angles, self.left_share = (0.0, 0.0), 0.5
             return 0.0, 0.0
+        points = [(middle_x + su * half, middle_y + sv * up) for su in (1.0, -1.0) for sv in (1.0, -1.0)]
         return self._settle(depth, points)
-
-    def _points(self, x: float, y: float) -> list[tuple[float, float]]:
-        """Return where the electrodes press, in end_effector (m)."""
-        terminal = self._terminal
-        half = max(terminal.length - abs(x), 0.0) / _ROOT_12
-        middle_x, middle_y, up = 0.5 * x, 0.5 * y, 0.5 * (terminal.gap + terminal.height)
-        return [(middle_x + su * half, middle_y + sv * up) for su in (1.0, -1.0) for sv in (1.0, -1.0)]
 
     def _settle(self, depth: float, points: list[tuple[float, float]]) -> tuple[float, float]:
         contact, c = self._contact, self._compliance

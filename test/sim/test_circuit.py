@@ -237,3 +237,31 @@ def test_worse_contact_means_less_current_at_the_voltage_limit() -> None:
     good, bad = charging(target_voltage=28.5), charging(target_voltage=28.5)
     run(bad, 0.1, replace(FULL, area=1e-5, fraction=0.007))
     assert bad.current < 0.8 * good.current
+
+
+def test_a_battery_that_fills_up_draws_constant_current_then_less_and_less() -> None:
+    """At constant voltage the current falls with the time constant of all resistance times the capacity."""
+    parameters = CircuitParameters(target_capacity=40.0, contact_resistance=0.01)
+    circuit = Circuit(parameters)
+    circuit.close()
+    currents, delivered = [], 0.0
+    for _ in range(6000):
+        circuit.step(0.01, FULL, 80.0)
+        currents.append(circuit.current)
+        delivered += circuit.current * 0.01
+    flat = sum(current > 9.99 for current in currents) * 0.01
+    expected = 40.0 * (29.0 - 10.0 * 0.16 - 24.0) / 10.0
+    assert flat == pytest.approx(expected, abs=0.4)
+    ratio = currents[4000] / currents[3000]
+    assert ratio == pytest.approx(math.exp(-10.0 / (0.16 * 40.0)), rel=0.02)
+    assert circuit.probe()[1] == pytest.approx(24.0 + delivered / 40.0, abs=0.01)
+    assert circuit.probe()[1] < 29.0
+
+
+def test_a_battery_without_capacity_keeps_its_voltage() -> None:
+    circuit = Circuit(CircuitParameters())
+    circuit.close()
+    for _ in range(2000):
+        circuit.step(0.05, FULL, 80.0)
+    assert circuit.probe()[1] == 24.0
+    assert circuit.current == pytest.approx(10.0)

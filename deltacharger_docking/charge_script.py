@@ -1,0 +1,173 @@
+"""Charging under supervision: watched until it is wanted no longer, the target is full, or something is wrong."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+from deltacharger_docking.clearance import Verdict, judge
+from deltacharger_docking.codes import (
+    CriticalAngle,
+    DockingError,
+    EstimateUnsure,
+    NoChargeCurrent,
+    PowerStale,
+    TactileStale,
+)
+from deltacharger_docking.context import Context, Script
+from deltacharger_docking.energy_script import Watch, no_current
+from deltacharger_docking.observation import DockGoal, Reply, Service
+from deltacharger_docking.parameters import DockingParameters
+
+_UNSAFE_TWICE = 2  # successive estimates without clearance that end charging
+_BLIND_MAX = 3  # successive estimates that fail or stay unsure, after which nobody watches the clearance any more
+_FRAMES = 12  # of one look at the clearance
+_MEMORY = 2.0  # s of the low-pass that knows what flowed before
+_FALL = 0.5  # of what flowed before; less has not tapered, it was cut off
+_CONFIRMED = 1.0  # s below the least current after which the target counts as full
+
+
+@dataclass
+class Order:
+    """What the present client wants of the docked target, and since when (s); the limit for its angle (rad)."""
+
+    goal: DockGoal
+    critical_angle: float
+    since: float
+
+    def is_met(self, context: Context) -> str:
+        """Return which stop condition is met, '' = none."""
+        goal = self.goal
+        if goal.stop_energy and context.energy >= goal.stop_energy:
+            return f"the stop condition was met: {context.energy:.0f} J"
+        if goal.stop_after and context.time - self.since >= goal.stop_after:
+            return f"the stop condition was met: {context.time - self.since:.1f} s"
+        return ""
+
+
+class Flow(Enum):
+    """What the charge current says about the target."""
+
+    FLOWS = "current flows"
+    FULL = "current has tapered off: the target is full"
+    LOST = "current was cut off"
+
+
+class Taper:
+    """Tells a full target from a current that was cut off.
+
+    At constant voltage a battery's current falls over minutes. A cut takes it away between two samples. So current
+    below the least is taken for a full target where it has never been less than half of its own mean over the last two
+    seconds, and stays below for one second; at a falling current with time constant T that mean is ahead by 2 s / T, so
+    everything slower than T = 4 s is a taper.
+    """
+
+    def __init__(self, parameters: DockingParameters) -> None:
+        self._least = parameters.charge_current_min
+        self._time = math.nan
+        self._below_since = math.inf
+        self.mean = math.nan
+
+    def judge(self, time: float, current: float) -> Flow:
+        """Take the charge current (A) at `time` (s); NaN, which others look after, changes nothing."""
+        if math.isnan(current):
+            return Flow.FLOWS
+        if math.isnan(self.mean):
+            self._time, self.mean = time, current
+        before = self.mean
+        self.mean += (current - before) * -math.expm1((self._time - time) / _MEMORY)
+        self._time = time
+        if current >= self._least:
+            self._below_since = math.inf
+            return Flow.FLOWS
+        if current < _FALL * before:
+            return Flow.LOST
+        self._below_since = min(self._below_since, time)
+        return Flow.FULL if time - self._below_since >= _CONFIRMED else Flow.FLOWS
+
+
+class Counter:
+    """Knows whether the energy can be counted: current and voltage are measured, but for a moment."""
+
+    def __init__(self) -> None:
+        self._since = math.inf
+
+    def is_lost(self, context: Context) -> bool:
+        """Return whether it could not be for longer than a message of the power stage may be old."""
+        observation = context.observation
+        if math.isfinite(observation.charge_current * observation.target_voltage):
+            self._since = math.inf
+            return False
+        self._since = min(self._since, context.time)
+        return context.time - self._since > context.parameters.power_age_max
+
+
+def charge(context: Context, order: Order) -> Script[str]:
+    """Watch over charging until the order is met, wants no current, or the target is full; return which.
+
+    Raises:
+        DockingError: what ended charging; the caller opens and retracts.
+    """
+    watch, taper, counter = Watch(context), Taper(context.parameters), Counter()
+    checks = _clearance_checks(context, order)
+    while True:
+        problem = watch.problem()
+        flow = taper.judge(context.time, context.observation.charge_current)
+        if problem is None and order.goal.stop_energy and counter.is_lost(context):
+            problem = PowerStale("the target's voltage is not measured any more, so its energy cannot be counted")
+        if problem is None and flow is Flow.LOST and not watch.refused:
+            problem = NoChargeCurrent(no_current(context))
+        if problem is not None:
+            raise problem
+        if flow is Flow.FULL:
+            current = context.observation.charge_current
+            context.decide("full", flow.value, charge_current_A=current, mean_A=taper.mean, energy_J=context.energy)
+            return "the target is full"
+        reason = order.is_met(context) if order.goal.start_charging else "charging was ended by a goal without it"
+        if reason:
+            context.decide("stop", reason, energy_J=context.energy, time_s=context.time - order.since)
+            return reason
+        next(checks)
+        yield
+
+
+def _clearance_checks(context: Context, order: Order) -> Script[None]:
+    """Feel the misalignment every few seconds; end charging when clearance is gone twice or unknown thrice in a row."""
+    parameters = context.parameters
+    unsafe = blind = 0
+    while True:
+        yield from context.wait(parameters.clearance_period)
+        reply = yield from context.ask(Service.ESTIMATE, TactileStale, parameters.measure_timeout, _FRAMES)
+        estimate = reply.estimate
+        if estimate is None or not estimate.usable:
+            blind += 1
+            context.decide("blind", "the clearance was not felt", times=blind)
+            if blind >= _BLIND_MAX:
+                raise _blind(reply, blind)
+            continue
+        blind = 0
+        context.status.estimate = estimate
+        lost = judge(estimate, parameters, order.critical_angle) in (Verdict.CRITICAL, Verdict.TOO_CLOSE)
+        unsafe = unsafe + 1 if lost else 0
+        if lost:
+            context.decide(
+                "unsafe",
+                "the clearance is too small",
+                times=unsafe,
+                angle_rad=estimate.angle,
+                angle_stddev_rad=estimate.angle_stddev,
+                vertical_m=estimate.vertical,
+                vertical_stddev_m=estimate.vertical_stddev,
+            )
+        if unsafe >= _UNSAFE_TWICE:
+            raise CriticalAngle(
+                f"the target moved while charging: {math.degrees(estimate.angle):.1f}°, "
+                f"{1000 * estimate.vertical:.1f} mm vertical leave no clearance"
+            )
+
+
+def _blind(reply: Reply, count: int) -> DockingError:
+    if reply.estimate is None:
+        return TactileStale(f"no misalignment estimate while charging, {count} times in a row: {reply.message}")
+    return EstimateUnsure(f"the tactile estimate stayed unsure while charging, {count} times in a row")

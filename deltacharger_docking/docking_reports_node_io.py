@@ -1,0 +1,123 @@
+"""What docking tells: its state at every change, what it decided, and how it fares. Part of docking_node."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+from deltacharger.msg import DockingDecision, DockingState
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from deltacharger_docking.codes import State
+from deltacharger_docking.observation import Decision, Observation, Status
+
+_DECISIONS = 50  # depth: none of a docking's decisions is lost while a reader is busy
+_DIAGNOSTICS = 1.0  # s
+
+
+def changes(before: State, passed: Sequence[State], now: State) -> list[State]:
+    """Return the states to tell after `before`: those passed through within one tick, then the present one."""
+    told: list[State] = []
+    for state in (*passed, now):
+        if state is not (told[-1] if told else before):
+            told.append(state)
+    return told
+
+
+class Reports:
+    """Publishes docking_state, docking_decision and /diagnostics.
+
+    Args:
+        node: publishes.
+        servo_age_max: age of servo_state (s) from which the diagnostics say ERROR.
+    """
+
+    def __init__(self, node: Node, servo_age_max: float) -> None:
+        self._node = node
+        self._servo_age_max = servo_age_max
+        self._shown: Status | None = None
+        self._diagnosed = -math.inf
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._state = node.create_publisher(DockingState, "docking_state", latched)
+        self._decision = node.create_publisher(DockingDecision, "docking_decision", QoSProfile(depth=_DECISIONS))
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+    def show(self, status: Status, passed: Sequence[State] = (), force: bool = False) -> None:
+        """Publish docking_state where it changed, once for each state passed through since the last call."""
+        before = self._shown or Status()
+        for state in changes(before.state, passed, status.state)[:-1]:
+            self._publish(replace(status, state=state, docked=before.docked, charging=before.charging))
+        if force or self._shown is None or _key(status) != _key(self._shown):
+            self._publish(replace(status))
+
+    def _publish(self, status: Status) -> None:
+        self._shown = status
+        message = DockingState(
+            state=int(status.state),
+            docked=status.docked,
+            charging=status.charging,
+            error_code=int(status.code),
+            error_message=status.message,
+            request_id=status.request_id,
+        )
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._state.publish(message)
+
+    def decided(self, decisions: Sequence[Decision], request_id: str) -> None:
+        """Publish what was decided; the stamp is the observation's instant on the host clock."""
+        for decision in decisions:
+            message = DockingDecision(
+                request_id=request_id,
+                state=int(decision.state),
+                kind=decision.kind,
+                text=decision.text,
+                names=[name for name, _ in decision.values],
+                values=[float(value) for _, value in decision.values],
+            )
+            age = Duration(seconds=time.monotonic() - decision.time)
+            message.header.stamp = (self._node.get_clock().now() - age).to_msg()
+            message.header.frame_id = "charger_base"
+            self._decision.publish(message)
+
+    def diagnose(self, status: Status, observation: Observation, slowest_tick: float) -> bool:
+        """Publish /diagnostics once a second; return whether it did.
+
+        Args:
+            status: of the machine.
+            observation: the latest.
+            slowest_tick: s, since the last diagnostics.
+        """
+        if time.monotonic() - self._diagnosed <= _DIAGNOSTICS:
+            return False
+        self._diagnosed = time.monotonic()
+        level, text = DiagnosticStatus.OK, status.state.name
+        if status.code:
+            level, text = DiagnosticStatus.WARN, f"{status.code.name}: {status.message}"
+        if observation.servo_age > self._servo_age_max:
+            level, text = DiagnosticStatus.ERROR, "servo_state is missing or stale"
+        entries = {
+            "state": status.state.name,
+            "docked": status.docked,
+            "charging": status.charging,
+            "contact_current_A": round(status.contact_current, 3),
+            "servo_age_s": round(observation.servo_age, 3),
+            "tactile_age_s": round(observation.tactile_age, 3),
+            "power_age_s": round(observation.power_age, 3),
+            "slowest_tick_ms": round(1000 * slowest_tick, 1),
+        }
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        values = [KeyValue(key=key, value=str(value)) for key, value in entries.items()]
+        name = self._node.get_fully_qualified_name()
+        message.status = [DiagnosticStatus(level=level, name=name, message=text, hardware_id="", values=values)]
+        self._diagnostics.publish(message)
+        return True
+
+
+def _key(status: Status) -> tuple[object, ...]:
+    return status.state, status.docked, status.charging, status.code, status.message, status.request_id

@@ -1,0 +1,120 @@
+"""The arm at ease on the target: no servo carries more than its share of the push.
+
+Until the electrodes touch, the servos carry the arm's weight, and what of it pulls sideways falls on some more than on
+others. Under magnets and push the contact's friction holds it. So the servos' currents are led to one common current,
+the one that presses in the middle of the band: the hottest servo then is as cool as that push allows. It is done
+slowly and under watch: where the platform slips, friction carries no more, and part of it is taken back.
+"""
+
+from __future__ import annotations
+
+import math
+
+from deltacharger_docking.codes import State
+from deltacharger_docking.context import Context, Script
+from deltacharger_docking.observation import Waypoint
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.statics import TORQUE_CONSTANT
+
+_ENOUGH = 0.015  # A that a servo's current may be off
+_COOL, _SPARED = 0.58, 0.03  # A to which the common current is led, at most so far below the middle of the band
+_ROUNDS = 4  # as the stiffness is known only so well
+_SLIP = 0.0004  # m sideways that tell a slip; an encoder's count is 0.15 mm
+_TAKEN_BACK = 0.4  # of what was faded when it slipped
+_SHORTEST, _LAGS = 0.8, 8.0  # s that it takes at least, and in the servos' lags, so that a slip shows before it is long
+_POINTS = 16
+_RESPONSE = (0.4, 2.5)  # a measured response is believed within these multiples of the expected one
+
+
+def ease(context: Context) -> Script[bool]:
+    """Bring each servo to the common current that presses in the middle of the band, as far as friction holds.
+
+    Return whether it was tried: the paper's approach, and raw currents as the signal, stay as published.
+    """
+    parameters = context.parameters
+    if parameters.approach != "guarded" or parameters.current_signal != "contact":
+        return False
+    context.enter(State.CONTACT, parameters.contact_timeout)
+    place, hottest = context.position, _hottest(context)
+    fades, response = True, parameters.servo_stiffness / TORQUE_CONSTANT
+    for _ in range(_ROUNDS):
+        before = context.contact.currents
+        wanted = _wanted(context, fades)
+        asked = tuple(goal - now for goal, now in zip(wanted, before, strict=True))
+        if max(map(abs, asked)) <= _ENOUGH or not all(map(math.isfinite, (*asked, *context.goal_angles))):
+            break
+        slipped = yield from _lead(context, (asked[0] / response, asked[1] / response, asked[2] / response), place)
+        yield from context.rest()
+        if slipped:
+            fades = False
+            continue
+        got = sum(a * (now - then) for a, now, then in zip(asked, context.contact.currents, before, strict=True))
+        share = got / sum(a * a for a in asked)
+        response *= min(max(share, _RESPONSE[0]), _RESPONSE[1])
+    context.decide(
+        "eased",
+        "friction carries the weight" if fades else "friction carries a part of the weight",
+        hottest_before_A=hottest,
+        hottest_A=_hottest(context),
+        contact_current_A=context.contact.value,
+        slip_m=math.dist(place[:2], context.position[:2]),
+    )
+    return True
+
+
+def _hottest(context: Context) -> float:
+    return max(map(abs, context.contact.currents))
+
+
+def _wanted(context: Context, fades: bool) -> Vector:
+    """Return the currents (A) that press in the middle of the band: all alike, or with what bears the weight now."""
+    x, y, z = context.position
+    contact, kinematics = context.contact, context.kinematics
+    now = contact.currents
+    a, b, c = (current * TORQUE_CONSTANT for current in now)
+    missing = (context.parameters.current_target - contact.value) / contact.per_force
+    if fades:
+        alike = kinematics.force(x, y, z, (TORQUE_CONSTANT, TORQUE_CONSTANT, TORQUE_CONSTANT))[2]
+        common = (kinematics.force(x, y, z, (a, b, c))[2] + missing) / alike if alike else math.nan
+        common = max(min(common, _COOL), common - _SPARED)
+        return common, common, common
+    d, e, f = kinematics.torque(x, y, z, (0.0, 0.0, missing))
+    return now[0] + d / TORQUE_CONSTANT, now[1] + e / TORQUE_CONSTANT, now[2] + f / TORQUE_CONSTANT
+
+
+def _lead(context: Context, change: Vector, place: Vector) -> Script[bool]:
+    """Lead the goal angles by `change` (rad), back by a part once the platform slips from `place`; return whether."""
+    parameters = context.parameters
+    duration = max(_SHORTEST, _LAGS * parameters.servo_damping / parameters.servo_stiffness)
+    start, began = context.goal_angles, context.time
+    context.follow(_ramp(context, start, change, duration))
+    while context.feed.is_under_way(context.time):
+        slip = math.dist(place[:2], context.position[:2])
+        if slip > _SLIP:
+            done = min((context.time - began) / duration, 1.0)
+            back = -_TAKEN_BACK * done
+            here = _shifted(start, change, done)
+            context.decide("slipped", "friction carries no more", share=done, slip_m=slip)
+            context.follow(_ramp(context, here, (back * change[0], back * change[1], back * change[2]), 0.3 * duration))
+            yield from context.wait(0.3 * duration)
+            return True
+        yield
+    return False
+
+
+def _ramp(context: Context, start: Vector, change: Vector, duration: float) -> tuple[Waypoint, ...]:
+    """Return a line of joint angles (rad) from `start` by `change`, inside the joint limits, under the last bound."""
+    x, y, z = context.position
+    geometry, parameters = context.kinematics.geometry, context.parameters
+    held = context.kinematics.holding_torque(x, y, z, parameters.gravity)
+    a, b, c = (abs(torque) + parameters.push_current * TORQUE_CONSTANT for torque in held)
+    points = []
+    for index in range(1, _POINTS + 1):
+        share = index / _POINTS
+        d, e, f = (min(max(angle, geometry.joint_min), geometry.joint_max) for angle in _shifted(start, change, share))
+        points.append(Waypoint(share * duration, (d, e, f), (a, b, c)))
+    return tuple(points)
+
+
+def _shifted(start: Vector, change: Vector, share: float) -> Vector:
+    return start[0] + share * change[0], start[1] + share * change[1], start[2] + share * change[2]

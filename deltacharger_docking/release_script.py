@@ -1,0 +1,130 @@
+"""Off the magnets: pulled, seen to come, and pulled again where it did not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from deltacharger_docking.codes import DockingError, Stuck
+from deltacharger_docking.context import Context, Script
+from deltacharger_docking.trajectory_feed import PULL_HORIZON, pull
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.statics import TORQUE_CONSTANT
+
+_RELEASED = 0.001  # m of retreat that tells the magnets have let go, where the pads feel nothing any more
+_SPRING_TRAVEL = 0.004  # m of retreat that electrodes on springs cannot follow, whatever the pads say
+_SETTING_BACK = 0.05  # s for the goal to get behind the platform before the pull
+_PULLS = (_RELEASED, _SPRING_TRAVEL, _SPRING_TRAVEL)  # m of retreat that ends each pull, as long as none has done
+_CAME = 0.5  # of the way back that shows that the platform came along
+_LEAST = 0.001  # m that it may lack in any case
+
+
+def take_off(context: Context, z: float) -> Script[None]:
+    """Pull the electrodes off the magnets and go straight back to `z` (m, charger_base).
+
+    Soft electrodes follow the pull while the pads feel nothing any more; whether the magnets let go shows on the way
+    back. Where the platform does not come, it is pulled again, and farther.
+
+    Raises:
+        Stuck: the platform did not come within the time allowed.
+        Unreachable: it came off where the arm has no way back; it holds there.
+        ServoFailure: it is not known where it came off; it holds there.
+    """
+    start = context.measured()[2]
+    lacks = max((1.0 - _CAME) * (start - z), _LEAST)
+    for travel in _PULLS:
+        yield from release(context, travel)
+        x, y, _ = context.position
+        yield from context.move((x, y, z), context.parameters.travel_speed, settle=False)
+        end = context.time + context.parameters.settle_time
+        while context.position[2] > z + lacks and context.time < end:
+            yield
+        if not context.position[2] > z + lacks:
+            return
+    raise _stuck(context)
+
+
+def release(context: Context, travel: float = _RELEASED) -> Script[None]:
+    """Pull the electrodes off the magnets, until the platform has come `travel` m back.
+
+    The goal is put behind the measured position while the push bound still holds, because a servo whose bound rises
+    while it is clipped jumps; only then may it pull. The bound drops as soon as the platform has moved.
+
+    Raises:
+        DockingError: as for `take_off`.
+    """
+    parameters, geometry = context.parameters, context.kinematics.geometry
+    while not all(map(math.isfinite, context.observation.angles)):
+        yield
+    context.feed.stop()
+    x, y, z = context.position
+    lead = parameters.release_current * TORQUE_CONSTANT / parameters.servo_stiffness
+    behind = tuple(max(angle - lead, geometry.joint_min) for angle in context.observation.angles)
+    goal: Vector = (behind[0], behind[1], behind[2])
+    begun, pushed = context.time, context.contact.value
+    yield from _pull(context, goal, parameters.push_current, z - travel, _SETTING_BACK)
+    yield from _pull(context, goal, parameters.release_current, z - travel, parameters.release_time)
+    if not _is_off(context, z - travel):
+        raise _stuck(context)
+    context.decide(
+        "released",
+        "the electrodes have come off",
+        contact_current_A=pushed,
+        pull_bound_A=parameters.release_current,
+        time_s=context.time - begun,
+    )
+    try:
+        free = context.measured()
+        context.commanded = (x, y, free[2] - 0.001)
+        line = context.planner.line(free, context.commanded, parameters.travel_speed)
+    except DockingError:
+        context.hold()  # nothing goes on pulling
+        raise
+    context.follow(line, retreats=True)
+    if context.is_blind:
+        context.tell_piece((replace(line[-1], time=0.0),))  # here neither
+    yield
+
+
+def _is_off(context: Context, z: float) -> bool:
+    """Return whether the platform has come back to `z` m, and where the pads still feel something, a spring farther."""
+    observation = context.observation
+    held = observation.tactile_contact and observation.tactile_age <= context.parameters.tactile_age_max
+    return context.position[2] <= (z - (_SPRING_TRAVEL - _RELEASED) if held else z)
+
+
+def _pull(context: Context, goal: Vector, current: float, z: float, seconds: float) -> Script[None]:
+    """Pull toward the angles `goal` for so long, or until the platform has come off at `z` m.
+
+    It is told in every tick and lapses by itself: whoever stops telling it, and servos that are not heard any more,
+    pull no longer. Time without a pull does not count; the phase's does.
+    """
+    bound, push = ((each * TORQUE_CONSTANT,) * 3 for each in (current, context.parameters.push_current))
+    last, left = context.time, seconds
+    while left > 0.0 and not _is_off(context, z):
+        observation = context.observation
+        known = observation.servos_valid and observation.servo_age <= context.parameters.press_age_max
+        if known:
+            context.tell_piece(pull(goal, bound, _standing(context), push))
+        yield
+        left -= min(context.time - last, PULL_HORIZON) if known else 0.0  # untold, servos pull no longer than that
+        last = context.time
+
+
+def _standing(context: Context) -> Vector:
+    """Return the angles (rad) under which the arm stays where it is, its weight carried."""
+    geometry, stiffness = context.kinematics.geometry, context.parameters.servo_stiffness
+    held = context.kinematics.holding_torque(*context.position, context.parameters.gravity)
+    wanted = (angle + torque / stiffness for angle, torque in zip(context.observation.angles, held, strict=True))
+    a, b, c = (min(max(angle, geometry.joint_min), geometry.joint_max) for angle in wanted)
+    return a, b, c
+
+
+def _stuck(context: Context) -> Stuck:
+    context.hold()
+    context.decide("stuck", "the magnets do not let go", contact_current_A=context.contact.value)
+    parameters = context.parameters
+    return Stuck(
+        f"the magnets held against {parameters.release_current:.1f} A per servo for "
+        f"{parameters.release_time:.1f} s; move the target away by hand or raise release_current"
+    )

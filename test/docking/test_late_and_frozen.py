@@ -1,0 +1,184 @@
+"""Answers that come late, twice or again and again, and sensors that repeat themselves under new stamps.
+
+A late answer belongs to the goal that asked for it, or to nobody. A sensor that freezes is not looked for: its readings
+may stand still honestly. What this file holds is what that costs: the push stays bounded, nothing is energised that
+the other sensors do not bear out, and while current flows any two of the three inputs notice a target that leaves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from deltacharger_bringup.virtual_charger import GOAL
+from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.codes import Code, State
+from deltacharger_docking.observation import DockGoal, Reply, Request, Service, Waypoint
+
+from .silences import Faulty
+
+_PUSH_BOUND = 30.0  # N; what the current bound of the servos allows at the dock, however far the command goes
+
+
+class Repeating(Faulty):
+    """A charger that can hold answers back, and say them again in every tick that follows."""
+
+    held: Service | None = None
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.echoes: list[Reply] = []
+        self.twice = False
+        self.asked: list[Request] = []
+
+    def _accept(self, request: Request) -> None:
+        self.asked.append(request)
+        super()._accept(request)
+
+    def _serve(self) -> None:
+        super()._serve()
+        asked = {request.number: request.service for request in self.asked}
+        late = [reply for reply in self._replies if asked.get(reply.number) is self.held]
+        if self.twice:
+            self._replies += self.echoes
+            self.echoes += [reply for reply in self._replies if reply not in self.echoes]
+        elif late:
+            self.echoes += late
+            self._replies = [reply for reply in self._replies if reply not in late]
+
+
+BAD = Estimate(math.radians(11.0), 0.001, 0.0, 0.0003, 0.0, 0.0003)
+
+
+@pytest.mark.parametrize(
+    ("service", "first", "own", "code"),
+    [
+        (Service.DETECT, Code.ELECTRODES_NOT_FOUND, {"success": False}, Code.ELECTRODES_NOT_FOUND),
+        (Service.TORQUE_ON, Code.SERVO_FAULT, {"success": False}, Code.SERVO_FAULT),
+        (Service.TARE, Code.TACTILE_STALE, {"success": False}, Code.TACTILE_STALE),
+        (Service.ESTIMATE, Code.TACTILE_STALE, {"estimate": BAD}, Code.CRITICAL_ANGLE),
+        (Service.PROBE, Code.POWER_STALE, {"resistance": 0.1}, Code.SHORT_CIRCUIT),
+    ],
+    ids=lambda value: getattr(value, "name", ""),
+)
+def test_an_answer_that_comes_in_the_next_goal_is_nobodys(
+    service: Service, first: Code, own: dict[str, object], code: Code
+) -> None:
+    """The late one is a good one, said in every tick of the next goal, whose own answer is bad."""
+    run = Repeating()
+    goal = DockGoal(None if service is Service.DETECT else GOAL)
+    run.held = service
+    assert run.dock(goal).code is first
+    run.run(4.0)
+    run.held = None
+    run._torque = False  # as a person would have left it, so that it is asked for again
+    assert run.echoes
+    late = run.echoes
+    run.distort = lambda observation, told=run.distort: replace(
+        told(observation), replies=(*late, *observation.replies, *late)
+    )
+    run.answer[service] = lambda reply: replace(reply, message="out of order", **own)
+    assert run.dock(goal).code is code
+    run.assert_never_hurt()
+
+
+def test_every_answer_twice_and_then_in_every_tick_changes_nothing() -> None:
+    once, often = Repeating(), Repeating()
+    often.twice = True
+    outcomes = [run.dock(DockGoal(None)) for run in (once, often)]
+    assert outcomes[0].success, outcomes[0].message
+    assert outcomes[0] == outcomes[1]
+    assert once.states == often.states
+    assert once.undock().success
+    assert often.undock().success
+    assert [each.service for each in once.asked] == [each.service for each in often.asked], "nothing was asked anew"
+
+
+NOT_NOTICED = None
+
+
+@pytest.mark.parametrize(
+    ("phase", "servo", "pads", "power"),
+    [
+        (State.APPROACH, Code.NO_CONTACT, Code.NO_TACTILE_CONTACT, Code.NO_CHARGE_CURRENT),
+        (State.CONTACT, Code.NO_CONTACT, Code.NO_TACTILE_CONTACT, Code.NO_CHARGE_CURRENT),
+        (State.ALIGN, Code.STUCK, Code.NO_TACTILE_CONTACT, Code.NO_CHARGE_CURRENT),
+        (State.ENERGISE, NOT_NOTICED, NOT_NOTICED, Code.NO_CHARGE_CURRENT),
+        (State.CHARGING, NOT_NOTICED, NOT_NOTICED, NOT_NOTICED),
+    ],
+    ids=lambda value: getattr(value, "name", ""),
+)
+@pytest.mark.parametrize("frozen", ["servo_state", "tactile_frame", "charger_power"])
+def test_a_sensor_that_repeats_itself(
+    phase: State, servo: Code | None, pads: Code | None, power: Code | None, frozen: str
+) -> None:
+    expected = {"servo_state": servo, "tactile_frame": pads, "charger_power": power}[frozen]
+    run = Faulty()
+    run.reach(phase)
+    run.frozen = (frozen,)
+    run.world.record.peak_push = 0.0
+    run.run(5.0) if expected is None else run.until(lambda: run.outcome is not None, 60.0)
+    if expected is not None:
+        assert run.outcome is not None
+        assert run.outcome.code is expected, run.outcome.message
+        run.run(0.5)
+        assert not run.closed
+        assert not run.has_torque
+    else:
+        assert run.machine.status.charging, "not noticed, and nothing wrong: it charges as it did"
+    assert run.world.record.peak_push < _PUSH_BOUND
+    run.assert_never_hurt()
+
+
+def drag_off(run: Faulty) -> None:
+    """Move the platform away from the target by force, as somebody would who rolls the robot away."""
+    home = run.machine.parameters.home
+    run._follow = lambda command: run.plant.open_contactor(True) if not command.energise else None  # type: ignore[assignment]
+    angles = run.machine._context.kinematics.inverse(*home)
+    run._trajectory, run._started = (Waypoint(0.0, angles, (6.0, 6.0, 6.0)),), run.now
+
+
+@pytest.mark.parametrize("frozen", ["", "servo_state", "tactile_frame", "charger_power"])
+def test_one_frozen_sensor_does_not_hide_a_target_that_leaves(frozen: str) -> None:
+    run = Faulty()
+    run.reach(State.CHARGING)
+    run.frozen = (frozen,)
+    start = run.now
+    drag_off(run)
+    run.until(lambda: not run.closed, 1.0)
+    assert run.now - start <= 0.35
+    assert run.machine.status.code in (Code.NO_CONTACT, Code.NO_CHARGE_CURRENT, Code.OVERCURRENT)
+
+
+def test_power_that_repeats_itself_as_closed_keeps_the_arm_where_it_is() -> None:
+    """Nothing shows that the contactor opened: pulling would draw an arc if it had not."""
+    run = Faulty()
+    run.reach(State.CHARGING)
+    run.frozen = ("charger_power",)
+    assert run.undock().code is Code.CONTACTOR_WELDED
+    assert not run.closed
+    assert run.has_torque
+    run.assert_never_hurt()
+
+
+def test_pads_that_feel_the_same_wherever_they_are_never_energise() -> None:
+    """The first estimate, 6 mm off, is answered to every question: the arm goes after it until it can go no further."""
+    run = Faulty(alignment_tolerance=0.001)
+    felt: list[Estimate] = []
+
+    def again(reply: Reply) -> Reply:
+        assert reply.estimate is not None
+        felt.append(felt[0] if felt else reply.estimate)
+        return replace(reply, estimate=felt[0])
+
+    answer: Callable[[Reply], Reply | None] = again
+    run.answer[Service.ESTIMATE] = answer
+    outcome = run.dock()
+    assert len(felt) > 1
+    ends = (Code.MISALIGNED, Code.UNREACHABLE, Code.NO_TACTILE_CONTACT, Code.NO_CONTACT, Code.ESTIMATE_UNSURE)
+    assert outcome.code in ends, outcome
+    assert State.ENERGISE not in run.states
+    run.assert_never_hurt()

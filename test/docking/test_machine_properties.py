@@ -1,0 +1,439 @@
+"""Laws of the docking machine under any observations: no current without all of its conditions, every way has an end.
+
+The machine is driven by a small cooperative model, so that it comes to the end of a docking in a few hundred steps, and
+by an adversary that spoils what it sees: not measured, too old, contradictory, late, twice, of another kind, in another
+order, clocks that jump, goals and cancels at any time.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from deltacharger_bringup.campaign.quick_motion import QuickPlanner
+from deltacharger_docking.clearance import Estimate, Verdict, judge
+from deltacharger_docking.codes import Code, DockingError, State
+from deltacharger_docking.energy_script import CONTACT_LOST
+from deltacharger_docking.machine import DockingMachine
+from deltacharger_docking.observation import (
+    Command,
+    Detection,
+    DockGoal,
+    Observation,
+    Reply,
+    Request,
+    Service,
+    Waypoint,
+)
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.statics import TORQUE_CONSTANT
+
+TICK = 0.05  # s; coarse, as the model has no dynamics
+DEPTH = 0.080  # m, where the target's faces are
+LIMITS = DockingParameters(
+    gravity_y=0.0, goal_timeout=25.0, locate_timeout=2.0, energise_timeout=4.0, retract_timeout=8.0, redockings_max=1
+)
+NAN3 = (math.nan, math.nan, math.nan)
+
+# What may follow each state: docs/docking.md.
+BACK = {State.RETRACT}
+LEGAL: dict[State, set[State]] = {
+    State.IDLE: {State.LOCATE, State.APPROACH, State.MEASURE, *BACK},
+    State.LOCATE: {State.APPROACH, *BACK},
+    State.APPROACH: {State.CONTACT, *BACK},
+    State.CONTACT: {State.BACK_OFF, State.MEASURE, *BACK},
+    State.BACK_OFF: {State.CONTACT, *BACK},
+    State.MEASURE: {State.ALIGN, State.CONTACT, State.ENERGISE, State.IDLE, *BACK},
+    State.ALIGN: {State.CONTACT, *BACK},
+    State.ENERGISE: {State.CHARGING, *BACK},
+    State.CHARGING: {State.IDLE, *BACK},
+    State.RETRACT: {State.IDLE, State.LOCATE, State.APPROACH},
+}
+
+
+@dataclass
+class Model:
+    """A charger without dynamics: the platform stands where it was told, and pushes by what that lies too far."""
+
+    geometry: ScalarDelta = field(default_factory=lambda: ScalarDelta(DeltaGeometry()))
+    now: float = 0.0
+    goal: Vector = (0.0, 0.0, 0.0)
+    way: tuple[Waypoint, ...] = ()
+    told: float = 0.0
+    torque: bool = False
+    tared: bool = False
+    closed: bool = False
+    wanted: bool = False
+    estimate: Estimate = field(default_factory=lambda: Estimate(0.01, 0.004, 0.0002, 0.0002, 0.0003, 0.0004))
+    pending: list[tuple[float, Request]] = field(default_factory=list)
+    replies: list[Reply] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.goal = self.geometry.inverse(0.0, 0.0, 0.0)
+
+    def follow(self, command: Command) -> None:
+        """Carry out a command."""
+        if command.trajectory is not None and self.torque:
+            self.way, self.told = command.trajectory, self.now
+        for request in command.requests:
+            self.pending.append((self.now + 0.1, request))
+        self.wanted = command.energise
+
+    def observe(self) -> Observation:
+        """Go on by a tick and tell what is."""
+        self.now += TICK
+        for item in [item for item in self.pending if item[0] <= self.now]:
+            self.pending.remove(item)
+            self.replies.append(self._serve(item[1]))
+        self.closed = self.wanted
+        while self.way and self.torque and self.way[0].time <= self.now - self.told:
+            self.goal, self.way = self.way[0].angles, self.way[1:]
+        x, y, z = self.geometry.forward(*self.goal)
+        touches = z >= DEPTH
+        angles = self.geometry.inverse(x, y, DEPTH) if touches else self.goal
+        lead = [LIMITS.servo_stiffness * (goal - angle) for goal, angle in zip(self.goal, angles, strict=True)]
+        a, b, c = (torque / TORQUE_CONSTANT for torque in lead)
+        replies, self.replies = tuple(self.replies), []
+        return Observation(
+            time=self.now,
+            angles=angles,
+            currents=(a, b, c) if self.torque else (0.0, 0.0, 0.0),
+            servo_age=0.005,
+            servos_valid=True,
+            torque_enabled=self.torque,
+            tactile_age=0.008,
+            tactile_contact=touches and self.torque,
+            tared=self.tared,
+            power_age=0.02,
+            contactor_closed=self.closed,
+            charge_current=8.0 if self.closed else 0.0,
+            target_voltage=24.0,
+            replies=replies,
+        )
+
+    def _serve(self, request: Request) -> Reply:
+        number, service = request.number, request.service
+        if service in (Service.TORQUE_ON, Service.TORQUE_OFF):
+            self.torque = service is Service.TORQUE_ON
+        if service is Service.TARE:
+            self.tared = True
+        if service is Service.PROBE:
+            return Reply(number, True, resistance=2000.0, target_voltage=24.0)
+        if service is Service.ESTIMATE:
+            return Reply(number, True, estimate=self.estimate)
+        if service is Service.DETECT:
+            return Reply(number, True, detection=Detection((0.0, 0.0, DEPTH), 0.02, 0.01, 0.1))
+        return Reply(number, True)
+
+
+class Judge:
+    """Looks at every observation and command, and says what must not be; it knows nothing of the machine's inside."""
+
+    def __init__(self) -> None:
+        self.asked: dict[int, Service] = {}
+        self.states = [State.IDLE]
+        self.kinds: Counter[str] = Counter()
+        self.closings = 0
+        self._closed = False
+        self._forget()
+
+    def _forget(self) -> None:
+        self.passed: list[Verdict] = []
+        self.probed = False
+
+    def saw(self, observation: Observation) -> None:
+        """Note what the machine was told."""
+        for reply in observation.replies:
+            service = self.asked.pop(reply.number, None)
+            if service is Service.ESTIMATE:
+                self._felt(reply)
+            elif service is Service.PROBE:
+                low, high = LIMITS.target_voltage_min, LIMITS.target_voltage_max
+                good = reply.success and LIMITS.probe_resistance_min <= reply.resistance < math.inf
+                self.probed = good and low <= reply.target_voltage <= high
+
+    def _felt(self, reply: Reply) -> None:
+        estimate = reply.estimate if reply.success else None
+        good = estimate is not None and estimate.complete and estimate.sure and estimate.in_range and estimate.contact
+        verdict = judge(estimate, LIMITS) if good and estimate is not None else None
+        self.passed = [*self.passed, verdict] if verdict in (Verdict.SAFE, Verdict.PROBABLY_SAFE) else []
+
+    def heard(self, observation: Observation, command: Command, contact_current: float) -> None:
+        """Check what the machine said to it."""
+        for state in command.states:
+            assert state in LEGAL[self.states[-1]], f"{self.states[-1].name} → {state.name}"
+            self.states.append(state)
+        self.kinds.update(decision.kind for decision in command.decisions)
+        assert all(kind.islower() and kind.isalpha() for kind in self.kinds)
+        self.asked.update((request.number, request.service) for request in command.requests)
+        if command.energise and not self._closed:
+            self._check_closing(observation, contact_current)
+        if not command.energise and command.trajectory and self.states[-1] is not State.RETRACT:
+            self.probed = False  # a new contact needs a new probe
+        if (self._closed and not command.energise) or self.states[-1] in (State.ALIGN, State.RETRACT):
+            self._forget()
+        self._closed = command.energise
+
+    def _check_closing(self, observation: Observation, contact_current: float) -> None:
+        self.closings += 1
+        assert self.states[-1] is State.ENERGISE
+        assert observation.torque_enabled
+        assert observation.hardware_error == 0
+        assert observation.tactile_contact
+        assert contact_current >= CONTACT_LOST
+        assert observation.servo_age <= 0.2
+        assert observation.tactile_age <= LIMITS.tactile_age_max
+        assert observation.power_age <= LIMITS.power_age_max
+        assert self.probed, "a good probe after the last motion"
+        assert self.passed, "the last estimate before it leaves clearance"
+        assert Verdict.SAFE in self.passed or len(self.passed) >= 2
+
+
+Spoil = Callable[[Observation, random.Random], Observation]
+
+
+FLAGS = ("sure", "in_range", "contact")
+
+
+def _replies(change: Callable[[Reply, random.Random], Iterator[Reply]]) -> Spoil:
+    def spoil(seen: Observation, source: random.Random) -> Observation:
+        return replace(seen, replies=tuple(each for reply in seen.replies for each in change(reply, source)))
+
+    return spoil
+
+
+def _twice(reply: Reply, source: random.Random) -> Iterator[Reply]:
+    yield reply
+    yield replace(reply, success=not reply.success)
+
+
+def _unknown(reply: Reply, source: random.Random) -> Iterator[Reply]:
+    yield replace(reply, number=reply.number + source.choice((-3, 1, 2, 1000)))
+    yield reply
+
+
+def _failed(reply: Reply, source: random.Random) -> Iterator[Reply]:
+    yield Reply(reply.number, source.random() < 0.5, "out of order")
+
+
+def _other(reply: Reply, source: random.Random) -> Iterator[Reply]:
+    """A reply as of another service, or one with numbers that are none."""
+    value = source.choice((math.nan, math.inf, 0.2, -24.0, 5.0, 1e9, 24.0))
+    felt = reply.estimate
+    if felt is not None:
+        number, flag = source.choice(("angle", "angle_stddev", "vertical", "vertical_stddev")), source.choice(FLAGS)
+        wrong = {number: source.choice((math.nan, 0.25, -0.25, -1.0, 0.02))}
+        felt = replace(felt, **(wrong if source.random() < 0.5 else {flag: False}))
+    yield replace(reply, resistance=value, target_voltage=source.choice((24.0, value)), estimate=felt, detection=None)
+
+
+def _nothing(reply: Reply, source: random.Random) -> Iterator[Reply]:
+    yield from ()
+
+
+SPOILS: dict[str, Spoil] = {
+    "nan angles": lambda seen, source: replace(seen, angles=NAN3, servos_valid=source.random() < 0.5),
+    "nan currents": lambda seen, source: replace(seen, currents=NAN3),
+    "invalid": lambda seen, source: replace(seen, servos_valid=False),
+    "servo age": lambda seen, source: replace(seen, servo_age=source.choice((0.15, 0.4, 5.0, math.inf))),
+    "tactile age": lambda seen, source: replace(seen, tactile_age=source.choice((0.15, 0.6, math.inf))),
+    "power age": lambda seen, source: replace(seen, power_age=source.choice((0.3, 0.6, math.inf))),
+    "no touch": lambda seen, source: replace(seen, tactile_contact=not seen.tactile_contact),
+    "torque": lambda seen, source: replace(seen, torque_enabled=not seen.torque_enabled),
+    "error": lambda seen, source: replace(seen, hardware_error=source.choice((1, 32))),
+    "fault": lambda seen, source: replace(seen, power_fault=source.choice(range(1, 12))),
+    "contactor": lambda seen, source: replace(seen, contactor_closed=not seen.contactor_closed),
+    "charge": lambda seen, source: replace(seen, charge_current=source.choice((math.nan, -3.0, 0.0, 0.3, 25.0))),
+    "push": lambda seen, source: replace(seen, currents=(source.uniform(-2.0, 2.0),) * 3),
+    "reserve": lambda seen, source: replace(seen, thermal_reserve=source.choice((0.0, math.nan))),
+    "refused": lambda seen, source: replace(seen, contactor_refusal="refused"),
+    "twice": _replies(_twice),
+    "unknown": _replies(_unknown),
+    "failed": _replies(_failed),
+    "other": _replies(_other),
+    "nothing": _replies(_nothing),
+}
+SERVOS = ("torque", "error", "servo age")
+
+
+class Run:
+    """A machine, the model, the adversary and the judge."""
+
+    def __init__(self, seed: int, spoiled: tuple[str, ...], rate: float, jumps: bool, after: float = 0.0) -> None:
+        self.model, self.judge = Model(), Judge()
+        geometry = DeltaGeometry()
+        self.machine = DockingMachine(LIMITS, geometry, QuickPlanner(LIMITS, geometry))
+        self._source = random.Random(seed)
+        self._spoiled, self._rate, self._jumps, self._after = spoiled, rate, jumps, after
+        self._jumped = 0.0
+        self._left = 0
+        self._late: list[Reply] = []
+        self._how: Spoil = lambda seen, source: seen
+        self.codes: list[Code] = []
+
+    def _observe(self) -> Observation:
+        seen, source = self.model.observe(), self._source
+        if self.model.now < self._after:
+            return seen
+        if self._left <= 0 and self._spoiled and source.random() < self._rate:
+            self._left = source.choice((1, 1, 2, 5, 40))
+            self._how = SPOILS[source.choice(self._spoiled)]
+        if self._left > 0:
+            self._left -= 1
+            seen = self._how(seen, source)
+        if self._jumps:
+            if source.random() < 0.01:
+                self._jumped += source.choice((-3600.0, -1.0, 0.7, 3600.0))
+            kept = [reply for reply in seen.replies if source.random() < 0.3]
+            now, self._late = [*self._late, *(each for each in seen.replies if each not in kept)], kept
+            source.shuffle(now)
+            seen = replace(seen, time=seen.time + self._jumped, replies=tuple(now))
+        return seen
+
+    def step(self) -> None:
+        """One tick of everything."""
+        observation = self._observe()
+        self.judge.saw(observation)
+        command = self.machine.step(observation)
+        self.judge.heard(observation, command, self.machine.status.contact_current)
+        self.model.follow(command)
+        outcome, self.machine.outcome = self.machine.outcome, None
+        if outcome is not None:
+            assert outcome.success == (outcome.code is Code.NONE)
+            assert outcome.message
+            self.codes.append(outcome.code)
+
+    def goal(self, goal: DockGoal | None) -> None:
+        """Send a goal, None = undock; refusals have codes too."""
+        try:
+            if goal is None:
+                self.machine.start_undock("", self._observe_only())
+            else:
+                self.machine.start_dock(goal, self._observe_only())
+        except DockingError as error:
+            self.codes.append(error.code)
+
+    def _observe_only(self) -> Observation:
+        return replace(self.model.observe(), replies=(), time=self.model.now + self._jumped)
+
+    def finish(self, limit: float) -> None:
+        """Step until the goal has its outcome."""
+        count, end = len(self.codes), self.model.now + limit
+        while len(self.codes) == count:
+            assert self.model.now < end, f"no outcome within {limit} s in {self.machine.status.state.name}"
+            self.step()
+
+    def settle(self) -> None:
+        """Let whatever the machine does by itself come to its end without an adversary."""
+        self._spoiled, self._jumps, self._left = (), False, 0
+        quiet, end = 0, self.model.now + ENOUGH
+        while quiet < 20:
+            assert self.model.now < end, f"not at rest within {ENOUGH} s, {self.machine.status.state.name}"
+            self.step()
+            rests = self.machine.status.state in (State.IDLE, State.CHARGING)
+            quiet = quiet + 1 if rests and not self.machine.busy else 0
+
+
+# The goal's own deadline, twice as docking begins again once, the ways back, and what the clock was set back meanwhile.
+ENOUGH = 2.0 * (LIMITS.goal_timeout + LIMITS.retract_timeout + 5.0)
+ADVERSARIES = st.tuples(
+    st.integers(0, 2**32),
+    st.lists(st.sampled_from(sorted(SPOILS)), min_size=1, max_size=3, unique=True).map(tuple),
+    st.sampled_from((0.0, 0.003, 0.02, 0.2)),
+    st.booleans(),
+)
+GOALS = st.builds(
+    DockGoal,
+    st.sampled_from((Detection((0.0, 0.0, DEPTH), 0.0), None)),
+    critical_angle=st.sampled_from((0.0, 0.0, 0.15)),
+    start_charging=st.sampled_from((True, True, False)),
+    stop_after=st.sampled_from((0.0, 1.0)),
+    hold=st.just(False),
+)
+CLOSINGS: Counter[str] = Counter()
+SETTINGS = settings(
+    max_examples=30, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow], print_blob=True
+)
+
+
+def test_the_cooperative_model_is_docked_charged_and_undocked() -> None:
+    run = Run(1, (), 0.0, False)
+    run.goal(DockGoal(None))
+    run.finish(ENOUGH)
+    assert run.codes == [Code.NONE]
+    assert run.judge.closings == 1
+    run.goal(None)
+    run.finish(ENOUGH)
+    assert run.codes == [Code.NONE, Code.NONE]
+    assert not run.model.torque
+
+
+@SETTINGS
+@given(adversary=ADVERSARIES, goals=st.lists(GOALS, min_size=1, max_size=3), undock=st.booleans())
+def test_no_observations_close_the_contactor_without_its_conditions_and_every_goal_ends(
+    adversary: tuple[int, tuple[str, ...], float, bool], goals: list[DockGoal], undock: bool
+) -> None:
+    run = Run(*adversary)
+    for goal in goals:
+        run.goal(goal)
+        if not run.codes or run.machine.busy:
+            run.finish(ENOUGH)
+        for _ in range(40):
+            run.step()
+    if undock:
+        run.goal(None)
+    run.settle()
+    CLOSINGS.update(closed=run.judge.closings, runs=1)
+    assert run.machine.busy is False
+    assert run.machine.status.state in (State.IDLE, State.CHARGING)
+    assert (run.machine.status.state is State.CHARGING) == run.model.wanted
+    if run.machine.status.state is State.IDLE:
+        assert not run.model.wanted
+
+
+def test_the_closing_was_reached_often_enough_to_show_something() -> None:
+    if not CLOSINGS["runs"]:
+        pytest.skip("runs after the property that it speaks about")
+    assert CLOSINGS["closed"] > 0.4 * CLOSINGS["runs"], CLOSINGS
+
+
+@SETTINGS
+@given(seed=st.integers(0, 2**32), spoil=st.sampled_from(sorted(SPOILS)), jumps=st.booleans())
+def test_whatever_spoils_charging_ends_it_or_leaves_it_watched(seed: int, spoil: str, jumps: bool) -> None:
+    """The adversary waits until current flows."""
+    run = Run(seed, (spoil,), 0.05, jumps, after=11.0)
+    run.goal(DockGoal(None))
+    while not run.machine.status.charging and run.model.now < 10.5:
+        run.step()
+    assert run.machine.status.charging, "the model charges within 10.5 s when left alone"
+    for _ in range(100):
+        run.step()
+    run.settle()
+    assert run.judge.closings >= 1
+    assert run.machine.status.charging == run.model.wanted
+
+
+@pytest.mark.parametrize("hold", [True, False])
+@pytest.mark.parametrize("after", [0.05, 0.4, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 12.0])
+def test_a_cancel_at_any_time_ends_in_canceled_with_the_arm_back(after: float, hold: bool) -> None:
+    run = Run(1, (), 0.0, False)
+    run.goal(DockGoal(None, hold=hold))
+    while run.model.now < after and not run.codes:
+        run.step()
+    if run.codes:  # it succeeded before; there is nothing left to cancel
+        return
+    run.machine.cancel()
+    run.finish(20.0)
+    assert run.codes == [Code.CANCELED]
+    assert run.judge.states[-1] is State.IDLE
+    assert not run.model.wanted
+    assert not run.model.torque

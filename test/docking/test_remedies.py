@@ -1,0 +1,26 @@
+"""What to do about an error stands in the code as docs/errors.md begins it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from deltacharger_docking.codes import Code
+from deltacharger_docking.remedies import REMEDIES
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "errors.md"
+ROWS = re.findall(r"^\| (\d+) \| (\w+) \|[^|]*\|[^|]*\| ?([^|]*?) ?\|", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+TEXTS = {(Code(int(number)), name): text for number, name, text in ROWS if int(number) in set(Code)}
+
+
+def test_the_page_holds_every_code() -> None:
+    assert set(TEXTS) == {(code, code.name) for code in Code}
+
+
+@pytest.mark.parametrize("code", Code)
+def test_the_page_begins_with_the_remedy(code: Code) -> None:
+    text = TEXTS[code, code.name]
+    assert text.startswith(REMEDIES[code])
+    assert bool(text) == bool(REMEDIES[code])
