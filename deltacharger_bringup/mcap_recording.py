@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rclpy.callback_groups import CallbackGroup
@@ -24,6 +24,8 @@ from rclpy.subscription import MessageInfo
 from deltacharger_bringup.recording_files import whole
 
 _SEPARATOR = "=" * 80
+_CHUNK = 2**20  # bytes
+_END_CHUNK = "_Writer__finalize_chunk"
 _FIELD = re.compile(r"^\s*([A-Za-z]\w*(?:/\w+)?)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")
 _PLAIN = {"bool", "byte", "char", "string", "wstring", "float32", "float64"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
@@ -80,13 +82,11 @@ def listen(node: Node, topics: Sequence[Topic], take: Callable[[Raw], None], gro
         node.create_subscription(topic.kind, topic.name, taker(full), topic.qos, callback_group=group, raw=True)
 
 
-class McapWriter:
-    """Write one MCAP file; it has its name only once it is complete and on the disk.
-
-    A `with` block left by an exception leaves no file.
+class McapStream:
+    """Write MCAP to a stream that the caller opens and closes.
 
     Args:
-        path: of the file; one that is there is replaced at the end.
+        stream: to write to.
         kinds: message class of each topic, by its full name.
 
     Raises:
@@ -94,32 +94,16 @@ class McapWriter:
         OSError: the file cannot be written.
     """
 
-    def __init__(self, path: Path, kinds: Mapping[str, Any]) -> None:
-        mcap = _mcap()
-        self._exit = ExitStack()
+    def __init__(self, stream: BinaryIO, kinds: Mapping[str, Any]) -> None:
+        self._stream = stream
         self._channels: dict[str, int] = {}
-        with ExitStack() as undo:
-            stream = undo.enter_context(undo.enter_context(whole(path)).open("wb"))
-            self._writer = mcap.writer.Writer(stream)
-            self._writer.start(profile="ros2", library="deltacharger")
-            for topic, kind in kinds.items():
-                schema = self._writer.register_schema(type_name(kind), "ros2msg", schema_text(kind).encode())
-                self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
-            self._exit = undo.pop_all()
-
-    def __enter__(self) -> McapWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                self._writer.finish()
-        except BaseException as problem:
-            self._exit.__exit__(type(problem), problem, problem.__traceback__)
-            raise
-        self._exit.__exit__(kind, error, trace)
+        kind = _mcap().writer.Writer
+        # The writer ends a chunk by its size alone; without that method every message becomes a chunk of its own.
+        self._writer = kind(stream, chunk_size=_CHUNK if hasattr(kind, _END_CHUNK) else 1)
+        self._writer.start(profile="ros2", library="deltacharger")
+        for topic, message in kinds.items():
+            schema = self._writer.register_schema(type_name(message), "ros2msg", schema_text(message).encode())
+            self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
 
     def add(self, message: Raw) -> None:
         """Append a message; KeyError for a topic that was not named at the start."""
@@ -137,6 +121,51 @@ class McapWriter:
         """Append a file."""
         now = time.time_ns()
         self._writer.add_attachment(now, now, name, media_type, data)
+
+    def flush(self) -> None:
+        """Hand what was written to the operating system, so that it outlives this process."""
+        getattr(self._writer, _END_CHUNK, lambda: None)()
+        self._stream.flush()
+
+    def finish(self) -> None:
+        """Write the index; nothing can be added any more."""
+        self._writer.finish()
+        self._stream.flush()
+
+
+class McapWriter(McapStream):
+    """Write one MCAP file; it has its name only once it is complete and on the disk.
+
+    A `with` block left by an exception leaves no file.
+
+    Args:
+        path: of the file; one that is there is replaced at the end.
+        kinds: message class of each topic, by its full name.
+
+    Raises:
+        RecordingError: mcap is not installed, or the .msg files of a message are not.
+        OSError: the file cannot be written.
+    """
+
+    def __init__(self, path: Path, kinds: Mapping[str, Any]) -> None:
+        self._exit = ExitStack()
+        with ExitStack() as undo:
+            super().__init__(undo.enter_context(undo.enter_context(whole(path)).open("wb")), kinds)
+            self._exit = undo.pop_all()
+
+    def __enter__(self) -> McapWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self.finish()
+        except BaseException as problem:
+            self._exit.__exit__(type(problem), problem, problem.__traceback__)
+            raise
+        self._exit.__exit__(kind, error, trace)
 
 
 class McapFile:
@@ -189,8 +218,8 @@ def require_mcap() -> None:
 
 def type_name(kind: Any) -> str:
     """Return the full name of a message class, such as std_msgs/msg/Header."""
-    package, _, _ = kind.__module__.partition(".")
-    return f"{package}/msg/{kind.__name__}"
+    package, interface, *_ = kind.__module__.split(".")
+    return f"{package}/{interface}/{kind.__name__}"
 
 
 def schema_text(kind: Any) -> str:
@@ -222,9 +251,14 @@ def _parts(text: str, package: str) -> Iterator[str]:
 
 
 def _definition(package: str, name: str) -> str:
+    action, _, part = name.partition("_Feedback")
+    if part == "Message" and action:
+        return f"unique_identifier_msgs/UUID goal_id\n{package}/{action}_Feedback feedback\n"
     try:
-        path = Path(get_package_share_directory(package)) / "msg" / f"{name}.msg"
-        return path.read_text(encoding="utf-8")
+        share = Path(get_package_share_directory(package))
+        if action != name:  # the third part of an .action file
+            return (share / "action" / f"{action}.action").read_text(encoding="utf-8").split("\n---\n")[2]
+        return (share / "msg" / f"{name}.msg").read_text(encoding="utf-8")
     except (PackageNotFoundError, OSError) as error:
         raise RecordingError(f"the definition of {package}/msg/{name} is not installed: {error}") from error
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,15 +71,15 @@ def _compose(figure: Figure, run: Run) -> None:
     first = figure.add_subplot(grid[0, 0])
     rows = [first, *(figure.add_subplot(grid[index, 0], sharex=first) for index in range(1, 5))]
     span = _span(run)
-    for axes, panel in zip(rows, (_height, _contact_current, _force, _misalignment, _charge), strict=True):
-        _shade(axes, run, span)
+    for axes, panel in zip(rows, (height, contact_current, _force, _misalignment, charge), strict=True):
+        shade(axes, run, span)
         panel(axes, run)
         axes.set_xlim(span)
         axes.grid(axis="y", color="white", linewidth=1.0, zorder=0.5)
         axes.yaxis.set_label_coords(-0.058, 0.5)
         axes.tick_params(labelbottom=axes is rows[-1], length=3)
     rows[-1].set_xlabel("time since the goal, s")
-    _name_phases(rows[0], run, span)
+    name_phases(rows[0], run, span)
     _side(figure, grid[:, 1], run)
     _title(figure, run)
 
@@ -112,44 +113,56 @@ def _intervals(run: Run, span: tuple[float, float]) -> list[tuple[float, float, 
     return [(max(begin, span[0]), end, phase) for (begin, phase), (end, _) in stretches if end > span[0]]
 
 
-def _shade(axes: Axes, run: Run, span: tuple[float, float]) -> None:
+def shade(axes: Axes, run: Run, span: tuple[float, float]) -> None:
+    """Colour the stretches of a panel by phase."""
     axes.set_facecolor("#f6f7f8")
     axes.set_axisbelow(True)
     for begin, end, phase in _intervals(run, span):
         axes.axvspan(begin, end, color=_PHASE_COLOURS.get(phase, "#eeeeee"), linewidth=0, zorder=0)
 
 
-def _name_phases(axes: Axes, run: Run, span: tuple[float, float]) -> None:
-    """Write each phase above its stretch, and above the first of the narrow ones that follow each other."""
-    width = span[1] - span[0]
-    free_from = span[0]
+def name_phases(
+    axes: Axes, run: Run, span: tuple[float, float], place: Callable[[float], float] = lambda time: time
+) -> None:
+    """Write each phase above its stretch, and above the first of the narrow ones that follow each other.
+
+    Args:
+        axes: the panel at the top.
+        run: what it shows.
+        span: first and last time of it, s.
+        place: where a time stands on the axis, where that is not linear.
+    """
+    free_from, width = place(span[0]), place(span[1]) - place(span[0])
     for begin, end, phase in _intervals(run, span):
         if phase == "idle":
             continue
         room = len(phase) * 0.0085 * width
-        centre = 0.5 * (begin + end)
-        if end - begin < _NARROW * width and centre - 0.5 * room < free_from:
+        start, stop = place(begin), place(end)
+        centre = 0.5 * (start + stop)
+        if stop - start < _NARROW * width and centre - 0.5 * room < free_from:
             continue
         left = max(centre - 0.5 * room, free_from)
         axes.annotate(
-            phase.replace("_", " "), (left + 0.5 * room, 1.0), xycoords=("data", "axes fraction"),
+            phase.replace("_", " "), ((left + 0.5 * room - place(span[0])) / width, 1.0), xycoords="axes fraction",
             xytext=(0, 5), textcoords="offset points", ha="center", va="bottom", fontsize=8, color="#51606e",
         )  # fmt: skip
         free_from = left + room
 
 
-def _height(axes: Axes, run: Run) -> None:
+def height(axes: Axes, run: Run) -> None:
+    """Draw where the platform is."""
     motion = run.motion.arrays()
     axes.plot(motion["time"], 1e3 * motion["z"], color=BLUE, linewidth=1.6)
     axes.set_ylabel("z, mm")
 
 
-def _contact_current(axes: Axes, run: Run) -> None:
+def contact_current(axes: Axes, run: Run) -> None:
+    """Draw the contact current against its band."""
     contact, motion = run.contact.arrays(), run.motion.arrays()
     axes.axhspan(*BAND, color=GREEN, alpha=0.28, linewidth=0, zorder=1)
     axes.plot(motion["time"], motion["current"], color=ORANGE, linewidth=0.8, alpha=0.6, label="from servo_state")
     axes.plot(contact["time"], contact["current"], ".", color=ORANGE, markersize=3.5, label="as reported")
-    _legend(axes)
+    legend(axes)
     low, high = _limits(np.concatenate([contact["current"], motion["current"]]), BAND)
     axes.set_ylim(low, high)
     axes.annotate(
@@ -183,15 +196,17 @@ def _misalignment(axes: Axes, run: Run) -> None:
     if len(known):
         reach = 1.35 * max(float(np.abs(known).max()), 1.0)
         axes.set_ylim(-reach, reach)
-    _legend(axes)
+    legend(axes)
     axes.set_ylabel("misalign-\nment")
 
 
-def _legend(axes: Axes) -> None:
+def legend(axes: Axes) -> None:
+    """Name the curves of a panel."""
     axes.legend(loc="upper left", ncols=3, fontsize=7.5, frameon=True, framealpha=0.75, edgecolor="none")
 
 
-def _charge(axes: Axes, run: Run) -> None:
+def charge(axes: Axes, run: Run) -> None:
+    """Draw what flows."""
     power = run.power.arrays()
     axes.plot(power["time"], power["current"], color=GREEN, linewidth=1.6)
     axes.fill_between(power["time"], 0.0, np.nan_to_num(power["current"]), color=GREEN, alpha=0.25, linewidth=0)
@@ -219,7 +234,7 @@ def _heat_maps(figure: Figure, slots: tuple[Any, Any], run: Run) -> None:
     top = max(float(np.nanmax(left)), float(np.nanmax(right)), 2.0)
     for slot, name, frame in zip(slots, ("left pad (+x)", "right pad (−x)"), (left, right), strict=True):
         axes = figure.add_subplot(slot)
-        shown = axes.imshow(frame, cmap=_heat_colours(), vmin=0.0, vmax=top, interpolation="nearest")
+        shown = axes.imshow(frame, cmap=heat_colours(), vmin=0.0, vmax=top, interpolation="nearest")
         axes.set_title(f"{name}   {np.nansum(frame):.0f} N", pad=4)
         axes.set_xticks([])
         axes.set_yticks([])
@@ -233,7 +248,8 @@ def _heat_maps(figure: Figure, slots: tuple[Any, Any], run: Run) -> None:
         bar.set_label("N per taxel", fontsize=7.5)
 
 
-def _heat_colours() -> Any:
+def heat_colours() -> Any:
+    """Return the colours of a pad: paper where nothing presses."""
     import matplotlib
     from matplotlib.colors import LinearSegmentedColormap
 

@@ -1,0 +1,21 @@
+"""The options of `deltacharger replay` and `--record`; what they do stands in cli_replay.py and scene_recorder.py."""
+
+from __future__ import annotations
+
+import argparse
+
+from deltacharger_bringup.cli_parser import add_command
+
+
+def add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> argparse.ArgumentParser:
+    """Add `replay` and return its parser."""
+    text = "say why a recorded docking ended as it did, and draw it; or list the records in a folder"
+    parser = add_command(commands, "replay", ("deltacharger_bringup.cli_replay", "replay"), text)
+    parser.add_argument("path", metavar="FILE|DIR", help="record, also one that was cut short, or folder of records")
+    parser.add_argument("--picture", metavar="FILE", help="draw it: .png, .pdf, .svg or .jpg")
+    return parser
+
+
+def add_record(parser: argparse.ArgumentParser) -> None:
+    """Add `--record` to a command that starts a charger."""
+    parser.add_argument("--record", metavar="DIR", help="keep a record of each docking in this folder")
