@@ -1,6 +1,6 @@
 """Start a scene's nodes as separate processes, and its simulated hardware as another where the scene has one.
 
-    ros2 launch deltacharger charger.launch.py scene:=simulated namespace:=left log_level:=info
+    ros2 launch deltacharger charger.launch.py scene:=simulated namespace:=left record:=records log_level:=info
 
 This file only wires: what runs, and with which parameters, stands in the scene.
 """
@@ -20,6 +20,7 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 
 from deltacharger_bringup.scene import Scene, load_scene
+from deltacharger_bringup.scene_recorder import with_recorder
 from launch import LaunchContext, LaunchDescription
 
 PACKAGE = "deltacharger"
@@ -30,6 +31,7 @@ def generate_launch_description() -> LaunchDescription:
         [
             DeclareLaunchArgument("scene", default_value="simulated", description="name of a scene, or a YAML file"),
             DeclareLaunchArgument("namespace", default_value="", description="of the charger"),
+            DeclareLaunchArgument("record", default_value="", description="folder for a record of each docking"),
             DeclareLaunchArgument("log_level", default_value="info", description="debug, info, warn, error or fatal"),
             OpaqueFunction(function=_wire),
         ]
@@ -38,6 +40,7 @@ def generate_launch_description() -> LaunchDescription:
 
 def _wire(context: LaunchContext) -> list[Any]:
     scene = load_scene(LaunchConfiguration("scene").perform(context))
+    scene = with_recorder(scene, LaunchConfiguration("record").perform(context))
     return _nodes(scene, {}) if scene.simulation is None else _simulated(scene)
 
 

@@ -1,0 +1,98 @@
+"""Where every joint of the delta is: for the URDF's passive joints and for pictures of the mechanism.
+
+What the kinematics does not have is as in urdf/deltacharger.urdf.xacro; the paper gives no drawing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Limb
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_sim.mujoco_model import rod_angles
+
+Array = NDArray[np.float64]
+
+ROD_SPACING = 0.040
+"""Between the two rods of a limb, m (assumed; the kinematics does not depend on it)."""
+SIDES = (("left", 0.5), ("right", -0.5))
+"""The rods of a limb by name, and their place along its tangent, in ROD_SPACING."""
+
+
+def motors(geometry: DeltaGeometry) -> Array:
+    """Return the middles of the motor axes (3 limbs, 3) m in charger_base."""
+    limbs = [geometry.limb(index) for index in range(LIMB_COUNT)]
+    return np.array(
+        [
+            _around(limb, limb.base_radius + limb.radius_offset, limb.tangential_offset, -limb.motor_height)
+            for limb in limbs
+        ]
+    )
+
+
+def elbows(geometry: DeltaGeometry, angles: Sequence[float]) -> Array:
+    """Return the middles of the elbow axes (3 limbs, 3) m in charger_base.
+
+    Args:
+        geometry: dimensions.
+        angles: commanded arm angles, rad.
+    """
+    found = motors(geometry)
+    for index, angle in enumerate(angles):
+        limb = geometry.limb(index)
+        true = angle + limb.angle_offset
+        found[index] += _around(limb, limb.arm * math.cos(true), 0.0, limb.arm * math.sin(true))
+    return found
+
+
+def feet(geometry: DeltaGeometry) -> Array:
+    """Return the middles of the platform's joint axes (3 limbs, 3) m in end_effector."""
+    limbs = [geometry.limb(index) for index in range(LIMB_COUNT)]
+    return np.array([_around(limb, limb.platform_radius, 0.0, 0.0) for limb in limbs])
+
+
+def rods(geometry: DeltaGeometry, angles: Sequence[float], position: Sequence[float]) -> Array:
+    """Return both ends, elbow first, of the six rods (6, 2, 3) m in charger_base, limb by limb, left before right.
+
+    Args:
+        geometry: dimensions.
+        angles: commanded arm angles, rad.
+        position: of end_effector, m in charger_base.
+    """
+    begin, end = elbows(geometry, angles), feet(geometry) + np.asarray(position, dtype=float)
+    found = []
+    for index in range(LIMB_COUNT):
+        for _, share in SIDES:
+            aside = _around(geometry.limb(index), 0.0, share * ROD_SPACING, 0.0)
+            found.append((begin[index] + aside, end[index] + aside))
+    return np.array(found)
+
+
+def passive_joints(delta: ScalarDelta, angles: Sequence[float]) -> dict[str, float]:
+    """Return the values (m, rad) of the URDF's passive joints by name; those that mimic another are left out.
+
+    Args:
+        delta: kinematics of the arm.
+        angles: commanded arm angles, rad.
+
+    Returns:
+        Empty where the arms meet in no point.
+    """
+    position = delta.forward(*angles)
+    if not all(math.isfinite(value) for value in position):
+        return {}
+    values = {f"platform_{axis}_joint": value for axis, value in zip("xyz", position, strict=True)}
+    for index, angle in enumerate(angles):
+        pitch, swing = rod_angles(delta.geometry, index, position, angle)
+        values[f"limb_{index}_rod_left_pitch_joint"] = math.remainder(pitch, 2.0 * math.pi)
+        values[f"limb_{index}_rod_left_swing_joint"] = swing
+    return values
+
+
+def _around(limb: Limb, radial: float, tangential: float, height: float) -> Array:
+    cosine, sine = limb.cosine, limb.sine
+    return np.array([radial * cosine - tangential * sine, radial * sine + tangential * cosine, height])

@@ -1,0 +1,54 @@
+"""Tactile arrays as pictures: one fixed scale of colours, so that two moments can be compared."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Picture = NDArray[np.uint8]
+
+FULL = 9.0
+"""N on one taxel at the end of the scale: the end of the published sensor's range."""
+NOISE = 0.25
+"""N; what is less is shown as nothing, as the estimator takes it: else the noise of free air would be sent on."""
+DEAD = (148, 154, 160)
+"""Colour of a taxel that does not answer."""
+_SHADES = 90  # steps of 0.1 N
+_ANCHORS = (
+    (0.00, (18, 20, 26)),
+    (0.12, (46, 24, 92)),
+    (0.35, (142, 36, 130)),
+    (0.60, (229, 80, 82)),
+    (0.82, (252, 165, 74)),
+    (1.00, (252, 248, 196)),
+)
+
+
+def _scale() -> Picture:
+    places, colours = zip(*_ANCHORS, strict=True)
+    shares = np.linspace(0.0, 1.0, _SHADES + 1)
+    channels = [np.interp(shares, places, [colour[each] for colour in colours]) for each in range(3)]
+    return np.round(np.stack(channels, axis=1)).astype(np.uint8)
+
+
+_SCALE = _scale()
+
+
+def pad_picture(forces: ArrayLike, rows: int, columns: int) -> Picture:
+    """Return one array (rows, columns, 3) as one sees it looking along +z at the target: +x to the left, +y up.
+
+    Args:
+        forces: (rows · columns,) N, row-major, row 0 at +y, column 0 at +x; NaN = dead taxel.
+        rows: of taxels.
+        columns: of taxels.
+
+    Raises:
+        ValueError: the numbers do not fit rows and columns.
+    """
+    values = np.asarray(forces, dtype=np.float64).reshape(rows, columns)
+    dead = np.isnan(values)
+    shown = np.where(values >= NOISE, np.minimum(values, FULL), 0.0)
+    shade = np.rint(shown * (_SHADES / FULL)).astype(np.intp)
+    picture = _SCALE[shade]
+    picture[dead] = DEAD
+    return picture

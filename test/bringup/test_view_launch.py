@@ -1,0 +1,44 @@
+"""launch/view.launch.py: the model that it publishes is the xacro's, with the files that it was told."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deltacharger_kinematics import DeltaGeometry
+from deltacharger_kinematics.geometry_file import save_geometry
+
+launch = pytest.importorskip("launch", reason="launch comes with a ROS installation, not from PyPI")
+pytest.importorskip("launch_ros", reason="launch_ros comes with a ROS installation, not from PyPI")
+pytest.importorskip("xacro", reason="`pip install xacro`, or a ROS installation")
+
+FILE = Path(__file__).resolve().parents[2] / "launch" / "view.launch.py"
+
+
+def wired(**told: str) -> list[Any]:
+    spec = importlib.util.spec_from_file_location("view_launch", FILE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    context = launch.LaunchContext()
+    for argument in module.generate_launch_description().get_launch_arguments():
+        default = "".join(part.perform(context) for part in argument.default_value)
+        context.launch_configurations[argument.name] = told.get(argument.name, default)
+    found: list[Any] = module._wire(context)
+    return found
+
+
+def test_rviz_comes_unless_it_is_declined(tmp_path: Path) -> None:
+    names = [node.node_executable for node in wired()]
+    assert names == ["robot_state_publisher", "passive_joints_node", "rviz2"]
+    assert [node.node_executable for node in wired(rviz="false")] == names[:2]
+
+
+def test_a_calibrated_geometry_reaches_the_model(tmp_path: Path) -> None:
+    save_geometry(DeltaGeometry(arm=0.1234), tmp_path / "arm.yaml")
+    text = wired(geometry_file=str(tmp_path / "arm.yaml"))[0]._Node__parameters[0]
+    assert "0.1234" in str([getattr(value, "value", value) for value in text.values()])
