@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from deltacharger_bringup.campaign.settings import CampaignError, CampaignRefused, Settings, versions
+from deltacharger_bringup.campaign.settings import CampaignError, CampaignRefused, Settings, versions_of
 from deltacharger_bringup.cli_output import (
     DONE,
     FAILED,
@@ -150,12 +150,15 @@ def _folder(options: argparse.Namespace) -> Path:
     if not options.out:
         raise CommandError("--out DIR is missing: the folder that the results are written to", WRONG_INPUT)
     folder = Path(options.out)
-    if not folder.absolute().parent.is_dir():
-        raise CommandError(f"--out {folder}: the folder {folder.parent} does not exist; make it", WRONG_INPUT)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CommandError(f"--out {folder}: {folder.parent} cannot be made ({error.strerror})", WRONG_INPUT) from error
     return folder
 
 
 def _settings(options: argparse.Namespace) -> Settings:
+    from deltacharger_bringup.campaign import paper
     from deltacharger_bringup.campaign.scene import load_campaign_scene
 
     try:
@@ -167,7 +170,13 @@ def _settings(options: argparse.Namespace) -> Settings:
         raise CommandError(
             f"-n {count}: {scene.file} lists {len(scene.dockings)} dockings; give at most as many", WRONG_INPUT
         )
-    return Settings(count, options.seed, options.approach, options.exact, scene.content, scene.name, versions())
+    if paper.are_wanted(scene.content):
+        try:
+            paper.prepare(_folder(options), say)
+        except ModuleNotFoundError as error:
+            raise CommandError(f"{error.name} is not installed; install deltacharger[train]", FAILED) from error
+    versions = versions_of(scene.content)
+    return Settings(count, options.seed, options.approach, options.exact, scene.content, scene.name, versions)
 
 
 def _demand(requirement: Any) -> None:

@@ -4,10 +4,21 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 from pathlib import Path
 from typing import Any
 
-from deltacharger_bringup.cli_output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli_output import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    WRONG_INPUT,
+    CommandError,
+    Interrupts,
+    say,
+    tell,
+    write_json,
+)
 
 
 def kinematics(options: argparse.Namespace) -> int:
@@ -75,6 +86,38 @@ def simulation(options: argparse.Namespace) -> int:
     results = simulation_report.build(plan, directory, command, say)
     files = [simulation_report.PAGE, simulation_report.FIGURES, simulation_map.MODULE]
     return _end(options, results, directory, files, ("models", "quick"))
+
+
+def docking(options: argparse.Namespace) -> int:
+    """Run the campaigns of the docking report, or go on with them, and write what they say."""
+    from deltacharger_bringup.campaign.settings import CampaignError, CampaignRefused
+    from deltacharger_bringup.cli_campaign import Progress
+    from deltacharger_bringup.reports import docking_plan, docking_report
+
+    directory = _folder(options.out)
+    try:
+        plan = docking_plan.make_plan(options.quick, options.only, options.n, options.seed)
+    except ValueError as error:
+        raise CommandError(f"--only: {error}", WRONG_INPUT) from error
+    command = f"deltacharger report docking{' --quick' if options.quick else ''} --seed {plan.seed}"
+
+    def progress(part: docking_plan.Part, total: int, begun: int) -> Progress:
+        say(f"{part.name}: {part.about}")
+        return Progress(total, begun)
+
+    try:
+        with Interrupts() as interrupts:
+            complete = docking_report.run(plan, directory, options.workers, progress, interrupts.event.is_set, say)
+        if not complete:
+            say(f"{directory}: broken off; the same command goes on")
+            return INTERRUPTED if interrupts.number == signal.SIGINT else FAILED
+        results = docking_report.build(plan, directory, command, say)
+    except CampaignRefused as error:
+        raise CommandError(str(error), WRONG_INPUT) from error
+    except CampaignError as error:
+        raise CommandError(str(error), FAILED) from error
+    files = [docking_report.PAGE, docking_report.FIGURES]
+    return _end(options, results, directory, files, ("simulated", "seed", "quick", "not_run"), "simulated dockings:")
 
 
 def _end(

@@ -24,6 +24,8 @@ def add_reports(commands: argparse._SubParsersAction[argparse.ArgumentParser], l
     _add_vision(add_command(actions, "vision", (_MODULE, "vision"), text))
     text = "error against run time, stability, energy and extremes of the simulated charger's mechanics"
     _add_simulation(add_command(actions, "simulation", (_MODULE, "simulation"), text))
+    text = "thousands of simulated dockings: what is charged, refused and never happens; the same call goes on"
+    _add_docking(add_command(actions, "docking", (_MODULE, "docking"), text))
     for name in later:
         actions.add_parser(name, help="not yet available", add_help=False)
 
@@ -47,6 +49,18 @@ def _add_vision(parser: argparse.ArgumentParser) -> None:
 def _add_simulation(parser: argparse.ArgumentParser) -> None:
     _add_folder(parser, "report-simulation")
     parser.add_argument("--quick", action="store_true", help="few steps and stiffnesses, for a first look")
+
+
+def _add_docking(parser: argparse.ArgumentParser) -> None:
+    _add_folder(parser, "report-docking")
+    parser.add_argument(
+        "--only", action="append", default=[], metavar="NAME", help="run this campaign; may be repeated"
+    )
+    count = "dockings of each campaign that is run (default: as planned, 200 to 20000)"
+    parser.add_argument("-n", "--n", type=whole(1, 10_000_000), metavar="N", help=count)
+    parser.add_argument("--seed", type=SEED, default=8, metavar="S", help="of all campaigns (default: 8)")
+    parser.add_argument("--workers", type=whole(1, 1024), default=1, metavar="K", help="processes on this computer (1)")
+    parser.add_argument("--quick", action="store_true", help="a hundredth of the dockings, for a first look")
 
 
 def _add_folder(parser: argparse.ArgumentParser, default: str) -> None:

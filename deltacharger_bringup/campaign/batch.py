@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from deltacharger_bringup.campaign.docking import dock_once
-from deltacharger_bringup.campaign.settings import CampaignError, scene_of, versions
+from deltacharger_bringup.campaign.settings import CampaignError, scene_of, versions_of
 
 _halt: Any = None  # event of the process that started this worker
 
@@ -29,7 +29,7 @@ def run_batch(text: str, numbers: Sequence[int], stop: Callable[[], bool] | None
         CampaignError: this worker's versions are not those of the campaign.
     """
     settings, scene = scene_of(text)
-    ours = versions()
+    ours = versions_of(settings.scene)
     differing = [
         f"{name} {ours.get(name)} instead of {value}"
         for name, value in settings.versions.items()

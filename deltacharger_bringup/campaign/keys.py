@@ -22,15 +22,32 @@ _OWN = {
     "shift.y": Key(-0.03, 0.03, "m", "the same along y", 0.0),
     "shift.z": Key(-0.03, 0.03, "m", "the same along z", 0.0),
     "shift.roll": Key(-0.6, 0.6, "rad", "the same about z", 0.0),
+    "shift.limit": Key(
+        0.001, 0.06, "m", "largest offset from goal to target along x and along y; errors of vision beyond are redrawn"
+    ),
+    "shift.beyond_zero": Key(
+        -0.2, 0.2, "rad", "roll of the target beyond that of no clearance at its vertical offset, either sign"
+    ),
     "camera.position_stddev": Key(0.0, 0.02, "m", "error of a detection, per axis, drawn for each docking", 0.0),
     "camera.roll_stddev": Key(0.0, 0.2, "rad", "error of its roll", 0.0),
     "hand_eye.position_stddev": Key(0.0, 0.02, "m", "error of the camera's believed place, per axis", 0.0),
     "hand_eye.rotation_stddev": Key(0.0, 0.1, "rad", "error of its believed orientation, per axis", 0.0),
     "gravity.tilt": Key(0.0, math.pi, "rad", "of the robot: angle between gravity and −y of charger_base", 0.0),
     "gravity.azimuth": Key(-math.pi, math.pi, "rad", "direction of that tilt about −y: 0 = toward +z", 0.0),
+    "gravity.anywhere": Key(0.0, 1.0, "", "whether gravity points anywhere, each direction as likely", False, bool),
     "gravity.known": Key(0.0, 1.0, "", "whether docking is told the tilt", False, bool),
     "estimator.position_stddev": Key(0.0, 0.01, "m", "noise added to each estimate along x and y", 0.0),
     "estimator.angle_stddev": Key(0.0, 0.2, "rad", "noise added to each estimate's angle", 0.0),
+    "estimator.bias_horizontal": Key(-0.01, 0.01, "m", "added to each estimate along x", 0.0),
+    "estimator.bias_vertical": Key(-0.01, 0.01, "m", "added to each estimate along y", 0.0),
+    "estimator.bias_angle": Key(-0.2, 0.2, "rad", "added to each estimate's angle", 0.0),
+    "estimator.stddev_scale": Key(0.1, 10.0, "", "by which each estimate's standard deviations are multiplied", 1.0),
+    "estimator.tail": Key(
+        2.1, 1e6, "", "errors are Student's t of so many degrees, as wide as the standard deviations, not the pads' own"
+    ),
+    "estimator.paper": Key(
+        0.0, 1.0, "", "whether estimates are the classes of the paper's CNN, taken as sure", False, bool
+    ),
 }
 TAKEN = {
     "world.target.x": "give target.x (seen) and shift.x (unseen)",
@@ -48,6 +65,8 @@ TAKEN = {
     "docking.approach": "give --approach",
 }
 """Keys of the parts that a campaign sets itself, and what to write instead."""
+DERIVED = {"gravity.anywhere": ("gravity.tilt", "gravity.azimuth"), "shift.beyond_zero": ("shift.roll",)}
+"""Keys that draw others, which then are not given."""
 
 
 @functools.cache

@@ -53,7 +53,9 @@ class Pads:
         frame = self.frames(time, pose, force, 1, 0.0)[0]
         return frame[0], frame[1]
 
-    def frames(self, time: float, pose: Pose | None, force: float, count: int, period: float) -> Array:
+    def frames(
+        self, time: float, pose: Pose | None, force: float, count: int, period: float, share: float = 0.5
+    ) -> Array:
         """Return `count` frames (count, 2, 10, 10) N raw that end at `time`, a `period` (s) apart, all at one pose.
 
         Args:
@@ -62,8 +64,9 @@ class Pads:
             force: total contact force, N.
             count: frames.
             period: between them, s.
+            share: of the force that the left pad carries.
         """
-        pressed = self._press(pose, force)
+        pressed = self._press(pose, force, share)
         first = time - (count - 1) * period
         if pressed is not None and self._began is None:
             self._began = first
@@ -76,7 +79,7 @@ class Pads:
             result.append(self._sensor.read(pressed, self._docking, felt, step)[0])
         return np.stack(result)
 
-    def _press(self, pose: Pose | None, force: float) -> Array | None:
+    def _press(self, pose: Pose | None, force: float, share: float) -> Array | None:
         """Return the forces on the taxels (1, 2, 10, 10) N; None where nothing touches."""
         if pose is None:
             self._docking, self._began = None, None
@@ -87,4 +90,8 @@ class Pads:
             self._docking = Dockings.draw(self._parameters, self._random)
         poses = np.array([pose])
         tilt = self._docking.tilts(self._parameters, self._rig, poses)
-        return _model(self._parameters.contact).solve(poses, force, tilt, self._rig.waviness).taxels
+        model, waviness = _model(self._parameters.contact), self._rig.waviness
+        if share == 0.5:
+            return model.solve(poses, force, tilt, waviness).taxels
+        left, right = (model.solve(poses, 2.0 * each * force, tilt, waviness).taxels for each in (share, 1.0 - share))
+        return np.stack((left[:, 0], right[:, 1]), axis=1)

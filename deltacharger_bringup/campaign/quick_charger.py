@@ -5,7 +5,7 @@ of twice that where the arm settles, and again where the electrodes rest on the 
 10 ms only where its script acts on every observation, else up to 80 ms apart, and 130 ms where the arm stands still; a
 standing world takes one step in all that time; lines are told whole; tactile frames are made where they are read. Every
 reading of the servos that a decision rests on is made and fed to the machine as in the real one. What that changes is
-measured in docs/campaign.md.
+measured in docs/campaigns.md.
 """
 
 from __future__ import annotations
@@ -174,8 +174,8 @@ class QuickCharger(VirtualCharger):
             return False
         known = self._felt_at
         if known is None or not self._is_known(known, pose, force):
-            left, right = self._pads.sample(self.world.time, pose, force)
-            self._most_felt = float(np.nanmax(np.stack((left, right)) - self._tare))
+            frame = self._pads.frames(self.world.time, pose, force, 1, 0.0, self.world.mechanics.pad_share)[0]
+            self._most_felt = float(np.nanmax(frame - self._tare))
             self._felt_at = known = (*pose, force, float(self.world.record.contacts))
         return self._most_felt * force >= CONTACT_THRESHOLD * known[3]
 
@@ -193,7 +193,9 @@ class QuickCharger(VirtualCharger):
         if pending.request.service in (Service.TARE, Service.ESTIMATE):
             count = max(1, round((pending.due - pending.asked) / TICK))
             world = self.world
-            raw = self._pads.frames(world.time, world.misalignment, world.mechanics.contact_force, count, TICK)
+            pressed = world.mechanics.contact_force
+            share = world.mechanics.pad_share
+            raw = self._pads.frames(world.time, world.misalignment, pressed, count, TICK, share)
             tare = 0.0 if pending.request.service is Service.TARE else self._tare
             pending.frames = list(raw if pending.request.service is Service.TARE else (raw - tare).clip(min=0.0))
         return super()._reply(pending)

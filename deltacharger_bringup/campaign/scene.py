@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from deltacharger_bringup.campaign.keys import TAKEN, known_keys
+from deltacharger_bringup.campaign.keys import DERIVED, TAKEN, known_keys
 from deltacharger_bringup.campaign.spread import Key, Spread, Value, read_spread
 from deltacharger_bringup.scene import SceneError, scene_folders
 from deltacharger_bringup.scene_yaml import YamlProblem, read_yaml
@@ -16,8 +16,10 @@ from deltacharger_sim.parameters import ParameterError
 
 DEFAULT = "default"
 SECTIONS = ("target", "shift", "camera", "hand_eye", "gravity", "estimator", "world", "tactile", "docking")
-_TOP = ("name", "description", "dockings", *SECTIONS)
+_BASE = "based_on"
+_TOP = ("name", "description", _BASE, "dockings", *SECTIONS)
 _LONGEST = 100_000  # dockings of a list
+_SHAPES = {"choose", "mean", "stddev", "log", "either_sign"}  # of a mapping that is one value
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,8 @@ class CampaignScene:
 
     def drawn(self) -> list[str]:
         """Return the keys that the scene sets, in the order of the results' columns."""
-        return sorted(set(self.spreads).union(*self.dockings))
+        given = set(self.spreads).union(*self.dockings)
+        return sorted(given.union(*(DERIVED.get(name, ()) for name in given)))
 
 
 def load_campaign_scene(name_or_file: str) -> CampaignScene:
@@ -67,6 +70,36 @@ def packaged_campaigns() -> dict[str, Path]:
         for path in sorted((folder.parent / "campaigns").glob("*.yaml")):
             found.setdefault(path.stem, path)
     return found
+
+
+def _whole(content: Any, name: str, above: tuple[str, ...] = ()) -> Any:
+    """Return a scene's content with that of the packaged scene it is based on, whose keys it may set anew."""
+    if not isinstance(content, Mapping) or _BASE not in content:
+        return content
+    base = content[_BASE]
+    packaged = packaged_campaigns()
+    if base not in packaged or base in (*above, name):
+        raise ParameterError(
+            _BASE, base, f"no other packaged campaign{_nearest(base, packaged)}: {', '.join(packaged)}"
+        )
+    rest = {key: value for key, value in content.items() if key != _BASE}
+    under = {
+        key: each for key, each in _whole(read_yaml(packaged[base]), base, (*above, name)).items() if key != "name"
+    }
+    return _laid_over(under, rest)
+
+
+def _laid_over(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Return two nested mappings as one; a value of either kind that both have is the upper one's, null = none."""
+    merged = dict(under)
+    for key, value in over.items():
+        below = merged.get(key)
+        spread = isinstance(value, Mapping) and set(value) <= _SHAPES
+        both = isinstance(value, Mapping) and isinstance(below, Mapping) and not spread
+        merged[key] = _laid_over(below, value) if both and below is not None else value
+        if value is None:
+            del merged[key]
+    return merged
 
 
 def _find(name_or_file: str) -> Path:
@@ -95,7 +128,7 @@ def parse_campaign_scene(content: Any, name: str, file: str = "") -> CampaignSce
     Raises:
         ParameterError: a key or value is refused, or two contradict each other.
     """
-    content = {} if content is None else content
+    content = {} if content is None else _whole(content, name)
     if not isinstance(content, Mapping):
         raise ParameterError("(top)", content, "is no mapping of keys to values")
     for key in content:
@@ -175,7 +208,12 @@ def _check_contradictions(scene: CampaignScene) -> None:
     from deltacharger_bringup.campaign.draw import build_parts
 
     _without_effect(scene, "world.magnets.force", ("world.magnets.range", "world.magnets.width", "world.magnets.floor"))
-    _without_effect(scene, "gravity.tilt", ("gravity.azimuth", "gravity.known"), unset=True)
+    if "gravity.anywhere" not in scene.drawn():
+        _without_effect(scene, "gravity.tilt", ("gravity.azimuth", "gravity.known"), unset=True)
+    for name, made in DERIVED.items():
+        for other in made if name in scene.drawn() else ():
+            if other in scene.spreads or any(other in values for values in scene.dockings):
+                raise ParameterError(other, other, f"is what {name} draws; remove one of them")
     low, high = (scene.spreads.get(f"world.circuit.voltage_{end}") for end in ("min", "max"))
     if low is not None and high is not None and low.ends[1] >= high.ends[0]:
         raise ParameterError("world.circuit.voltage_min", low.ends[1], "reaches voltage_max; keep it below")

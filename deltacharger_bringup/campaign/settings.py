@@ -17,7 +17,20 @@ from deltacharger_bringup.campaign.scene import CampaignScene, parse_campaign_sc
 
 _COMPUTES = ("deltacharger_kinematics", "deltacharger_sim", "deltacharger_docking", "deltacharger_tactile")
 _HERE = Path(__file__).parent
-_ALSO = ("draw.py", "docking.py", "pads.py", "quick_charger.py", "spread.py", "../virtual_charger.py")
+_ALSO = (
+    *(
+        "draw.py",
+        "docking.py",
+        "effort.py",
+        "felt.py",
+        "pads.py",
+        "paper.py",
+        "quick_charger.py",
+        "quick_motion.py",
+        "rest.py",
+    ),
+    *("spread.py", "../virtual_charger.py"),
+)
 
 
 class CampaignError(RuntimeError):
@@ -101,6 +114,13 @@ def versions() -> dict[str, str]:
         "deltacharger": ours,
         "code": _digest(),
     }
+
+
+def versions_of(content: Mapping[str, Any]) -> dict[str, str]:
+    """Return the versions that the rows of a scene follow from: those of the paper's classes too, where it asks."""
+    from deltacharger_bringup.campaign import paper
+
+    return {**versions(), "paper classes": paper.digest()} if paper.are_wanted(content) else dict(versions())
 
 
 def _digest() -> str:

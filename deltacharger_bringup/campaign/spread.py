@@ -1,4 +1,4 @@
-"""What a campaign draws a value from: a number, a range, a normal distribution or a choice."""
+"""What a campaign draws a value from: a number, a range on either scale, a normal distribution or a choice."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ from deltacharger_sim.parameters import ParameterError
 
 Value = float | bool
 _REDRAWS = 1000  # of a normal distribution outside the bounds; then its mean
-HELP = "give a number, a range [low, high], {mean: …, stddev: …} or {choose: [ … ]}"
+_LOG, _SIDES = "log", "either_sign"
+HELP = (
+    "give a number, a range [low, high], {log: [low, high]}, {either_sign: [low, high]}, {mean: …, stddev: …} or "
+    "{choose: [ … ]}"
+)
 
 
 @dataclass(frozen=True)
@@ -60,8 +64,8 @@ class Spread:
     """Where a value comes from.
 
     Attributes:
-        shape: "fixed", "range", "normal" or "choose".
-        numbers: the value; low and high; mean and standard deviation; or the choices.
+        shape: "fixed", "range", "log", "either_sign", "normal" or "choose".
+        numbers: the value; low and high, of either sign those of the size; mean and standard deviation; or the choices.
         key: bounds and kind.
     """
 
@@ -79,6 +83,11 @@ class Spread:
         if self.shape == "normal":
             return self._normal(source)
         last = self.numbers[1]
+        if self.shape == _LOG:
+            drawn = math.exp(source.uniform(math.log(first), math.log(last)))
+            return min(max(drawn, first), last)
+        if self.shape == _SIDES:
+            return source.choice((-1.0, 1.0)) * source.uniform(first, last)
         return source.randint(int(first), int(last)) if self.key.kind is int else source.uniform(first, last)
 
     def _normal(self, source: random.Random) -> float:
@@ -91,9 +100,11 @@ class Spread:
 
     @property
     def ends(self) -> tuple[Value, Value]:
-        """Smallest and largest value of a range or a choice; the mean of a normal distribution."""
+        """Smallest and largest value of a range or a choice; of a normal distribution twice its mean."""
         if self.shape == "normal":
             return self.numbers[0], self.numbers[0]
+        if self.shape == _SIDES:
+            return -self.numbers[1], self.numbers[1]
         return min(self.numbers), max(self.numbers)
 
 
@@ -119,6 +130,9 @@ def read_spread(value: Any, key: Key, where: str) -> Spread:
             return Spread("choose", tuple(checked), key)
         if set(value) == {"mean", "stddev"} and key.kind is float:
             return _read_normal(value, key, where)
+        if len(value) == 1 and {_LOG, _SIDES} & set(value) and key.kind is float:
+            shape, ends = next(iter(value.items()))
+            return _read_scale(shape, ends, key, where)
         raise ParameterError(where, dict(value), f"{dict(value)!r} is no distribution; {HELP}")
     return Spread("fixed", (key.check(value, where),), key)
 
@@ -130,6 +144,21 @@ def _read_range(value: Any, key: Key, where: str) -> Spread:
     if low > high:
         raise ParameterError(where, value, f"{value!r} is empty: {low:g} is above {high:g}; give the lower one first")
     return Spread("range", (low, high), key)
+
+
+def _read_scale(shape: str, ends: Any, key: Key, where: str) -> Spread:
+    """Return a spread over sizes: logarithmic, or linear with either sign."""
+    where = f"{where}.{shape}"
+    if not isinstance(ends, list | tuple):
+        raise ParameterError(where, ends, f"{ends!r} is no range [low, high]; {HELP}")
+    low, high = _read_range(ends, key, where).numbers
+    if shape == _LOG and low <= 0.0:
+        raise ParameterError(where, ends, f"{low!r} has no logarithm; give numbers above 0")
+    if shape == _SIDES:
+        if low < 0.0:
+            raise ParameterError(where, ends, f"{low!r} is no size; give both ends from 0 on")
+        key.check(-high, where)
+    return Spread(shape, (low, high), key)
 
 
 def _read_normal(value: Mapping[str, Any], key: Key, where: str) -> Spread:

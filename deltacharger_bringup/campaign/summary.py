@@ -74,3 +74,16 @@ def wilson(hits: int, count: int) -> tuple[float, float]:
     low = 0.0 if hits == 0 else max(centre - reach, 0.0)
     high = 1.0 if hits == count else min(centre + reach, 1.0)
     return low, high
+
+
+def upper_bound(hits: int, count: int, confidence: float = 0.95) -> float:
+    """Return the exact one-sided upper bound of a share (Clopper and Pearson 1934); without hits about 3 / count."""
+    if not count:
+        return math.nan
+    if hits >= count:
+        return 1.0
+    if not hits:
+        return 1.0 - math.pow(1.0 - confidence, 1.0 / count)
+    from scipy.special import betaincinv
+
+    return float(betaincinv(hits + 1, count - hits, confidence))

@@ -77,12 +77,12 @@ def test_another_key_leaves_what_the_others_drew() -> None:
 
 def test_workers_make_no_difference(capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str) -> None:
     common = ("-n", "6", "--seed", "3", "--scenes", quick)
-    code, alone, err = run(capsys, *common, "--out", str(tmp_path / "one"))
+    code, alone, err = run(capsys, *common, "--out", str(tmp_path / "runs" / "one"))
     assert (code, alone["n"], alone["complete"]) == (0, 6, True)
     assert "100 %  6 of 6 dockings" in err
     code, shared, _ = run(capsys, *common, "--out", str(tmp_path / "two"), "--workers", "2", "--batch", "1")
     assert code == 0
-    assert stored(tmp_path / "one") == stored(tmp_path / "two")
+    assert stored(tmp_path / "runs" / "one") == stored(tmp_path / "two")
     assert {**alone, "out": ""} == {**shared, "out": ""}
     contract = {"n", "charged", "refused", "shorts", "energised_unsafe", "aligned", "time", "moves"}
     assert contract | {"final_misalignment", "peak_push", "time_above_band"} <= set(alone)
@@ -256,7 +256,7 @@ def test_wilson_holds_the_truth_as_often_as_it_says() -> None:
 def test_what_the_commands_refuse(capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str) -> None:
     for words, named in (
         ((), "--out DIR is missing"),
-        (("--out", str(tmp_path / "no" / "where")), "does not exist"),
+        (("--out", str(Path(quick) / "no" / "where")), "cannot be made"),
         (("--out", str(tmp_path / "x"), "--scenes", "defualt"), "did you mean 'default'"),
         (("--out", str(tmp_path / "x"), "--scheduler", "tcp://127.0.0.1:9", "--workers", "2"), "--workers"),
         (("--out", quick, "--scenes", quick), "is a file"),

@@ -1,0 +1,95 @@
+"""The campaigns of the docking report: which scenes, how many dockings of each, by which form of the algorithm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+SEED = 8
+QUICK = 0.01  # of the dockings, for a first look
+_FEWEST = 20
+
+
+@dataclass(frozen=True)
+class Part:
+    """One campaign.
+
+    Attributes:
+        name: of its folder and of its rows.
+        scene: packaged scene.
+        count: dockings; of a listed scene at most as many as it lists.
+        about: what it is, for the page.
+        approach: "guarded" or "paper".
+        exact: whether every tick and frame is computed.
+    """
+
+    name: str
+    scene: str
+    count: int
+    about: str
+    approach: str = "guarded"
+    exact: bool = False
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One report.
+
+    Attributes:
+        parts: all campaigns of it.
+        chosen: names of those that are run now; the others are read where they are there.
+        seed: of all of them, so that they are pairs, docking by docking.
+        quick: whether it is for a first look.
+    """
+
+    parts: tuple[Part, ...]
+    chosen: tuple[str, ...]
+    seed: int
+    quick: bool
+
+
+PARTS = (
+    Part("random", "random", 20_000, "everything at once, rolls up to 20°"),
+    Part("upright", "upright", 4_000, "the same, rolls up to 7°"),
+    Part("edge", "edge", 20_000, "the same, rolls of 8–11°"),
+    Part("zero", "zero", 2_000, "rolls within 1° of the one without clearance at the first contact"),
+    Part("soft", "soft", 2_000, "no magnets, electrodes of 1e3 N/m, rolls up to 20°"),
+    Part("seen", "seen", 2_000, "`random`, but the camera sees the roll"),
+    Part("tilted", "tilted", 2_000, "`upright`, faces tilted by up to 1° out of the electrodes' plane"),
+    Part("fixed", "fixed", 160, "the committed list: corners of every range, and what must be refused"),
+    Part("tails", "edge_tails", 2_000, "`edge`, errors of Student's t with 3 degrees of freedom, as wide as σ"),
+    Part("gaussian", "edge_gaussian", 2_000, "`edge`, normal errors exactly as wide as σ: the measure of `tails`"),
+    Part("understated", "edge_understated", 2_000, "`edge`, σ told 1.5 times too small"),
+    Part("biased", "edge_biased", 2_000, "`edge`, estimates 0.5 mm off in both axes"),
+    Part("paper", "random", 2_000, "the paper's constant steps, our estimate", "paper"),
+    Part("classes", "paper_classes", 2_000, "guarded steps, the paper's classes in place of our estimate"),
+    Part("published", "paper_classes", 2_000, "the paper's steps and classes", "paper"),
+    Part("exact", "random", 200, "`random`, every tick and frame computed as the nodes do", exact=True),
+)
+
+
+def make_plan(quick: bool = False, only: Sequence[str] = (), n: int | None = None, seed: int = SEED) -> Plan:
+    """Return the report that is committed, or a part of it.
+
+    Args:
+        quick: a hundredth of the dockings.
+        only: names of the campaigns to run now; empty = all.
+        n: dockings of each of these; None = as planned.
+        seed: of all campaigns.
+
+    Raises:
+        ValueError: a name is not known; the message lists those that are.
+    """
+    names = [part.name for part in PARTS]
+    for name in only:
+        if name not in names:
+            raise ValueError(f"there is no campaign '{name}' in this report; there are {', '.join(names)}")
+    chosen = tuple(name for name in names if not only or name in only)
+    parts = []
+    for part in PARTS:
+        count = max(_FEWEST, math.ceil(QUICK * part.count)) if quick else part.count
+        if n is not None and part.name in chosen:
+            count = n
+        parts.append(replace(part, count=count))
+    return Plan(tuple(parts), chosen, seed, quick)
