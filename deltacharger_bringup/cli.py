@@ -20,18 +20,17 @@ from deltacharger_bringup.cli_campaign_options import add_campaign
 from deltacharger_bringup.cli_hardware_options import add_doctor, add_fault, add_simulate
 from deltacharger_bringup.cli_output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
 from deltacharger_bringup.cli_parser import Parser, Version, add_command
+from deltacharger_bringup.cli_replay_options import add_record, add_replay
 from deltacharger_bringup.cli_report_options import add_reports
 from deltacharger_bringup.cli_tactile_options import add_tactile
 from deltacharger_bringup.cli_types import DEGREES, MILLIMETRES, POSITIVE, deadline, namespace
+from deltacharger_bringup.cli_view_options import add_view
 from deltacharger_bringup.cli_vision_options import add_vision
 
 DEFAULT_SCENE = "simulated"
 DEFAULT_PICTURE = "dock.png"
 
-_LATER: dict[str, tuple[str, ...]] = {
-    "view": (),
-    "replay": (),
-}
+_LATER: dict[str, tuple[str, ...]] = {}
 """Commands of the interface that this version knows and does not have yet."""
 _LATER_ACTIONS: dict[str, tuple[str, ...]] = {
     "report": ("footprint",),
@@ -125,6 +124,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_tactile(commands)
     _add_vision(commands)
     add_campaign(commands)
+    _add_namespace(add_replay(commands))
+    _add_namespace(add_view(commands))
     for name, parts in _LATER.items():
         what = f" ({'|'.join(parts)})" if parts else ""
         commands.add_parser(name, help=f"not yet available{what}", add_help=False)
@@ -150,6 +151,7 @@ def _add_up(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     )
     _add_scene_option(parser)
     _add_namespace(parser)
+    add_record(parser)
 
 
 def _add_dock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -180,6 +182,7 @@ def _add_dock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "--picture", default=DEFAULT_PICTURE, metavar="FILE", help=f"of the run (default: {DEFAULT_PICTURE})"
     )
     parser.add_argument("--no-picture", action="store_true", help="write none")
+    add_record(parser)
 
 
 def _add_undock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

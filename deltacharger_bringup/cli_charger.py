@@ -26,6 +26,7 @@ from deltacharger_bringup.cli_output import (
 from deltacharger_bringup.cli_scene import load_for_command
 from deltacharger_bringup.outcomes import Outcome, Progress
 from deltacharger_bringup.scene import Scene
+from deltacharger_bringup.scene_recorder import with_recorder
 
 if TYPE_CHECKING:
     from rclpy.context import Context
@@ -146,7 +147,7 @@ def raise_if_failed(composition: Composition) -> None:
 
 def up(options: argparse.Namespace) -> int:
     """Run a scene's charger until a signal."""
-    scene = prepare(options)
+    scene = with_recorder(prepare(options), options.record)
     with Interrupts() as interrupts, ros_context() as context:
         from deltacharger_bringup.client import ChargerClient
         from deltacharger_bringup.composition import describe

@@ -22,6 +22,7 @@ from deltacharger_bringup.cli_charger import (
 from deltacharger_bringup.cli_output import DONE, FAILED, INTERRUPTED, WRONG_INPUT, CommandError, Interrupts, say
 from deltacharger_bringup.outcomes import DockRequest, Outcome, Pose
 from deltacharger_bringup.scene import Scene
+from deltacharger_bringup.scene_recorder import recorder_alone, with_recorder
 
 if TYPE_CHECKING:
     from deltacharger_bringup.client import ChargerClient
@@ -46,10 +47,12 @@ def dock(options: argparse.Namespace) -> int:
             if options.must_run:
                 raise CommandError(f"the charger in ROS domain {environment.domain()} no longer answers")
             say(f"no charger answers in ROS domain {environment.domain()}; starting that of scene '{scene.name}'")
-            composition = stack.enter_context(start(scene, context, options.namespace))
+            composition = stack.enter_context(start(with_recorder(scene, options.record), context, options.namespace))
             wait_for_actions(composition, client, interrupts)
         if interrupts.event.is_set():
             raise CommandError("interrupted", INTERRUPTED)
+        if composition is None and options.record:
+            stack.enter_context(start(recorder_alone(scene, options.record), context, options.namespace))
         recorder = stack.enter_context(Recorder(context, options.namespace))
         return _Run(options, scene, request, client, recorder, composition, interrupts).carry_out()
 

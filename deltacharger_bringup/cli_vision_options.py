@@ -33,5 +33,5 @@ def add_vision(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         metavar="K.yaml",
         help="intrinsics of the colour image (folder: its camera_info.yaml; recording: its own)",
     )
-    detect.add_argument("--terminal", metavar="T.yaml", help="size of the bars (default: that of the paper)")
+    detect.add_argument("--terminal", metavar="T.yaml", help="size of the bars (default: 70 × 10 mm, 7.4 mm apart)")
     detect.add_argument("--mount", metavar="MOUNT.yaml", help="tell the pose in charger_base too")

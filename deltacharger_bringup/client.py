@@ -210,7 +210,7 @@ class ChargerClient:
             raise ClientError(f"the charger did not take the goal '{action}': {running.error}")
         if running.result is None:
             raise ClientError(f"the charger rejected the goal '{action}' without a reason")
-        return _outcome(action, running.result)
+        return to_outcome(action, running.result)
 
 
 def _wait(condition: Callable[[], bool], timeout: float, stop: threading.Event | None) -> bool:
@@ -308,7 +308,8 @@ def _progress(feedback: Any, elapsed: float) -> Progress:
     )
 
 
-def _outcome(action: str, result: Any) -> Outcome:
+def to_outcome(action: str, result: Any) -> Outcome:
+    """Return a result of the action "dock" or "undock" as plain data."""
     return Outcome(
         action=action,
         success=result.success,

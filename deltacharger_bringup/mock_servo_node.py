@@ -128,7 +128,7 @@ class MockServoNode(Node):
             start, origin = self._plan_start
             self._arm.bounds = list(bounds)
             if now < end:
-                share = (now - start) / (end - start)
+                share = (now - start) / (end - start) if end > start else 1.0  # a plan that begins with its goal
                 self._arm.goals = [a + share * (b - a) for a, b in zip(origin, angles, strict=True)]
                 return
             self._arm.goals = list(angles)

@@ -16,6 +16,7 @@ class NodeSpec:
         stands_in_for: the node whose topics and services it provides, where it is a mock or a simulation.
         sees_target: whether it simulates what sees the target, so that a simulated world's target is its own, and
             never stands beside real hardware.
+        told_scene: whether the scene's name is its parameter `scene`.
     """
 
     module: str
@@ -23,6 +24,7 @@ class NodeSpec:
     port: str = ""
     stands_in_for: str = ""
     sees_target: bool = False
+    told_scene: bool = False
 
 
 NODES: dict[str, NodeSpec] = {
@@ -45,6 +47,11 @@ NODES: dict[str, NodeSpec] = {
     "mock_detector_node": NodeSpec(
         "deltacharger_bringup.mock_detector_node", "MockDetectorNode", stands_in_for="electrode_detector_node"
     ),
+    "docking_recorder_node": NodeSpec(
+        "deltacharger_bringup.docking_recorder_node", "DockingRecorderNode", told_scene=True
+    ),
+    "mock_navigator_node": NodeSpec("deltacharger_bringup.mock_navigator_node", "MockNavigatorNode"),
     "docking_node": NodeSpec("deltacharger_docking.docking_node", "DockingNode"),
+    "mission_node": NodeSpec("deltacharger_docking.mission_node", "MissionNode"),
 }
-"""In the order of starting; closing goes the other way, so docking_node closes first."""
+"""In the order of starting; closing goes the other way, so who commands closes first: mission_node, docking_node."""

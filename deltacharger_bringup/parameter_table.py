@@ -63,8 +63,10 @@ def every_node(context: Context, namespace: str) -> Iterator[list[Node]]:
     def no_camera(*arguments: Any) -> Any:
         raise CameraUnavailable("its parameters alone are looked at")
 
-    names = [*STANDARD_NODES, "simulated_camera_node", "electrode_detector_node"]
-    scene = parse_scene({"nodes": names, "simulation": {}}, "parameters")  # nothing but defaults
+    others = ("simulated_camera_node", "electrode_detector_node", "mission_node", "docking_recorder_node")
+    names = [*STANDARD_NODES, *others]
+    defaults = {"docking_recorder_node": {"scene": ""}}  # which a scene would tell
+    scene = parse_scene({"nodes": names, "simulation": {}, "parameters": defaults}, "parameters")
     with Composition(scene, context, namespace) as composition:
         camera = CameraNode(no_camera, context=context, namespace=namespace, use_global_arguments=False)
         try:

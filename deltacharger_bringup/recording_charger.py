@@ -35,6 +35,8 @@ from deltacharger_bringup.node_support import Spinner
 from deltacharger_bringup.recording_keeper import TOPICS, Tape
 from deltacharger_bringup.recording_machine import RecordingMachine
 from deltacharger_docking import docking_node_io as io
+from deltacharger_docking.docking_inputs_node_io import Inputs
+from deltacharger_docking.docking_services_node_io import Services
 from deltacharger_docking.observation import Command, Observation, Outcome, Request, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
@@ -79,8 +81,8 @@ class RecordingCharger:
         group = ReentrantCallbackGroup()
         self.names = {topic.name: self.node.resolve_topic_name(topic.name) for topic in TOPICS}
         self.tape = Tape(self.names["docking_state"])
-        self._inputs = io.Inputs(self.node, group, self._wake.set)
-        self._calls = io.Services(self.node, group, self._age)
+        self._inputs = Inputs(self.node, group, self._wake.set)
+        self._calls = Services(self.node, group, self._age)
         self.node.create_subscription(DockingState, "docking_state", self._on_docking_state, qos.STATE)
         listen(self.node, TOPICS, self.tape.take, None)
         self._publisher = self.node.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
@@ -146,7 +148,7 @@ class RecordingCharger:
                 raise ArmError("interrupted")
             missing = ", ".join(name for name, is_there in needs.items() if not is_there())
             raise ArmError(
-                f"no charger answers, {missing} is missing: start one with `deltacharger up`, in this ROS domain"
+                f"no charger answers (missing: {missing}): start one with `deltacharger up`, in this ROS domain"
             )
         self._wait(lambda: self._docking is not None, _LATE)
 

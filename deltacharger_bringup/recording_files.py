@@ -26,7 +26,7 @@ def whole(path: Path) -> Iterator[Path]:
         with beside.open("rb") as file:
             os.fsync(file.fileno())
         beside.replace(path)
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
     finally:
         beside.unlink(missing_ok=True)
 
@@ -35,7 +35,7 @@ def make_folder(path: Path) -> None:
     """Make a folder, where there is none, that outlives a power cut."""
     if not path.is_dir():
         path.mkdir()
-        _sync_folder(path.absolute().parent)
+        sync_folder(path.absolute().parent)
 
 
 def forget_unfinished(folder: Path) -> None:
@@ -44,7 +44,8 @@ def forget_unfinished(folder: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
+    """Bring a folder's list of names to the disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -130,6 +130,8 @@ class Scene:
         if NODES[name].sees_target and self.simulation is not None:
             target = self.simulation.world.target
             parameters = {f"target_{item.name}": getattr(target, item.name) for item in fields(target)} | parameters
+        if NODES[name].told_scene:
+            parameters = {"scene": self.name} | parameters
         port = NODES[name].port
         path = (ports.get(port) or getattr(self.ports, port)) if port else ""
         return {"port": path, **parameters} if path else parameters

@@ -17,6 +17,8 @@ COMPOSITION = "deltacharger_bringup.composition"
 CHARGER = "deltacharger_bringup.simulated_charger"
 _CHARGER_NAME = "simulated charger"
 _PLACES = ("target",)  # groups of the world whose zeros are places, not effects that are off
+WITH_RCLPY = frozenset({"action_msgs", "ament_index_python"})
+"""Libraries that some part names and rclpy loads in any case, so that no scene does without them."""
 
 Entry = dict[str, Any]
 
@@ -119,7 +121,7 @@ def _left_out_libraries(started: dict[str, str], whole: Libraries) -> Iterator[E
             found = _libraries([module])
             for library in {*found.at_once, *found.when_used}:
                 users.setdefault(library, []).append(name)
-    for library in sorted(set(users) - whole.at_once - set(whole.when_used)):
+    for library in sorted(set(users) - whole.at_once - set(whole.when_used) - WITH_RCLPY):
         yield {"kind": "library", "name": library, "why": f"only for {', '.join(users[library])}"}
 
 

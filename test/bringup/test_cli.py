@@ -48,7 +48,7 @@ def test_help_names_every_command_of_the_interface(capsys: pytest.CaptureFixture
 
 @pytest.mark.parametrize(
     "words",
-    [("view", "--x"), ("replay", "--now", "3")],
+    [("report", "footprint"), ("report", "footprint", "--now", "3")],
 )
 def test_a_command_to_come_refuses_with_1(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
     code, out, err = run(capsys, *words)

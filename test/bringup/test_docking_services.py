@@ -11,7 +11,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from deltacharger_bringup.node_support import Spinner
-from deltacharger_docking.docking_node_io import Services
+from deltacharger_docking.docking_services_node_io import Services
 from deltacharger_docking.observation import Reply, Request, Service
 
 from .conftest import wait_until
