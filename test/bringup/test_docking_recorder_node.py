@@ -183,8 +183,8 @@ def test_a_folder_that_cannot_be_written_stops_recording_and_not_docking(
     folder.write_text("in the way")
     cell = Cell(quick_scene, context, folder)
     try:
-        outcome = cell.client.dock(DockRequest(PLACE, start_charging=False), deadline=DEADLINE)
-        assert outcome.success, outcome
+        goal = DockRequest(PLACE, start_charging=False)
+        wait_until(lambda: cell.client.dock(goal, deadline=DEADLINE).success, "a docking")
         wait_until(lambda: any("recording ended" in text for text in list(cell.diagnostics)), "a diagnostic")
         cell.undock()
         assert not cell.composition.failed()

@@ -90,7 +90,7 @@ def test_a_roll_that_was_given_is_refused_before_anything_is_touched(tmp_path: P
         ),
         (Code.ESTIMATE_UNSURE, "it stayed unsure", ["0 of 1 measurements were unsure", "Check pads and target"]),
         (Code.TACTILE_STALE, "frames stopped", ["TACTILE_STALE: frames stopped.", "Check the board's cable"]),
-        (Code.INTERNAL, "internal error", ["INTERNAL", "A defect; see the log."]),
+        (Code.INTERNAL, "internal error", ["in MEASURE by INTERNAL: internal error."]),
     ],
 )
 def test_every_way_out_is_told_with_what_to_do(tmp_path: Path, code: Code, message: str, parts: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""Two chargers side by side, told apart by their namespaces alone: in one process, and one of them in another.
+"""Two chargers side by side, told apart by their namespaces alone, of which one lies inside the other's.
 
 What one does, suffers and says leaves the other's arm, contactor, states and goals alone.
 """
@@ -94,44 +94,36 @@ def chargers(
     start: Callable[..., Process],
     deltacharger: tuple[str, ...],
 ) -> Iterator[tuple[Composition, list[Watched]]]:
-    """Two in this process, of which the first is returned, and one in another; one namespace lies in another."""
-    names = [new_namespace(), new_namespace()]
-    names.append(f"{names[0]}/inner")
-    other = start(*deltacharger, "up", "--scene", str(quick_file), "--namespace", names[1])
-    with Composition(quick_scene, context, names[0]) as first, Composition(quick_scene, context, names[2]):
-        watched = [Watched(name, context) for name in names]
+    """One in this process, which is returned, and one in another; two in one would starve each other of the interpreter."""
+    name = new_namespace()
+    other = start(*deltacharger, "up", "--scene", str(quick_file), "--namespace", f"{name}/inner")
+    with Composition(quick_scene, context, name) as here:
+        watched = [Watched(each, context) for each in (name, f"{name}/inner")]
         other.wait_for_line("ready", other.err)
         for each in watched:
             each.ready()
-        yield first, watched
+        yield here, watched
         for each in watched:
             each.client.close()
 
 
 def test_what_one_does_and_suffers_leaves_the_others_alone(chargers: tuple[Composition, list[Watched]]) -> None:
-    composition, (first, process, inner) = chargers
-    for each in (process, inner):
-        each.forget()
-    assert first.dock().success
-    for each in (process, inner):
-        each.assert_at_rest()
+    composition, (outer, inner) = chargers
+    inner.forget()
+    assert outer.dock().success
+    inner.assert_at_rest()
 
-    for each in (process, inner):
-        assert each.dock().success
-        each.forget()
+    assert inner.dock().success
+    inner.forget()
     servos = composition.node("mock_servo_node")
     assert servos.set_parameters([Parameter("fault", value="silence")])[0].successful
-    wait_until(lambda: first.states[-1].error_code, "the first to notice")
-    assert CODES[first.states[-1].error_code] == "SERVO_FAULT"
-    for each in (process, inner):
-        each.assert_charging()
-    assert servos.set_parameters([Parameter("fault", value="none")])[0].successful
-    wait_until(lambda: first.undock().success, "the first to be home")
-    for each in (process, inner):
-        each.assert_charging()
-
-    assert process.undock().success
+    wait_until(lambda: outer.states[-1].error_code, "the outer to notice")
+    assert CODES[outer.states[-1].error_code] == "SERVO_FAULT"
     inner.assert_charging()
-    first.forget()
+    assert servos.set_parameters([Parameter("fault", value="none")])[0].successful
+    wait_until(lambda: outer.undock().success, "the outer to be home")
+    inner.assert_charging()
+
+    outer.forget()
     assert inner.undock().success
-    first.assert_at_rest()
+    outer.assert_at_rest()
