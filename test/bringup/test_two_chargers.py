@@ -94,7 +94,7 @@ def chargers(
     start: Callable[..., Process],
     deltacharger: tuple[str, ...],
 ) -> Iterator[tuple[Composition, list[Watched]]]:
-    """One in this process, which is returned, and one in another; two in one would starve each other of the interpreter."""
+    """One in this process, which is returned, and one in another; two in one would starve each other."""
     name = new_namespace()
     other = start(*deltacharger, "up", "--scene", str(quick_file), "--namespace", f"{name}/inner")
     with Composition(quick_scene, context, name) as here:
