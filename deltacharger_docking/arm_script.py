@@ -70,6 +70,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         yield
     observation = context.observation
     if observation.servo_age > parameters.servo_age_max or observation.hardware_error:
+        context.status.docked &= observation.tactile_contact  # the magnets still hold it
         yield from let_go(context)
         return
     if not math.isfinite(context.position[2]):

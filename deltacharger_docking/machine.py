@@ -271,7 +271,6 @@ class DockingMachine:
         context.interrupt()
         try:
             yield from retract(context)
-            status.docked = False
             return not context.observation.hardware_error
         except ContactorWelded as error:
             # Torque stays on: pulling or letting go of live electrodes would draw an arc.

@@ -276,3 +276,17 @@ def test_a_refused_renewal_opens_at_once_and_is_named_by_the_fault_that_follows(
     assert until_open(run) <= 0.1
     run.run(0.5)
     assert run.machine.status.code is code
+
+
+@pytest.mark.parametrize("fault", [{"hardware_error": 32}, {"servo_age": 5.0}])
+def test_undocking_without_servos_is_no_success_while_the_magnets_may_hold(fault: dict[str, object]) -> None:
+    run = charger()
+    assert run.dock(DockGoal(GOAL, start_charging=False)).success
+    run.distort = lambda observation: replace(observation, **fault)
+    run.until(lambda: run.machine.status.code is Code.SERVO_FAULT, 2.0)
+    until_idle(run)
+    assert run.undock().code is Code.SERVO_FAULT
+    assert run.machine.status.docked, "the electrodes rest on the target"
+    run.distort = lambda observation: observation
+    assert run.undock().success
+    assert not run.machine.status.docked
