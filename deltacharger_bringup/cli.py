@@ -80,6 +80,8 @@ def _run(words: list[str]) -> int:
         return int(getattr(importlib.import_module(module), function)(options))
     except CommandError as error:
         failure = error
+    except FileNotFoundError as error:
+        failure = CommandError(f"{error.filename or error}: there is no such file", WRONG_INPUT)
     except OSError as error:
         failure = CommandError(str(error), WRONG_INPUT)
     except Exception as error:

@@ -20,6 +20,9 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong with the words and end with exit code 2."""
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction) and message.endswith(f"required: {action.metavar}"):
+                message += f", one of {', '.join(action.choices)}"
         if Parser.wants_json:
             write_json({"success": False, "error": message})
         super().error(message)

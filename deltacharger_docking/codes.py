@@ -10,6 +10,8 @@ from typing import ClassVar
 
 from deltacharger_kinematics.geometry import Vector
 
+SILENT_SERVOS = "check the servo bus and servo_node, and whether this computer is too busy"
+
 
 class State(IntEnum):
     """What the charger is doing."""

@@ -6,6 +6,7 @@ import math
 
 from deltacharger_docking.codes import (
     POWER_FAULTS,
+    SILENT_SERVOS,
     ChargeOvercurrent,
     ContactorWelded,
     DockingError,
@@ -176,9 +177,7 @@ class Watch:
     def _servo_problem(self) -> DockingError | None:
         context, observation = self._context, self._context.observation
         if observation.servo_age > _SERVO_SILENT:
-            return ServoFailure(
-                "servo_state stopped while the electrodes were live; check the servo bus and servo_node"
-            )
+            return ServoFailure(f"servo_state stopped while the electrodes were live; {SILENT_SERVOS}")
         measured = (context.contact.value, *observation.angles, *observation.currents)  # the first is a median: it lags
         if not all(map(math.isfinite, measured)):
             return ServoFailure("the servos' currents or angles are not measured any more; check the servo bus")

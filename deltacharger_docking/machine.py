@@ -11,6 +11,7 @@ from collections.abc import Callable, Generator
 
 from deltacharger_docking.arm_script import FIRST_DATA, let_go, retract
 from deltacharger_docking.codes import (
+    SILENT_SERVOS,
     Busy,
     Canceled,
     Code,
@@ -112,7 +113,7 @@ class DockingMachine:
             Unreachable: the electrodes lie outside the workspace.
         """
         if self.busy:
-            raise Busy("another goal is being served; cancel it or wait for its result")
+            raise Busy(self._what_goes_on())
         check_goal(goal, self._context.planner, self.parameters)
         self._desk.begin(goal.request_id, observation)
         self._tell_goal(goal)
@@ -129,8 +130,13 @@ class DockingMachine:
             Busy: another goal is being served, or the arm is on its way back already.
         """
         if self._desk.is_open or (self._script is not None and not self._interruptible):
-            raise Busy("another goal is being served; cancel it or wait for its result")
+            raise Busy(self._what_goes_on())
         self._start(request_id, observation, self._undock)
+
+    def _what_goes_on(self) -> str:
+        if self._desk.is_open:
+            return "another goal is being served; cancel it or wait for its result"
+        return "the arm is on its way back by itself; wait until docking_state says IDLE"
 
     def cancel(self) -> None:
         """Let the goal end with CANCELED as soon as it can; the arm still retracts. Without a goal nothing happens."""
@@ -203,7 +209,7 @@ class DockingMachine:
         if refusal is not None:
             return refusal
         if self._is_missing(observation.servo_age, parameters.servo_age_max):
-            return ServoFailure(f"servo_state is {observation.servo_age:.1f} s old; check the servo bus and servo_node")
+            return ServoFailure(f"servo_state is {observation.servo_age:.1f} s old; {SILENT_SERVOS}")
         if observation.hardware_error:
             return ServoFailure(
                 f"a servo reports hardware error {observation.hardware_error:#04x}; remove the cause, then call "
