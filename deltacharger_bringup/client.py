@@ -84,9 +84,7 @@ class ChargerClient:
     def close(self) -> None:
         """Leave the graph; a goal that still runs goes on without this client. Calling it twice does no harm."""
         if self._spinner is not None:
-            self._dock.destroy()
-            self._undock.destroy()
-            self._spinner.close()
+            self._spinner.close(self._dock, self._undock)
             self._spinner = None
         if self._owned is not None:
             rclpy.try_shutdown(context=self._owned)

@@ -276,8 +276,8 @@ class Spinner:
         """Whether callbacks are still served."""
         return self._thread.is_alive()
 
-    def close(self) -> None:
-        """Close the node while its callbacks still work, then stop serving and release it."""
+    def close(self, *waitables: Any) -> None:
+        """Close the node while its callbacks still work, then stop serving and release it, its `waitables` first."""
         try:
             closer = getattr(self.node, "close", None)
             if closer is not None:
@@ -285,6 +285,8 @@ class Spinner:
         finally:
             self._executor.shutdown(timeout_sec=5.0)
             self._thread.join(5.0)
+            for waitable in waitables:  # action clients, which an executor that still waits for them trips over
+                waitable.destroy()
             self.node.destroy_node()
 
     def _spin(self) -> None:

@@ -67,6 +67,10 @@ class Cell:
     def forget(self) -> None:
         self.states, self.decisions = self.states[-1:], []
 
+    def heard(self) -> list[str]:
+        """Return the decisions since the goal was accepted; those of an undocking before it may come late."""
+        return self.decisions[self.decisions.index("accepted") :]
+
     def record(self, number: int) -> Replay:
         """Return the record of that number, once it is complete."""
 
@@ -75,6 +79,10 @@ class Cell:
             return found if len(found) >= number else []
 
         return replay(wait_until(complete, "a record")[number - 1])
+
+    def idle(self) -> None:
+        """Wait until no record is open."""
+        wait_until(lambda: not any(path.name.endswith(PARTIAL) for path in self.folder.iterdir()), "no open record")
 
     def undock(self) -> None:
         wait_until(lambda: self.client.undock(deadline=DEADLINE).success, "an arm at home")
@@ -101,7 +109,7 @@ def quiet(request: pytest.FixtureRequest) -> Iterator[None]:
         for node in ("mock_servo_node", "mock_tactile_node", "mock_detector_node"):
             shared.composition.node(node).set_parameters([Parameter("fault", value="none")])
         shared.undock()
-        wait_until(lambda: not any(path.name.endswith(PARTIAL) for path in shared.folder.iterdir()), "no open record")
+        shared.idle()
 
 
 def assert_same(found: Replay, outcome: Outcome) -> None:
@@ -114,10 +122,16 @@ def assert_same(found: Replay, outcome: Outcome) -> None:
 
 def test_a_docking_is_recorded_as_its_client_saw_it(cell: Cell) -> None:
     seen: list[Progress] = []
-    number = len(list(cell.folder.iterdir())) + 1
-    cell.forget()
-    outcome = cell.client.dock(DockRequest(PLACE, request_id="robot/7"), seen.append, deadline=DEADLINE)
-    assert outcome.success, outcome
+
+    def dock() -> Outcome | None:
+        cell.idle()
+        cell.forget()
+        seen.clear()
+        outcome = cell.client.dock(DockRequest(PLACE, request_id="robot/7"), seen.append, deadline=DEADLINE)
+        return outcome if outcome.success else None  # a mock arm that stalled spoils an estimate
+
+    outcome = wait_until(dock, "a docking that succeeds")
+    number = len(list(cell.folder.iterdir()))
     cell.undock()
     found = cell.record(number)
     assert_same(found, outcome)
@@ -129,7 +143,7 @@ def test_a_docking_is_recorded_as_its_client_saw_it(cell: Cell) -> None:
     felt = [progress.phase for progress in seen if progress.phase != "idle"]
     told = [phase for phase, before in zip(felt, ["", *felt], strict=False) if phase != before]
     assert told == phases[phases.index("approach") : phases.index("charging") + 1], "the client saw every state"
-    assert [each.kind for each in found.run.decisions] == cell.decisions
+    assert [each.kind for each in found.run.decisions] == cell.heard()
     assert found.about["scene"] == "quick"
     assert found.parameters.travel_speed == 0.5
     assert 0.4 <= found.run.contact.arrays()["current"].max() <= 0.6
@@ -158,7 +172,7 @@ def test_a_refused_docking_says_why(cell: Cell, node: str, fault: str, name: str
     assert_same(found, outcome)
     assert name in found.recording.path.name
     assert told.lower() in why(found).lower()
-    assert [each.kind for each in found.run.decisions] == cell.decisions
+    assert [each.kind for each in found.run.decisions] == cell.heard()
 
 
 def test_a_cancelled_docking_says_so(cell: Cell) -> None:
