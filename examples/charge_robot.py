@@ -13,7 +13,9 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import signal
 import sys
+import threading
 from typing import Any
 
 from deltacharger_bringup import environment
@@ -113,11 +115,13 @@ def main() -> int:
         sent = client.send_goal_async(goal_of(options), action.on_feedback)
         rclpy.spin_until_future_complete(node, sent)
         ended = sent.result().get_result_async()  # every goal is accepted; what cannot be served ends with its code
-        try:
-            rclpy.spin_until_future_complete(node, ended)
-        except KeyboardInterrupt:
-            sent.result().cancel_goal_async()
-            rclpy.spin_until_future_complete(node, ended)
+        stop = threading.Event()  # an exception out of the midst of a callback could lose the result
+        signal.signal(signal.SIGINT, lambda *_: stop.set())
+        while not ended.done():
+            rclpy.spin_once(node, timeout_sec=0.1)
+            if stop.is_set():
+                stop.clear()
+                sent.result().cancel_goal_async()
         result = ended.result().result
         action.on_result(result)
         print(f"{result.energy:.0f} J delivered, returned: {result.returned}", file=sys.stderr)

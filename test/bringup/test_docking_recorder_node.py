@@ -146,7 +146,7 @@ def test_a_docking_is_recorded_as_its_client_saw_it(cell: Cell) -> None:
     assert [each.kind for each in found.run.decisions] == cell.heard()
     assert found.about["scene"] == "quick"
     assert found.parameters.travel_speed == 0.5
-    assert 0.4 <= found.run.contact.arrays()["current"].max() <= 0.6
+    assert 0.4 <= found.run.contact.arrays()["current"].max() <= 1.0  # what a stalled arm may overshoot to
     assert found.run.touches
     assert found.run.touches[-1].frames is not None
     assert found.run.motion.arrays()["time"][0] < 0.0, "it begins before the goal"
