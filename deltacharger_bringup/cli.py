@@ -30,8 +30,6 @@ from deltacharger_bringup.cli_vision_options import add_vision
 DEFAULT_SCENE = "simulated"
 DEFAULT_PICTURE = "dock.png"
 
-_LATER: dict[str, tuple[str, ...]] = {}
-"""Commands of the interface that this version knows and does not have yet."""
 _LATER_ACTIONS: dict[str, tuple[str, ...]] = {
     "report": ("footprint",),
 }
@@ -67,7 +65,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _run(words: list[str]) -> int:
-    if words and (words[0] in _LATER or (words[1:2] and words[1] in _LATER_ACTIONS.get(words[0], ()))):
+    if words[1:2] and words[1] in _LATER_ACTIONS.get(words[0], ()):
         return _refuse_later(words)
     Parser.wants_json = "--json" in words
     parser = build_parser()
@@ -128,9 +126,6 @@ def build_parser() -> argparse.ArgumentParser:
     add_campaign(commands)
     _add_namespace(add_replay(commands))
     _add_namespace(add_view(commands))
-    for name, parts in _LATER.items():
-        what = f" ({'|'.join(parts)})" if parts else ""
-        commands.add_parser(name, help=f"not yet available{what}", add_help=False)
     return parser
 
 
@@ -282,9 +277,7 @@ def _add_vision(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _refuse_later(words: Sequence[str]) -> int:
-    parts = _LATER.get(words[0]) or _LATER_ACTIONS.get(words[0], ())
-    named = " ".join(words[:2]) if len(words) > 1 and words[1] in parts else words[0]
-    message = f"deltacharger {named}: not yet available"
+    message = f"deltacharger {' '.join(words[:2])}: not yet available"
     say(message)
     if "--json" in words:
         write_json({"success": False, "error": message})

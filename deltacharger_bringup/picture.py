@@ -46,6 +46,11 @@ def draw(run: Run, path: Path) -> None:
     Raises:
         PictureError: matplotlib is missing, or the file cannot be written.
     """
+    save(path, 8.6, 9.5, lambda figure: _compose(figure, run))
+
+
+def save(path: Path, height: float, title_size: float, compose: Callable[[Figure], None]) -> None:
+    """Write a figure of 13 in by `height` in that `compose` fills; errors as in `draw`."""
     try:
         import matplotlib
 
@@ -54,9 +59,9 @@ def draw(run: Run, path: Path) -> None:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise PictureError("matplotlib is not installed; install deltacharger[report]") from error
-    with rc_context(STYLE | {"axes.titlesize": 9.5}):
-        figure = Figure(figsize=(13.0, 8.6), dpi=120, facecolor="white")
-        _compose(figure, run)
+    with rc_context(STYLE | {"axes.titlesize": title_size}):
+        figure = Figure(figsize=(13.0, height), dpi=120, facecolor="white")
+        compose(figure)
         try:
             figure.savefig(path)
         except (OSError, ValueError) as error:

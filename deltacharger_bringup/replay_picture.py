@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deltacharger_bringup.picture import (
-    PictureError,
     charge,
     contact_current,
     heat_colours,
     height,
     legend,
     name_phases,
+    save,
     shade,
 )
 from deltacharger_bringup.replay_record import Replay
 from deltacharger_bringup.replay_time import TimeScale, scale_for
 from deltacharger_bringup.replay_words import quantity, why
-from deltacharger_bringup.reports.plotting import BLUE, FAINT, GREEN, ORANGE, PURPLE, RED, STYLE
+from deltacharger_bringup.reports.plotting import BLUE, FAINT, GREEN, ORANGE, PURPLE, RED
 from deltacharger_bringup.run_record import Touch
 from deltacharger_docking.clearance import Estimate, clearance, clearance_stddev
 
@@ -60,21 +60,7 @@ def draw(replay: Replay, path: Path) -> None:
     Raises:
         PictureError: matplotlib is missing, or the file cannot be written.
     """
-    try:
-        import matplotlib
-
-        matplotlib.use("Agg")
-        from matplotlib import rc_context
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise PictureError("matplotlib is not installed; install deltacharger[report]") from error
-    with rc_context(STYLE | {"axes.titlesize": 9.0}):
-        figure = Figure(figsize=(13.0, 9.6), dpi=120, facecolor="white")
-        _compose(figure, replay)
-        try:
-            figure.savefig(path)
-        except (OSError, ValueError) as error:
-            raise PictureError(f"cannot write {path}: {error}") from error
+    save(path, 9.6, 9.0, lambda figure: _compose(figure, replay))
 
 
 def _compose(figure: Figure, replay: Replay) -> None:
