@@ -108,25 +108,34 @@ class ElectrodeDetectorNode(Node):
             response.message = f"timeout is {limit:g} s; give 0 for the default of {self._timeout:g} s, or more"
             return response
         deadline = time.monotonic() + (limit or self._timeout)
-        refusal, images, number = "", 0, self._camera.shots
+        refusal, late, images, old, number = "", "", 0, 0, self._camera.shots
         with self._camera.watching():
             while (shot := self._camera.after(number, deadline)) is not None:
                 number, images = shot.number, images + 1
+                if problem := self._age_problem(shot):
+                    late, old = problem, old + 1
+                    continue
                 message, refusal = self._look(shot)
                 if message is not None:
                     response.success, response.message, response.detection = True, "found", message
                     return response
-            refusal = refusal or self._camera.problem() or "no image came in time; allow more than one image's time"
-        response.message = f"{refusal} ({images} images looked at in {limit or self._timeout:.1f} s)"
+            # What a fresh image shows says more than that another one came late.
+            refusal = refusal or late or self._camera.problem()
+            refusal = refusal or "no image came in time; allow more than one image's time"
+        response.message = f"{refusal} ({images} images in {limit or self._timeout:.1f} s, {old} of them too old)"
         return response
+
+    def _age_problem(self, shot: Shot) -> str:
+        """Return why an image is of another time than now; empty = it is not."""
+        age = 1e-9 * (self.get_clock().now().nanoseconds - shot.stamp)
+        if -_FUTURE <= age <= self._image_age_max:
+            return ""
+        self._tally.stale += 1
+        when = f"{age:.2f} s old" if age > 0.0 else f"stamped {-age:.2f} s in the future"
+        return f"the image is {when} (image_age_max {self._image_age_max} s): check load, driver and clocks"
 
     def _look(self, shot: Shot) -> tuple[ElectrodeDetection | None, str]:
         """Return what one image shows, published, or why it shows nothing."""
-        age = 1e-9 * (self.get_clock().now().nanoseconds - shot.stamp)
-        if not -_FUTURE <= age <= self._image_age_max:
-            self._tally.stale += 1
-            when = f"{age:.2f} s old" if age > 0.0 else f"stamped {-age:.2f} s in the future"
-            return None, f"the image is {when} (image_age_max {self._image_age_max} s): check load, driver and clocks"
         with self._looking:
             started = time.perf_counter()
             try:
@@ -160,8 +169,8 @@ class ElectrodeDetectorNode(Node):
                     started = time.monotonic()
                     shot = self._camera.after(number, started + 0.5)
                     if shot is not None:
-                        number, (_, refusal) = shot.number, self._look(shot)
-                        if refusal:
+                        number = shot.number
+                        if refusal := self._age_problem(shot) or self._look(shot)[1]:
                             self.get_logger().warning(refusal, throttle_duration_sec=5.0)
                     self._stopping.wait(max(0.0, started + period - time.monotonic()))
 

@@ -37,6 +37,7 @@ SCENE = {
             "lift": 0.008,
             "travel_speed": 0.1,
             "alignment_tolerance": 0.004,
+            "landing_limit": 0.006,
             "charge_stable_time": 0.5,
             "servo_age_max": 1.5,  # so that a loaded machine is not taken for a broken cable
             "tactile_age_max": 1.5,

@@ -124,7 +124,7 @@ def test_an_empty_scene_is_told_after_the_time_that_was_given(
     answer = driver.ask(1.0)
     assert not answer.success
     assert "no electrodes in the image" in answer.message
-    assert "images looked at in 1.0 s" in answer.message
+    assert "images in 1.0 s" in answer.message
 
 
 def test_without_a_camera_it_names_the_topics_and_diagnoses_them(
@@ -201,6 +201,26 @@ def test_a_stamp_that_is_not_now_is_refused(
     assert not answer.success
     assert words in answer.message
     assert "clocks" in answer.message
+
+
+def test_late_images_do_not_hide_what_the_others_show(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
+) -> None:
+    driver.image = picture(target=False)
+    sent = 0
+
+    def make_late(*messages: Image | CameraInfo) -> None:
+        nonlocal sent
+        sent += driver.listeners > 0
+        for message in messages:
+            message.header.stamp.sec -= 3 if sent > 5 else 0
+
+    driver.spoil = make_late
+    detector()
+    assert driver.client.wait_for_service(20.0)
+    answer = driver.ask(1.5)
+    assert "no electrodes in the image" in answer.message
+    assert " 0 of them too old" not in answer.message
 
 
 def test_depth_of_another_instant_is_no_depth(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:

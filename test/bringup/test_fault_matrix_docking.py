@@ -38,6 +38,7 @@ SCENE = {
             "lift": 0.008,
             "travel_speed": 0.3,
             "alignment_tolerance": 0.01,
+            "landing_limit": 0.02,
             "charge_stable_time": 0.2,
         }
     },

@@ -38,6 +38,7 @@ _QUICK = {
     "travel_speed": 0.3,
     "charge_stable_time": 0.2,
     "alignment_tolerance": 0.004,
+    "landing_limit": 0.006,
 }
 
 
