@@ -7,6 +7,7 @@ import math
 from deltacharger_docking.clearance import Estimate
 
 _SIGMAS = 2.2  # that a contact is judged at; with it 1 % of them lie beyond the limit (docs/docking.md)
+_FELT_SIGMAS = 1.65  # of what the pads feel alone: a landing far out is rare, and rarer where they see well
 _CONTRADICTION = 25.0, 4.0  # sum of squared innovations, in variances, above which they are none: 25 + 4 for each look
 
 
@@ -29,7 +30,7 @@ class AlignmentFilter:
         self._innovations = [0.0, 0.0]
         self._looks = 0
         self.landing = math.inf
-        """How far (m) the last contact may lie beside the target on its worse axis: |mean| + 2.2 σ."""
+        """How far (m) the last contact may lie beside the target on its worse axis: |mean| + 2.2 σ, at least 1.65 σ felt."""
 
     def update(self, platform: tuple[float, float], estimate: Estimate) -> None:
         """Take one estimate made with the platform at (x, y) m of charger_base."""
@@ -42,7 +43,8 @@ class AlignmentFilter:
         for axis, (place, offset, stddev) in enumerate(readings):
             felt = stddev**2 + (self._gain_error * offset) ** 2
             variance = self._jitter**2 + felt
-            self.landing = max(self.landing, self._land(axis, place - offset, offset, max(felt, 1e-12)))
+            land = self._land(axis, place - offset, offset, max(felt, 1e-12))
+            self.landing = max(self.landing, land, _FELT_SIGMAS * stddev)
             weight = 1.0 / max(variance, 1e-12)
             if self._information[axis] > 0.0:
                 expected = variance + 1.0 / self._information[axis]

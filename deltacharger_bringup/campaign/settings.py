@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import functools
 import hashlib
 import importlib
@@ -124,16 +125,22 @@ def versions_of(content: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _digest() -> str:
-    """Return 16 hexadecimal digits that change with any line of code, and any model, that a docking follows from."""
+    """Return 16 hexadecimal digits that change with the code, and any model, that a docking follows from."""
     digest = hashlib.sha256()
     for package in _COMPUTES:
         root = Path(str(importlib.import_module(package).__file__)).parent
         for path in sorted(root.rglob("*")):
             if path.suffix in (".py", ".npz", ".json") and not path.stem.endswith(("_node", "_node_io")):
-                digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+                digest.update(path.relative_to(root).as_posix().encode() + meaning(path))
     for name in _ALSO:
-        digest.update((_HERE / name).read_bytes())
+        digest.update(meaning(_HERE / name))
     return digest.hexdigest()[:16]
+
+
+def meaning(path: Path) -> bytes:
+    """Return what a file says to Python: comments and layout of code change no docking. Of other files, every byte."""
+    content = path.read_bytes()
+    return ast.dump(ast.parse(content)).encode() if path.suffix == ".py" else content
 
 
 def flat(content: Mapping[str, Any], path: str = "") -> dict[str, Any]:

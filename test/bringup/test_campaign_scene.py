@@ -15,6 +15,7 @@ from deltacharger_bringup.campaign.draw import build_parts, draw, zero_angle
 from deltacharger_bringup.campaign.felt import EstimatorErrors
 from deltacharger_bringup.campaign.keys import TAKEN, known_keys
 from deltacharger_bringup.campaign.scene import load_campaign_scene, packaged_campaigns, parse_campaign_scene
+from deltacharger_bringup.campaign.settings import meaning
 from deltacharger_bringup.campaign.spread import Key, read_spread
 from deltacharger_bringup.scene import SceneError
 from deltacharger_sim.clearance import overlap
@@ -247,3 +248,11 @@ def test_a_scene_based_on_another_has_its_keys_but_for_its_own(tmp_path: Path) -
         path.write_text(f"based_on: {base}", "utf-8")
         with pytest.raises(SceneError, match="no other packaged campaign"):
             load_campaign_scene(str(path))
+
+
+def test_a_comment_is_no_other_version_and_a_number_is(tmp_path: Path) -> None:
+    told = []
+    for text in ("LIMIT = 2.2\n", "# of a contact\nLIMIT = (2.2)\n", "LIMIT = 2.3\n"):
+        (tmp_path / "rule.py").write_text(text)
+        told.append(meaning(tmp_path / "rule.py"))
+    assert told[0] == told[1] != told[2]
