@@ -30,7 +30,7 @@ class AlignmentFilter:
         self._innovations = [0.0, 0.0]
         self._looks = 0
         self.landing = math.inf
-        """How far (m) the last contact may lie off on its worse axis: |mean| + 2.2 σ, and at least 1.65 σ of what is felt."""
+        """How far (m) the last contact may lie off on its worse axis: |mean| + 2.2 σ, at least 1.65 σ felt."""
 
     def update(self, platform: tuple[float, float], estimate: Estimate) -> None:
         """Take one estimate made with the platform at (x, y) m of charger_base."""
