@@ -22,7 +22,7 @@ STATE = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""docking_state, as a subscriber wants it: changes in order. The publisher keeps one, the present, for who comes late."""
+"""docking_state as a subscriber wants it: changes in order. The publisher keeps one, the present, for late ones."""
 
 DEFAULT_DEPTH = 10
 """Depth of the topics with default quality of service."""
