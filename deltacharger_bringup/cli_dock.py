@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger dock`: one docking as a fleet manager would order it, with progress, result and picture."""
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from deltacharger_bringup.cli_charger import (
     PhasePrinter,
     prepare,
     report,
+    require_docking,
     ros_context,
     start,
     wait_for_actions,
@@ -36,6 +38,7 @@ def dock(options: argparse.Namespace) -> int:
     """Dock with the running charger, or else with the scene's own in this process."""
     _check_picture(options)
     scene = prepare(options, look_around=True)
+    require_docking(scene)
     request = dock_request(options, scene)
     with Interrupts() as interrupts, ros_context() as context, contextlib.ExitStack() as stack:
         from deltacharger_bringup.client import ChargerClient
@@ -51,6 +54,8 @@ def dock(options: argparse.Namespace) -> int:
             wait_for_actions(composition, client, interrupts)
         if interrupts.event.is_set():
             raise CommandError("interrupted", INTERRUPTED)
+        if composition is None and options.scene is not None:
+            say(f"using the charger that runs already; of scene '{scene.name}' only the goal is taken")
         if composition is None and options.record:
             stack.enter_context(start(recorder_alone(scene, options.record), context, options.namespace))
         recorder = stack.enter_context(Recorder(context, options.namespace))
@@ -138,6 +143,7 @@ class _Run:
         self._recorder.run.notes["about"] = f"{whose}; {self._goal_line()}"
         printer = PhasePrinter(self._recorder.force)
         outcome = self._dock(printer)
+        cure = self._cure(outcome)
         self._recorder.finish(outcome)
         more: dict[str, Any] = {
             "scene": self._scene.name,
@@ -154,6 +160,8 @@ class _Run:
             self._composition.close()
         more["picture"] = self._draw()
         report(outcome, self._options.json, more)
+        if cure:
+            say(cure)
         if not self._options.json and outcome.success:
             say(_summary(outcome))
         if unsafe:
@@ -184,6 +192,15 @@ class _Run:
             )
         except ClientError as error:
             raise CommandError(str(error), INTERRUPTED if self._interrupts.event.is_set() else FAILED) from error
+
+    def _cure(self, outcome: Outcome) -> str:
+        """Return what to do where the camera was asked and there is none, or ''."""
+        if outcome.error_name != "ELECTRODES_NOT_FOUND" or self._client.finds_electrodes():
+            return ""
+        return (
+            "nothing here finds electrodes: give coordinates (--x-mm --y-mm --z-mm), or start a charger whose scene "
+            "has a detector, such as --scene camera (simulated), oakd or rgbd"
+        )
 
     def _undock(self) -> dict[str, Any]:
         from deltacharger_bringup.client import ClientError

@@ -1,4 +1,8 @@
-"""The options of `deltacharger replay` and `--record`; what they do stands in cli_replay.py and scene_recorder.py."""
+# SPDX-License-Identifier: Apache-2.0
+"""The options of `deltacharger replay`, `--record` and `--recording`.
+
+What they do stands in cli_replay.py, scene_recorder.py and scene_overrides.py.
+"""
 
 from __future__ import annotations
 
@@ -18,4 +22,12 @@ def add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
 
 def add_record(parser: argparse.ArgumentParser) -> None:
     """Add `--record` to a command that starts a charger."""
-    parser.add_argument("--record", metavar="DIR", help="keep a record of each docking in this folder")
+    text = "keep a record of each docking in this folder (without DIR: where docking_recorder_node keeps them)"
+    parser.add_argument("--record", nargs="?", const="true", metavar="DIR", help=text)
+
+
+def add_recording(parser: argparse.ArgumentParser) -> None:
+    """Add `--recording` to a command that starts a scene."""
+    parser.add_argument(
+        "--recording", metavar="FILE", help="record that the scene plays (without --scene: that of scene replay)"
+    )

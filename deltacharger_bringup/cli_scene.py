@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger scene list|check|explain`."""
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from deltacharger_bringup.cli_output import DONE, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.node_table import NODES
 from deltacharger_bringup.scene import Scene, SceneError, load_scene, packaged_scenes
 from deltacharger_sim.proven import doubts
 
@@ -136,6 +138,8 @@ def _data(value: Any) -> Any:
 def _kind(scene: Scene) -> str:
     if scene.simulation is not None:
         return "simulated"
+    if any(NODES[name].plays for name in scene.nodes):
+        return "recording"
     return "hardware" if scene.touches_hardware else "mocks"
 
 

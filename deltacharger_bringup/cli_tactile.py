@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger tactile`: data sets, training and judging of the classifiers."""
 
 from __future__ import annotations
@@ -107,14 +108,18 @@ def evaluate(options: argparse.Namespace) -> int:
     try:
         if npz.holds(options.model, "meta"):
             estimator = PoseEstimator.load(options.model)
-            name, found = estimator.name, pose_judgement.evaluate(estimator, data)
+            name, learnt_from = estimator.name, estimator.about.get("data")
+            found = pose_judgement.evaluate(estimator, data)
         else:
             model = Classifier.load(options.model)
-            name, found = model.name, judgement.evaluate(model, examples(data, model.target))
+            name, learnt_from = model.name, model.about.get("data")
+            found = judgement.evaluate(model, examples(data, model.target))
     except FileNotFoundError as error:
         raise CommandError(f"--model {options.model}: there is no such file", WRONG_INPUT) from error
     except TactileError as error:
         raise CommandError(str(error), WRONG_INPUT) from error
+    if learnt_from == data.meta:
+        say(f"warning: {options.model} was trained on {options.data}: these figures flatter it; judge it on other data")
     if options.json:
         write_json(found)
         return DONE

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A client of the charger's actions: what a fleet manager does, without its fleet.
 
 The client owns a small node with an executor of its own, so that it works beside any program::
@@ -105,6 +106,10 @@ class ChargerClient:
     def is_ready(self) -> bool:
         """Whether both actions answer now and somebody publishes what they work on."""
         return self.answers() and all(self.node.count_publishers(topic) for topic in _INPUTS)
+
+    def finds_electrodes(self) -> bool:
+        """Whether a node serves detect_electrodes now."""
+        return self.node.count_services("detect_electrodes") > 0
 
     def wait_until_ready(self, timeout: float, stop: threading.Event | None = None) -> bool:
         """Wait until `is_ready`.

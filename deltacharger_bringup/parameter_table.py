@@ -1,16 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page docs/parameters.md from the declarations: python -m deltacharger_bringup.parameter_table."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 _OWN = ("use_sim_time", "start_type_description_service")  # every ROS node has them
+_PER_SCENE = ("port", "file")
 _PORT = "set per scene"
 _HEAD = """# Parameters
 
@@ -26,7 +31,7 @@ def table(node: Node) -> str:
         if name in _OWN or name.startswith("qos_overrides."):
             continue
         descriptor = node.describe_parameter(name)
-        default = _PORT if name == "port" else _text(node.get_parameter(name).value)
+        default = _PORT if name in _PER_SCENE else _text(node.get_parameter(name).value)
         lines.append(f"| {name} | {default} | {_allowed(descriptor)} | {descriptor.description} |")
     return "\n".join([*lines, ""])
 
@@ -54,26 +59,58 @@ def _allowed(descriptor: Any) -> str:
 
 @contextmanager
 def every_node(context: Context, namespace: str) -> Iterator[list[Node]]:
-    """Run the nodes of a robot and those of its simulation, each once, and return them."""
+    """Run the nodes of a robot, those of its simulation and those that show it, each once, and return them."""
     from deltacharger_bringup.composition import Composition
     from deltacharger_bringup.scene import STANDARD_NODES, parse_scene
+
+    others = ("simulated_camera_node", "electrode_detector_node", "mission_node", "docking_recorder_node")
+    names = [*STANDARD_NODES, *others]
+    defaults = {"docking_recorder_node": {"scene": ""}}  # which a scene would tell
+    scene = parse_scene({"nodes": names, "simulation": {}, "parameters": defaults}, "parameters")
+    with Composition(scene, context, namespace) as composition, ExitStack() as stack:
+        nodes: list[Any] = [running.node for running in composition.nodes]
+        for node in (_camera(context, namespace), _passive_joints(context, namespace), _player(context, namespace)):
+            stack.callback(node.destroy_node)
+            stack.callback(getattr(node, "close", lambda: None))
+            nodes.append(node)
+        yield nodes
+
+
+def _camera(context: Context, namespace: str) -> Any:
     from deltacharger_vision.camera_keeper import CameraUnavailable
     from deltacharger_vision.camera_node import CameraNode
 
     def no_camera(*arguments: Any) -> Any:
         raise CameraUnavailable("its parameters alone are looked at")
 
-    others = ("simulated_camera_node", "electrode_detector_node", "mission_node", "docking_recorder_node")
-    names = [*STANDARD_NODES, *others]
-    defaults = {"docking_recorder_node": {"scene": ""}}  # which a scene would tell
-    scene = parse_scene({"nodes": names, "simulation": {}, "parameters": defaults}, "parameters")
-    with Composition(scene, context, namespace) as composition:
-        camera = CameraNode(no_camera, context=context, namespace=namespace, use_global_arguments=False)
-        try:
-            yield [*(running.node for running in composition.nodes), camera]
-        finally:
-            camera.close()
-            camera.destroy_node()
+    return CameraNode(no_camera, context=context, namespace=namespace, use_global_arguments=False)
+
+
+def _passive_joints(context: Context, namespace: str) -> Any:
+    from deltacharger_bringup.passive_joints_node import PassiveJointsNode
+
+    return PassiveJointsNode(context=context, namespace=namespace, use_global_arguments=False)
+
+
+def _player(context: Context, namespace: str) -> Any:
+    """Return a player in a namespace of its own, as it never plays beside a charger, of a message of every topic."""
+    from deltacharger_bringup.docking_topics import TOPICS
+    from deltacharger_bringup.mcap_recording import McapWriter
+    from deltacharger_bringup.recording_player_node import RecordingPlayerNode
+
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "every_topic.mcap"
+        with McapWriter(path, {f"/{topic.name}": topic.kind for topic in TOPICS}) as writer:
+            for topic in TOPICS:
+                writer.add_message(f"/{topic.name}", topic.kind(), 1, 1)
+        node = RecordingPlayerNode(
+            context=context,
+            namespace=f"{namespace}_player",
+            parameter_overrides=[Parameter("file", value=str(path))],
+            use_global_arguments=False,
+        )
+        node.close()
+    return node
 
 
 def main() -> int:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A recording of a docking as it is read back: whole, truncated by a kill, or without some topics.
 
 Records of docking_recorder_node and MCAP files of `ros2 bag record` alike.
@@ -16,6 +17,9 @@ from rclpy.serialization import deserialize_message
 from deltacharger_bringup.docking_topics import KINDS, STATE, TOPICS
 from deltacharger_bringup.mcap_recording import RecordingError, require_mcap, schema_text, type_name
 
+CUT_SHORT = "the file ends early: its recorder was stopped"
+"""What is told as damage of a file that is whole as far as it goes."""
+
 _LARGEST = 2**28  # bytes of one record of the file; more is damage
 _TYPES = {topic.name: type_name(topic.kind) for topic in TOPICS}
 
@@ -29,6 +33,7 @@ class Recording:
         namespace: of the charger, '/' = none.
         metadata: by name, in order.
         counts: messages of each topic, by relative name.
+        first, last: when the first and the last message came, ns since 1970; 0 where there is none.
         damage: why reading ended before the end; '' = the file is complete.
         unreadable: topics that another version recorded, with the reason.
     """
@@ -37,6 +42,8 @@ class Recording:
     namespace: str = "/"
     metadata: list[tuple[str, dict[str, str]]] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
+    first: int = 0
+    last: int = 0
     damage: str = ""
     unreadable: dict[str, str] = field(default_factory=dict)
 
@@ -65,10 +72,39 @@ def read(path: Path, take: Callable[[str, int, Any], None], namespace: str | Non
         RecordingError: mcap is not installed, or this is no recording of a docking.
         OSError: it cannot be read.
     """
-    recording = Recording(path)
-    recording.namespace = _charger(path, namespace)
+    recording = Recording(path, _charger(path, namespace))
+    for name, received, data in _messages(recording):
+        take(name, received, decoded(name, data))
+    return _with_states(recording)
+
+
+def survey(path: Path, namespace: str | None = None) -> Recording:
+    """Read a recording through without decoding its messages; arguments and errors as those of `read`."""
+    recording = Recording(path, _charger(path, namespace))
+    for _ in _messages(recording):
+        pass
+    return _with_states(recording)
+
+
+def messages(path: Path, namespace: str) -> Iterator[tuple[str, int, bytes]]:
+    """Yield each message of a docking, undecoded, in the order of the file: relative topic, ns since 1970, CDR.
+
+    Args:
+        path: of the file.
+        namespace: of the charger, as `survey` found it.
+    """
+    return _messages(Recording(path, namespace))
+
+
+def decoded(name: str, data: bytes) -> Any:
+    """Return the message of a topic, named relatively."""
+    return deserialize_message(data, KINDS[_TYPES[name]])
+
+
+def _messages(recording: Recording) -> Iterator[tuple[str, int, bytes]]:
+    """Yield the messages of the recording's charger and note in it what else it holds."""
     met, known = _Channels(), dict[int, str]()
-    for record in _records(path, recording):
+    for record in _records(recording.path, recording):
         kind = type(record).__name__
         if kind == "Metadata":
             recording.metadata.append((record.name, dict(record.metadata)))
@@ -82,10 +118,19 @@ def read(path: Path, take: Callable[[str, int, Any], None], namespace: str | Non
         elif kind == "Message" and record.channel_id in known:
             name = known[record.channel_id]
             recording.counts[name] = recording.counts.get(name, 0) + 1
-            take(name, record.log_time, deserialize_message(record.data, KINDS[_TYPES[name]]))
+            recording.first, recording.last = recording.first or record.log_time, record.log_time
+            yield name, record.log_time, record.data
+
+
+def _with_states(recording: Recording) -> Recording:
+    """Return a recording that tells what docking did.
+
+    Raises:
+        RecordingError: it does not.
+    """
     if not recording.counts.get(STATE):
         why = recording.unreadable.get(STATE) or recording.damage or "there is no message of it"
-        raise RecordingError(f"{path} tells no docking_state: {why}")
+        raise RecordingError(f"{recording.path} tells no docking_state: {why}")
     return recording
 
 
@@ -125,7 +170,7 @@ def _records(path: Path, recording: Recording, whole_chunks: bool = False) -> It
         except (EndOfFile, InvalidMagic, struct.error) as error:
             if not begun:
                 raise RecordingError(f"{path} is no MCAP file") from error
-            recording.damage = "the file ends early: its recorder was stopped"
+            recording.damage = CUT_SHORT
         except Exception as error:  # damage raises what zstandard, zlib or mcap raise
             recording.damage = f"the file is damaged from here on: {error}"
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scenes: one YAML file says which parts of a charger exist and what their parameters are.
 
 A scene without the key `simulation` runs on real hardware. Nothing that a scene does not need is started. Every key is
@@ -114,6 +115,11 @@ class Scene:
     def touches_hardware(self) -> bool:
         """Whether a node of it opens a port of real hardware."""
         return self.simulation is None and any(NODES[name].port for name in self.nodes)
+
+    @property
+    def docks(self) -> bool:
+        """Whether it has the actions dock and undock."""
+        return "docking_node" in self.nodes
 
     def start_order(self) -> list[str]:
         """Return the nodes in the order in which they start; who commands comes last, and closes first."""
@@ -275,10 +281,15 @@ def _read_nodes(top: _Level) -> tuple[str, ...]:
             )
         if name in names[:index]:
             raise top.refuse(f"nodes[{index}]", f"'{name}' is listed twice")
-        double = NODES[name].stands_in_for
-        if double in names:
-            raise top.refuse(f"nodes[{index}]", f"'{name}' and '{double}' serve the same names; keep one of them")
+        for other in names:
+            if other in NODES and (NODES[name].replaces(other) or _are_doubles(name, other)):
+                raise top.refuse(f"nodes[{index}]", f"'{name}' and '{other}' serve the same names; keep one of them")
     return tuple(names)
+
+
+def _are_doubles(name: str, other: str) -> bool:
+    """Return whether one plays what the other stands in for."""
+    return bool(NODES[other].stands_in_for) and NODES[other].stands_in_for in NODES[name].plays
 
 
 def _read_simulation(top: _Level) -> Simulation | None:

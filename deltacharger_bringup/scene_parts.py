@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a scene starts, which libraries that loads, what it computes, what it leaves out, and why.
 
 All of it follows from the scene, the table of nodes, the parameters' own bounds and the import statements of the parts.
@@ -73,6 +74,8 @@ def _why_started(scene: Scene, name: str) -> str:
     double = NODES[name].stands_in_for
     if NODES[name].port and scene.simulation is not None:
         return "listed in 'nodes'; its port is the simulated charger's"
+    if NODES[name].plays:
+        return f"listed in 'nodes'; plays from a recording what {', '.join(NODES[name].plays)} said"
     return f"listed in 'nodes'; stands in for {double}" if double else "listed in 'nodes'"
 
 
@@ -102,12 +105,14 @@ def _left_out_nodes(scene: Scene) -> Iterator[Entry]:
     for name, spec in NODES.items():
         if name in scene.nodes:
             continue
-        doubles = [other for other in scene.nodes if NODES[other].stands_in_for == name]
-        why = "not listed in 'nodes'"
+        doubles = [other for other in scene.nodes if NODES[other].replaces(name)]
+        doubled = [other for other in scene.nodes if spec.replaces(other)]
+        why = f"not listed in 'nodes': {spec.lacks}" if spec.lacks else "not listed in 'nodes'"
         if doubles:
-            why = f"{doubles[0]} stands in for it"
-        elif spec.stands_in_for in scene.nodes:
-            why = f"{spec.stands_in_for} itself is there"
+            how = "plays what it said" if name in NODES[doubles[0]].plays else "stands in for it"
+            why = f"{doubles[0]} {how}"
+        elif doubled:
+            why = f"{doubled[0]} itself is there"
         yield {"kind": "node", "name": name, "why": why}
     if scene.simulation is None:
         yield {"kind": "node", "name": _CHARGER_NAME, "why": "the scene has no key 'simulation'"}

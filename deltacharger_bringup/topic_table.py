@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page docs/topics.md from the nodes and the interface files: python -m deltacharger_bringup.topic_table."""
 
 from __future__ import annotations
@@ -68,6 +69,8 @@ def endpoints(node: Node) -> set[Endpoint]:
     name, namespace = node.get_name(), node.get_namespace()
     servers = get_action_server_names_and_types_by_node(node, name, namespace)
     clients = get_action_client_names_and_types_by_node(node, name, namespace)
+    played = {each.topic_name for each in node.publishers}  # who plays an action's topics does not serve it
+    servers = [each for each in servers if f"{each[0]}/_action/feedback" not in played]
     for verb, actions in (("serves the action", servers), ("calls the action", clients)):
         found |= {Endpoint(verb, _relative(node, each), kinds[0].replace("/action", "")) for each, kinds in actions}
     return found

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger tactile`: from a simulated data set to a judged classifier, and what is said where that cannot be."""
 
 from __future__ import annotations
@@ -77,7 +78,11 @@ def test_trained_and_judged(data: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert 0.0 < found["mean_absolute_error"] < 0.001  # type: ignore[operator]
     assert all(0.0 <= found[name] <= 1.0 for name in ("coverage", "act_rate", "drift_rate"))  # type: ignore[operator]
     assert main(["tactile", "evaluate", "--data", str(fresh), "--model", str(model)]) == DONE
-    assert "simulated" in capsys.readouterr().out
+    told = capsys.readouterr()
+    assert "simulated" in told.out
+    assert "was trained on" not in told.err
+    assert main(["tactile", "evaluate", "--data", str(data), "--model", str(model)]) == DONE
+    assert f"{model} was trained on {data}" in capsys.readouterr().err
 
 
 def test_a_pose_estimator_is_trained_on_rigs_and_judged_on_others(

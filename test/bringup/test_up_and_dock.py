@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger up` and `deltacharger dock` as people run them: separate processes, signals and exit codes."""
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ def test_up_is_ready_then_dock_and_undock_use_it_and_sigterm_ends_it_with_0(
     assert next(phase["phase"] for phase in result["phases"]) == "approach"
     assert result["picture"] is None or picture.is_file()
     assert any("contact" in line for line in dock.err)
+    assert any("the charger that runs already; of scene 'quick' only the goal" in line for line in dock.err)
     undock = start(*deltacharger, "undock", *options)
     assert undock.end() == 0, undock.err
     assert json.loads("\n".join(undock.out))["success"] is True
