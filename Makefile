@@ -6,12 +6,13 @@ INSTALLED := $(VENV)/.installed
 SOURCES := pyproject.toml setup.py setup.cfg package.xml CMakeLists.txt $(wildcard msg/*.msg srv/*.srv action/*.action)
 COLCON := build/colcon
 NAVIGATION := build/nav2_msgs
+WHEEL := build/wheel
 
 # Traffic stays on this machine, in a domain of its own.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_DOMAIN_ID ?= 87
 
-.PHONY: dock test check lint types colcon trainers navigation optional bench clean
+.PHONY: dock test check lint types colcon wheel trainers navigation optional bench clean
 
 dock: $(INSTALLED)  ## dock in simulation and draw the run
 	$(BIN)/deltacharger dock --scene $(SCENE) --picture dock.png
@@ -19,7 +20,7 @@ dock: $(INSTALLED)  ## dock in simulation and draw the run
 test: $(INSTALLED)  ## every test
 	$(BIN)/python -m pytest
 
-check: lint types test  ## what CI runs, but the colcon build
+check: lint types test  ## what CI runs, but the colcon build and the wheel
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .
@@ -35,6 +36,14 @@ colcon: $(INSTALLED)  ## build as a ROS workspace package and load an interface 
 	. $(COLCON)/install/local_setup.sh && $(BIN)/python -c 'import deltacharger.action as a; print(a.__file__)' \
 	  | grep -q $(COLCON)/install
 	test -x $(COLCON)/install/deltacharger/lib/deltacharger/docking_node
+
+# The interfaces are those that $(INSTALLED) has built, so this takes seconds and what pip downloads again.
+wheel: $(INSTALLED)  ## build a wheel, and dock with what it installs into a bare venv
+	rm -rf build/lib* build/bdist* $(WHEEL)
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir $(WHEEL) .
+	python3 -m venv $(WHEEL)/venv
+	$(WHEEL)/venv/bin/python -m pip install --quiet $(WHEEL)/*.whl
+	.ci/installed $(WHEEL)/venv
 
 # Of PyTorch the newest version that was tried; a build for the CPU is enough.
 trainers: $(INSTALLED)  ## what training the classifiers needs, else their tests are skipped
@@ -74,7 +83,7 @@ $(INSTALLED): $(SOURCES)
 	  > $(VENV)/build-requirements.txt
 	$(BIN)/python -m pip install --quiet -r $(VENV)/build-requirements.txt
 	@echo 'building deltacharger and its ROS interfaces into $(VENV); about two minutes'
-	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-build-isolation -e '.[dev,record,report,vision]'
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-build-isolation -e '.[calibrate,dev,record,report,vision]'
 	$(BIN)/python -c 'from deltacharger.msg import TactileFrame'
 	touch $@
 

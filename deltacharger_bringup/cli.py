@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The `deltacharger` command: its commands, options and exit codes; what each does stands in the cli_*.py beside it.
 
 Exit codes: 0 done, 1 the job failed, 2 wrong usage or input, 130 interrupted. With `--json` exactly one JSON object
@@ -19,8 +20,9 @@ from deltacharger_bringup.cli_calibrate_options import add_camera, add_kinematic
 from deltacharger_bringup.cli_campaign_options import add_campaign
 from deltacharger_bringup.cli_hardware_options import add_doctor, add_fault, add_simulate
 from deltacharger_bringup.cli_output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
+from deltacharger_bringup.cli_override_options import add_overrides
 from deltacharger_bringup.cli_parser import Parser, Version, add_command
-from deltacharger_bringup.cli_replay_options import add_record, add_replay
+from deltacharger_bringup.cli_replay_options import add_record, add_recording, add_replay
 from deltacharger_bringup.cli_report_options import add_reports
 from deltacharger_bringup.cli_tactile_options import add_tactile
 from deltacharger_bringup.cli_types import DEGREES, MILLIMETRES, POSITIVE, deadline, namespace
@@ -30,10 +32,7 @@ from deltacharger_bringup.cli_vision_options import add_vision
 DEFAULT_SCENE = "simulated"
 DEFAULT_PICTURE = "dock.png"
 
-_LATER_ACTIONS: dict[str, tuple[str, ...]] = {
-    "report": ("footprint",),
-}
-"""What is not there yet of commands that are."""
+_EXTRA_OF = {"scipy": "calibrate"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -65,8 +64,6 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _run(words: list[str]) -> int:
-    if words[1:2] and words[1] in _LATER_ACTIONS.get(words[0], ()):
-        return _refuse_later(words)
     Parser.wants_json = "--json" in words
     parser = build_parser()
     options = parser.parse_args(words)
@@ -83,14 +80,23 @@ def _run(words: list[str]) -> int:
     except OSError as error:
         failure = CommandError(str(error), WRONG_INPUT)
     except Exception as error:
-        problem = _ros_problem(error)
-        if not problem:
+        library, problem = _missing_library(error), _ros_problem(error)
+        if library:
+            failure = CommandError(library, FAILED)
+        elif problem:
+            failure = CommandError(problem, WRONG_INPUT)
+        else:
             raise
-        failure = CommandError(problem, WRONG_INPUT)
     say(str(failure))
     if options.json:
         write_json({"success": False, "error": str(failure), **failure.details})
     return failure.exit_code
+
+
+def _missing_library(error: Exception) -> str:
+    """Return how to get what is not installed, where that is an extra that only some words of a command need, or ''."""
+    name = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    return f"{name} is not installed; install deltacharger[{_EXTRA_OF[name]}]" if name in _EXTRA_OF else ""
 
 
 def _ros_problem(error: Exception) -> str:
@@ -120,7 +126,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_fault(commands)
     _add_doctor(commands)
     _add_calibrate(commands)
-    add_reports(commands, _LATER_ACTIONS["report"])
+    add_reports(commands)
     _add_tactile(commands)
     _add_vision(commands)
     add_campaign(commands)
@@ -149,6 +155,8 @@ def _add_up(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     _add_scene_option(parser)
     _add_namespace(parser)
     add_record(parser)
+    add_recording(parser)
+    add_overrides(parser)
 
 
 def _add_dock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -200,7 +208,8 @@ def _add_scene(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     module = "deltacharger_bringup.cli_scene"
     add_command(actions, "list", (module, "list_scenes"), "name every packaged scene")
-    check = add_command(actions, "check", (module, "check"), "say whether scenes are well-formed, and what is wrong")
+    text = "say whether scenes are well-formed, and what is wrong; a node checks its parameters when it starts"
+    check = add_command(actions, "check", (module, "check"), text)
     check.add_argument("scenes", nargs="*", metavar="NAME|FILE", help="default: every packaged scene")
     explain = add_command(actions, "explain", (module, "explain"), "show what a scene sets and every key it could set")
     explain.add_argument("scene", nargs="?", default=DEFAULT_SCENE, metavar="NAME|FILE")
@@ -274,14 +283,6 @@ def _add_vision(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser = commands.add_parser("vision", help=text, description=text[0].upper() + text[1:] + ".")
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     add_vision(actions)
-
-
-def _refuse_later(words: Sequence[str]) -> int:
-    message = f"deltacharger {' '.join(words[:2])}: not yet available"
-    say(message)
-    if "--json" in words:
-        write_json({"success": False, "error": message})
-    return FAILED
 
 
 if __name__ == "__main__":

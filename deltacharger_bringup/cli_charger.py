@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger up` and `deltacharger undock`, and what all commands that speak to a charger share."""
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from deltacharger_bringup.cli_output import (
 )
 from deltacharger_bringup.cli_scene import load_for_command
 from deltacharger_bringup.outcomes import Outcome, Progress
-from deltacharger_bringup.scene import Scene
-from deltacharger_bringup.scene_recorder import with_recorder
+from deltacharger_bringup.scene import Scene, SceneError
+from deltacharger_bringup.scene_overrides import Overrides, override
 
 if TYPE_CHECKING:
     from rclpy.context import Context
@@ -147,11 +148,14 @@ def raise_if_failed(composition: Composition) -> None:
 
 def up(options: argparse.Namespace) -> int:
     """Run a scene's charger until a signal."""
-    scene = with_recorder(prepare(options), options.record)
+    if options.recording and options.scene is None:
+        options.scene = "replay"
+    scene = _with_options(prepare(options), options)
     with Interrupts() as interrupts, ros_context() as context:
         from deltacharger_bringup.client import ChargerClient
-        from deltacharger_bringup.composition import describe
+        from deltacharger_bringup.composition import describe, preload
 
+        preload(scene)
         with ChargerClient(options.namespace, context) as other:
             if "docking_node" in scene.nodes and other.wait_until_it_answers(_NEIGHBOUR, interrupts.event):
                 raise CommandError(
@@ -161,10 +165,11 @@ def up(options: argparse.Namespace) -> int:
                 )
         with start(scene, context, options.namespace) as composition:
             say(f"{describe(composition)}; ROS domain {environment.domain()}")
-            if "docking_node" in scene.nodes:
+            if scene.docks:
                 with ChargerClient(options.namespace, context) as client:
                     answered = wait_for_actions(composition, client, interrupts)
             else:
+                say(_what_is_there(composition))
                 answered = True
             if not answered:
                 raise CommandError("interrupted before it was ready", interrupts.exit_code(DONE))
@@ -177,9 +182,49 @@ def up(options: argparse.Namespace) -> int:
         return interrupts.exit_code(DONE)
 
 
+def _with_options(scene: Scene, options: argparse.Namespace) -> Scene:
+    """Return the scene with what the options of `up` put in place of its own.
+
+    Raises:
+        CommandError: they do not fit the scene; exit code 2.
+    """
+    told = dataclasses.fields(Overrides)
+    try:
+        return override(scene, Overrides(**{each.name: getattr(options, each.name) or "" for each in told}))
+    except SceneError as error:
+        problem = f"{error.file}: --{error.key.replace('_', '-')}: {error.problem}"
+        raise CommandError(problem, WRONG_INPUT, file=error.file, key=error.key) from error
+
+
+def _what_is_there(composition: Composition) -> str:
+    """Return what a scene that cannot dock has instead."""
+    from deltacharger_bringup.topic_table import endpoints
+
+    found = [each for running in composition.nodes for each in endpoints(running.node) if "/_" not in each.name]
+    has = []
+    for verb in ("publishes", "serves"):
+        names = {each.name.lstrip("/") for each in found if each.verb == verb} - {"diagnostics"}
+        has += [f"{verb} {', '.join(sorted(names))}"] if names else []
+    return f"no docking_node, so no goal is served; it {' and '.join(has) or 'is silent'}"
+
+
+def require_docking(scene: Scene) -> None:
+    """Refuse a scene whose charger could not serve a goal.
+
+    Raises:
+        CommandError: it has no docking_node; exit code 2.
+    """
+    if not scene.docks:
+        raise CommandError(
+            f"scene '{scene.name}' starts no docking_node, so it cannot dock and undock; it starts "
+            f"{', '.join(scene.nodes)}; choose another --scene",
+            WRONG_INPUT,
+        )
+
+
 def undock(options: argparse.Namespace) -> int:
     """Undock the running charger."""
-    prepare(options, look_around=True)
+    require_docking(prepare(options, look_around=True))
     with Interrupts() as interrupts, ros_context() as context:
         from deltacharger_bringup.client import ChargerClient, ClientError
 

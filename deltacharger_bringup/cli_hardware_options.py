@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The options of `deltacharger simulate`, `fault` and `doctor`; what they do stands in the cli_*.py of each."""
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ def add_simulate(parser: argparse.ArgumentParser) -> None:
         "--directory", required=True, metavar="DIR", help="where the ports appear, as DIR/servo and DIR/board"
     )
     parser.add_argument("--record", metavar="FILE", help="at the end, write what really happened in the world as JSON")
+    text = "end with 0 on Ctrl-C too, as nodes do, for what starts it beside them"
+    parser.add_argument("--as-node", action="store_true", help=text)
 
 
 def add_fault(parser: argparse.ArgumentParser) -> None:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger simulate`: the emulated hardware of a scene as a process of its own, without ROS."""
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def simulate(options: argparse.Namespace) -> int:
         if options.record:
             Path(options.record).write_text(json.dumps(json_ready(record), indent=2) + "\n", encoding="utf-8")
         say("in the simulated world: " + ", ".join(f"{key} {value}" for key, value in record.items()))
-        return interrupts.exit_code(DONE)
+        return DONE if options.as_node else interrupts.exit_code(DONE)
 
 
 def _check_record(path: Path) -> None:

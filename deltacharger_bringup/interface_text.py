@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What .msg, .srv and .action files say, for the page of topics: fields, constants, and the comments beside them."""
 
 from __future__ import annotations
@@ -7,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 PARTS = {".msg": ("",), ".srv": ("Request", "Response"), ".action": ("Goal", "Result", "Feedback")}
+_LICENCE = "SPDX-License-Identifier:"
 _DECLARATION = re.compile(
     r"(?P<type>\S+)\s+(?P<name>\w+)\s*(?P<constant>=\s*\S+)?\s*(?P<default>[^#=]*)(#\s*(?P<text>.*))?"
 )
@@ -59,6 +61,8 @@ def _part(path: Path, name: str, piece: str, head: list[str]) -> Part:
     part = Part(name)
     for line in filter(str.strip, piece.splitlines()):
         comment = line.strip().removeprefix("#").strip()
+        if comment.startswith(_LICENCE):
+            continue
         if line.startswith("#"):
             head.append(comment)
         elif line.lstrip().startswith("#"):  # goes on from the line above

@@ -1,91 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
 """Start a scene's nodes as separate processes, and its simulated hardware as another where the scene has one.
 
-    ros2 launch deltacharger charger.launch.py scene:=simulated namespace:=left record:=records log_level:=info
+    ros2 launch deltacharger charger.launch.py scene:=bench servo_port:=/dev/ttyUSB1 namespace:=left record:=true
 
-This file only wires: what runs, and with which parameters, stands in the scene.
+This file only wires: what runs, and with which parameters, stands in the scene; what the other arguments change of it
+is decided in scene_overrides. A wrong argument ends the launch before anything starts.
+
+A node that moves nothing and carries no current is started again when it dies (`may_restart` in node_table). The end of
+any other ends the charger as a whole, docking_node among them, which leaves the arm safe; ros2 launch then ends with 1.
 """
 
 from __future__ import annotations
 
-import shutil
+import argparse
+import difflib
+import sys
 import tempfile
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction, RegisterEventHandler, Shutdown
 from launch.event_handlers import OnProcessExit, OnProcessIO
-from launch.events.process import ProcessIO
+from launch.events.process import ProcessExited, ProcessIO
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 
+from deltacharger_bringup.cli_types import namespace
+from deltacharger_bringup.node_table import NODES
 from deltacharger_bringup.scene import Scene, load_scene
-from deltacharger_bringup.scene_recorder import with_recorder
+from deltacharger_bringup.scene_overrides import Overrides, override
 from launch import LaunchContext, LaunchDescription
 
 PACKAGE = "deltacharger"
+LEVELS = ("debug", "info", "warn", "error", "fatal")
+OWN = {
+    "scene": ("simulated", "name of a scene, or a YAML file"),
+    "namespace": ("", "of the charger"),
+    "log_level": ("info", ", ".join(LEVELS)),
+}
+ARGUMENTS = OWN | {item.name: ("", item.metadata["doc"]) for item in fields(Overrides)}
+REFUSED = 2  # exit code of a node that cannot start as configured; starting it again would not help
+RESPAWN_DELAY = 1.0  # s
+OF_LAUNCH = ("launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_timeout", "sigkill_timeout")
+# A node that makes its hardware safe on a busy computer needs longer than launch's usual 5 s to end.
+PATIENCE = {name: LaunchConfiguration(name, default="15") for name in ("sigterm_timeout", "sigkill_timeout")}
 
 
 def generate_launch_description() -> LaunchDescription:
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument("scene", default_value="simulated", description="name of a scene, or a YAML file"),
-            DeclareLaunchArgument("namespace", default_value="", description="of the charger"),
-            DeclareLaunchArgument("record", default_value="", description="folder for a record of each docking"),
-            DeclareLaunchArgument("log_level", default_value="info", description="debug, info, warn, error or fatal"),
-            OpaqueFunction(function=_wire),
-        ]
-    )
+    declared = [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=_wire)])
 
 
 def _wire(context: LaunchContext) -> list[Any]:
-    scene = load_scene(LaunchConfiguration("scene").perform(context))
-    scene = with_recorder(scene, LaunchConfiguration("record").perform(context))
-    return _nodes(scene, {}) if scene.simulation is None else _simulated(scene)
+    _refuse_slips(context)
+    told = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    if told["log_level"] not in LEVELS:
+        raise ValueError(f"log_level is '{told['log_level']}'; give one of {', '.join(LEVELS)}")
+    try:
+        told["namespace"] = namespace(told["namespace"])
+    except argparse.ArgumentTypeError as error:
+        raise ValueError(f"namespace: {error}") from error
+    scene = override(load_scene(told["scene"]), Overrides(**{item.name: told[item.name] for item in fields(Overrides)}))
+    wired = _nodes if scene.simulation is None else _simulated
+    return wired(scene, told)
 
 
-def _nodes(scene: Scene, ports: dict[str, str]) -> list[Node]:
-    """Return the scene's nodes; a charger of which one part has ended is stopped as a whole."""
+def _refuse_slips(context: LaunchContext) -> None:
+    """Refuse arguments that this file does not know, where it was started itself; launch would pass over them.
+
+    Raises:
+        ValueError: names the argument and the nearest known one.
+    """
+    if Path(__file__).name not in (Path(word).name for word in sys.argv):
+        return  # another launch file includes this one, and has arguments of its own
+    for word in context.argv:
+        name, assigned, _ = word.partition(":=")
+        if assigned and name not in ARGUMENTS and name not in OF_LAUNCH:
+            near = difflib.get_close_matches(name, ARGUMENTS, 1)
+            hint = f", did you mean '{near[0]}'?" if near else ""
+            raise ValueError(f"unknown argument '{name}'{hint}; known: {', '.join(ARGUMENTS)}")
+
+
+def _nodes(scene: Scene, told: dict[str, str], ports: dict[str, str] | None = None) -> list[Any]:
     return [
         Node(
             package=PACKAGE,
             executable=name,
-            namespace=LaunchConfiguration("namespace"),
-            parameters=[scene.node_parameters(name, ports)],
-            arguments=["--ros-args", "--log-level", LaunchConfiguration("log_level")],
+            namespace=told["namespace"],
+            parameters=[scene.node_parameters(name, ports or {})],
+            arguments=["--ros-args", "--log-level", told["log_level"]],
             output="screen",
-            on_exit=Shutdown(reason=f"{name} has ended"),
+            respawn=NODES[name].may_restart,
+            respawn_delay=RESPAWN_DELAY,
+            on_exit=_judge,
+            **PATIENCE,
         )
         for name in scene.start_order()
     ]
 
 
-def _simulated(scene: Scene) -> list[Any]:
+def _judge(event: ProcessExited, context: LaunchContext) -> list[Any]:
+    """End the charger when a part of it has ended, but for those that are started again."""
+    name = event.action.node_executable if isinstance(event.action, Node) else "the simulated hardware"
+    if context.is_shutdown or (name in NODES and NODES[name].may_restart and event.returncode != REFUSED):
+        return []
+    why = "cannot start as configured" if event.returncode == REFUSED else f"has ended with {event.returncode}"
+    reason = f"{name} {why}; ending the charger"
+    # launch ends with 1 where its loop met an error, and with 0 after a Shutdown alone.
+    fail = OpaqueFunction(function=lambda context: context.asyncio_loop.call_exception_handler({"message": reason}))
+    return [fail, Shutdown(reason=reason)]
+
+
+def _simulated(scene: Scene, told: dict[str, str]) -> list[Any]:
     """Return the simulated hardware, and the nodes once its ports are there."""
-    folder = Path(tempfile.mkdtemp(prefix="deltacharger-"))
+    folder = tempfile.TemporaryDirectory(prefix="deltacharger-", ignore_cleanup_errors=True)
     hardware = ExecuteProcess(
         cmd=[
             ExecutableInPackage(package=PACKAGE, executable="deltacharger"),
-            *("simulate", "--scene", scene.file, "--directory", str(folder)),
+            *("simulate", "--scene", scene.file, "--directory", folder.name, "--as-node"),
         ],
         name="simulated_charger",
         output="screen",
-        on_exit=Shutdown(reason="the simulated hardware has ended"),
+        on_exit=_judge,
+        **PATIENCE,
     )
-    nodes = _nodes(scene, {"servo": str(folder / "servo"), "board": str(folder / "board")})
+    nodes = _nodes(scene, told, {port: str(Path(folder.name) / port) for port in ("servo", "board")})
 
-    def when_ready(event: ProcessIO) -> list[Node] | None:
+    def when_ready(event: ProcessIO) -> list[Any] | None:
         if b"ready" not in event.text:
             return None
         started, nodes[:] = list(nodes), []
         return started
 
+    def when_ended(event: ProcessExited, context: LaunchContext) -> None:
+        folder.cleanup()
+
     return [
         RegisterEventHandler(OnProcessIO(target_action=hardware, on_stdout=when_ready)),
-        RegisterEventHandler(
-            OnProcessExit(
-                target_action=hardware, on_exit=lambda event, context: shutil.rmtree(folder, ignore_errors=True)
-            )
-        ),
+        RegisterEventHandler(OnProcessExit(target_action=hardware, on_exit=when_ended)),
         hardware,
     ]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Show a running charger in RViz: the robot model, its frames, contact force and what the camera found.
 
     ros2 launch deltacharger view.launch.py namespace:=left geometry_file:=arm.yaml mount_file:=mount.yaml

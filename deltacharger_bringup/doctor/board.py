@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Does the board introduce itself, stream whole frames from live taxels, and is its power stage sane?
 
 The stream is started for a while and stopped again; one probe is made (≤ 5 V, ≤ 50 mA). Nothing else is asked of

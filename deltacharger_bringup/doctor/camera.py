@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What sees the electrodes: an OAK-D on USB, its library, or image topics of any camera driver."""
 
 from __future__ import annotations

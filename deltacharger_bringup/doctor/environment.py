@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Are the versions, the interfaces and the ROS set-up of this computer those that the charger needs?"""
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from deltacharger_bringup.doctor.findings import Finding, hint, install, ok, wro
 from deltacharger_bringup.doctor.ros_probe import ALONE
 
 _OLDEST_PYTHON = (3, 10)
-_MODULES = ("numpy", "scipy", "yaml", "serial", "dynamixel_sdk")
+_MODULES = ("numpy", "yaml", "serial", "dynamixel_sdk")
 _DISTRIBUTIONS = {"yaml": "PyYAML", "serial": "pyserial", "dynamixel_sdk": "dynamixel-sdk"}
 _OLDEST_SDK = (4, 1)
 _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")

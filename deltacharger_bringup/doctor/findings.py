@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the doctor finds: a part, how bad it is, what it is, and how to mend it."""
 
 from __future__ import annotations

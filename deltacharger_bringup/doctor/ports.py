@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Can a serial port be opened, and if not, why: absent, forbidden, held by whom, not a serial port at all."""
 
 from __future__ import annotations

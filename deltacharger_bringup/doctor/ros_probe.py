@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What ROS itself says, asked in a process of its own: python -m deltacharger_bringup.doctor.ros_probe.
 
 A wrong library can end or hang the process that loads it; this one may. It prints what it knows as a line of JSON

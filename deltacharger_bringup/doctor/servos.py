@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Are the servos there, at the right speed, healthy, and set as the driver demands? Reads only."""
 
 from __future__ import annotations

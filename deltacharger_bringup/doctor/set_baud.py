@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Give servos another speed, at a person's request: torque off first, read back at the new speed afterwards."""
 
 from __future__ import annotations

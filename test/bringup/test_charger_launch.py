@@ -1,64 +1,79 @@
-"""launch/charger.launch.py: the mocks scene in separate processes docks, and every node ends with 0.
+# SPDX-License-Identifier: Apache-2.0
+"""charger.launch.py on mocks, in separate processes: it docks and charges, refuses, is cancelled, and all end with 0.
 
-The same scenario without launch stands in test_processes.py and, by code, in test_docking_mocks.py. This file is also
-what `launch_test test/bringup/test_charger_launch.py` runs.
+Without launch: docking and exit codes in test_processes.py; refused and cancelled goals in test_docking_mocks.py.
 """
 
 from __future__ import annotations
 
 import os
-import sys
-import time
+import threading
 import unittest
-from pathlib import Path
 from typing import Any
 
-import pytest
+from deltacharger_bringup.client import ChargerClient
+from deltacharger_bringup.outcomes import DockRequest, Outcome, Pose, Progress
 
-_WHY = "launch and launch_testing come with a ROS installation, not from PyPI"
-launch = pytest.importorskip("launch", reason=_WHY)
-launch_testing = pytest.importorskip("launch_testing", reason=_WHY)
-pytest.importorskip("launch_ros", reason=_WHY)
+from .conftest import DEADLINE, wait_until
+from .launched import QUICK_NODES, assert_all_ended_with_0, charger, description, launch_testing, run_launch_tests
 
-ROOT = Path(__file__).resolve().parents[2]
 NAMESPACE = f"launch_{os.getpid()}"
-DEADLINE = 30.0  # s
-
-os.environ.setdefault("ROS_DOMAIN_ID", "88")
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+PLACE = Pose(0.0, 0.0, 0.080)
 
 
 def generate_test_description() -> Any:
-    from launch.actions import IncludeLaunchDescription
-    from launch.launch_description_sources import PythonLaunchDescriptionSource
-    from launch_testing.actions import ReadyToTest
-
-    scene = Path(__file__).with_name("quick.yaml")
-    charger = IncludeLaunchDescription(
-        PythonLaunchDescriptionSource(str(ROOT / "launch" / "charger.launch.py")),
-        launch_arguments={"scene": str(scene), "namespace": NAMESPACE, "log_level": "warn"}.items(),
-    )
-    return launch.LaunchDescription([charger, ReadyToTest()])
+    return description(charger(namespace=NAMESPACE))
 
 
 class TestDocking(unittest.TestCase):
     """While it runs; collected by launch_testing alone."""
 
     __test__ = False
+    client: ChargerClient
 
-    def test_a_goal_is_served_to_its_end(self) -> None:
-        from deltacharger_bringup.client import ChargerClient
-        from deltacharger_bringup.outcomes import DockRequest, Pose
+    @classmethod
+    def setUpClass(cls) -> None:
+        cls.client = ChargerClient(NAMESPACE)
+        assert cls.client.wait_until_ready(DEADLINE)
 
-        end = time.monotonic() + DEADLINE  # a process that starts late makes the first goal fail as retriable
-        with ChargerClient(NAMESPACE) as client:
-            assert client.wait_until_ready(DEADLINE)
-            docked = client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), deadline=DEADLINE)
-            while not docked.success and docked.retriable and time.monotonic() < end:
-                docked = client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), deadline=DEADLINE)
-            assert docked.success, docked
-            undocked = client.undock(deadline=DEADLINE)
-            assert undocked.success, undocked
+    @classmethod
+    def tearDownClass(cls) -> None:
+        cls.client.close()
+
+    def dock(self, request: DockRequest, **options: Any) -> Outcome:
+        """Dock; a process that starts late makes the first goal fail as retriable."""
+        outcomes: list[Outcome] = []
+
+        def decided() -> bool:
+            outcomes.append(self.client.dock(request, deadline=DEADLINE, **options))
+            return not outcomes[-1].retriable or outcomes[-1].error_name == "CANCELED"
+
+        wait_until(decided, f"a docking that need not be tried again: {outcomes}")
+        return outcomes[-1]
+
+    def test_a_goal_is_accepted_and_charges_and_undocking_ends_it(self) -> None:
+        docked = self.dock(DockRequest(PLACE))
+        assert docked.success, docked
+        assert docked.details["charge_current"] > 0.5
+        undocked = self.client.undock(deadline=DEADLINE)
+        assert undocked.success, undocked
+
+    def test_a_goal_that_cannot_be_served_is_refused_with_its_code(self) -> None:
+        refused = self.dock(DockRequest(Pose(float("nan"), 0.0, 0.08)))
+        assert (refused.success, refused.error_name) == (False, "REJECTED"), refused
+        beyond = self.dock(DockRequest(Pose(0.5, 0.0, 0.08)))
+        assert (beyond.success, beyond.error_name) == (False, "UNREACHABLE"), beyond
+
+    def test_a_goal_is_cancelled(self) -> None:
+        cancel = threading.Event()
+
+        def on_progress(progress: Progress) -> None:
+            if progress.phase in ("approach", "contact"):
+                cancel.set()
+
+        outcome = self.dock(DockRequest(PLACE), on_progress=on_progress, cancel=cancel)
+        assert (outcome.success, outcome.error_name) == (False, "CANCELED"), outcome
+        assert self.client.undock(deadline=DEADLINE).success
 
 
 @launch_testing.post_shutdown_test()
@@ -68,24 +83,8 @@ class TestShutdown(unittest.TestCase):
     __test__ = False
 
     def test_every_node_ended_with_0(self, proc_info: Any) -> None:
-        launch_testing.asserts.assertExitCodes(proc_info)
-        assert len(proc_info.processes()) == 6
+        assert_all_ended_with_0(proc_info, QUICK_NODES)
 
 
 def test_the_mocks_dock_when_launched() -> None:
-    from ament_index_python.packages import PackageNotFoundError, get_package_prefix
-    from launch_testing.loader import LoadTestsFromPythonModule
-    from launch_testing.test_runner import LaunchTestRunner
-
-    try:
-        get_package_prefix("deltacharger")
-    except PackageNotFoundError:
-        pytest.skip("deltacharger is not installed where ament finds it: launch looks executables up there")
-    runner = LaunchTestRunner(LoadTestsFromPythonModule(sys.modules[__name__], name="charger_launch"))
-    runner.validate()
-    began = time.monotonic()
-    results = runner.run()
-    for result in results.values():
-        assert result.wasSuccessful(), [*result.errors, *result.failures]
-        assert result.testsRun > 0
-    assert time.monotonic() - began < 4 * DEADLINE
+    run_launch_tests(__name__, 1)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every node as a process of its own, as `ros2 run` starts them: they find each other, dock, and end with 0."""
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import pytest
 from deltacharger_bringup.client import ChargerClient
 from deltacharger_bringup.node_table import NODES
 from deltacharger_bringup.outcomes import DockRequest, Pose
-from deltacharger_bringup.scene import Scene
+from deltacharger_bringup.scene import Scene, parse_scene
 
 from .conftest import DEADLINE, Process
 
@@ -50,6 +51,17 @@ def test_an_unknown_parameter_ends_a_node_with_2_and_its_name(
     process = start(*arguments(quick_scene, name, namespace), "-p", "no_such_parameter:=1")
     assert process.end() == 2
     assert any("no_such_parameter" in line for line in process.err)
+
+
+@pytest.mark.parametrize("name", ["servo_node", "tactile_node"])
+def test_a_missing_port_ends_a_node_with_2_and_says_what_to_do(
+    start: Callable[..., Process], namespace: str, name: str
+) -> None:
+    scene = parse_scene({"ports": {"servo": "/dev/no_servo", "board": "/dev/no_board"}}, "missing")
+    process = start(*arguments(scene, name, namespace))
+    assert process.end() == 2
+    assert len(process.err) == 1
+    assert "there is no such port; plug the adapter in" in process.err[0]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What pyproject.toml and package.xml promise: few hard libraries, each with its reason; a licence on every file."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import re
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deltacharger_bringup import cli
+
+ROOT = Path(__file__).resolve().parents[1]
+LICENCE = "SPDX-License-Identifier: Apache-2.0"
+SOURCES = (".py", ".c", ".h", ".cpp", ".ino", ".msg", ".srv", ".action", ".xacro")
+NOT_OURS = ("build", "install", "log", ".venv")
+MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
+HARD = {  # distribution: rosdep key
+    "numpy": "python3-numpy",
+    "pyyaml": "python3-yaml",
+    "pyserial": "python3-serial",
+    "dynamixel-sdk": "dynamixel_sdk",
+    "ros-rclpy": "rclpy",
+    "ros-ament-index-python": "ament_index_python",
+    "ros-action-msgs": "action_msgs",
+    "ros-builtin-interfaces": "builtin_interfaces",
+    "ros-diagnostic-msgs": "diagnostic_msgs",
+    "ros-geometry-msgs": "geometry_msgs",
+    "ros-sensor-msgs": "sensor_msgs",
+    "ros-std-msgs": "std_msgs",
+    "ros-std-srvs": "std_srvs",
+    "ros-trajectory-msgs": "trajectory_msgs",
+}
+MODULES = {"yaml", "serial", "rcl_interfaces"} | {name for name in HARD if "-" not in name} | set(HARD.values())
+# rosdep keys, as in ros/rosdistro: packages released in Humble, Jazzy, Kilted and Rolling, then those of
+# rosdep/python.yaml. A key that is added here was looked up there.
+RELEASED = {
+    "ament_cmake",
+    "ament_cmake_python",
+    "rosidl_default_generators",
+    "rosidl_default_runtime",
+    "rcl_interfaces",
+    "launch",
+    "launch_ros",
+    "launch_testing",
+    "ros2launch",
+    "robot_state_publisher",
+    "rviz2",
+    "xacro",
+}
+OF_THE_SYSTEM = {
+    "python3-hypothesis",
+    "python3-matplotlib",
+    "python3-opencv",
+    "python3-pytest",
+    "python3-pytest-timeout",
+    "python3-scipy",
+}
+
+
+def project() -> dict[str, Any]:
+    toml = importlib.import_module("tomllib" if sys.version_info >= (3, 11) else "pip._vendor.tomli")
+    found: dict[str, Any] = toml.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return found
+
+
+def distribution(requirement: str) -> str:
+    return re.split(r"[\[<>=! ]", requirement)[0]
+
+
+def keys(*tags: str) -> set[str]:
+    return {each.text or "" for each in MANIFEST if each.tag in tags}
+
+
+def sources() -> Iterator[Path]:
+    for folder in sorted(ROOT.iterdir()):
+        if folder.is_dir() and folder.name not in NOT_OURS and not folder.name.startswith("report-"):
+            yield from (path for path in sorted(folder.rglob("*")) if path.suffix in SOURCES)
+    yield ROOT / "setup.py"
+
+
+def test_hard_libraries_are_those_that_every_charger_needs_and_ros_gets_them_too() -> None:
+    assert {distribution(each) for each in project()["dependencies"]} == set(HARD)
+    assert set(HARD.values()) <= keys("depend", "exec_depend")
+
+
+def test_every_extra_has_its_reason() -> None:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    for extra in project()["optional-dependencies"]:
+        assert re.search(rf"^# .*\.\n{extra} = \[", text, re.MULTILINE), f"say above '{extra}' what it is for"
+    for name in ("numpy", "pyyaml", "pyserial", "dynamixel-sdk", "ros-rclpy", "ros-ament-index-python"):
+        assert re.search(rf'^  # .*\.\n  "{name}[\["<>]', text, re.MULTILINE), f"say above '{name}' what it is for"
+
+
+def test_nothing_else_is_imported_before_it_is_needed() -> None:
+    for path in sorted(ROOT.glob("deltacharger_*/**/*.py")):
+        for node in outside_functions(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and not node.level:
+                names = [node.module or ""]
+            others = {name.split(".")[0] for name in names} - sys.stdlib_module_names - MODULES
+            assert not {name for name in others if not name.startswith("deltacharger")}, path
+
+
+def outside_functions(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield what importing a module runs; hints for type checkers are no imports."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            continue
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            continue
+        yield node
+        yield from outside_functions(node)
+
+
+def test_a_missing_extra_is_told_with_its_name(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    from deltacharger_bringup import cli_calibrate
+
+    def fit(options: object) -> int:
+        raise ModuleNotFoundError("No module named 'scipy'", name="scipy.optimize")
+
+    monkeypatch.setattr(cli_calibrate, "kinematics", fit)
+    assert cli.main(["calibrate", "kinematics", str(tmp_path / "data.csv")]) == 1
+    assert "scipy is not installed; install deltacharger[calibrate]" in capsys.readouterr().err
+    assert set(cli._EXTRA_OF.values()) <= set(project()["optional-dependencies"])
+
+
+def test_the_manifest_says_who_where_and_under_which_licence() -> None:
+    assert MANIFEST.get("format") == "3"
+    assert MANIFEST.findtext("name") == project()["name"]
+    assert re.fullmatch(r"\d+\.\d+\.\d+", MANIFEST.findtext("version") or "")
+    assert MANIFEST.findtext("license") == project()["license"] == "Apache-2.0"
+    assert MANIFEST.find("maintainer") is not None
+    assert MANIFEST.findtext("export/build_type") == "ament_cmake"
+    assert "rosidl_interface_packages" in keys("member_of_group")
+
+
+def test_every_key_is_one_that_rosdep_knows() -> None:
+    known = RELEASED | OF_THE_SYSTEM | set(HARD.values())
+    tags = {each.tag for each in MANIFEST if each.tag.endswith("depend")}
+    assert keys(*tags) <= known, "look it up in ros/rosdistro, then name it here"
+    assert known <= keys(*tags), "no longer asked for"
+
+
+def test_interfaces_are_built_from_what_the_manifest_depends_on() -> None:
+    text = (ROOT / "CMakeLists.txt").read_text(encoding="utf-8")
+    found = re.search(r"set\(interface_dependencies\s+([^)]*)\)", text)
+    assert found is not None
+    assert set(found[1].split()) == keys("depend")
+
+
+def test_every_executable_is_there() -> None:
+    text = (ROOT / "setup.cfg").read_text(encoding="utf-8")
+    found = re.findall(r"^ {4}(\w+) = ([\w.]+):main$", text, re.MULTILINE)
+    assert len(found) > 10
+    for _, module in found:
+        tree = ast.parse((ROOT / (module.replace(".", "/") + ".py")).read_text(encoding="utf-8"))
+        assert any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in tree.body), module
+
+
+def test_every_source_begins_with_its_licence() -> None:
+    without = []
+    for path in sources():
+        first = path.read_text(encoding="utf-8").splitlines()[:2]  # the second where the first is #! or <?xml
+        own = first[1:] if first and first[0].startswith(("#!", "<?xml")) else first[:1]
+        if not any(LICENCE in line for line in own):
+            without.append(str(path.relative_to(ROOT)))
+    assert not without, f"{len(without)} of them, as {without[:5]}: first line '# {LICENCE}' (in C in /* */)"
