@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger report`: measure a part, write a page with tables and pictures, say which targets are met."""
 
 from __future__ import annotations
@@ -118,6 +119,40 @@ def docking(options: argparse.Namespace) -> int:
         raise CommandError(str(error), FAILED) from error
     files = [docking_report.PAGE, docking_report.FIGURES]
     return _end(options, results, directory, files, ("simulated", "seed", "quick", "not_run"), "simulated dockings:")
+
+
+def footprint(options: argparse.Namespace) -> int:
+    """Write what a charger costs this computer, scene by scene, into a folder."""
+    from deltacharger_bringup import environment
+    from deltacharger_bringup.cli_charger import ros_context
+    from deltacharger_bringup.reports import footprint_plan, footprint_process
+    from deltacharger_bringup.scene import SceneError
+
+    unsupported = footprint_process.unsupported()
+    if unsupported:
+        raise CommandError(unsupported, FAILED)
+    try:
+        plan = footprint_plan.make_plan(options.scene, options.quick, options.repeats)
+    except SceneError as error:
+        raise CommandError(f"--scene: {error}", WRONG_INPUT, file=error.file, key=error.key) from error
+    for name, reason in plan.left_out.items():
+        say(f"{name} is left out: {reason}")
+    if not plan.scenes:
+        raise CommandError(f"nothing to measure: {'; '.join(f'{name}: {why}' for name, why in plan.left_out.items())}")
+    directory = _folder(options.out)
+    environment.prepare()
+    problem = environment.domain_problem()
+    if problem:
+        raise CommandError(problem, WRONG_INPUT)
+    environment.isolate()
+    words = [*(f" --scene {name}" for name in options.scene), " --quick" if options.quick else ""]
+    command = f"deltacharger report footprint{''.join(words)} --repeats {plan.repeats}"
+    with ros_context() as context:
+        from deltacharger_bringup.reports import footprint_report
+
+        results = footprint_report.build(plan, context, directory, command, say)
+    files = [footprint_report.PAGE, footprint_report.FIGURES]
+    return _end(options, results, directory, files, ("rows", "left_out", "quick", "repeats"))
 
 
 def _end(

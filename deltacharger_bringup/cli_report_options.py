@@ -1,9 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
 """The options of `deltacharger report`; what it does stands in cli_report.py."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 
 from deltacharger_bringup.cli_parser import add_command
 from deltacharger_bringup.cli_tactile_options import add_comparison
@@ -12,8 +12,8 @@ from deltacharger_bringup.cli_types import SEED, whole
 _MODULE = "deltacharger_bringup.cli_report"
 
 
-def add_reports(commands: argparse._SubParsersAction[argparse.ArgumentParser], later: Sequence[str]) -> None:
-    """Add the command with a report of each part; those of `later` are named as not yet available."""
+def add_reports(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command with a report of each part."""
     parser = commands.add_parser("report", help="measure a part and write a page", description="Measure and report.")
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
     text = "error against run time of inverse and forward kinematics, extremes, and pictures of the workspace"
@@ -26,8 +26,8 @@ def add_reports(commands: argparse._SubParsersAction[argparse.ArgumentParser], l
     _add_simulation(add_command(actions, "simulation", (_MODULE, "simulation"), text))
     text = "thousands of simulated dockings: what is charged, refused and never happens; the same call goes on"
     _add_docking(add_command(actions, "docking", (_MODULE, "docking"), text))
-    for name in later:
-        actions.add_parser(name, help="not yet available", add_help=False)
+    text = "what each scene costs a computer: processes, start-up, memory, CPU at rest and docking, libraries (Linux)"
+    _add_footprint(add_command(actions, "footprint", (_MODULE, "footprint"), text))
 
 
 def _add_kinematics(parser: argparse.ArgumentParser) -> None:
@@ -61,6 +61,15 @@ def _add_docking(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=SEED, default=8, metavar="S", help="of all campaigns (default: 8)")
     parser.add_argument("--workers", type=whole(1, 1024), default=1, metavar="K", help="processes on this computer (1)")
     parser.add_argument("--quick", action="store_true", help="a hundredth of the dockings, for a first look")
+
+
+def _add_footprint(parser: argparse.ArgumentParser) -> None:
+    _add_folder(parser, "report-footprint")
+    text = "measure this one; may be repeated (default: every packaged scene)"
+    parser.add_argument("--scene", action="append", default=[], metavar="NAME|FILE", help=text)
+    repeats = "of each scene and way of starting, 1 to 100 (default: 3, with --quick 1)"
+    parser.add_argument("--repeats", type=whole(1, 100), metavar="N", help=repeats)
+    parser.add_argument("--quick", action="store_true", help="once and shorter, for a first look")
 
 
 def _add_folder(parser: argparse.ArgumentParser, default: str) -> None:

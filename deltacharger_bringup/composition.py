@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The nodes of a scene in one process, each with its own executor and thread, started and ended in a safe order."""
 
 from __future__ import annotations
@@ -5,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import sys
+import threading
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -130,8 +132,22 @@ class Composition:
             self.nodes.append(Running(name, Spinner(node)))
 
 
+def preload(scene: Scene) -> None:
+    """Begin to import what the scene's nodes are made of, beside whatever the caller waits for meanwhile."""
+
+    def load() -> None:
+        with contextlib.suppress(Exception):  # who starts the node imports it again, and hears why it fails
+            for name in scene.start_order():
+                importlib.import_module(NODES[name].module)
+
+    threading.Thread(target=load, name="preload", daemon=True).start()
+
+
 def describe(composition: Composition) -> str:
     """Return one line that says what runs."""
     names = ", ".join(running.name for running in composition.nodes)
-    kind = "simulated" if composition.charger is not None else "on its own ports"
+    if composition.charger is not None:
+        kind = "simulated"
+    else:
+        kind = "on its own ports" if composition.scene.touches_hardware else "without ports"
     return f"scene '{composition.scene.name}' ({kind}): {names}; Python {sys.version_info[0]}.{sys.version_info[1]}"

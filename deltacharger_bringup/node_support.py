@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What every node of the package shares: declared parameters, and a main that always ends safely."""
 
 from __future__ import annotations
@@ -10,29 +11,20 @@ import threading
 from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any, Protocol
-from weakref import WeakKeyDictionary, ref
 
 import rclpy
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.context import Context
-from rclpy.event_handler import EventHandler
 from rclpy.exceptions import (
-    InvalidHandle,
     InvalidParameterTypeException,
     InvalidParameterValueException,
     ParameterException,
 )
-from rclpy.executors import (
-    ConditionReachedException,
-    ExternalShutdownException,
-    MultiThreadedExecutor,
-    ShutdownException,
-    TimeoutException,
-)
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from deltacharger_bringup import environment
+from deltacharger_bringup.patient_executor import PatientExecutor
 
 _OWN_PARAMETERS = {"use_sim_time", "start_type_description_service"}
 
@@ -190,76 +182,6 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, threads:
         return 0 if stop.is_set() else 1
     finally:
         rclpy.try_shutdown()
-
-
-class PatientExecutor(MultiThreadedExecutor):
-    """rclpy's multi-threaded executor without its busy loop, which filled a core per node at 100 Hz.
-
-    While a message waits for a worker thread, its subscription leaves the wait set but its QoS events stay in it, and
-    with Fast DDS the next message wakes those for ever: nothing is ready, and the wait returns at once. Here they leave
-    together. Besides, a callback is handed to the workers once rather than at each wake-up, and one that ends because
-    the executor was shut down under it is no error.
-    """
-
-    def __init__(self, num_threads: int, *, context: Context) -> None:
-        super().__init__(num_threads, context=context)
-        self._failure: BaseException | None = None
-        # Of each event handler; None where a publisher owns it. Weak at both ends: a subscription keeps its handlers.
-        self._subscriptions: WeakKeyDictionary[EventHandler, ref[Any] | None] = WeakKeyDictionary()
-
-    def can_execute(self, entity: Any) -> bool:
-        """Return whether the entity may be waited for, as in the original; an event only with its subscription."""
-        if not super().can_execute(entity):
-            return False
-        if not isinstance(entity, EventHandler):
-            return True
-        if entity not in self._subscriptions:
-            self._subscriptions[entity] = self._find_subscription(entity)
-        found = self._subscriptions[entity]
-        subscription = None if found is None else found()
-        return subscription is None or super().can_execute(subscription)
-
-    def _find_subscription(self, handler: EventHandler) -> ref[Any] | None:
-        for node in self.get_nodes():
-            for subscription in node.subscriptions:
-                if handler in subscription.event_handlers:
-                    return ref(subscription)
-        return None
-
-    def _spin_once_impl(self, timeout_sec: Any = None, wait_condition: Callable[[], bool] = lambda: False) -> None:
-        if self._failure is not None:
-            failure, self._failure = self._failure, None
-            raise failure
-        try:
-            offered = self.wait_for_ready_callbacks(timeout_sec, None, wait_condition)
-        except (ConditionReachedException, ExternalShutdownException, ShutdownException, TimeoutException):
-            return
-        with self._tasks_lock:
-            self._tasks = [waiting for waiting in self._tasks if waiting[0] is not offered[0]]
-        self._executor.submit(self._carry_out, offered)
-
-    def _carry_out(self, offered: Any) -> None:
-        """Run a callback in a worker thread; what it raises ends `spin`, as in the original."""
-        task = offered[0]
-        try:
-            task()
-            if task.done():
-                task.result()
-                return
-        except InvalidHandle as error:  # rclpy signals the guard of an executor that has been shut down meanwhile
-            if not self._is_shutdown:
-                self._fail(error)
-            return
-        except BaseException as error:
-            self._fail(error)
-            return
-        with self._tasks_lock:
-            self._tasks.append(offered)
-        self.wake()
-
-    def _fail(self, error: BaseException) -> None:
-        self._failure = error
-        self.wake()
 
 
 class Spinner:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """docking_node: the actions dock and undock over the docking state machine.
 
 Subscribes to servo_state, tactile_frame, charger_power; calls set_torque, tare, probe, set_contactor,
@@ -24,7 +25,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_bringup import node_support
 from deltacharger_docking import docking_node_io as io
-from deltacharger_docking.codes import Code
+from deltacharger_docking.codes import Code, State
 from deltacharger_docking.docking_goals_node_io import Goals
 from deltacharger_docking.docking_inputs_node_io import Inputs
 from deltacharger_docking.docking_reports_node_io import Reports
@@ -93,7 +94,7 @@ class DockingNode(Node):
         self._torque_off_at = math.inf
         self._slowest_tick = 0.0
         group = ReentrantCallbackGroup()
-        self._inputs = Inputs(self, group, self._wake.set)
+        self._inputs = Inputs(self, group, self._on_servos)
         self._calls = Services(self, group, self._age)
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", QoSProfile(depth=1))
         self._reports = Reports(self, self._settings.servo_age_max)
@@ -151,6 +152,11 @@ class DockingNode(Node):
         if hasattr(self, "_goals"):
             self._goals.destroy()
         super().destroy_node()
+
+    def _on_servos(self) -> None:
+        """Step at each servo_state; while nothing goes on, the tick alone will do."""
+        if self._machine.status.state is not State.IDLE:
+            self._wake.set()
 
     def _age(self, stamp: Any) -> float:
         return float((self.get_clock().now() - Time.from_msg(stamp)).nanoseconds) * 1e-9

@@ -1,6 +1,7 @@
+# SPDX-License-Identifier: Apache-2.0
 """kinematics_node: where the end effector is, what pushes on it, and kinematics as a service.
 
-Subscribes: servo_state.
+Subscribes: servo_state, while somebody listens to what is made of it.
 Publishes: end_effector_pose (charger_base) and contact_wrench (force on the end effector, in end_effector, the arm's
 weight removed), one of each per servo_state while somebody listens and with its stamp, so that their age is that of the
 measurement; nothing while a servo is not valid, and no wrench while a torque is off.
@@ -25,6 +26,7 @@ from numpy.typing import ArrayLike
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
 
 from deltacharger_bringup import node_support
 from deltacharger_kinematics import Delta, DeltaGeometry
@@ -33,6 +35,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
 
 _DEFAULT_DEPTH = 10
+_LOOK = 0.2  # s between looks for who wants pose or wrench
 
 
 class KinematicsNode(Node):
@@ -55,13 +58,24 @@ class KinematicsNode(Node):
         self._scalar = ScalarDelta(geometry)
         self._pose = self.create_publisher(PoseStamped, "end_effector_pose", _DEFAULT_DEPTH)
         self._wrench = self.create_publisher(WrenchStamped, "contact_wrench", _DEFAULT_DEPTH)
-        self.create_subscription(ServoState, "servo_state", self._on_servo_state, QoSProfile(depth=1))
+        self._servo_state: Subscription[ServoState] | None = None  # only while somebody wants what is made of it
+        self.create_timer(_LOOK, self._listen_while_wanted)
         group = ReentrantCallbackGroup()
         self.create_service(SolveInverseKinematics, "solve_inverse_kinematics", self._on_inverse, callback_group=group)
         self.create_service(SolveForwardKinematics, "solve_forward_kinematics", self._on_forward, callback_group=group)
 
     def close(self) -> None:
         """Nothing to make safe: this node drives nothing."""
+
+    def _listen_while_wanted(self) -> None:
+        wanted = self._pose.get_subscription_count() + self._wrench.get_subscription_count() > 0
+        if wanted and self._servo_state is None:
+            self._servo_state = self.create_subscription(
+                ServoState, "servo_state", self._on_servo_state, QoSProfile(depth=1)
+            )
+        elif not wanted and self._servo_state is not None:
+            self.destroy_subscription(self._servo_state)
+            self._servo_state = None
 
     def _on_servo_state(self, message: ServoState) -> None:
         wants_pose = self._pose.get_subscription_count() > 0

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The docking report's page, second half: safety, load, alignment, errors of the estimates, quick against exact."""
 
 from __future__ import annotations

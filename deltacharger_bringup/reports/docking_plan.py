@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The campaigns of the docking report: which scenes, how many dockings of each, by which form of the algorithm."""
 
 from __future__ import annotations

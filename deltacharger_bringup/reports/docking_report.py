@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs the campaigns of the docking report, or goes on with them, and writes page, figures and pictures."""
 
 from __future__ import annotations

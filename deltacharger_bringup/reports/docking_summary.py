@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the dockings of a report say: rates with intervals, refusals by cause, safety with its bound, targets."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cells and phrases that the docking report's page repeats."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stiff and extreme inputs one by one: what comes back, by a single call and in an array, against 60 digits."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Closed forms of inverse and forward kinematics as books, forums and printer firmware have them.
 
 Each is written once, over a set of functions: numpy's for arrays, `math`'s for one point, where a division by zero or

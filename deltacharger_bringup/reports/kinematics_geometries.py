@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Robots far from the default one: thin shells of reach, tiny and huge, calibrated, with every knee and assembly."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors and decisions of every solver on every set, as plain dicts that become JSON and tables."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """General solvers that a user would otherwise put to the delta, each set up as its own manual suggests.
 
 All solve every pose by itself from the same start, arms level, with tolerances as tight as they go. A solver that is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Kinematics of the delta in 60-digit arithmetic: what every form of the report is held against.
 
 The doubles of a position, of the angles and of the geometry count as exact, cos and sin of 120° as −1/2 and ±√3/2. Edge

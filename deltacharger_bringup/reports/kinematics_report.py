@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measures the kinematics and writes the report: figures as JSON, a page with tables, pictures."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Seeded sets of points on which the forms of the report are measured.
 
 Points near the edge of reach are placed by geometry and then moved by a few units in the last place until their exact

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every solver of the report under one face: ours, the closed forms and the peers."""
 
 from __future__ import annotations

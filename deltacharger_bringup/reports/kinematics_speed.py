@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What solvers cost: one point at a time, in arrays, and by the size of the array."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Process time of a call: what it costs this process, whatever else the machine does."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Slices through the workspace: condition number, and force along z per ampere of the most loaded servo."""
 
 from __future__ import annotations

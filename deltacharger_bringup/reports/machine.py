@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The machine that a report was written on, and the versions of what it measured with."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Markdown of the reports' pages: wrapped prose and tables."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One look for the pictures of all reports, that of the docking picture: white paper, grey frames, few colours.
 
 Blue, orange, green and purple keep apart for colour-blind eyes in this order of use; maps use viridis.

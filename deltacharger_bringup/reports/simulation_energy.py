@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Energy: a charger that nobody drives never gains any, and what takes it away is told part by part."""
 
 from __future__ import annotations

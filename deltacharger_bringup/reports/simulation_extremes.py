@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scenes at the edge of what can be asked of the world, each with the law that it must keep."""
 
 from __future__ import annotations

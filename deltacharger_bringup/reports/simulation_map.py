@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The stability map: contact stiffness × step × servo stiffness, and the module in which the package keeps it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Error against run time of every model, integrator and step, the order of convergence, and how whole dockings end."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a scene leaves out: the same docking with and without each part, what it costs and what it changes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How much the simulation's report measures."""
 
 from __future__ import annotations

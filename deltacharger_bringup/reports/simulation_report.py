@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measures the simulated charger's mechanics and writes the report: figures as JSON, a page, pictures, the package's
 map."""
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What all parts of the simulation's report share: the models, an arm that is led by platform positions, and a
 docking."""
 

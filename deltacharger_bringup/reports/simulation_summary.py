@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the simulation was to reach, and what it reached."""
 
 from __future__ import annotations

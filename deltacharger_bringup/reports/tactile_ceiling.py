@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What one docking can tell at best, and what passes that: more dockings, a lower threshold, a hole in the electrode.
 
 Each row of the section is a function of (rig, seed, plan) that returns accuracies by target; `ROWS` lists them.

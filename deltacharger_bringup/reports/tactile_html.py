@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page as one HTML file with its pictures inside, to be sent around."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trains and judges every model on one rig: accuracy, learning time, shifts, reliability, confusion."""
 
 from __future__ import annotations

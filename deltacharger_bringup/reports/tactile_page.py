@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page of the tactile report: tables and sentences made from its figures alone."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The pictures of the tactile report; each is drawn from the report's own figures."""
 
 from __future__ import annotations

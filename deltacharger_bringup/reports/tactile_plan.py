@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the tactile report measures: models, rigs, seeds, shifts; and which libraries are absent."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Work spread over two processes, with the time left told; an interruption ends it at once."""
 
 from __future__ import annotations

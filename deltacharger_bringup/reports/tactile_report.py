@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measures the classifiers of misalignment and writes the report: figures as JSON, a page, one HTML file, pictures."""
 
 from __future__ import annotations

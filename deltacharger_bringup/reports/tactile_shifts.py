@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What may change after training: how a simulated rig, its target or its sensor differs from the one it learnt on."""
 
 from __future__ import annotations

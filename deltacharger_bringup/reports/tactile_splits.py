@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The same models under four ways to split data of which each docking has several rows."""
 
 from __future__ import annotations

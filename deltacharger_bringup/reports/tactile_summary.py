@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From single measurements to what the page says: means, intervals, verdicts, targets."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How long one prediction of each model takes, on numpy, one thread."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the vision report looks at: rows of images of one kind, and what the detector is told of the camera."""
 
 from __future__ import annotations

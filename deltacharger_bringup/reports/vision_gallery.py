@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Images of the vision report with what was detected drawn into them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the detector makes of images of one kind, image by image; and how long it takes."""
 
 from __future__ import annotations

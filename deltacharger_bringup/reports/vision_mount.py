@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an error of the camera's mount does to electrodes told in charger_base, at the docking range."""
 
 from __future__ import annotations

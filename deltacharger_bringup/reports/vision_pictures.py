@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The diagrams of the vision report, drawn from its own figures, and which pictures there are."""
 
 from __future__ import annotations

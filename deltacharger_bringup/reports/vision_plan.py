@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the vision report measures: how many images of each row, which seeds, and what cannot be measured here."""
 
 from __future__ import annotations

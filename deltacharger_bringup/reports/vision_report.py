@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measures the electrode detector on simulated images and writes the report: figures as JSON, a page, pictures."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From single images to what the page says: shares, medians, percentiles, targets."""
 
 from __future__ import annotations

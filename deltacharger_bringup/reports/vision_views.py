@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drawn views of a terminal, as far away as the docked and the approaching robot are, and of rooms without one.
 
 The same generator state draws the same view, and what a view adds is drawn last, so that one seed compares.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The command's contract: exit codes, one JSON object on stdout, everything else on stderr."""
 
 from __future__ import annotations
@@ -44,19 +45,6 @@ def test_help_names_every_command_of_the_interface(capsys: pytest.CaptureFixture
     assert code == 0
     for command in COMMANDS:
         assert f"    {command}" in out
-
-
-@pytest.mark.parametrize(
-    "words",
-    [("report", "footprint"), ("report", "footprint", "--now", "3")],
-)
-def test_a_command_to_come_refuses_with_1(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
-    code, out, err = run(capsys, *words)
-    assert (code, out) == (1, "")
-    assert "not yet available" in err
-    code, out, _ = run(capsys, *words, "--json")
-    assert code == 1
-    assert one_object(out)["success"] is False
 
 
 @pytest.mark.parametrize(

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger report kinematics`: the measured laws of the kinematics, and the command's own contract."""
 
 from __future__ import annotations
@@ -132,12 +133,6 @@ def test_without_mpmath_it_says_what_to_install(
     assert main(("report", "kinematics", "--quick", "--out", str(tmp_path), "--json")) == 1
     assert "install deltacharger[report]" in json.loads(capsys.readouterr().out)["error"]
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("part", ["footprint"])
-def test_the_other_reports_are_not_there_yet(capsys: pytest.CaptureFixture[str], part: str) -> None:
-    assert main(("report", part, "--json")) == 1
-    assert "not yet available" in json.loads(capsys.readouterr().out)["error"]
 
 
 @pytest.mark.parametrize(
