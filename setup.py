@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bridge from pip to CMakeLists.txt: build the interfaces there and install its tree as data files.
 
 Name and version stand in package.xml, executables in setup.cfg; this file repeats neither.

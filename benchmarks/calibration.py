@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How well a calibration works: arms drawn at random are measured, fitted, and compared with what they really are.
 
 python benchmarks/calibration.py                  the table of docs/calibration.md, about three minutes

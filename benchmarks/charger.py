@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a simulated charger keeps up with: rates, gaps, CPU, docking time, memory. Run by `make bench`.
 
 python benchmarks/charger.py [--seconds 30] [--json]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How dockings end: the real state machine against the simulated world, in virtual time, on seeds of their own.
 
     python benchmarks/docking.py [--dockings 40] [--seed 5000] [--json]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the driver costs: CPU of servo_node, tactile_node, the bus and the board link, each in a process of its own.
 
 The emulated hardware (bench plants) and the subscribers run in further processes. `feed` sends servo_node 50

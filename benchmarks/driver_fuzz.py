@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the driver's codecs do with noise: `python benchmarks/driver_fuzz.py [--packets 1000000] [--json]`.
 
 Ends with 1 where a promise is broken: no input raises, what is accepted passes the range checks, nothing false passes

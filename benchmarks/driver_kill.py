@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How soon the contactor is open and the arm at rest after a node was killed or stopped.
 
 Nodes and emulated hardware are processes of their own, so that nothing on the host's side can starve the hardware

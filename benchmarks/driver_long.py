@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the driver keeps up with while the charger charges beside a busy core: one long run that measures all at once.
 
 Every node of the simulated scene and the emulated hardware are processes of their own, and one more spins at ordinary

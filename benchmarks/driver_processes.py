@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the driver's benchmarks share: nodes and emulated hardware as processes of their own, figures beside targets.
 
 Call `environment.prepare()` and `environment.isolate()` before anything here that needs ROS.

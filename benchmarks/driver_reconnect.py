@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How soon servo_node and tactile_node publish again after their port was unplugged and plugged in again.
 
 Target: 2 s from the replug to the first good servo_state (all servos valid) or the first tactile_frame. Emulated

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a record of driver_long.py says: figures beside their targets."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How well the electrode detector does on simulated images, row by row: `python benchmarks/electrode_detector.py`.
 
 The rows are those of `deltacharger report vision`, with other seeds; for a look at one of them while something is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Damaged packets of the board, and intact ones that no board sends, read back by the driver."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Damaged replies and instructions of servos, read back by the driver and by the emulator.
 
 "Escapes" are replies whose checksum is right and whose data is not what was sent.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a line does to the bytes on it, drawn at random.
 
 A burst of n bits flips its first and its last bit and any between them; its place is counted in one of two orders:

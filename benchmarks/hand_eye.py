@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How well `calibrate camera` finds the camera on simulated images: `python benchmarks/hand_eye.py`.
 
 Each calibration draws a mount (2 mm and 0.5° from the usual one), constant joint errors (0.1°), whole encoder ticks,

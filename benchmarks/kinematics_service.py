@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What solve_inverse_kinematics costs a client: a node in a process of its own, asked from this one over ROS.
 
     python benchmarks/kinematics_service.py [--calls 500] [--batches 100] [--repeat 3] [--json]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an image of the simulated camera costs: `python benchmarks/simulated_camera.py`, about 10 seconds on one core.
 
 CPU time of this thread, so that a busy computer changes the figures little. Give OPENBLAS_NUM_THREADS=1.

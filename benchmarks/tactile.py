@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Accuracy and cost of the packaged tactile model on rigs that training did not see: `python benchmarks/tactile.py`.
 
 About 20 seconds on one core with the default of 20 000 dockings per table.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What calibrating a rig's pads is worth on dockings it has not seen: `python benchmarks/tactile_calibration.py`.
 
 Simulated rigs that neither training nor tuning saw. About a minute on one core; `--rigs 20 --dockings 10 30 100 300`

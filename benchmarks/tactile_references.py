@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What reference dockings and a hole in the ridge are worth: `python benchmarks/tactile_references.py`, about a minute.
 
 Simulated rigs 870-879 that served nothing else, the paper's position set at 0.25 N, 67/33 by docking.

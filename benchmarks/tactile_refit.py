@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the paper's networks land on the generator's defaults: `python benchmarks/tactile_refit.py`, about 3 minutes.
 
 The defaults were fitted once, on these rigs and this seed alone, before any estimator was tuned, so that these networks

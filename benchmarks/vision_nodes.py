@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What seeing costs: electrode_detector_node and simulated_camera_node, each in a process of its own.
 
 At rest nobody asks; then detect_electrodes is called again and again; then the detector looks at 10 Hz.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the simulated world costs and how far it can be trusted; the figures of docs/simulation.md.
 
     python benchmarks/world.py [--json | --parameters]

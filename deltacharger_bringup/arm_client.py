@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A client that moves the arm of a running charger itself, beside docking_node: for measuring, not for docking.
 
 It subscribes to servo_state and docking_state, publishes on joint_trajectory, and calls set_torque. While docking_node

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What `deltacharger calibrate camera` says about a mount: as text, as JSON, and in the mount's file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A client of a running colour camera: its intrinsics, and an image that was taken after a given moment."""
 
 from __future__ import annotations

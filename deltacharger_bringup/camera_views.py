@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A folder of views for `deltacharger calibrate camera`: images, where the platform stood at each, the intrinsics.
 
     FOLDER/views.csv          one row per image, in the order in which they were taken

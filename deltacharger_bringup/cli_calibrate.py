@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate kinematics`: plan the poses, or fit the geometry to measured ones and say how well."""
 
 from __future__ import annotations

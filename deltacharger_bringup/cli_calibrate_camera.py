@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate camera`: where the camera sits, from images of a board on the platform, and how sure."""
 
 from __future__ import annotations

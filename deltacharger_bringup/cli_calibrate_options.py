@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The options of `deltacharger calibrate`; what they do stands in cli_calibrate*.py, cli_measure, cli_take_views."""
 
 from __future__ import annotations

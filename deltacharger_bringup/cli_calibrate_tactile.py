@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate tactile`: a rig's pads from dockings at known poses, and what that is worth."""
 
 from __future__ import annotations

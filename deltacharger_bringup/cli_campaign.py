@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger campaign`: many simulated dockings, and the comparison of two campaigns."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The options of `deltacharger campaign`; what they do stands in cli_campaign.py."""
 
 from __future__ import annotations

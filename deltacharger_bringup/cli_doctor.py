@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger doctor`: what is wrong with this charger and this computer, and how to mend it.
 
 Nothing here needs ROS, a driver or a scene to be loadable: each check says by itself what it lacks.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger fault`: let something go wrong with the emulated hardware of a charger that runs."""
 
 from __future__ import annotations

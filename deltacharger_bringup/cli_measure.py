@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate kinematics --plan … --measure …`: go from pose to pose, ask what was measured, record it."""
 
 from __future__ import annotations

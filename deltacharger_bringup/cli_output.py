@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What all commands share: exit codes, where text goes, and signals as events."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How every command reads its words and tells a wrong usage."""
 
 from __future__ import annotations

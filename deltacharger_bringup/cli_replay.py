@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger replay`: a recorded docking in words and as a picture, and the records of a folder."""
 
 from __future__ import annotations

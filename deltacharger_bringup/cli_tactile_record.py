@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger tactile record`: the paper's data sets from a charger that runs, docking by docking."""
 
 from __future__ import annotations

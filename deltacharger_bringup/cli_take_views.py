@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate camera --take N`: move the board before the camera and keep an image at each place."""
 
 from __future__ import annotations

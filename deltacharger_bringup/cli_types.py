@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Types of command-line values: each says what is wrong with the text and what is allowed."""
 
 from __future__ import annotations

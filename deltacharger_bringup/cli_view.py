@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger view`: a charger at work in Rerun, live or from a recording, on a screen or into a file."""
 
 from __future__ import annotations

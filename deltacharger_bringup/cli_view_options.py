@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The options of `deltacharger view`; what they do stands in cli_view.py."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger vision detect`: electrodes in an image, in a folder of images and in a recording."""
 
 from __future__ import annotations

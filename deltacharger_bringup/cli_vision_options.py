@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The options of `deltacharger vision`; what they do stands in cli_vision.py."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keeps one record per docking: from shortly before its goal until the arm is home again. No ROS but its messages."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """docking_recorder_node: one MCAP file per docking in a bounded folder.
 
 Subscribes to what a record holds (docking_topics), undecoded; asks dock and undock for the results of the goals that

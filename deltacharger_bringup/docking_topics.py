@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a record of a docking holds: topics, their messages and their quality of service."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The environment that the executables of a venv need, set by themselves where the user has set nothing."""
 
 from __future__ import annotations

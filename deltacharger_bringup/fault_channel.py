@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How faults are ordered from a simulated charger that runs in another process: a Unix socket beside its ports.
 
 One connection carries one JSON object on one line each way. Requests: {"command": "begin", "kind", "last", "servo",

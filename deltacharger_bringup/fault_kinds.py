@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What can be made to go wrong with emulated hardware: every kind by name, with whom it concerns and how much of it.
 
 Each is done by the emulators' own hooks, so the driver meets it where it would on the robot: on the wire.

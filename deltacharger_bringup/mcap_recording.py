@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ROS topics as MCAP files, as they came over the wire: `ros2 bag` and Foxglove read them.
 
 Messages are kept as the bytes that arrived (CDR), so that nothing is lost or rounded between topic and file, and with

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where every joint of the delta is: for the URDF's passive joints and for pictures of the mechanism.
 
 What the kinematics does not have is as in urdf/deltacharger.urdf.xacro; the paper gives no drawing.

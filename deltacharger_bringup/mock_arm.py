@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arm of the mock nodes: three first-order servos on the real geometry and one springy wall to press on.
 
 It is deliberately small: servos are spring and damper with a torque bound, the target is a plane with friction, and the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """mock_detector_node: electrode_detector_node without a camera, for tests of everything above it.
 
 Publishes: electrode_detection when asked. Serves: detect_electrodes.

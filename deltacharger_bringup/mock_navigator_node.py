@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """mock_navigator_node: Nav2's navigate_to_pose without Nav2, for tests and the desk.
 
 Serves: navigate_to_pose. It moves nothing but the pose at which it believes the base to be, straight and then turning.

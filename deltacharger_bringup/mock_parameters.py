@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the mock nodes share: the target's parameters, and a fault that can be switched while they run."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The power stage of the mock nodes: contactor, lease, probe and charge current. Pure; the clock is passed in."""
 
 from __future__ import annotations

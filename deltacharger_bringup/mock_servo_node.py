@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """mock_servo_node: servo_node without servos, for tests of everything above it.
 
 Subscribes: joint_trajectory. Publishes: servo_state, joint_states, /diagnostics. Serves: set_torque, reboot_servos.

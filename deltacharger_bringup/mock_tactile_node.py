@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """mock_tactile_node: tactile_node without a board, for tests of everything above it.
 
 Subscribes: servo_state (where the end effector is and how hard it presses). Publishes: tactile_frame, charger_power.

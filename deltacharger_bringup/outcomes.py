@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a client asks of the charger and what it learns, as plain data without ROS types."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """passive_joints_node: the joints of the URDF that no servo turns, for RViz and other readers of tf.
 
 A display tool, started by launch/view.launch.py; nothing of the charger needs it.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The picture of a docking: what moved, pressed, was felt and flowed, over the phases of the algorithm."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Topics read in batches by a thread of one's own: at hundreds of messages a second an executor costs far more."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The quality of service of the package's topics, as the interface contract states it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The folder of records: their names, and a bound on how many there are and how much they take."""
 
 from __future__ import annotations

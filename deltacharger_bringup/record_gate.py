@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which messages of a docking are kept: all while something happens, few of them during hours of charging.
 
 Time is passed in (s, monotonic), so that hours can be tried in a moment.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """When a record of a docking begins, is quiet and ends, told from docking_state alone.
 
 Time is passed in (s, monotonic).

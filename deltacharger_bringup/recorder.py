@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recorder: listens to a charger's topics during a docking and keeps what the picture shows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A running charger as a recording sees it: what docking_node is set to, whether the arm is free, and driving it.
 
 It subscribes to what docking_node does, publishes joint_trajectory, and calls set_torque and tare; nothing else, so the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One recorded docking, what the dockings of a file share, and the data set made of them."""
 
 from __future__ import annotations

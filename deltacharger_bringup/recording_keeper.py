@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From the topics of a running charger to dockings in a journal, while the arm is on its way."""
 
 from __future__ import annotations

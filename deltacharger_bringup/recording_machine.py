@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Docking for its own sake: touch, hold still, let frames be taken, let go; again and again, never energised.
 
 The steps of docking are those of docking_node, and so is what happens when something goes wrong: whatever ends a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which dockings make up a recorded data set: the paper's two, reference dockings and signed poses."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The picture of a recorded docking: what moved, pressed, was felt, decided and flowed, and why it ended as it did."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One recorded docking as plain data: phases, decisions, measurements, curves and how it ended."""
 
 from __future__ import annotations

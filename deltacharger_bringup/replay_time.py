@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A time axis on which hours of charging take no more room than a docking."""
 
 from __future__ import annotations

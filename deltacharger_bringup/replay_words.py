@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A recorded docking in words: what happened in its order, and why it ended as it did."""
 
 from __future__ import annotations

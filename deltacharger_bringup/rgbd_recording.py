@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The RGB-D images of a recording: messages decoded, colour and depth matched by their stamps."""
 
 from __future__ import annotations

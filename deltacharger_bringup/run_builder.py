@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a charger's messages to a `Run`, live or out of a record."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a docking looked like from outside: plain data that the recorder fills and the picture shows."""
 
 from __future__ import annotations

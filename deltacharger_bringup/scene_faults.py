@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of emulated hardware in time: those that a scene orders beforehand and those ordered while it runs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which libraries a module brings along, read from the sources: nothing is imported to find that out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """YAML as people mean it: `1e5` is a number, and a key given twice is a mistake rather than a silent choice."""
 
 from __future__ import annotations

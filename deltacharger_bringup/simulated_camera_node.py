@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """simulated_camera_node: an RGB-D camera on the simulated charger, on the topics of a real one.
 
 Publishes, only while somebody subscribes: color/image_raw (rgb8), depth/image_raw (16UC1, mm), color/camera_info.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What simulated_camera_node can be told, as parameters, and what becomes of it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A scene's simulated hardware: one world behind emulated servos and an emulated board, each on a pseudo-terminal.
 
 What opens the two ports cannot tell them from the robot's. A socket beside them takes faults to order (fault_channel).

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recorded dockings: a folder that every docking reaches whole or not at all, and the data set made from it.
 
 Beside F.npz lies F.recording: recording.json says what is recorded, and each docking-*.mcap holds one docking, its raw

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A charger's messages as what the live view shows: what is taken how often, and which plain values it becomes."""
 
 from __future__ import annotations

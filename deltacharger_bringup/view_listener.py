@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A running charger's topics, looked into now and then.
 
 No executor: at 300 messages a second its wait sets cost more than showing what came, and nothing here is in a hurry.

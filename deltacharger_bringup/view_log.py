@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plain values as Rerun entities; what each entity holds, its unit and its colours stand here alone.
 
 Every value is logged on two timelines: `run`, s since the first message, and `clock`, the time of day.

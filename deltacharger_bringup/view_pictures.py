@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tactile arrays as pictures: one fixed scale of colours, so that two moments can be compared."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the platform goes to show its board to the camera: all over the workspace, where the camera should see it."""
 
 from __future__ import annotations

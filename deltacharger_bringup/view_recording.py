@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A recording as the messages that the live view shows: whose they are, and one after the other."""
 
 from __future__ import annotations

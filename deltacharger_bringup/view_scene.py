@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The charger as boxes and lines in charger_base, for the live view: plain numbers, no library that draws.
 
 Shapes as in urdf/deltacharger.urdf.xacro; the paper gives no drawing. Colours are red, green, blue, 0 to 255.

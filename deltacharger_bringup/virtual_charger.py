@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A charger in virtual time: the real state machine, the simulated world, no ROS, no ports and no waiting.
 
 Between them stands what the nodes do: the servo goal at 100 Hz, services that take their time, the contactor's lease.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the detector found in images: JSON-ready, and in lines for people."""
 
 from __future__ import annotations

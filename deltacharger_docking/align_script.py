@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Steps 5 and 6 of Algorithm 1: measure the misalignment, judge it, move, and press again."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the target is, over several dockings: each one scatters, their filtered mean does not."""
 
 from __future__ import annotations

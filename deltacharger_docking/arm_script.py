@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arm before and after a docking: enabled and tared, pulled off the magnets, taken home, switched off."""
 
 from __future__ import annotations

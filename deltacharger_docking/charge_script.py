@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Charging under supervision: watched until it is wanted no longer, the target is full, or something is wrong."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """When may current flow: the distance between a charger bar and the wrong bar of the target.
 
 Both terminals carry two parallel bars, 2h long, with a gap of 2g between them. Tilted by an angle about the midpoint

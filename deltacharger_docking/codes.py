@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """States and error codes of docking, and one exception per code.
 
 The numbers are those of the constants in Dock.action, Undock.action and DockingState.msg.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From servo currents to one signed number that says how hard the electrodes are pushed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Steps 2 to 4 of Algorithm 1: go there, back off after too hard a push, press until the current lies in its band."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the scripts of docking share: the latest observation, this tick's commands, and the ways to wait."""
 
 from __future__ import annotations

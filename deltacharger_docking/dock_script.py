@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Dock from its goal on: Algorithm 1, charging, and watching over the docked target until somebody wants otherwise."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The actions dock and undock: goals taken, watched, fed back and answered. Part of docking_node."""
 
 from __future__ import annotations

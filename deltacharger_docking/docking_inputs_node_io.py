@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What docking hears: the latest of each topic as one observation. Part of docking_node."""
 
 from __future__ import annotations

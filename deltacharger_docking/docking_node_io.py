@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Between messages and the state machine's plain values. Part of docking_node."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What docking tells: its state at every change, what it decided, and how it fares. Part of docking_node."""
 
 from __future__ import annotations

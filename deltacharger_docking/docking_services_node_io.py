@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What docking asks of other nodes: calls that never wait, and the contactor's lease. Part of docking_node."""
 
 from __future__ import annotations

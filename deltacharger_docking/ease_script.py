@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arm at ease on the target: no servo carries more than its share of the push.
 
 Until the electrodes touch, the servos carry the arm's weight, and what of it pulls sideways falls on some more than on

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Energy under watch: probe, close, look at what must stay true, and open before anything else goes wrong."""
 
 from __future__ import annotations

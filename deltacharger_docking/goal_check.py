@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which goals can be served, and where the robot should stand for those that cannot."""
 
 from __future__ import annotations

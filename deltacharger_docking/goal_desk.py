@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The goal that is being served: when it began, until when it must have ended, and how it ended."""
 
 from __future__ import annotations

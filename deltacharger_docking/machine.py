@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The docking state machine: Algorithm 1 of the paper and its reverse.
 
 `step` takes an observation and returns a command; it reads no clock, opens no port and never blocks. The node around it

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The mission state machine: the paper's strategy of operation.
 
 Wait until all that is needed answers, drive to the target, look for its electrodes, stand again where they are out of

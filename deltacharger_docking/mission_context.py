@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the scripts of a mission share: the latest observation, this tick's requests, and what they ask of others."""
 
 from __future__ import annotations

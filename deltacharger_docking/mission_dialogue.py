@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the mission's state machine sees and what it says, once per tick."""
 
 from __future__ import annotations

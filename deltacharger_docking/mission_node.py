@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """mission_node: the action charge_robot, the paper's strategy of operation, over the mission state machine.
 
 Calls the actions dock, undock and navigate_to_pose (Nav2) and the service detect_electrodes; subscribes to

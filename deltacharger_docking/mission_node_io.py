@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Between ROS and the mission's state machine: calls of actions and of the detector, messages to plain values."""
 
 from __future__ import annotations

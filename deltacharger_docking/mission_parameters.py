@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every number that a mission decides by, with its bounds. mission_node declares its ROS parameters from this table."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the base stands: poses on the ground, what the mount of the arm makes of them, and the views of a search."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Straight lines of the platform as joint trajectories: planned whole, checked whole, then moved or not at all."""
 
 from __future__ import annotations

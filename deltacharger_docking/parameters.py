@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every number that docking decides by, with its bounds. docking_node declares its ROS parameters from this table."""
 
 from __future__ import annotations

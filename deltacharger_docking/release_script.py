@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Off the magnets: pulled, seen to come, and pulled again where it did not."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a person does about each way a docking can fail: the table of docs/errors.md, for whoever explains one."""
 
 from __future__ import annotations

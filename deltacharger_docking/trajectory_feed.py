@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A line told piece by piece, so that motion dies with its sender.
 
 A receiver of a whole line follows it to its end, whatever has become of the sender. Here each piece reaches `HORIZON`

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Three servos on a bench instead of a world: the least physics that lets the servo emulator be used on its own.
 
 Each servo is a spring and a damper with a torque limit, against a settable load; they do not feel each other.

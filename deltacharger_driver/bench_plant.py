@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bench instead of a world: the least physics that lets the board emulator be used on its own.
 
 Two pads under settable forces with offset and noise, and a battery that charges a target through a resistor. It knows

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The board of docs/board-link.md without the board: bytes in, bytes out, the clock passed in.
 
 Serve it on a `PseudoTerminal` and the driver cannot tell the difference, except for what docs/emulators.md lists.

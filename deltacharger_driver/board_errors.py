@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a board can refuse, beside what a port can do (errors.py)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keeps the board link up: connects, configures, watches, reconnects. No ROS; tactile_node wraps it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The host's end of the board link (docs/board-link.md): commands out, tactile frames and power in.
 
 Threads: a reader decodes and calls the callbacks; a heart sends the heartbeat, and only while `keep_alive`

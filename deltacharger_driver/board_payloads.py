@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What packets of the board link carry, as values and as bytes (docs/board-link.md). Pure functions."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The board's serial port: each way to fail to open has its name, every way to vanish is one `PortGone`."""
 
 from __future__ import annotations

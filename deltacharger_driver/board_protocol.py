@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packets of the board link: framing, header, checksum, and the numbers both sides agree on
 (docs/board-link.md).
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What arrives from the board, made sense of: on the host's clock, numbered for good, reboots noticed."""
 
 from __future__ import annotations

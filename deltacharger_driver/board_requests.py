@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands to the board that wait for their answers."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the board link hands out: samplings on the host's clock, results and counters."""
 
 from __future__ import annotations

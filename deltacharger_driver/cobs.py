@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Consistent overhead byte stuffing (Cheshire and Baker, 1999): any bytes, without the byte zero.
 
 A zero on the wire then always means "a packet begins or ends here", so a reader recovers from any garbage at

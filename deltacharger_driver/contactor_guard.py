@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who gets the contactor closed: the lease joined to what the board reports. No ROS; tactile_node wraps it.
 
 Energy never depends on a live host. The guard relays a live lease as the board's heartbeat and never invents one:

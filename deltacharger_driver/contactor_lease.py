@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who may keep the contactor closed, and until when: pure logic, the clock is passed in.
 
 A close is a lease of at most 0.25 s that its holder renews. When the lease lapses, the holder is dead or

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The memory of an emulated MX-64: registers with access rules, limits and indirect addressing."""
 
 from __future__ import annotations

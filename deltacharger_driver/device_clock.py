@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From a device's clock and sequence numbers to the host's: when was it sampled, and what was lost."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The emulated board's tactile arrays: sampling, the tare, dead taxels."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The emulated board's power stage: contactor, heartbeat, latched faults and the probe, with every interlock."""
 
 from __future__ import annotations

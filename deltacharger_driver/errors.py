@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Everything the driver can fail with. One root; each kind carries its values and says what to do."""
 
 from __future__ import annotations

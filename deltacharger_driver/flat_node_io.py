@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages of a fixed size, published as bytes in which only the numbers change; stamps from the monotonic clock."""
 
 from __future__ import annotations

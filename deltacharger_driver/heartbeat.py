@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The host's heartbeat to the board: sent only while a deadline that somebody keeps renewing lies ahead."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The MX-64 servo with Protocol 2.0 firmware (model 311): its registers as data, its units as pure functions.
 
 Addresses, sizes, defaults and units are those of the vendor's e-manual for MX-64(2.0).

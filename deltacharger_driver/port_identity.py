@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which of the charger's devices is on a serial port, and at which speed. Writes no register of any device.
 
 Asked are only what every device may be asked at any time: pings of servos, and the board's HELLO.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A pseudo-terminal that serves an emulated serial device: the far end of a cable, without the cable."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How often something happens, and how late. No ROS."""
 
 from __future__ import annotations

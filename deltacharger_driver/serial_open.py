@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Opening a serial port for this process alone; each way in which that fails has its own error, on either port."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The servos of the arm as one device: a snapshot per cycle, goals with current bounds, torque, reboot."""
 
 from __future__ import annotations

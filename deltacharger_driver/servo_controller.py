@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the arm's servos do from cycle to cycle: follow trajectories, stop for faults, come back after them. No ROS.
 
 One thread calls `open`, `cycle` and `close`; `submit` and `request` may be called from any thread and take effect at

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The servos' state as entries of /diagnostics, in plain words. No ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Emulated servos on a bus: bytes in, bytes out, with faults to order. docs/emulators.md says what is not simulated.
 
 Serve a `ServoBusEmulator(BenchArm())` on a `PseudoTerminal` and open the terminal's path like any serial port.

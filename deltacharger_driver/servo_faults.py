@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What can go wrong on an emulated servo bus, to order."""
 
 from __future__ import annotations

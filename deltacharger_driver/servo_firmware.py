@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What runs inside an emulated MX-64: modes, profile, watchdog, latched errors, restart. Its motor is a plant."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the servos shall be from cycle to cycle, and how hard they may push: a trajectory and its end. No ROS."""
 
 from __future__ import annotations

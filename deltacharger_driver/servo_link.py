@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Registers of servos by name over one serial port: bounded retries, every failure an error with a name."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """servo_node: the arm's three servos on ROS.
 
 Publishes: servo_state (reliable, depth 1, at `rate`), joint_states, /diagnostics (1 Hz and at every refusal).

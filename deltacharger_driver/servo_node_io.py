@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What servo_node says to ROS and hears from it, without the executor's cost: for its bus thread."""
 
 from __future__ import annotations

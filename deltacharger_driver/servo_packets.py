@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packets of Protocol 2.0 (and just enough of 1.0) as a servo sees them: instructions in, status packets out. Pure."""
 
 from __future__ import annotations

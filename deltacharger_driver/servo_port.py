@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The port handler of the vendor's dynamixel-sdk with its traps closed: it sleeps, and it can be unplugged.
 
 The class is the SDK's own with single methods replaced; docs/servos.md lists each trap and its test.

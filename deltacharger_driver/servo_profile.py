@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The motion profile inside the servo: a trapezoid of velocity from where the reference is to the goal."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Protocol 2.0 of the vendor's dynamixel-sdk with its traps closed: it stuffs what it sends and checks what comes.
 
 The class is the SDK's own with single methods replaced; docs/servos.md lists each trap and its test.

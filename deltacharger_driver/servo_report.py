@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is known about the servos after a cycle: measurements held for a moment, heat of the windings, faults."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the servos' thread is asked for, and whom it asks to open the contactor. No ROS."""
 
 from __future__ import annotations

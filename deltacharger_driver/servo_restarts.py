@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Servos that restart, by order or by themselves: each is set up again, torque off. No ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From servos on a wire to servos ready for the cycle: who is there, and every register that matters read back."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How the servos are wired, which registers one cycle exchanges, and what is known of the servos after it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """tactile_node: the tactile arrays and the power stage on ROS.
 
 Publishes: tactile_frame (sensor data, at `rate`), charger_power (reliable, depth 1, 20 Hz), /diagnostics (1 Hz).

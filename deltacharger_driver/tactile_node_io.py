@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What tactile_node says to ROS: tactile_frame and charger_power from samples."""
 
 from __future__ import annotations

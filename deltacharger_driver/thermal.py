@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How long a servo's winding bears its current: an I²t model with cooling, beside the temperature that it reports.
 
 The heat h (A²s) above rest follows dh/dt = i² − h/τ and its limit is H. The two constants stand on three statements:

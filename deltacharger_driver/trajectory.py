@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Joint trajectories: what is accepted, and the goal at any instant. No ROS in here."""
 
 from __future__ import annotations

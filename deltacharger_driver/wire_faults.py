@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What can go wrong on a wire, for emulators: packets dropped, damaged, cut short, surrounded by noise."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Kinematics and statics of the inverted delta.
 
 `Delta` works on arrays of points, `deltacharger_kinematics.scalar.ScalarDelta` on one point in plain floats.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What callers give, as arrays of doubles; anything else is refused with the argument's name."""
 
 from __future__ import annotations

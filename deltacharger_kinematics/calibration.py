@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Kinematic calibration: from measured poses of the platform to the dimensions of this one arm.
 
 Per limb six numbers are fitted, those of `LimbAdjustment`. Base and platform radius are observable only as their

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What makes measured poses unfit for a calibration, each as a sentence that says what to do."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measured poses for a calibration, and the files of them; docs/calibration.md lists the columns."""
 
 from __future__ import annotations

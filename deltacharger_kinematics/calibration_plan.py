@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which poses to measure for a calibration: a grid that spans the workspace, and others to judge the fit by."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The least-squares problem of a calibration: 18 numbers of the geometry, measured poses, and what is known beforehand.
 
 The model is `Delta.forward` itself, and its derivatives by the 18 numbers are central differences: with steps of 1/1000

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The file that measured poses are appended to one by one, so that nothing measured is lost and a recording resumes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A comma-separated file of poses as cells and numbers, read strictly: whatever is doubtful is refused with its line.
 
 Spreadsheets that separate with semicolons or tabs and write decimal commas are understood, as are a byte order mark and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inverse and forward kinematics, Jacobian and statics of the inverted delta.
 
 Formulas, with θ from radially outward toward +z and per limb at azimuth φ (frame ``charger_base``; w is measured from

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Double-double arithmetic: a number as an unevaluated sum (high, low) of two doubles, about 106 bits.
 
 Everything works on floats and on numpy arrays alike. Error-free sums after Knuth, products after Dekker and Veltkamp;

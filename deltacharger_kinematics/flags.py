@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Warnings about points that have an answer: limits passed, singularities near, the mirror assembly."""
 
 from __future__ import annotations

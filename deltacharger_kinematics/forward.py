@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Forward kinematics of many joint angles: where the three spheres of the rods about the elbows meet."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The dimensions and limits of the inverted delta."""
 
 from __future__ import annotations

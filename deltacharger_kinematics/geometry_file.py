@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A geometry as YAML: what a calibration writes and a node reads."""
 
 from __future__ import annotations

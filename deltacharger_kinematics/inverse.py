@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inverse kinematics of many points: plain doubles, and double-double where they would not do.
 
 The formulas stand in `deltacharger_kinematics.delta`. A point is solved again by `deltacharger_kinematics.precise`

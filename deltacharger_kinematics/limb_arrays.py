@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The three limbs' numbers as columns (3, 1), to be broadcast against rows (n,) of points."""
 
 from __future__ import annotations

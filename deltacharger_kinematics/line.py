@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Straight lines of the platform in ``charger_base``, timed so that platform and servos keep their speed limits.
 
 The way follows s = 10u³ − 15u⁴ + 6u⁵ of the time share u = t/T, which starts and ends without speed and acceleration

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which of the solutions is meant: the side of each knee, and the side of the elbows on which the platform is."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One limb solved in double-double, for where rounding to double decides the answer.
 
 Near the edge of reach the angle depends on √Q, and an error ε in Q costs √ε: 1e-8 rad in doubles. Here u, v, w, K and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One point at a time in plain Python floats: what a simulator or a control loop calls thousands of times a second.
 
 numpy costs 30–100 µs for a single point whatever it computes; these forms cost a few. The formulas are those of

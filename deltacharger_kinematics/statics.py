@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Constants that turn servo current into torque and weight into force."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a solve says about each point."""
 
 from __future__ import annotations

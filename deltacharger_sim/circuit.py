@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Battery, power stage, contactor and the target's battery."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which charger bar touches which target bar, exactly: rectangles, not the formula that docking decides by."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Worlds whose parameters are each possible and together are not: which key is at fault, and what to write instead."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands that reach a servo late and readings that are old; a world without either never makes one of these."""
 
 from __future__ import annotations

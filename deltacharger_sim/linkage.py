@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arm's angles and how they turn with the platform, from one pass over the limbs: what a step of mechanics needs.
 
 With u, v, w the elbow-free coordinates of a limb (see `deltacharger_kinematics.delta`), a its arm, K = u² + v² + w² +

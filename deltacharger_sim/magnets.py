@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pull of the six magnets between the terminals."""
 
 from __future__ import annotations

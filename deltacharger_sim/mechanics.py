@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Platform, servos, electrodes and magnets as one implicit step in plain Python floats.
 
 The unknown of a step is the platform's displacement δ (3). Servos are springs and dampers behind a torque limit, τ =

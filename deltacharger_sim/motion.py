@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a world asks of whatever moves its arm: the light model, or MuJoCo."""
 
 from __future__ import annotations

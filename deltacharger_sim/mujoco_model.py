@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The charger as a MuJoCo model, from the same parameters as the light one.
 
 Every limb is a driven arm on a hinge and a rod on a universal joint; the platform slides along x, y and z, as the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A world whose arm is moved by MuJoCo: the yardstick of the light model, on the same parameters. Never a requirement.
 
 `mujoco_world(...)` is a World: circuit, jitter, record and readings are those of the light one; only what moves

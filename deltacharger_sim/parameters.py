@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters of the simulated world, each with bounds and unit, and the reader of mappings that refuses bad ones."""
 
 from __future__ import annotations

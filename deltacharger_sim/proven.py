@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the light model has been shown to be right, and what to say of a world outside."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One world behind several emulated devices, each asking from its own thread, in real time."""
 
 from __future__ import annotations

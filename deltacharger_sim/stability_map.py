@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the light model has been shown to be right; written by `deltacharger report simulation`, never by hand.
 
 A cell is '+' where nothing diverged, the settled force is within 0.5 % of a bisection and the path within

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The platform's tilt under an off-centre or tilted contact: small angles, at rest in every step, plain floats.
 
 Each electrode presses at two points, ± l/(2√3) along its overlap of length l with its mate, which together are as stiff

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the target does to the platform: pull of the magnets, electrodes with their stop, lateral friction."""
 
 from __future__ import annotations

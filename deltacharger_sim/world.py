@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One world: mechanics, contact, tactile arrays and circuit, advanced in fixed steps of simulated time."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tactile perception: contact model, sensor, data sets, features and the pose estimator."""
 
 from __future__ import annotations

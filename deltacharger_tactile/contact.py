@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the target's ridges press on the pads, and how hard each taxel is pressed.
 
 A rigid end effector meets one rigid horizontal ridge per pad. The common approach z is the one at which the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A data set of dockings with known misalignment, generated or recorded: the npz file, and what must stand in it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is told of a misalignment: pose, spreads, whether they may be used, and the paper's classes from them."""
 
 from __future__ import annotations

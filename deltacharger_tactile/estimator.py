@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From two tactile frames to the pose of the target in end_effector, with honest standard deviations.
 
 Features go through small networks, once for each mirror image of the frames, so that the estimate obeys the

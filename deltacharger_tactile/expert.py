@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Networks for one kind of contact: from the features of four mirror images to a pose and its standard deviations."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Physical features of two tactile frames: loads, centres, moments, slopes and profiles, in N and mm.
 
 Frames are never divided by their own force: how much each pad carries is the horizontal signal.

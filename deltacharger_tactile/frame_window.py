@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The newest tactile frames of a node: kept, waited for and averaged. Knows no ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Data sets from the contact and sensor models: the paper's two protocols and a continuous, signed one.
 
 A row is one docking (attempt): commanded pose, pose in contact (commanded plus jitter), and both pads averaged over

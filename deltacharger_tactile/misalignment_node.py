@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Answers how far the electrodes are off, from the tactile frames that arrive.
 
 Topics: subscribes `tactile_frame`; publishes `misalignment` (only with `rate` > 0).

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Between tactile perception and its messages."""
 
 from __future__ import annotations

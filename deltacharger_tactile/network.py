@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A small regression network that says how sure it is: numpy only, fitted by Adam on the Gaussian likelihood."""
 
 from __future__ import annotations

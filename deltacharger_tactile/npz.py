@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reading npz files that somebody else may have written: no pickle, no surprise in size, one kind of error."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every number of the tactile generator: named, bounded, documented, frozen.
 
 The defaults describe a plausible device, not a measured one (the paper's data are not public). They are stored with

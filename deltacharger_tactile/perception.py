@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Turns averaged frames into an estimate on a robot: pose model, the rig's calibration, the paper's classifiers."""
 
 from __future__ import annotations

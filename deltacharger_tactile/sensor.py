@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From the force on a taxel to what the board reads: one rig's sensor, stateful for the world, batched for data sets.
 
 Order: hysteresis, creep, gain spread, cross-talk, offsets, noise, clip, quantisation, dead taxels.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Makes the calibration of one rig from dockings at known poses, and says what it is worth on others.
 
 Gains: least squares against the contact model at the poses that the pose model estimates, the load of each pad and

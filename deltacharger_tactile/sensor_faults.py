@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which taxels of a rig are not to be believed, from its dockings, and whether its tares agree with each other.
 
 Nothing here leans on the contact model: what a taxel should feel is told by its neighbours along the row, as the ridge

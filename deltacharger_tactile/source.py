@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tactile arrays of a simulated charger: contact and sensor of one rig, sampled by a world."""
 
 from __future__ import annotations

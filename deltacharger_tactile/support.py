@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Do frames look like those of training, and like the pose that was estimated from them?
 
 Two checks. The Mahalanobis distance of the features finds frames far from any that training saw. The second

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Makes the packaged model: `python -m deltacharger_tactile.training` writes models/pose.npz (about a minute).
 
 The rigs and seeds below belong to training alone; demos, scenes and tests must use others (any rig below 1 000 000).

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A picture for people: what the detector found, drawn into a copy of the colour image."""
 
 from __future__ import annotations

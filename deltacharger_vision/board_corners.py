@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is common to the boards for calibration: the corners that an image shows of one, and the markers of OpenCV.
 
 A board's frame: origin at the centre of the printed pattern, x to the right and y up on the print, z out of the print,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A calibration board for the simulated camera: a white plate and its black cells as thin boxes."""
 
 from __future__ import annotations

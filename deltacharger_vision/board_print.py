@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A calibration board as a drawing in true size, for a printer."""
 
 from __future__ import annotations

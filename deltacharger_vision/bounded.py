@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frozen dataclasses whose every number declares its bounds, unit and source."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Boards of known size for calibration: an AprilTag or a ChArUco board, by the name that a command line gives."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Intrinsics from what ROS tools write: calibration files and `ros2 topic echo` of sensor_msgs/CameraInfo."""
 
 from __future__ import annotations

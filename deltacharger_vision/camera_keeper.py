@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keeps a camera delivering: looks for it, opens it, watches it, and opens it again. No ROS; camera_node wraps it."""
 
 from __future__ import annotations

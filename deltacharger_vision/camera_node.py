@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """camera_node: an OAK-D on the topics that every ROS RGB-D driver has, or a recording in its place.
 
 Publishes: color/image_raw (rgb8), depth/image_raw (16UC1, mm, aligned to colour), color/camera_info, each converted

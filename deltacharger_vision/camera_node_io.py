@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What camera_node says to ROS: images from the camera, or from a recording at its own pace."""
 
 from __future__ import annotations

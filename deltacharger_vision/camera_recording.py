@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What an RGB-D camera published, out of an MCAP file: which topics hold it, and their messages as they came (CDR).
 
 Nothing here needs ROS; who has it decodes the messages. Needs the package mcap, `deltacharger[record]`.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Corners of printed squares to a small part of a pixel: where the straight edges that meet there cross.
 
 An edge's place is where the light is half between both sides, found from the area under a profile across it, in linear

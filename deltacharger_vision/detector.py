@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From an RGB-D image to the pose of a terminal's two electrodes, or to None.
 
 Blobs → pairs → corners (IPPE) → edges → plane of the plate → one least squares over edges and plane → judgement.

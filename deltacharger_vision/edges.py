@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Subpixel edges: where along each line's normal the image changes most, found at many places of every line."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """electrode_detector_node: where the target's electrodes are, from the images of any RGB-D camera.
 
 Subscribes, only while it looks: color/image_raw, depth/image_raw (aligned to colour), color/camera_info.

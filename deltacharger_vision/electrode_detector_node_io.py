@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera's topics as pairs of one instant, listened to only while somebody wants them; detections as messages."""
 
 from __future__ import annotations

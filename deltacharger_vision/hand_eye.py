@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hand-eye calibration: where the fixed camera sits on the charger, from images of a board on the moving platform.
 
 The platform only translates. So the classical AX = XB has no answer, and two things are special: the camera's rotation

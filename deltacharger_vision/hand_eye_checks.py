@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is doubtful about a hand-eye calibration, said so that a person knows what to do.
 
 A doubt is a reason not to use the mount; a note is a reason to do better next time.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The hand-eye fit: all corners of all views at once, each view with a position error of its own.
 
 A corner scatters by σ px, and besides all corners of a view move together, because the arm stands elsewhere than its

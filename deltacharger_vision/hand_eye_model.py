@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The measurement model of a hand-eye calibration: where an image should show the board's corners, and its derivatives.
 
 With the platform at e (forward kinematics), its constant angle errors δ, the board's offset o and orientation Q on it:

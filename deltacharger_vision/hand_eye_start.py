@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A first hand-eye answer without a guess: the board's pose in each image, then Procrustes against the platform.
 
 The platform only translates, so the board has one orientation C in the camera, and of the two poses that fit an image

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a hand-eye calibration is given: views of a board on the platform, and what is known beforehand."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From light to the numbers of an image: blur, uneven light, exposure, noise and the encoding of sRGB."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """RGB-D images from files, one or a folder of them, and pictures to files. Needs OpenCV, `deltacharger[vision]`."""
 
 from __future__ import annotations

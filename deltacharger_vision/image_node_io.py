@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Arrays as the messages that every RGB-D driver publishes: sensor_msgs/Image and sensor_msgs/CameraInfo."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An RGB-D image and the camera that took it, checked once where they come in."""
 
 from __future__ import annotations

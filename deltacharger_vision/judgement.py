@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What edges and depth make of a pair of blobs: a pose with its covariance, or nothing.
 
 Image alone and image with depth are fitted apart. Where adding depth raises the squared error by more than chance

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lens distortion of OpenCV and ROS (plumb_bob and rational_polynomial), both ways, in numpy alone.
 
 Points are (..., 2) directions x/z, y/z in the optical frame. With r² = x² + y²:

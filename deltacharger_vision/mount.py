@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the camera sits on the charger (hand-eye), how sure that is, and detections seen from `charger_base`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Boxes drawn by MuJoCo's OpenGL rasteriser without a window: colour, 1/z and which box, of every pixel.
 
 The rasteriser's list of geoms is filled anew for each image, so that no MuJoCo model is compiled for a scene. Colour is

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated camera's scenes drawn by MuJoCo: a second opinion on geometry and light, from OpenGL's rasteriser."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An OAK-D through depthai 3: found, set up for docking, its images as arrays. No ROS.
 
 Colour comes undistorted, as depth is aligned to ideal pixels; each image tells its own intrinsics, which the device

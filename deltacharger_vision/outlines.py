@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The lines of two bars that a camera can see as edges, given roughly where the terminal is.
 
 A bar stands proud of its plate, so seen at a slant it shows a side beside its touched face. Where that side is wide

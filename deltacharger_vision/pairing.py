@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pairs of blobs that may be the two bars of a terminal, and the outlines of both, rebuilt where one is cut."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Colour and depth of one instant, brought together by their stamps as they arrive."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plane of the dark plate around the bars, from depth: linear least squares on inverse depth.
 
 The noise of a stereo camera is even in disparity, that is in inverse depth, and a plane's inverse depth is linear in

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poses of a terminal, and small motions of them.
 
 A pose is (rotation (3, 3), translation (3,) m): terminal coordinates to the optical frame. Inside the detector the

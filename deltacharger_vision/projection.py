@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Between pixels and rays of the camera, with the lens's distortion: points are undistorted, images never."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Boxes seen by a pinhole camera, in numpy: every pixel's ray, without a loop over pixels.
 
 With r = (u, v, 1) the ray of a pixel in the optical frame, all that a convex box needs is linear in r. A face

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The pose that fits edges, and a plate's plane where there is one: robust nonlinear least squares.
 
 Edges: distance of each seen place from its projected line (Drummond, Cipolla, "Real-time visual tracking of complex

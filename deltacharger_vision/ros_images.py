@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The fields of sensor_msgs/Image as arrays that `RgbdImage.make` takes. Nothing here needs ROS.
 
 Encodings and the layout of `data` are those of sensor_msgs/image_encodings.hpp.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scenes for tests and campaigns: drawn surroundings, things that resemble electrodes, and what hides them.
 
 The ranges are assumed. Frames: the terminal's (x along the bars, y up, z into the plate) and `charger_base` (+z toward

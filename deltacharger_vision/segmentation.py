@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bright elongated blobs of an image: what may be an electrode, or a part of one."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """RGB-D images of a terminal without a camera and without graphics hardware: a ray-caster of boxes in numpy."""
 
 from __future__ import annotations

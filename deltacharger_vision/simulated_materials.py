@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How brushed metal looks: a highlight that is narrow along the brushing and wide across it, and streaks."""
 
 from __future__ import annotations

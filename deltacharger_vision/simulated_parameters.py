@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every number of the simulated camera and its scenes: named, bounded, frozen; those without a source are assumed."""
 
 from __future__ import annotations

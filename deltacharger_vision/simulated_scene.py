@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the simulated camera sees: a terminal on its plate, a wall, and boxes behind and before it."""
 
 from __future__ import annotations

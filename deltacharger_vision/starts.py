@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where to start: poses that put a terminal's silhouette where a pair of blobs lies.
 
 A blob covers all that is bright of a bar, its touched face and the sides that show, so the face's corners alone would

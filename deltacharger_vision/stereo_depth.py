@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From true depth to what two cameras with block matching report of it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether edges and depth support a pose: what is not seen is not reported."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The geometry that is looked for: two metal bars, one above the other, proud of a dark plate."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ChargeRobot for a fleet: one goal, told as VDA5050 2.x tells startCharging, in one JSON line a change.
 
 Copy it into an adapter and put your MQTT client where it prints. The action's id is the goal's request_id, so that an

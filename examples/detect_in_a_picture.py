@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From an RGB-D picture to the electrodes: where they are in the camera, and where that is for the arm.
 
 A simulated camera on its usual mount takes the picture, of electrodes at (12, -9, 84) mm of charger_base, rolled by 4°.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inverse kinematics of the arm: the three angles that put the platform at a point, and what pushing costs there.
 
 Prints for three points of charger_base (home, the dock, one too far away) the arm angles and what the solver says of

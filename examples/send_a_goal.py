@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A Dock goal with feedback, sent as a fleet's own program would: by rclpy's action client and nothing else.
 
 Sends the goal to the charger that runs in this ROS domain, and where none does starts that of a scene for it: emulated

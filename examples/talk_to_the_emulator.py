@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Servos and board without servos and board: emulators behind pseudo-terminals, spoken to as the real ones are.
 
 First the vendor's own dynamixel-sdk pings three emulated MX-64, switches the first one on, sends it 10° further and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From simulated dockings to a saved model that tells the horizontal misalignment, judged on dockings it never saw.
 
 The same as `deltacharger tactile generate`, `train --model lda --target horizontal` and `evaluate`, as library calls.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Emulated servos, an emulated board and a device that is neither, each behind a real pseudo-terminal.
 
 A conftest.py beside the tests that want these fixtures names them.

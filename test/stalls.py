@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A test that failed while this computer stood still is run once more, and the summary says so.
 
 The tests hold real deadlines: a heartbeat is lost after 95 ms, a lease lapses after 250 ms. A virtual machine that

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The documentation is true where that can be checked: links lead somewhere, commands parse, what is named exists."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every file in examples/ runs as it stands and prints what its docstring promises."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who may import whom: libraries below, ROS as a thin shell on top."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What one worker runs: some dockings of a campaign, one after the other. Importing it starts nothing."""
 
 from __future__ import annotations

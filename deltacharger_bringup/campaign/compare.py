@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two campaigns of one seed, docking by docking: differences of rates and numbers, each with its interval."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The picture of a comparison: each difference with its interval on a scale of its own, and how dockings ended."""
 
 from __future__ import annotations

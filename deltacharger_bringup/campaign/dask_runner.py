@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A campaign on the workers of a Dask scheduler; only this process writes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One docking of a campaign, from its number to its row of results."""
 
 from __future__ import annotations

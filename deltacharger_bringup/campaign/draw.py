@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One docking of a campaign as drawn: world, pads, docking's parameters and what the goal says of the target."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How hard the servos really push on the target: their force along z at the platform, gravity and impacts apart."""
 
 from __future__ import annotations

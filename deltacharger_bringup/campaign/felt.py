@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a campaign makes of the estimates of one docking, and what it keeps of them beside the truth."""
 
 from __future__ import annotations

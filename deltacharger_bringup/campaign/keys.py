@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every key that the scene of a campaign may set: those of its own, and all of world, pads and docking."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The pads of one docking in a campaign: frames are made when somebody asks for them, several at once at one pose."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's estimate in place of ours: three of its CNNs, trained once and kept beside a campaign."""
 
 from __future__ import annotations

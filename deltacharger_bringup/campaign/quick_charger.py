@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A charger in virtual time that computes only what somebody looks at.
 
 Against `VirtualCharger`, which does what the nodes do at their rates: the world goes on in steps of 10 ms, not 5, and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lines of a campaign's dockings: the usual ones, but short slow ones at a fraction of the cost, and told whole."""
 
 from __future__ import annotations

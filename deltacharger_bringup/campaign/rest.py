@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a charged docking is like at rest: it goes on charging for a while, and the end of that is looked at."""
 
 from __future__ import annotations

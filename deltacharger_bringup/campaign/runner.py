@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs what is missing of a campaign: here, in local processes, or on the workers of a Dask scheduler."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scenes of campaigns: one YAML file says what is drawn for each docking, at random or from a list."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What decides the results of a campaign, as one record: compared before a campaign goes on, sent to every worker."""
 
 from __future__ import annotations

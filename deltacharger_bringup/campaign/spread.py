@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a campaign draws a value from: a number, a range on either scale, a normal distribution or a choice."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The folder of a campaign's results: its settings and Parquet files, one for each batch, each written whole or not."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a campaign's results say on the whole."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Training of the paper's two networks with PyTorch, on CUDA where there is one."""
 
 from __future__ import annotations

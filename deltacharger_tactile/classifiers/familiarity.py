@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether frames look as in training, one by one and as a window of dockings.
 
 Looked at is what a frame says beyond its pose: its features (load, active taxels, peak, moments, shares of rows and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A trained classifier as a file: arrays and a description, without pickle."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What several dockings at one place tell together.
 
 Jitter, tilt and hysteresis are drawn anew by every docking, which is why more frames of one docking hardly help and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How good a classifier is on frames that it has not seen."""
 
 from __future__ import annotations

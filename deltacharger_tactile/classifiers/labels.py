@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From poses to the paper's classes, and which rows of a data set belong to which of its three problems."""
 
 from __future__ import annotations

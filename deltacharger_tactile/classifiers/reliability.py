@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """When a classifier's answer may be acted on: split-conformal sets, and a check that frames look as in training.
 
 A conformal set holds the true class with the nominal probability as long as new frames come from where the held-out

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Class probabilities from arrays, on numpy alone: what a trained classifier is once its trainer has gone.
 
 Each kind is a function of arrays (named as in the file) and inputs. Trees compare as their trainer did, in float32

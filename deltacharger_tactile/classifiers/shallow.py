@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Training with scikit-learn and XGBoost, and what is learnt as arrays."""
 
 from __future__ import annotations

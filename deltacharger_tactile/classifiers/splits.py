@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which frames are learnt from and which judge: by docking, by device, by session, or, as in the paper, at random."""
 
 from __future__ import annotations

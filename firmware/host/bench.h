@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* A bench instead of the hardware: two pads under settable forces and a battery that charges a target through a
  * resistor, on a clock that somebody sets. */
 #ifndef BENCH_H

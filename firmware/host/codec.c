@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The codec alone, over standard input and output, for tests against another implementation.
  *
  * Request: u8 operation, u32 size, body. Answer: u32 size, body. Little-endian.

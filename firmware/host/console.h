@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* A board on a bench, steered by lines of text; docs/firmware.md lists the commands. */
 #ifndef CONSOLE_H
 #define CONSOLE_H

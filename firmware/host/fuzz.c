@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Smoke of the decoder and of the whole board under damaged and senseless bytes; run it with sanitizers.
  *
  *     fuzz [PACKETS] [SEED]

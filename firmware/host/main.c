@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The board's C core on a simulated bench: see docs/firmware.md. */
 #include <stdlib.h>
 #include <string.h>

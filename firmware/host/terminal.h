@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The board in real time behind a pseudo-terminal. */
 #ifndef TERMINAL_H
 #define TERMINAL_H

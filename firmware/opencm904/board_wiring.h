@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Where everything is connected and what its readings mean: THE PART TO FILL IN for a real board.
  *
  * As delivered nothing is wired. The board then speaks the whole link, but every taxel is dead, every voltage and

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The board's end of the board link on a ROBOTIS OpenCM 9.04 (STM32F103CB).
  *
  * NOT RUN ON HARDWARE: compiled against the core of the board package 1.5.1, nothing more. Fill in board_wiring.h, then

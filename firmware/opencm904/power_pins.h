@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The power stage and the probe on the pins of board_wiring.h. */
 #ifndef POWER_PINS_H
 #define POWER_PINS_H

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Both tactile arrays on the pins of board_wiring.h. */
 #ifndef TAXEL_SCAN_H
 #define TAXEL_SCAN_H

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A double of an RGB-D driver: one image of a target at a known place, again and again, and whatever goes wrong."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the tests of campaigns share: a quick scene, and rows that compare equal though they hold NaN."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Chargers made of mocks, quick enough for tests, each in a namespace of its own on this machine only."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages of dockings that never took place, for tests of what records and replays them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A charger that is brought into the middle of its work, and back there after every fault, without a docking each."""
 
 from __future__ import annotations

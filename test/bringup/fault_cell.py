@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One cell of the fault matrix: a fault comes while the charger works, its effect is read off, and work goes on."""
 
 from __future__ import annotations

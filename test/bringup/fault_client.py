@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Who looks at a charger under test and asks its drivers, as docking_node and its operator do."""
 
 from __future__ import annotations

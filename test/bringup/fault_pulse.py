@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether this process was given the processor when it wanted it: what fails without it may be nobody's fault."""
 
 from __future__ import annotations

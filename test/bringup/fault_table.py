@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is asked of the charger under every fault: one row each, the same while moving, pressing and charging.
 
 The limits are those of docs/docking.md: a board that hears nothing opens within 0.1 s; who holds the contactor lets it

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A simulated world that remembers when the contactor and the servos' torque came and went, and what its servos pushed.
 
 What is asked of a charger under a fault is read off here, from the devices' side of the wires, never from topics.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A charger of mocks whose docking_node hears its topics through somebody who distorts them on the way."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A simulated charger with each of its nodes as a process of its own, which may be killed, stopped and started anew."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """docking_node's face without an arm: dock, undock and docking_state, at once and whatever the load of the machine."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Docking from the picture to charging, and all that a picture can say against it, on simulated camera and hardware."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Campaigns: a docking follows from seed and number alone, whoever runs it and whatever happened before."""
 
 from __future__ import annotations

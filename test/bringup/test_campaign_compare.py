@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Comparing campaigns: what is equal is not told to differ more often than the interval says, and what differs is."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A campaign on Dask workers: every docking once and the same as alone, though a worker is killed midway."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a campaign does to estimates is what its scene says, and what it keeps of them is the truth beside them."""
 
 from __future__ import annotations

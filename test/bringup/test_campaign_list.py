@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The committed list of dockings: some of it docks here, each to the end that its scene must have."""
 
 from __future__ import annotations

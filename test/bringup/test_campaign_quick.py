@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The quick charger of campaigns against the one that does all that the nodes do."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a campaign draws: spreads within their bounds, scenes checked whole, and a world that is what was drawn."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate camera` on rendered views of a charger whose mount is known, and on all that can be wrong."""
 
 from __future__ import annotations

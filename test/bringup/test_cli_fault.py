@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger fault` against simulated chargers that run: in this process, and as people start them."""
 
 from __future__ import annotations

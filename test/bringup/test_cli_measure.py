@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate kinematics --plan … --measure …`: a person, a plan, and a running charger made of mocks."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger calibrate camera --take N`: a running charger of mocks with the simulated camera shows its board."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger vision detect`: simulated images as files and recordings, and what is said where that cannot be."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The client towards a charger that takes its time to answer a goal."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Composition: what fails to start leaves nothing behind, and the simulated charger goes last."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The system's clock is set forward and back by a second and an hour while the charger docks and while it charges.
 
 Every node's clock is taken over here (as /clock would) and jumps at once. What is measured in seconds lives on the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """docking_node and its goals: every state is told, none is lost between two clients, and the end answers them all."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What docking says on joint_trajectory, and that motion ends with whoever says it."""
 
 from __future__ import annotations

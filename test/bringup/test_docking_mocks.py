@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """docking_node on mocks that misbehave: every failure ends with its code, the contactor open and the reason told.
 
 One charger serves all scenarios; between them it undocks. This is what the launch test does in separate processes.

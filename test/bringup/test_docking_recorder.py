@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One record per docking, whatever the disk, the docking and the recorder's own end do to it."""
 
 from __future__ import annotations

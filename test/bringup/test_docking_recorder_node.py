@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Dockings recorded by the node that users start, replayed as their clients saw them. One charger serves all."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Docking's calls: a service that comes late is waited for, one that never comes is told."""
 
 from __future__ import annotations

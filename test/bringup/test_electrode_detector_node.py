@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """electrode_detector_node on real topics: what it answers, when it looks, and what it says where no image comes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every fault while moving, while pressing and while charging, against the drivers, their bytes and one world.
 
 One charger serves them all: after each fault it is brought back to what it did, and no node is ever restarted.

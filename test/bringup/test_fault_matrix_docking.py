@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults of every family under real Dock goals: while the arm approaches, while it presses and while current flows.
 
 One charger serves all; no node is restarted, and every goal after a fault shows that none had to be.

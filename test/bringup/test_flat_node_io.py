@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages published as bytes are those that would have been published the usual way."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """docs/fleet.md is true: its table of codes, its command lines, and the client it gives to copy."""
 
 from __future__ import annotations

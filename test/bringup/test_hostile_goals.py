@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Goals as no fleet should send them, two clients at once, a client that dies, and goals while the charger ends."""
 
 from __future__ import annotations

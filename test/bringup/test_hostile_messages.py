@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages as no driver should send them: docking_node lives on, opens, names what is wrong, and docks again after.
 
 They reach docking_node alone; the mocks behind hear one another undistorted. A message that is malformed is as good as

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes as processes, killed (SIGKILL) and stopped (SIGSTOP, then SIGCONT) while one charger docks again and again.
 
 Every node that matters to a phase is struck in it; what is the same for all phases is gone through in virtual time in

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """kinematics_node: pose and force from servo_state, and kinematics with a status per point."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recordings: what came over a topic is what stands in the file, and a file is whole or not there."""
 
 from __future__ import annotations

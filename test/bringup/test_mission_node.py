@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """mission_node over real topics, actions and services: charged and home, or a code and home.
 
 What docking decides is tried over the real docking_node on mocks; what is about the errand around it over a node with

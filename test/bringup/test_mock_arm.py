@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The mocks' arm and power stage keep the laws that the nodes above them rely on."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page of parameters is what the nodes declare."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The picture of a run: drawn from whatever was recorded, however little, and never a reason to fail."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A folder of records is bounded in files and bytes; the oldest goes first, one under way and other people's never."""
 
 from __future__ import annotations

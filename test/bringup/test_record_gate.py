@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a record keeps: everything around an event, little of hours of charging, and never more than it may."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a recording keeps, what it refuses, and the data set made from it; no charger."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sessions of touching in virtual time: the real steps of docking against the simulated world, without ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger replay`: why a recorded docking ended, in words and numbers that a person can act on."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger report docking`: bounds, bins and targets as they are defined, and a report that goes on."""
 
 from __future__ import annotations

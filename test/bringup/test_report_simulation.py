@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger report simulation`: the measured laws of the simulated charger, and the command's own contract."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger report tactile` and `tactile compare`: the comparison on simulated data, and the command's contract."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger report vision`: the detector on simulated images, and the command's contract."""
 
 from __future__ import annotations

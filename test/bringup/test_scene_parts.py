@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`scene explain` says what a scene starts, loads and leaves out; a real process is asked whether that is so."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """simulated_camera_node on the topics of a real camera: what is in its pictures, and what it leaves out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated hardware: two ports that answer like the robot's, in this process or in one of its own."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Docking over the real actions, the real drivers and the real bytes, against the simulated world."""
 
 from __future__ import annotations

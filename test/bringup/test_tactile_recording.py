@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger tactile record` against a charger that runs: real nodes, real bytes, simulated world."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page of topics is what the nodes have and what the interface files say."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two chargers side by side, told apart by their namespaces alone, of which one lies inside the other's.
 
 What one does, suffers and says leaves the other's arm, contactor, states and goals alone.

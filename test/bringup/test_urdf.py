@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The URDF closes the loops of the delta: by forward kinematics, both ends of each rod meet arm and platform."""
 
 from __future__ import annotations

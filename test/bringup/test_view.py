@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger view`: what a recording holds is what the file for Rerun shows, and what cannot be shown is said."""
 
 from __future__ import annotations

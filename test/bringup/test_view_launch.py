@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """launch/view.launch.py: the model that it publishes is the xacro's, with the files that it was told."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The parts of the view that need no viewer: shapes, colours, words, and what is said where Rerun is missing."""
 
 from __future__ import annotations

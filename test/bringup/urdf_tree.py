@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A URDF as frames: what a robot_state_publisher does, small enough to be read."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Chargers in virtual time for tests of the docking machine."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A world for missions in virtual time: a base on the ground, electrodes somewhere, and others that answer as told.
 
 It checks by itself, at every tick, what must never happen: a drive while anything ties the robot to its target, and two

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A charger in virtual time whose nodes can be killed or stopped: each takes its topics and services with it.
 
 What the nodes' own rules add is done here as they do it: the board opens 0.1 s after tactile_node, a lease lapses

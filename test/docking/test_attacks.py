@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What attacks on docking found, in virtual time: each once left current on, an arm stuck or a goal without an end."""
 
 from __future__ import annotations

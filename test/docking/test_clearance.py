@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """When current may flow, and where the target is: laws of the two decisions that keep docking safe."""
 
 from __future__ import annotations

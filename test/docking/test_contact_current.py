@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The contact current is the servos' force along z less what holds the arm, whatever way it is computed."""
 
 from __future__ import annotations

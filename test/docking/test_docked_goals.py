@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Goals on a docked target: each gets what it asks for, none moves what rests well, none weakens the supervision."""
 
 from __future__ import annotations

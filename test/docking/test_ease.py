@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The arm at ease: no servo carries more than its share, for hours, as far as friction holds and no farther."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Answers that come late, twice or again and again, and sensors that repeat themselves under new stamps.
 
 A late answer belongs to the goal that asked for it, or to nobody. A sensor that freezes is not looked for: its readings

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Docking scenarios in virtual time: what happens and how it ends."""
 
 from __future__ import annotations

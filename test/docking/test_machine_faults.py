@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What goes wrong with docking in virtual time: every way out is safe."""
 
 from __future__ import annotations

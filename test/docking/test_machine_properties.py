@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of the docking machine under any observations: no current without all of its conditions, every way has an end.
 
 The machine is driven by a small cooperative model, so that it comes to the end of a docking in a few hundred steps, and

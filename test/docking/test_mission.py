@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of a mission, in virtual time: every way ends in a named code, undocked before it drives, and home if it can."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Lines of docking: commanded with the arm's weight led, bounded in effort, and refused whole before anything moves."""
 
 from __future__ import annotations

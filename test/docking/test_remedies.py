@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What to do about an error stands in the code as docs/errors.md begins it."""
 
 from __future__ import annotations

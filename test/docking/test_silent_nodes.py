@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every node killed, and stopped for a second, in every phase, in virtual time.
 
 Whatever falls silent: an energised contactor is open within its limit, the goal ends with a code that names what is

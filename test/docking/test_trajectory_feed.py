@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A line told piece by piece: the same line to whoever hears it, and an early end where nobody tells it any more."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A board on board time: every `now` is passed in. Its tests run on the firmware as well (test/firmware)."""
 
 from __future__ import annotations

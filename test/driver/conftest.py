@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Emulated servos behind real pseudo-terminals, and what speaks to them."""
 
 from __future__ import annotations

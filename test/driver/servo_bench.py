@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What tests of the servo bus share: figures, and waiting for something to come to pass."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A host that speaks to emulated servos in bytes, with a clock of its own."""
 
 from __future__ import annotations

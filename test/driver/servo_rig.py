@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A servo controller over emulated servos on a real pseudo-terminal, cycled while something is waited for."""
 
 from __future__ import annotations

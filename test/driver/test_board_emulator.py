@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The emulated board against docs/board-link.md: packets, frames, boot; what else it does is in the files beside."""
 
 from __future__ import annotations

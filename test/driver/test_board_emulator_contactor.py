@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The emulated board's contactor against docs/board-link.md: probe, interlocks, heartbeat, latched faults."""
 
 from __future__ import annotations

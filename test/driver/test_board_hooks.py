@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the emulated board can be told to do beside its duty: boot slowly, send late, and tell what happens when."""
 
 from __future__ import annotations

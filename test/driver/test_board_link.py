@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """BoardLink over a real pseudo-terminal and the emulated board."""
 
 from __future__ import annotations

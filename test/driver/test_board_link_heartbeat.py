@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What `BoardLink` tells about its heartbeat."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What packets carry: samples, power, introductions, probes; round trips, bounds, and what no board sends."""
 
 from __future__ import annotations

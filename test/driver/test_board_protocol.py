@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The packets of docs/board-link.md: golden bytes, headers, and recovery from everything a wire can do."""
 
 from __future__ import annotations

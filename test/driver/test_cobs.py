@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """COBS: no zero inside, nothing lost, little added, and nothing invalid accepted."""
 
 from __future__ import annotations

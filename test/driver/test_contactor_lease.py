@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The lease on the contactor: one holder, 0.25 s at most, and every opening starts from nothing."""
 
 from __future__ import annotations

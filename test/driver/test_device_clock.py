@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The device's clock: offset from the least delayed packets, drift, reboots; sequence numbers that only rise."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which device is on a port, told on real pseudo-terminals; and swapped cables, told by the drivers themselves."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The cable of an emulated device: links, unplugging, and a device that goes on without its host."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rates and latenesses for the diagnostics."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every way not to open a port has its own name and advice, the same on the servos' side and on the board's."""
 
 from __future__ import annotations

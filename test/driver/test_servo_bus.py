@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The servo bus against emulated servos on a real pseudo-terminal: torque, goals, and what it does with faults."""
 
 from __future__ import annotations

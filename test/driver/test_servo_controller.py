@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the servos do from cycle to cycle, against emulated servos on a real pseudo-terminal."""
 
 from __future__ import annotations

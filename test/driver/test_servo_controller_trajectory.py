@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trajectories: followed in time, cut, fed piece by piece, and what a silent host leaves behind."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The emulated servos, spoken to in bytes with a clock of our own: what the e-manual promises, they do."""
 
 from __future__ import annotations

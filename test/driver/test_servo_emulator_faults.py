@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What goes wrong with emulated servos as it does with real ones: errors, watchdogs, supply, collisions."""
 
 from __future__ import annotations

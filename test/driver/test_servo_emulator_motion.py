@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How the emulated servos move and what they measure: modes, profiles, offsets, limits, status."""
 
 from __future__ import annotations

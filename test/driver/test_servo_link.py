@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One servo asked at a time: what opens, what is asked again, and that no wrong value comes through."""
 
 from __future__ import annotations

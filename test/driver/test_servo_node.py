@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """servo_node over a real pseudo-terminal and real rclpy, with emulated servos on a bench."""
 
 from __future__ import annotations

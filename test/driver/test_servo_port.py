@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Each trap of the bare dynamixel-sdk, shown on a real pseudo-terminal, and the same situation with ours."""
 
 from __future__ import annotations

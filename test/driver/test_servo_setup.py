@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The servo bus opens: every servo is set up as it should or named with all that is wrong with it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What one cycle of the bus reads: a value is right or not there, whatever the line does to it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The emulated servo's bus watchdog as the e-manual describes register 98."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """tactile_node over a pseudo-terminal, the emulated board and a bench plant, seen by a real ROS client."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A board on the host program's bench and a host that speaks only when told, in simulated microseconds."""
 
 from __future__ import annotations

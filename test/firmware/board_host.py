@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The firmware's C core as a process, and as what the driver's tests expect of the emulated board."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The driver's own tests of a board, loaded anew for another board."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The firmware's codec as a process; firmware/host/codec.c says what goes over its pipes."""
 
 from __future__ import annotations

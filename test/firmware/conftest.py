@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The firmware's host programs, built once per run with every warning an error and with sanitizers."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The same host's day on the emulated board and on the firmware: every answer, fault and command must be the same."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The firmware's codec against the driver's, byte for byte and in both directions."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Answers, tare and floods on the firmware, in simulated time; more of them in test_emulator_suite.py."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Heartbeat, probe and contactor on the firmware, in simulated time: what docs/board-link.md demands."""
 
 from __future__ import annotations

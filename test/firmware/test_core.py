@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the core may use, and what a million bytes of nonsense do to it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tests of the emulated board, run on the firmware: both must do the same."""
 
 from __future__ import annotations

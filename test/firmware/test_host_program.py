@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The host program as anybody would run it: BoardLink over its own pseudo-terminal, in real time."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The tests of `BoardLink`, run over a real pseudo-terminal against the firmware."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sampling, device time and a wire that is too slow, in simulated time."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sequence and detectors of the power stage, in simulated time; the emulator leaves them to its plant."""
 
 from __future__ import annotations

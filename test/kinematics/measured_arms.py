@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Arms drawn within the tolerances and what an operator would measure of them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The inverse problem in 60 digits, the judge of every precision test."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of the calibration: what it recovers, how it errs, and what it refuses to work with."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files of measurements, plans and recordings: what is read, written and refused."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of the kinematics: round trips, finite differences, virtual work, and what bad points return."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stiff and extreme inputs: what each returns, without a warning, alone and in the middle of a batch."""
 
 from __future__ import annotations

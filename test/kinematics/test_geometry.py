@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Geometries, as values and as files: what is impossible is refused by name."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of straight lines: at rest at both ends, on the line, within every limit, and refused before anything moves."""
 
 from __future__ import annotations

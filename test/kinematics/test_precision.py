@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How near the answers come to 60-digit arithmetic, and who counts as reachable."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """An arm in simulated time: servos commanded by platform positions, everything else is the real world model."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The power stage: pre-charge, ramp, constant current and voltage, resistance, openings, and what it detects."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The exact geometry of the bars, against brute force and against the formula that docking decides by."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Worlds whose numbers are each possible and together are not, and worlds outside of what is proven."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Late commands and old readings."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of motion: symmetry, order of convergence, energy, and that what is off is not there."""
 
 from __future__ import annotations

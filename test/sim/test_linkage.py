@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The linkage says what the kinematics say, and how it changes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The magnets' law, and what it does to the arm: snap, pull back, release."""
 
 from __future__ import annotations

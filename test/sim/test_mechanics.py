@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of the mechanics: statics, limits, friction, energy, and that the step decides nothing at rest."""
 
 from __future__ import annotations

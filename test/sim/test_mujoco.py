@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The light model against MuJoCo on the same parameters: statics, settled contact, path; what the reference refuses."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every parameter of the world refuses what it cannot be, by name."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A platform that yields to an off-centre or tilted contact: closed forms, limits, what it changes."""
 
 from __future__ import annotations

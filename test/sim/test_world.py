@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The world as a whole: contacts and their jitter, what is recorded, the emulators' plant, and reproducibility."""
 
 from __future__ import annotations

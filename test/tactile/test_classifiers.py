@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's classifiers and one more: what they learn, how they are kept, and when their answer may be acted on."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of the contact model: nothing of the force is lost, symmetry, signs, misses."""
 
 from __future__ import annotations

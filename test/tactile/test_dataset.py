@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Data files of others: what may be missing, and what each kind of mistake is answered with."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The packaged model on rigs that training did not see: precise, honest, and silent where it does not know."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which tactile frames an estimate may be made of: those sampled after the question, whatever the clocks do."""
 
 from __future__ import annotations

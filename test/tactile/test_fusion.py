@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What several dockings, and reference dockings, are worth."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Data sets: the frozen parameters, the paper's protocol, the continuous one, seeds."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """misalignment_node seen by a real ROS client that publishes tactile frames."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Model files of others: truncated, of another kind or version, hostile; each is refused with a reason."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What looks familiar and what does not: single frames, and slow changes that only a window of dockings shows."""
 
 from __future__ import annotations

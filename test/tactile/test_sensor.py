@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sensor chain and the source that a world samples."""
 
 from __future__ import annotations

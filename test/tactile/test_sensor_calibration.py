@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibration of a rig's pads: what it finds, what it leaves alone, and that it helps where it was not made."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Random views of a terminal for the detector's tests, as far as the docked and the approaching robot are."""
 
 from __future__ import annotations

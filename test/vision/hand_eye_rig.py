@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A drawn charger whose platform carries a board, as numbers and as images: what hand-eye tests know the truth of."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The drawn board is the printed one: same bits, same size, edges where they should be."""
 
 from __future__ import annotations

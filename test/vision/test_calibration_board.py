@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Boards by name, and how exactly a rendered image shows their corners."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """camera_node on real topics: images of a camera that comes and goes, and of a recording; what it says without one."""
 
 from __future__ import annotations

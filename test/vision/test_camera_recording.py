@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which topics of a recording are the camera's, and what is left of a recording that was cut off."""
 
 from __future__ import annotations

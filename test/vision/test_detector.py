@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of the electrode detector on simulated images."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of hand-eye calibration: exact data, the exact mount; noise stays within the covariance; doubts are named."""
 
 from __future__ import annotations

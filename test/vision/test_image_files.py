@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Images from files: what is read is what was taken, and what cannot be is named."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of the hand-eye transform: where a detection lies in charger_base, and how sure that is."""
 
 from __future__ import annotations

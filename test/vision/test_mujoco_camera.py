@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """MuJoCo's renderer against the ray-caster: the same places, depths and materials, drawn by another hand."""
 
 from __future__ import annotations

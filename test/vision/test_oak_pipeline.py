@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The host side of the OAK-D: real depthai without a device, and the keeper over a camera that comes and goes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Laws of bringing colour and depth together by their stamps."""
 
 from __future__ import annotations

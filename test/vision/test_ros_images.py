@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Image messages of every usual encoding become the same picture, and what cannot be read is said by name."""
 
 from __future__ import annotations

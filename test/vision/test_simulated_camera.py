@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the simulated camera shows things: geometry, without noise."""
 
 from __future__ import annotations

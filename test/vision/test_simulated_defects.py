@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the simulated camera spoils: noise, saturation, blur, and depth as stereo matching reports it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poses before a camera, and where a camera should show a point."""
 
 from __future__ import annotations

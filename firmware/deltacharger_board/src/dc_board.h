@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The board of docs/board-link.md: hooks below, bytes of the link above, one entry that never waits.
  *
  *     static dc_board board;

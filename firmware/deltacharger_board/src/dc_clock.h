@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Time since boot in 64 bits from a 32-bit microsecond counter that wraps every 71.6 minutes. */
 #ifndef DC_CLOCK_H
 #define DC_CLOCK_H

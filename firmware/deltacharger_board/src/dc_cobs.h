@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Consistent overhead byte stuffing (Cheshire and Baker, 1999): any bytes, without the byte zero. */
 #ifndef DC_COBS_H
 #define DC_COBS_H

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* What the board does with each packet of the host. */
 #include "dc_board.h"
 #include "dc_bytes.h"

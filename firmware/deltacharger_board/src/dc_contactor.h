@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Who may close the contactor and what opens it: heartbeat, probe, latched faults. Energy never depends on a live
  * host. */
 #ifndef DC_CONTACTOR_H

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 #include "dc_crc32.h"
 
 /* One entry per nibble: 64 bytes of flash instead of 1024, and 0.1 ms per longest packet at 72 MHz still fits. */

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* CRC-32 as in zlib, PNG and Ethernet: polynomial 0x04C11DB7 reflected, start and end inverted. */
 #ifndef DC_CRC32_H
 #define DC_CRC32_H

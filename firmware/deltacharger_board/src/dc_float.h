@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Questions about floats, answered by their bits: cheap without a floating-point unit, true under -ffast-math. */
 #ifndef DC_FLOAT_H
 #define DC_FLOAT_H

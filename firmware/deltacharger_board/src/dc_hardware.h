@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Everything the board needs from its hardware: fill this in and nothing else.
  *
  * No hook may wait: a millisecond is long, read_taxels may take two. All run where dc_board_poll is called. */

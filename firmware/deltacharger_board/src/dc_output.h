@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Packets on their way to the host: a ring of bytes that takes whole packets and never waits.
  *
  * Where the wire is slow, the less a packet matters the more room it must leave: TACTILE is refused first, POWER next,

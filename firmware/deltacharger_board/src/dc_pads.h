@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Both tactile arrays: sampling, the tare, dead taxels. */
 #ifndef DC_PADS_H
 #define DC_PADS_H

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* What packets of the board link carry, as bytes (docs/board-link.md). Pure functions. */
 #ifndef DC_PAYLOAD_H
 #define DC_PAYLOAD_H

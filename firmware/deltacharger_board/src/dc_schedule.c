@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 #include "dc_schedule.h"
 
 static uint64_t period_of(float rate)

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* Evenly spaced instants without drift: the period keeps 2^-32 us, so 120 Hz is off by less than 3e-14 of itself. */
 #ifndef DC_SCHEDULE_H
 #define DC_SCHEDULE_H

@@ -1,3 +1,4 @@
+/* SPDX-License-Identifier: Apache-2.0 */
 /* The power stage's sequence and its detectors: pre-charge, contactor, ramp up; ramp down, open, confirm.
  *
  * Knows nothing of packets, probes and heartbeats: dc_contactor decides whether, this decides how. */

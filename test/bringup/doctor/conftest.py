@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the doctor looks at: emulated hardware behind real pseudo-terminals."""
 
 from __future__ import annotations

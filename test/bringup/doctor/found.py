@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Findings: made, and looked through."""
 
 from __future__ import annotations

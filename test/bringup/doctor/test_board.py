@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the doctor says of a board, healthy and broken in every way it names."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger doctor` as people and programs call it."""
 
 from __future__ import annotations

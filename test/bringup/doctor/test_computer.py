@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the doctor says of this computer: its settings, its ROS, its camera."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the doctor says of ports that cannot be opened, and of those that can."""
 
 from __future__ import annotations

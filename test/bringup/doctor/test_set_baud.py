@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`deltacharger doctor --set-baud`: what is written to servos, and to which."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The devices that the contract runs on, and the host's end of each."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The host's end of a board: the driver's link and guard, and everything that they were told."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the contract runs: emulated devices behind pseudo-terminals, or real ones on their ports.
 
 A site says how to reach a device and what is known of it beforehand; no test asks for more.

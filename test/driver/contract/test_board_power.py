@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What must hold of a healthy board's power stage while nobody asks for its contactor to be closed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What must hold of the tactile side of a healthy board whose pads nothing touches."""
 
 from __future__ import annotations

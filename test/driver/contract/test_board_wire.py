@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What must hold of a healthy board packet by packet: its answers to what is unknown, wrong, damaged or in pieces."""
 
 from __future__ import annotations

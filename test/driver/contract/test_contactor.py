@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What must hold of a healthy board's contactor with a load connected. On a real one with --close-contactor only."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How the contract finds its devices: the options themselves, in runs of their own against emulators on given ports."""
 
 from __future__ import annotations

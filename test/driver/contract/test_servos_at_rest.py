@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What must hold of three healthy MX-64 without torque; nothing here moves them."""
 
 from __future__ import annotations

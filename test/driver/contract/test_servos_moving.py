@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What must hold of three healthy MX-64 with torque on, moved by a few degrees. On real ones with --move only."""
 
 from __future__ import annotations
