@@ -7,7 +7,7 @@ import math
 
 from deltacharger_docking.clearance import Estimate
 
-_SIGMAS = 2.2  # that a contact is judged at; with it 1 % of them lie beyond the limit (docs/docking.md)
+_SIGMAS = 2.15  # that a contact is judged at; what it leaves beyond the limit: docs/docking.md
 _FELT_SIGMAS = 1.65  # of what the pads feel alone: a landing far out is rare, and rarer where they see well
 _CONTRADICTION = 25.0, 4.0  # sum of squared innovations, in variances, above which they are none: 25 + 4 for each look
 
@@ -31,7 +31,7 @@ class AlignmentFilter:
         self._innovations = [0.0, 0.0]
         self._looks = 0
         self.landing = math.inf
-        """How far (m) the last contact may lie off on its worse axis: |mean| + 2.2 σ, at least 1.65 σ felt."""
+        """How far (m) the last contact may lie off on its worse axis: |mean| + 2.15 σ, at least 1.65 σ felt."""
 
     def update(self, platform: tuple[float, float], estimate: Estimate) -> None:
         """Take one estimate made with the platform at (x, y) m of charger_base."""
@@ -60,7 +60,7 @@ class AlignmentFilter:
         return max(self._innovations) > fixed + each * self._looks
 
     def _land(self, axis: int, platform: float, offset: float, variance: float) -> float:
-        """Return |mean| + 2.2 σ (m) of this contact: what is felt, and where earlier ones say that the target is."""
+        """Return |mean| + 2.15 σ (m) of this contact: what is felt, and where earlier ones say that the target is."""
         information = self._information[axis]
         mean, weight = offset, 1.0 / variance
         if information > 0.0:

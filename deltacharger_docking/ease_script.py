@@ -18,7 +18,7 @@ from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.statics import TORQUE_CONSTANT
 
 _ENOUGH = 0.015  # A that a servo's current may be off
-_COOL, _SPARED = 0.58, 0.03  # A to which the common current is led, at most so far below the middle of the band
+_COOL, _SPARED = 0.57, 0.03  # A to which the common current is led, at most so far below the middle of the band
 _ROUNDS = 4  # as the stiffness is known only so well
 _SLIP = 0.0004  # m sideways that tell a slip; an encoder's count is 0.15 mm
 _TAKEN_BACK = 0.4  # of what was faded when it slipped

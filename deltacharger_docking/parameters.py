@@ -63,7 +63,7 @@ class DockingParameters:
     clearance_min: float = _number(0.0003, 0.0, 0.005, "clearance that must remain at three standard deviations, m")
     alignment_tolerance: float = _number(0.001, 0.0001, 0.01, "filtered misalignment that counts as aligned, m")
     landing_limit: float = _number(
-        0.0025, 0.001, 0.02, "misalignment within which this very contact must lie, at 2.2 standard deviations, m"
+        0.0025, 0.001, 0.02, "misalignment within which this very contact must lie, at 2.15 standard deviations, m"
     )
     alignments_max: int = _number(15, 1, 50, "lateral corrections before alignment ends, as in the paper")
     docking_jitter: float = _number(0.00095, 0.0, 0.01, "scatter of one docking beside its commanded place, m")
