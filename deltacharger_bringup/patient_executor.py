@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Generator, Iterator
 from typing import Any
 from weakref import WeakKeyDictionary, ref
 
+from rclpy.action.client import ActionClient
 from rclpy.context import Context
 from rclpy.event_handler import EventHandler
 from rclpy.exceptions import InvalidHandle
@@ -22,6 +24,8 @@ from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.subscription import Subscription
 from rclpy.waitable import NumberOfEntities
+
+_MAKING = 1.0  # s that a constructor may take at most
 
 
 class PatientExecutor(MultiThreadedExecutor):
@@ -64,6 +68,8 @@ class PatientExecutor(MultiThreadedExecutor):
 
     def can_execute(self, entity: Any) -> bool:
         """Return whether the entity may be waited for, as in the original; an event only with its subscription."""
+        if isinstance(entity, ActionClient):
+            _wait_until_made(entity)
         if not super().can_execute(entity):
             return False
         if not isinstance(entity, EventHandler):
@@ -171,6 +177,13 @@ class PatientExecutor(MultiThreadedExecutor):
     def _fail(self, error: BaseException) -> None:
         self._failure = error
         self.wake()
+
+
+def _wait_until_made(client: ActionClient[Any, Any, Any]) -> None:
+    """Wait for the last lines of an action client's constructor: rclpy's own puts it into the node before its lock."""
+    end = time.monotonic() + _MAKING
+    while not hasattr(client, "_lock") and time.monotonic() < end:
+        time.sleep(0.0005)
 
 
 class _Guard(GuardCondition):

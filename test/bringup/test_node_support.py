@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from deltacharger.action import Dock
+from rclpy.action import ActionClient
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.executors import Executor
 from rclpy.node import Node
@@ -130,6 +132,26 @@ def test_entities_that_come_and_go_are_served_and_forgotten(node: Node) -> None:
     finally:
         spinner.close()
     assert heard == list(range(20))
+
+
+def test_an_action_client_may_be_made_while_its_node_is_served(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+    add = Node.add_waitable
+
+    def add_early(self: Node, waitable: Any) -> None:
+        add(self, waitable)
+        time.sleep(0.1)  # rclpy's constructor has a line to go, and the executor has been woken
+
+    monkeypatch.setattr(Node, "add_waitable", add_early)
+    spinner = Spinner(node, 2)
+    came = threading.Event()
+    try:
+        clients: list[Any] = [ActionClient(node, Dock, f"dock_{number}") for number in range(3)]
+        node.create_timer(0.01, came.set)
+        assert came.wait(DEADLINE)
+    finally:
+        spinner.close()
+    for client in clients:
+        client.destroy()
 
 
 def test_nothing_is_gathered_anew_between_two_messages(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
