@@ -72,14 +72,15 @@ class Cell:
         """Return the decisions since the goal was accepted; those of an undocking before it may come late."""
         return self.decisions[self.decisions.index("accepted") :]
 
-    def record(self, number: int) -> Replay:
-        """Return the record of that number, once it is complete."""
+    def record(self, request: str, ending: str) -> Replay:
+        """Return the record of a request that ended so, once it is complete."""
 
         def complete() -> list[Path]:
-            found = sorted(path for path in self.folder.iterdir() if not path.name.endswith(PARTIAL))
-            return found if len(found) >= number else []
+            return sorted(
+                path for path in self.folder.glob(f"*-{request}-{ending}*") if not path.name.endswith(PARTIAL)
+            )
 
-        return replay(wait_until(complete, "a record")[number - 1])
+        return replay(wait_until(complete, "a record")[-1])
 
     def idle(self) -> None:
         """Wait until no record is open."""
@@ -132,9 +133,8 @@ def test_a_docking_is_recorded_as_its_client_saw_it(cell: Cell) -> None:
         return outcome if outcome.success else None  # a mock arm that stalled spoils an estimate
 
     outcome = wait_until(dock, "a docking that succeeds")
-    number = len(list(cell.folder.iterdir()))
     cell.undock()
-    found = cell.record(number)
+    found = cell.record("robot_7", "OK")
     assert_same(found, outcome)
     assert found.is_complete
     assert found.request_id == "robot/7"
@@ -163,13 +163,12 @@ def test_a_docking_is_recorded_as_its_client_saw_it(cell: Cell) -> None:
     ],
 )
 def test_a_refused_docking_says_why(cell: Cell, node: str, fault: str, name: str, told: str) -> None:
-    number = len(list(cell.folder.iterdir())) + 1
     cell.forget()
     cell.composition.node(node).set_parameters([Parameter("fault", value=fault)])
-    outcome = cell.client.dock(DockRequest(None if "detector" in node else PLACE), deadline=DEADLINE)
+    outcome = cell.client.dock(DockRequest(None if "detector" in node else PLACE, request_id=fault), deadline=DEADLINE)
     cell.composition.node(node).set_parameters([Parameter("fault", value="none")])
     assert outcome.error_name == name, outcome
-    found = cell.record(number)
+    found = cell.record(fault, name)
     assert_same(found, outcome)
     assert name in found.recording.path.name
     assert told.lower() in why(found).lower()
@@ -177,16 +176,15 @@ def test_a_refused_docking_says_why(cell: Cell, node: str, fault: str, name: str
 
 
 def test_a_cancelled_docking_says_so(cell: Cell) -> None:
-    number = len(list(cell.folder.iterdir())) + 1
     cancel = threading.Event()
 
     def on_progress(progress: Progress) -> None:
         if progress.phase == "contact":
             cancel.set()
 
-    outcome = cell.client.dock(DockRequest(PLACE), on_progress, cancel, DEADLINE)
+    outcome = cell.client.dock(DockRequest(PLACE, request_id="cancelled"), on_progress, cancel, DEADLINE)
     assert outcome.error_name == "CANCELED", outcome
-    found = cell.record(number)
+    found = cell.record("cancelled", "CANCELED")
     assert_same(found, outcome)
     assert "The client took the goal back in" in why(found)
 
@@ -217,7 +215,9 @@ def test_a_charger_that_ends_completes_its_record(quick_scene: Scene, context: A
             reached.set()
 
     goal = threading.Thread(
-        target=lambda: ended.append(cell.client.dock(DockRequest(PLACE), on_progress, deadline=DEADLINE))
+        target=lambda: ended.append(
+            cell.client.dock(DockRequest(PLACE, request_id="ends"), on_progress, deadline=DEADLINE)
+        )
     )
     goal.start()
     try:
@@ -228,7 +228,7 @@ def test_a_charger_that_ends_completes_its_record(quick_scene: Scene, context: A
         assert "shutting down" in ended[0].error_message
     finally:
         cell.close()
-    found = cell.record(1)
+    found = cell.record("ends", "CANCELED")
     assert not found.recording.damage
     assert "contact" in {phase.state for phase in found.phases}
 
