@@ -14,12 +14,31 @@ SIMULATION_DOMAIN = 87
 LARGEST_DOMAIN = 232
 """Above it the UDP ports of a domain pass 65535."""
 
+_PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
+_PROFILES_HERE = "DEFAULT_FASTDDS_PROFILES.xml"  # which Fast DDS also reads, where it is in the working directory
+
 
 def prepare() -> None:
     """Let ROS find this installation; call before the first import of rclpy."""
     prefix = Path(sys.prefix)
     if not os.environ.get("AMENT_PREFIX_PATH") and (prefix / "share" / "ament_index").is_dir():
         os.environ["AMENT_PREFIX_PATH"] = str(prefix)
+    announce()
+
+
+def announce() -> None:
+    """Let nodes tell twice a second that they are there, unless the user has settings of Fast DDS."""
+    if not any(os.environ.get(name) for name in _PROFILES) and not Path(_PROFILES_HERE).exists():
+        for file in config("fastdds.xml")[:1]:
+            os.environ[_PROFILES[0]] = str(file)
+
+
+def config(name: str) -> list[Path]:
+    """Return where a file or folder of config/ is: in the source tree, then in each installation."""
+    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    found = [Path(__file__).resolve().parents[1] / "config" / name]
+    found += [prefix / "share" / "deltacharger" / "config" / name for prefix in [*prefixes, Path(sys.prefix)]]
+    return [path for path in dict.fromkeys(found) if path.exists()]
 
 
 def isolate() -> None:

@@ -160,6 +160,7 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, threads:
         problem = environment.domain_problem()
         if problem:
             raise StartupError(problem)
+        environment.announce()
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy raises its own kinds for arguments, log folder and domain
         print(f"cannot start: {ros_problem(error) or error}", file=sys.stderr)

@@ -67,7 +67,6 @@ class RecordingCharger:
 
     def __init__(self, context: Context, namespace: str = "", stop: threading.Event | None = None) -> None:
         self._stop = stop or threading.Event()
-        self._wake = threading.Event()
         self._docking: DockingState | None = None
         self._machine: RecordingMachine | None = None
         self._driving = False
@@ -82,7 +81,7 @@ class RecordingCharger:
         group = ReentrantCallbackGroup()
         self.names = {topic.name: self.node.resolve_topic_name(topic.name) for topic in TOPICS}
         self.tape = Tape(self.names["docking_state"])
-        self._inputs = Inputs(self.node, group, self._wake.set)
+        self._inputs = Inputs(self.node)
         self._calls = Services(self.node, group, self._age)
         self.node.create_subscription(DockingState, "docking_state", self._on_docking_state, qos.STATE)
         listen(self.node, TOPICS, self.tape.take, None)
@@ -235,8 +234,7 @@ class RecordingCharger:
         self._check_free()
         start(self._observe())
         while machine.outcome is None:
-            self._wake.wait(_TICK)
-            self._wake.clear()
+            self._inputs.wait(_TICK)
             if self._is_taken():
                 machine.emergency()  # its command is not carried out: the arm is docking_node's
                 self._machine, self._driving = None, False

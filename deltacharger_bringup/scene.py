@@ -9,13 +9,12 @@ range, always naming the file and the key.
 from __future__ import annotations
 
 import difflib
-import os
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from deltacharger_bringup import environment
 from deltacharger_bringup.node_table import NODES
 from deltacharger_bringup.scene_faults import Fault
 from deltacharger_bringup.scene_yaml import YamlProblem, read_yaml
@@ -145,10 +144,7 @@ class Scene:
 
 def scene_folders() -> list[Path]:
     """Return the folders that hold packaged scenes: those of the source tree, then of each installation."""
-    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
-    folders = [Path(__file__).resolve().parents[1] / "config" / "scenes"]
-    folders += [prefix / "share" / "deltacharger" / "config" / "scenes" for prefix in [*prefixes, Path(sys.prefix)]]
-    return [folder for folder in dict.fromkeys(folders) if folder.is_dir()]
+    return [folder for folder in environment.config("scenes") if folder.is_dir()]
 
 
 def packaged_scenes() -> dict[str, Path]:

@@ -24,14 +24,16 @@ _EVERY_NODES = ("/parameter_events", "/rosout", "/clock")  # topics that every R
 _EVERY_NODES_TYPES = ("rcl_interfaces", "type_description_interfaces")  # of services that every ROS node has
 _ROOT = Path(__file__).parents[1]
 _FOLDERS = {"msg": "Messages", "srv": "Services", "action": "Actions"}
-_LOOKING = 10.0  # s for the simulated camera to notice that somebody looks
+_NOTICED = 10.0  # s for a node to notice that somebody wants what it publishes
+_WHILE_HEARD = "kinematics_node"  # subscribes only then; here the recorder hears it all the time
 _HEAD = """# Topics, services, actions
 
 What each node publishes, subscribes to, serves and calls, from running nodes, and every field of the package's own
 messages, services and actions, from `msg/`, `srv/` and `action/`. Names are relative, so that a namespace makes a
-second charger; those with a leading / are not. What is marked *while looking* is there only while somebody asks for the
-electrodes. Mock nodes have topics and services of the nodes in whose place they stand. A subscriber that asks for
-reliable delivery hears nothing of a topic that is best effort.
+second charger; those with a leading / are not. What is marked *while looking* is there only while somebody asks for
+the electrodes, *while heard* only while somebody subscribes to what the node publishes. Mock nodes have topics and
+services of the nodes in whose place they stand. A subscriber that asks for reliable delivery hears nothing of a topic
+that is best effort.
 """
 
 
@@ -86,6 +88,7 @@ def quality(profile: QoSProfile) -> str:
 def document(nodes: Iterable[Node]) -> str:
     """Return the whole page for running nodes, in the order of their names."""
     ordered = sorted(nodes, key=lambda node: node.get_name())
+    _wait_until_subscribed(ordered, _WHILE_HEARD)
     at_rest = {node.get_name(): endpoints(node) for node in ordered}
     with _looking(ordered):
         all_of_them = {node.get_name(): endpoints(node) for node in ordered}
@@ -102,12 +105,17 @@ def _looking(nodes: Iterable[Node]) -> Iterator[None]:
     """Let the detector look, and wait until the simulated camera has noticed."""
     by_name: dict[str, Any] = {node.get_name(): node for node in nodes}
     with by_name["electrode_detector_node"]._camera.watching():
-        end = time.monotonic() + _LOOKING
-        while not any(each.verb == "subscribes to" for each in endpoints(by_name["simulated_camera_node"])):
-            if time.monotonic() > end:
-                raise TimeoutError("the simulated camera did not notice that the detector looks")
-            time.sleep(0.02)
+        _wait_until_subscribed(by_name.values(), "simulated_camera_node")
         yield
+
+
+def _wait_until_subscribed(nodes: Iterable[Node], name: str) -> None:
+    (node,) = (each for each in nodes if each.get_name() == name)
+    end = time.monotonic() + _NOTICED
+    while not any(each.verb == "subscribes to" for each in endpoints(node)):
+        if time.monotonic() > end:
+            raise TimeoutError(f"{name} did not notice that what it publishes is wanted")
+        time.sleep(0.02)
 
 
 def _overview(found: dict[str, set[Endpoint]]) -> str:
@@ -127,6 +135,8 @@ def _section(name: str, found: set[Endpoint], at_rest: set[Endpoint]) -> str:
     lines = [f"## {name}", "", "| | name | type | quality of service |", "|---|---|---|---|"]
     for each in sorted(found, key=lambda each: (_VERBS.index(each.verb), each.name)):
         remark = "" if each in at_rest else " *while looking*"
+        if name == _WHILE_HEARD and each.verb == "subscribes to":
+            remark = " *while heard*"
         lines.append(f"| {each.verb} | {each.name} | {_linked(each.type)} | {each.quality}{remark} |")
     return "\n".join([*lines, ""])
 

@@ -4,17 +4,17 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from deltacharger.msg import ChargerPower, ServoState, TactileFrame
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 
+from deltacharger_bringup.on_demand import PolledTopic
 from deltacharger_docking.docking_node_io import JOINTS
 from deltacharger_docking.observation import Observation, Reply
 
@@ -23,11 +23,14 @@ CONTACT_FORCE = 1.0  # N; the pads' smallest reading (paper: 1–9 N)
 
 
 class Inputs:
-    """The latest of each topic, as one `Observation`."""
+    """The latest of each topic, as one `Observation`.
 
-    def __init__(self, node: Node, group: ReentrantCallbackGroup, wake: Callable[[], None]) -> None:
+    Topics are read when an observation is asked for: only the newest counts, and at rest that is seldom asked for.
+    """
+
+    def __init__(self, node: Node) -> None:
         self._clock = node.get_clock()
-        self._wake = wake
+        self._lock = threading.Lock()
         self._servo: ServoState | None = None
         self._servo_time = -math.inf
         self._tactile: TactileFrame | None = None
@@ -35,11 +38,17 @@ class Inputs:
         self._power: ChargerPower | None = None
         self._power_time = -math.inf
         latest = QoSProfile(depth=1)
-        node.create_subscription(ServoState, "servo_state", self._on_servo, latest, callback_group=group)
-        node.create_subscription(
-            TactileFrame, "tactile_frame", self._on_tactile, qos_profile_sensor_data, callback_group=group
+        sampled = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._servos = PolledTopic(node, ServoState, "servo_state", latest)
+        self._topics = (
+            (self._servos, self._on_servo),
+            (PolledTopic(node, TactileFrame, "tactile_frame", sampled), self._on_tactile),
+            (PolledTopic(node, ChargerPower, "charger_power", latest), self._on_power),
         )
-        node.create_subscription(ChargerPower, "charger_power", self._on_power, latest, callback_group=group)
+
+    def wait(self, timeout: float) -> None:
+        """Wait for the next servo_state, at most `timeout` s; for the one thread that steps."""
+        self._servos.wait(timeout)
 
     def _age_at_arrival(self, stamp: Any) -> float:
         """Return how long ago (s) the message was measured, so that a stale one is not fresh because it is new."""
@@ -51,7 +60,6 @@ class Inputs:
             if all(ordered.valid):
                 self._servo_time = time.monotonic() - self._age_at_arrival(message.header.stamp)
             self._servo = ordered
-        self._wake()
 
     def _on_tactile(self, message: TactileFrame) -> None:
         if not _is_news(message, self._tactile):
@@ -66,7 +74,14 @@ class Inputs:
         self._power = message
 
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:
-        """Return what is known now."""
+        """Return what is known now; from any thread."""
+        with self._lock:
+            for topic, receive in self._topics:
+                for message, _ in topic.take():
+                    receive(message)
+            return self._compose(replies, contactor_refusal)
+
+    def _compose(self, replies: tuple[Reply, ...], contactor_refusal: str) -> Observation:
         now = time.monotonic()
         servo, tactile, power = self._servo, self._tactile, self._power
         values: dict[str, Any] = {"time": now, "replies": replies, "contactor_refusal": contactor_refusal}

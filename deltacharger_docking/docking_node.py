@@ -89,12 +89,11 @@ class DockingNode(Node):
         node_support.reject_unknown(self)
         self._machine = DockingMachine(self._settings, geometry)
         self._lock = threading.RLock()
-        self._wake = threading.Event()
         self._stopping = threading.Event()
         self._torque_off_at = math.inf
         self._slowest_tick = 0.0
         group = ReentrantCallbackGroup()
-        self._inputs = Inputs(self, group, self._on_servos)
+        self._inputs = Inputs(self)
         self._calls = Services(self, group, self._age)
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", QoSProfile(depth=1))
         self._reports = Reports(self, self._settings.servo_age_max)
@@ -119,7 +118,6 @@ class DockingNode(Node):
         self._closed = True
         self._goals.refuse(f"{_SHUTTING_DOWN}; send the goal again when it is back")
         self._stopping.set()
-        self._wake.set()
         self._thread.join(2.0)
         with self._lock:
             command = self._machine.emergency()
@@ -153,11 +151,6 @@ class DockingNode(Node):
             self._goals.destroy()
         super().destroy_node()
 
-    def _on_servos(self) -> None:
-        """Step at each servo_state; while nothing goes on, the tick alone will do."""
-        if self._machine.status.state is not State.IDLE:
-            self._wake.set()
-
     def _age(self, stamp: Any) -> float:
         return float((self.get_clock().now() - Time.from_msg(stamp)).nanoseconds) * 1e-9
 
@@ -167,10 +160,10 @@ class DockingNode(Node):
 
     def _loop(self) -> None:
         while not self._stopping.is_set():
-            self._wake.wait(_TICK)
-            self._wake.clear()
             started = time.monotonic()
             try:
+                self._pace()
+                started = time.monotonic()
                 with self._lock:
                     observation = self._observe()
                     self._goals.forward_cancel()
@@ -181,6 +174,13 @@ class DockingNode(Node):
             except Exception as error:  # a defect must open the contactor and end the goal, not the thread
                 self._defect(error)
             self._slowest_tick = max(self._slowest_tick, time.monotonic() - started)
+
+    def _pace(self) -> None:
+        """Wait for the next servo_state; while nothing goes on, the tick alone will do."""
+        if self._machine.status.state is State.IDLE:
+            self._stopping.wait(_TICK)
+        else:
+            self._inputs.wait(_TICK)
 
     def _switch_off_when_due(self, observation: Observation) -> None:
         """After a defect, switch the torque off once the contactor is open: never before."""
@@ -195,7 +195,10 @@ class DockingNode(Node):
         text = f"docking stopped by a defect: {type(error).__name__}: {error}"
         self.get_logger().error(text, throttle_duration_sec=1.0)
         with self._lock:
-            observation = self._observe()
+            try:
+                observation = self._observe()
+            except Exception:  # where that is the defect, nothing is known; the contactor's lease lapses by itself
+                observation = Observation(time.monotonic())
             self._carry_out(self._machine.emergency(), observation)
             self._switch_off_when_due(observation)  # here too, where every tick meets the defect
             self._torque_off_at = min(self._torque_off_at, time.monotonic() + _TORQUE_DELAY)

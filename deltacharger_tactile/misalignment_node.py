@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Answers how far the electrodes are off, from the tactile frames that arrive.
 
-Topics: subscribes `tactile_frame`; publishes `misalignment` (only with `rate` > 0).
+Topics: subscribes `tactile_frame`, read while a request waits or with `rate` > 0; publishes `misalignment` (only with
+`rate` > 0).
 Services: `predict_misalignment` averages frames that are sampled after the request.
 Parameters: model, calibration and classifiers, which may be set while the node runs; frames, rate, max_age, timeout.
 It drives nothing; uncommanded it only listens.
@@ -17,12 +18,13 @@ from typing import Any
 from deltacharger.msg import Misalignment, TactileFrame
 from deltacharger.srv import PredictMisalignment
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 from deltacharger_bringup import node_support
+from deltacharger_bringup.on_demand import OnDemandSubscription
 from deltacharger_tactile import frame_window, misalignment_node_io
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.frame_window import Frame, FrameWindow, Refused
@@ -57,7 +59,10 @@ class MisalignmentNode(Node):
         self.add_post_set_parameters_callback(self._swap)
         self._window = FrameWindow(self._now)
         self._publisher = self.create_publisher(Misalignment, "misalignment", QoSProfile(depth=1))
-        self._listen()
+        self._frames = OnDemandSubscription(self, TactileFrame, "tactile_frame", self._receive, qos_profile_sensor_data)
+        self.create_service(
+            PredictMisalignment, "predict_misalignment", self._predict, callback_group=ReentrantCallbackGroup()
+        )
         self._thread: threading.Thread | None = None
         if rate > 0.0:
             self._thread = threading.Thread(target=self._publish, args=(1.0 / rate,), name="misalignment", daemon=True)
@@ -78,21 +83,6 @@ class MisalignmentNode(Node):
             name: node_support.declare(self, name, default, text, read_only=False)
             for name, (default, text) in texts.items()
         }
-
-    def _listen(self) -> None:
-        self.create_subscription(
-            TactileFrame,
-            "tactile_frame",
-            self._receive,
-            qos_profile_sensor_data,
-            callback_group=MutuallyExclusiveCallbackGroup(),
-        )
-        self.create_service(
-            PredictMisalignment,
-            "predict_misalignment",
-            self._predict,
-            callback_group=ReentrantCallbackGroup(),
-        )
 
     def close(self) -> None:
         """Release waiting requests and join the publisher."""
@@ -147,7 +137,8 @@ class MisalignmentNode(Node):
             response.message = f"{wanted} frames asked for, at most {kept} are kept; ask for fewer"
             return response
         try:
-            response.misalignment = self._estimate(self._window.fresh(wanted, self._timeout))
+            with self._frames.listening():
+                response.misalignment = self._estimate(self._window.fresh(wanted, self._timeout))
         except Refused as error:
             response.message = str(error)
             return response
@@ -166,16 +157,17 @@ class MisalignmentNode(Node):
 
     def _publish(self, period: float) -> None:
         following = time.monotonic() + period
-        while self._window.pause(following):
-            following = max(following + period, time.monotonic())
-            frames = self._window.newest(self._default_frames)
-            if not frames:
-                continue
-            try:
-                message = self._estimate(frames)
-            except Refused:
-                continue  # a stale or untared estimate is not published: subscribers watch its age
-            self._publisher.publish(message)
+        with self._frames.listening():
+            while self._window.pause(following):
+                following = max(following + period, time.monotonic())
+                frames = self._window.newest(self._default_frames)
+                if not frames:
+                    continue
+                try:
+                    message = self._estimate(frames)
+                except Refused:
+                    continue  # a stale or untared estimate is not published: subscribers watch its age
+                self._publisher.publish(message)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -59,10 +59,11 @@ def test_heavy_modules_are_imported_where_used(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.name}")
-def test_node_shells_use_only_node_support_of_bringup(path: Path) -> None:
+def test_node_shells_use_of_bringup_only_what_nodes_share(path: Path) -> None:
     if not is_shell(path) or path.parent.name == "deltacharger_bringup":
         return
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("deltacharger_bringup"):
             names = {alias.name for alias in node.names}
-            assert node.module == "deltacharger_bringup.node_support" or names == {"node_support"}
+            modules = names if node.module == "deltacharger_bringup" else {node.module.split(".")[1]}  # type: ignore[union-attr]
+            assert modules <= {"node_support", "on_demand"}

@@ -117,6 +117,27 @@ def test_idle_it_bears_everything_and_then_docks(hostile: Hostile) -> None:
     hostile.charge()
 
 
+@pytest.mark.parametrize(("part", "does"), [("_machine", "step"), ("_inputs", "observation")])
+def test_a_defect_of_docking_itself_opens_and_ends_in_a_code(
+    hostile: Hostile, part: str, does: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether what it sees or what it decides goes wrong, each time anew."""
+
+    def fail(*words: Any) -> Any:
+        raise RuntimeError("a defect")
+
+    hostile.charge()
+    with monkeypatch.context() as patch:
+        patch.setattr(getattr(hostile.docking, part), does, fail)
+        assert hostile.opens_after() < OPENS
+        wait_until(lambda: not hostile.servos.torque_enabled, "no torque", 5.0)
+    hostile.heal()
+    with monkeypatch.context() as patch:
+        outcome = hostile.dock(lambda progress: patch.setattr(getattr(hostile.docking, part), does, fail))
+        assert (outcome.error_name, outcome.success) == ("INTERNAL", False)
+        wait_until(lambda: not hostile.servos.torque_enabled, "no torque", 5.0)
+
+
 def assert_ends_safely(hostile: Hostile, codes: set[str]) -> None:
     wait_until(lambda: hostile.code, "a code", 10.0)
     assert CODES[hostile.code] in codes, hostile.states[-1].error_message
