@@ -220,7 +220,7 @@ class DockingNode(Node):
         self._show(command)
         self._goals.feed_back(command.states, observation.charge_current)
         self._hand_over()
-        if self._reports.diagnose(status, self._inputs.observation(), self._slowest_tick):
+        if self._reports.diagnose(status, observation, self._slowest_tick):
             self._slowest_tick = 0.0
 
     def _begun(self) -> None:
