@@ -207,7 +207,7 @@ class _Run:
 
         say("undocking, since this command ends the charger that it started")
         try:
-            outcome = self._client.undock(on_progress=PhasePrinter(self._recorder.force), deadline=60.0)
+            outcome = self._client.undock(on_progress=PhasePrinter(), deadline=60.0)
         except ClientError as error:
             say(str(error))
             return {"success": False, "error_message": str(error)}
