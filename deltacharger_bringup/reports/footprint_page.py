@@ -73,7 +73,7 @@ def _costs(results: dict[str, Any]) -> Iterator[str]:
         f"""**Says ready**: from the start of the command until `deltacharger up` says so: its actions answer. Of this,
         3.3 s look for a charger that runs already. **Found**: until a client in another process, there before, finds
         both actions and the topics that they need, or of a scene that serves no goal all its nodes; what DDS takes to
-        find processes is in it, and comes in steps of up to 3 s. **PSS** counts memory that processes share once, in
+        find processes is in it, in steps of half a second. **PSS** counts memory that processes share once, in
         parts, also what the charger shares with the process that measures; **RSS** counts it in each, and of one
         process it is what it takes on a computer of its own. Both are read after the docking. **CPU**: processor time
         of all processes in {results["rest_s"]:g} s at rest and from goal to charging, in % of one core, with a client
