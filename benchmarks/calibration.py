@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.calibration import fit
-from deltacharger_kinematics.calibration_data import TICK, Encoder, Measurements
-from deltacharger_kinematics.calibration_plan import plan
-from deltacharger_kinematics.calibration_problem import COUNT, Uncertainty, numbers, rms, with_numbers
-from deltacharger_kinematics.calibration_recording import Recording
+from deltacharger_kinematics.calibration.calibrate import fit
+from deltacharger_kinematics.calibration.data import TICK, Encoder, Measurements
+from deltacharger_kinematics.calibration.plan import plan
+from deltacharger_kinematics.calibration.problem import COUNT, Uncertainty, numbers, rms, with_numbers
+from deltacharger_kinematics.calibration.recording import Recording
 
 NOMINAL = DeltaGeometry()
 STATED = Uncertainty()

@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from deltacharger_bringup import environment
+from deltacharger_core import environment
 
 environment.prepare()
 environment.isolate()

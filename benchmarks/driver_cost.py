@@ -21,7 +21,7 @@ from typing import Any
 import driver_processes as processes
 from driver_processes import CannotMeasure, CpuMeter, Figure, Role, at_most
 
-from deltacharger_bringup import environment
+from deltacharger_core import environment
 
 environment.prepare()
 environment.isolate()
@@ -39,11 +39,11 @@ PARTS = {
 
 def emulate(folder: Path) -> None:
     """Serve both emulators until stdin ends."""
-    from deltacharger_driver.bench_arm import BenchArm
-    from deltacharger_driver.bench_plant import BenchPlant
-    from deltacharger_driver.board_emulator import BoardEmulator
-    from deltacharger_driver.pseudo_terminal import PseudoTerminal
-    from deltacharger_driver.servo_emulator import ServoBusEmulator
+    from deltacharger_driver.emulators.bench_arm import BenchArm
+    from deltacharger_driver.emulators.bench_plant import BenchPlant
+    from deltacharger_driver.emulators.board import BoardEmulator
+    from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+    from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 
     servos = PseudoTerminal(ServoBusEmulator(BenchArm()), folder / "servo")
     with servos, PseudoTerminal(BoardEmulator(BenchPlant()), folder / "board"):
@@ -93,8 +93,8 @@ def _piece(now: Any) -> Any:
 
 def loop_bus(folder: Path) -> None:
     """Cycle the servo bus at 100 Hz, without ROS, until stdin ends."""
-    from deltacharger_driver.servo_bus import ServoBus
-    from deltacharger_driver.servo_snapshot import BusSettings
+    from deltacharger_driver.servos.bus import ServoBus
+    from deltacharger_driver.servos.snapshot import BusSettings
 
     bus = ServoBus(BusSettings(str(folder / "servo")))
     bus.open()
@@ -110,7 +110,7 @@ def loop_bus(folder: Path) -> None:
 
 def hold_link(folder: Path) -> None:
     """Receive tactile frames, without ROS, until stdin ends."""
-    from deltacharger_driver.board_link import BoardLink
+    from deltacharger_driver.board.link import BoardLink
 
     with BoardLink(str(folder / "board"), on_tactile=lambda sample: None) as link:
         link.start()

@@ -32,7 +32,7 @@ from typing import Any
 import driver_processes as processes
 from driver_processes import CannotMeasure, Figure, Role, at_most
 
-from deltacharger_bringup import environment
+from deltacharger_core import environment
 
 environment.prepare()
 environment.isolate()
@@ -64,9 +64,9 @@ class Ear:
 
 def emulate_bench(folder: Path) -> None:
     """Serve a board on a bench plant until stdin ends."""
-    from deltacharger_driver.bench_plant import BenchPlant
-    from deltacharger_driver.board_emulator import BoardEmulator
-    from deltacharger_driver.pseudo_terminal import PseudoTerminal
+    from deltacharger_driver.emulators.bench_plant import BenchPlant
+    from deltacharger_driver.emulators.board import BoardEmulator
+    from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 
     plant = BenchPlant()
     board = Ear(BoardEmulator(plant))
@@ -81,8 +81,8 @@ def emulate_bench(folder: Path) -> None:
 
 def emulate_world(folder: Path) -> None:
     """Serve the simulated scene's hardware until stdin ends."""
-    from deltacharger_bringup.scene import load_scene
-    from deltacharger_bringup.simulated_charger import SimulatedCharger
+    from deltacharger_scenes.scene import load_scene
+    from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
     with SimulatedCharger(load_scene("simulated"), folder) as charger:
         world = charger.world
@@ -214,7 +214,7 @@ def kill_alone(name: str, number: int, folder: Path) -> dict[str, float]:
 @contextlib.contextmanager
 def charger(folder: Path) -> Iterator[tuple[Role, dict[str, int]]]:
     """Start the simulated scene's hardware and nodes; yields the hardware and the nodes' process ids."""
-    from deltacharger_bringup.scene import load_scene
+    from deltacharger_scenes.scene import load_scene
 
     ports = {"servo": str(folder / "servo"), "board": str(folder / "board")}
     with hardware("world", folder) as role, processes.nodes_of(load_scene("simulated"), ports) as nodes:

@@ -31,7 +31,7 @@ import numpy as np
 from driver_processes import CannotMeasure, CpuMeter
 from driver_record import DRIFT, evaluate
 
-from deltacharger_bringup import environment
+from deltacharger_core import environment
 
 environment.prepare()
 environment.isolate()
@@ -44,11 +44,11 @@ ATTEMPTS = 3  # to dock
 
 def emulate(folder: Path) -> None:
     """Serve the simulated scene's hardware and keep a record until stdin ends."""
-    from deltacharger_bringup.scene import load_scene
-    from deltacharger_bringup.simulated_charger import SimulatedCharger
-    from deltacharger_driver.board_emulator import BoardEmulator
-    from deltacharger_driver.pseudo_terminal import PseudoTerminal
-    from deltacharger_driver.servo_emulator import ServoBusEmulator
+    from deltacharger_driver.emulators.board import BoardEmulator
+    from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+    from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+    from deltacharger_scenes.scene import load_scene
+    from deltacharger_sim.charger.simulated_charger import SimulatedCharger
     from deltacharger_sim.shared_world import SharedWorld
 
     processes.take_priority()
@@ -89,7 +89,7 @@ class Listener:
         from diagnostic_msgs.msg import DiagnosticArray
         from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-        from deltacharger_bringup.qos import STATE
+        from deltacharger_ros.qos import STATE
 
         self.listening = False
         self.docking = DockingState()
@@ -189,7 +189,7 @@ def run(seconds: float) -> dict[str, Any]:
     """Return what happened, as recorded on both sides."""
     import rclpy
 
-    from deltacharger_bringup.scene import load_scene
+    from deltacharger_scenes.scene import load_scene
 
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(processes.folder())

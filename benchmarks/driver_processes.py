@@ -175,7 +175,7 @@ def take_priority() -> None:
 
 def start_node(name: str, parameters: Mapping[str, Any]) -> subprocess.Popen[bytes]:
     """Start a node as a process of its own."""
-    from deltacharger_bringup.node_table import NODES
+    from deltacharger_scenes.node_table import NODES
 
     command = [
         sys.executable,
@@ -224,8 +224,8 @@ def charge() -> None:
     Raises:
         CannotMeasure: the charger is not there, or did not come to charge.
     """
-    from deltacharger_bringup.client import ChargerClient, ClientError
-    from deltacharger_bringup.outcomes import DockRequest, Pose
+    from deltacharger_ros.client import ChargerClient, ClientError
+    from deltacharger_ros.outcomes import DockRequest, Pose
 
     try:
         with ChargerClient() as client:

@@ -25,7 +25,7 @@ from typing import Any
 import driver_processes as processes
 from driver_processes import CannotMeasure, Figure, at_most
 
-from deltacharger_bringup import environment
+from deltacharger_core import environment
 
 environment.prepare()
 environment.isolate()
@@ -41,11 +41,11 @@ MESSAGES = {"servo": "good servo_state", "board": "tactile_frame"}
 
 def emulate(folder: Path) -> None:
     """Serve both emulators on bench plants, their cables on order, until stdin ends."""
-    from deltacharger_driver.bench_arm import BenchArm
-    from deltacharger_driver.bench_plant import BenchPlant
-    from deltacharger_driver.board_emulator import BoardEmulator
-    from deltacharger_driver.pseudo_terminal import PseudoTerminal
-    from deltacharger_driver.servo_emulator import ServoBusEmulator
+    from deltacharger_driver.emulators.bench_arm import BenchArm
+    from deltacharger_driver.emulators.bench_plant import BenchPlant
+    from deltacharger_driver.emulators.board import BoardEmulator
+    from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+    from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 
     def plug(name: str) -> float:
         began = time.monotonic()  # before the port appears: what this takes counts against the node

@@ -13,10 +13,10 @@ import time
 
 import numpy as np
 
-from deltacharger_bringup.reports.vision_conditions import key
-from deltacharger_bringup.reports.vision_measure import judge
-from deltacharger_bringup.reports.vision_plan import plan
-from deltacharger_bringup.reports.vision_summary import row
+from deltacharger_lab.reports.vision.conditions import key
+from deltacharger_lab.reports.vision.measure import judge
+from deltacharger_lab.reports.vision.plan import plan
+from deltacharger_lab.reports.vision.summary import row
 
 FIRST_SEED = 10_000
 ERRORS = "  ".join(f"{name:^11}" for name in ("xy mm", "z mm", "roll °"))

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from fuzz_wire import BOARD_DAMAGE
 
-from deltacharger_driver import cobs
-from deltacharger_driver.board_payloads import (
+from deltacharger_driver.board import cobs
+from deltacharger_driver.board.payloads import (
     Ack,
     Hello,
     Power,
@@ -29,7 +29,7 @@ from deltacharger_driver.board_payloads import (
     encode_probe,
     encode_samples,
 )
-from deltacharger_driver.board_protocol import (
+from deltacharger_driver.board.protocol import (
     Packet,
     PacketDecoder,
     PacketError,

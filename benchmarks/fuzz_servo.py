@@ -16,9 +16,9 @@ import numpy as np
 from fuzz_wire import BODY_AT, LONGEST_BURST, SERVO_DAMAGE, flip
 
 from deltacharger_driver.errors import RangeError
-from deltacharger_driver.servo_packets import READ, InstructionParser, status
-from deltacharger_driver.servo_protocol import ServoProtocol, crc16
-from deltacharger_driver.servo_snapshot import (
+from deltacharger_driver.servos.packets import READ, InstructionParser, status
+from deltacharger_driver.servos.protocol import ServoProtocol, crc16
+from deltacharger_driver.servos.snapshot import (
     CURRENT_SPAN,
     HIGHEST_VOLTAGE,
     HOTTEST,

@@ -25,23 +25,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_bringup.camera_views import ViewsFolder
-from deltacharger_bringup.view_places import view_places
-from deltacharger_kinematics.calibration_data import TICK
-from deltacharger_kinematics.calibration_problem import COUNT, Uncertainty, numbers, with_numbers
+from deltacharger_bringup.calibrate.camera_views import ViewsFolder
+from deltacharger_bringup.calibrate.view_places import view_places
+from deltacharger_kinematics.calibration.data import TICK
+from deltacharger_kinematics.calibration.problem import COUNT, Uncertainty, numbers, with_numbers
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_vision.board_drawing import bracket, with_board
-from deltacharger_vision.calibration_board import AprilTag, Board, Charuco
-from deltacharger_vision.hand_eye import Calibration, calibrate
-from deltacharger_vision.hand_eye_checks import doubts
-from deltacharger_vision.hand_eye_views import Beliefs, View
+from deltacharger_vision.hand_eye.board import AprilTag, Board, Charuco
+from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate
+from deltacharger_vision.hand_eye.checks import doubts
+from deltacharger_vision.hand_eye.views import Beliefs, View
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.poses import turn
-from deltacharger_vision.scene_drawing import charger_parts, draw_scene
-from deltacharger_vision.simulated_camera import OAK_D, SimulatedCamera
-from deltacharger_vision.simulated_parameters import CameraParameters
-from deltacharger_vision.simulated_scene import shifted
+from deltacharger_vision.rendering.board_drawing import bracket, with_board
+from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
+from deltacharger_vision.rendering.parameters import CameraParameters
+from deltacharger_vision.rendering.scene import shifted
+from deltacharger_vision.rendering.scene_drawing import charger_parts, draw_scene
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ import time
 from array import array
 from typing import Any
 
-from deltacharger_bringup import environment
+from deltacharger_core import environment
 
 environment.prepare()
 environment.isolate()

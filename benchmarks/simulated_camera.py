@@ -14,10 +14,10 @@ import numpy as np
 
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import look_at
-from deltacharger_vision.scene_drawing import charger_parts, draw_scene
-from deltacharger_vision.simulated_camera import OAK_D, SimulatedCamera
-from deltacharger_vision.simulated_parameters import CameraParameters, SceneParameters
-from deltacharger_vision.simulated_scene import Scene, shifted
+from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
+from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
+from deltacharger_vision.rendering.scene import Scene, shifted
+from deltacharger_vision.rendering.scene_drawing import charger_parts, draw_scene
 
 DISTORTION = (-0.30, 0.12, 0.001, -0.0005, -0.02)
 CAMERA_AT, CENTRED = (0.0, 0.12, -0.12), (0.0, 0.0, 0.08)

@@ -15,13 +15,13 @@ import time
 import numpy as np
 
 from deltacharger_tactile import PoseEstimator, default_model
+from deltacharger_tactile.calibration.faults import Dockings
+from deltacharger_tactile.calibration.fit import Parts, fit, predict
+from deltacharger_tactile.calibration.rig import AXES, TactileCalibration
 from deltacharger_tactile.dataset import POSITION_CLASSES
 from deltacharger_tactile.generator import measure
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.sensor import Rig
-from deltacharger_tactile.sensor_calibration import AXES, TactileCalibration
-from deltacharger_tactile.sensor_calibration_fit import Parts, fit, predict
-from deltacharger_tactile.sensor_faults import Dockings
 
 FIRST_RIG = 700
 REACH = np.array([0.010, 0.010, math.radians(12.0)])

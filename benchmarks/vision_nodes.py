@@ -18,7 +18,7 @@ import driver_processes as processes
 import numpy as np
 from driver_processes import CannotMeasure, CpuMeter, Figure, at_most
 
-from deltacharger_bringup import environment
+from deltacharger_core import environment
 
 environment.prepare()
 environment.isolate()

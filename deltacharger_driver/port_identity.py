@@ -11,9 +11,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from deltacharger_driver.board_payloads import Hello, decode_hello
-from deltacharger_driver.board_port import BoardPort
-from deltacharger_driver.board_protocol import (
+from deltacharger_driver.board.payloads import Hello, decode_hello
+from deltacharger_driver.board.port import BoardPort
+from deltacharger_driver.board.protocol import (
     POWER_RATE,
     Packet,
     PacketDecoder,
@@ -22,9 +22,9 @@ from deltacharger_driver.board_protocol import (
     encode_packet,
     is_from_board,
 )
-from deltacharger_driver.mx64 import MODEL, MODEL_PROTOCOL_1, SPEEDS
-from deltacharger_driver.servo_port import latency_timer
-from deltacharger_driver.servo_protocol import crc16
+from deltacharger_driver.servos.mx64 import MODEL, MODEL_PROTOCOL_1, SPEEDS
+from deltacharger_driver.servos.port import latency_timer
+from deltacharger_driver.servos.protocol import crc16
 
 BOARD_SPEED = 1_000_000
 SERVO_SPEEDS = (1_000_000, 57600, *(speed for speed in SPEEDS.values() if speed not in (1_000_000, 57600)))

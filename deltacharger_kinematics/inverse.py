@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Inverse kinematics of many points: plain doubles, and double-double where they would not do.
 
-The formulas stand in `deltacharger_kinematics.delta`. A point is solved again by `deltacharger_kinematics.precise`
-where some limb's √Q is small beside the terms that it is the difference of: there the plain angle loses digits, and
+The formulas stand in `deltacharger_kinematics.delta`. A point is solved again by `exact.precise` where
+some limb's √Q is small beside the terms that it is the difference of: there the plain angle loses digits, and
 nearer to the edge of reach the sign of Q, which decides whether the point is reachable at all.
 """
 
@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_kinematics.exact.precise import DOUBTFUL_ROOT, HOPELESS, solve_limb
 from deltacharger_kinematics.flags import ALL_LIMBS, WarningFlags, limb_flag
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.limb_arrays import LimbArrays
-from deltacharger_kinematics.precise import DOUBTFUL_ROOT, HOPELESS, solve_limb
 from deltacharger_kinematics.status import Status
 from deltacharger_kinematics.vectors import determinant
 

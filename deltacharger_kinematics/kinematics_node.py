@@ -28,11 +28,11 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-from deltacharger_bringup import node_support
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
+from deltacharger_ros import node_support
 
 _DEFAULT_DEPTH = 10
 _LOOK = 0.2  # s between looks for who wants pose or wrench

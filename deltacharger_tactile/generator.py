@@ -28,12 +28,7 @@ from deltacharger_tactile.dataset import (
     Dataset,
 )
 from deltacharger_tactile.errors import DatasetError
-from deltacharger_tactile.parameters import (
-    CONTACT_THRESHOLD,
-    FRAME_RATE,
-    DockingParameters,
-    TactileParameters,
-)
+from deltacharger_tactile.parameters import CONTACT_THRESHOLD, FRAME_RATE, DockingParameters, TactileParameters
 from deltacharger_tactile.sensor import SHAPE, Dockings, Rig, Sensor
 
 Array = NDArray[np.float64]

@@ -23,8 +23,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
-from deltacharger_bringup import node_support
-from deltacharger_bringup.on_demand import OnDemandSubscription
+from deltacharger_ros import node_support
+from deltacharger_ros.on_demand import OnDemandSubscription
 from deltacharger_tactile import frame_window, misalignment_node_io
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.frame_window import Frame, FrameWindow, Refused

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_tactile import MODEL_PATH
+from deltacharger_tactile.calibration.rig import TactileCalibration
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.classifiers.labels import TARGETS
 from deltacharger_tactile.errors import TactileError
 from deltacharger_tactile.estimate import Estimate
 from deltacharger_tactile.estimator import PoseEstimator
 from deltacharger_tactile.parameters import SensorParameters
-from deltacharger_tactile.sensor_calibration import TactileCalibration
 
 Array = NDArray[np.float64]
 

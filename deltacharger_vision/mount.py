@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_vision.detection import Detection
+from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.errors import MountError
 from deltacharger_vision.poses import cross_matrix
 

@@ -19,7 +19,7 @@ import sys
 import threading
 from typing import Any
 
-from deltacharger_bringup import environment
+from deltacharger_core import environment
 
 environment.prepare()  # before rclpy, where ROS comes from pip; a ROS installation needs neither
 environment.isolate()  # the domain of simulated chargers, unless ROS_DOMAIN_ID is set

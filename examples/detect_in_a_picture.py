@@ -16,11 +16,11 @@ import sys
 import cv2
 import numpy as np
 
-from deltacharger_vision.annotate import annotated
-from deltacharger_vision.detector import ElectrodeDetector
+from deltacharger_vision.detector.annotate import annotated
+from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.mount import Mount
-from deltacharger_vision.simulated_camera import SimulatedCamera
-from deltacharger_vision.simulated_scene import Scene
+from deltacharger_vision.rendering.camera import SimulatedCamera
+from deltacharger_vision.rendering.scene import Scene
 
 out = sys.argv[1] if len(sys.argv) > 1 else "detection.png"
 mount = Mount.default()  # charger_base_T_camera

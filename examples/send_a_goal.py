@@ -15,7 +15,7 @@ import contextlib
 import sys
 from typing import Any
 
-from deltacharger_bringup import environment
+from deltacharger_core import environment
 
 environment.prepare()  # before rclpy, where ROS comes from pip; a ROS installation needs neither
 environment.isolate()  # the domain of simulated chargers, unless ROS_DOMAIN_ID is set
@@ -28,8 +28,8 @@ PHASES = {getattr(Dock.Feedback, name): name[6:].lower() for name in dir(Dock.Fe
 
 
 def own_charger(stack: contextlib.ExitStack, scene: str) -> None:
-    from deltacharger_bringup.composition import Composition
-    from deltacharger_bringup.scene import load_scene
+    from deltacharger_scenes.composition import Composition
+    from deltacharger_scenes.scene import load_scene
 
     print(f"no charger answers; starting that of the scene '{scene}'")
     stack.enter_context(Composition(load_scene(scene), rclpy.get_default_context()))

@@ -14,13 +14,13 @@ import time
 
 from dynamixel_sdk import COMM_SUCCESS, PacketHandler, PortHandler
 
-from deltacharger_driver.bench_arm import BenchArm
-from deltacharger_driver.bench_plant import BenchPlant
-from deltacharger_driver.board_emulator import BoardEmulator
-from deltacharger_driver.board_link import BoardLink
-from deltacharger_driver.board_samples import TactileSample
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_emulator import ServoBusEmulator
+from deltacharger_driver.board.link import BoardLink
+from deltacharger_driver.board.samples import TactileSample
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.board import BoardEmulator
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 
 TORQUE_ENABLE, GOAL_POSITION, PRESENT_POSITION = 64, 116, 132  # registers of an MX-64
 TEN_DEGREES = 114  # counts of 4096 a turn

@@ -27,10 +27,10 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 
-from deltacharger_bringup.cli_types import namespace
-from deltacharger_bringup.node_table import NODES
-from deltacharger_bringup.scene import Scene, load_scene
-from deltacharger_bringup.scene_overrides import Overrides, override
+from deltacharger_bringup.cli.types import namespace
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.overrides import Overrides, override
+from deltacharger_scenes.scene import Scene, load_scene
 from launch import LaunchContext, LaunchDescription
 
 PACKAGE = "deltacharger"

@@ -11,12 +11,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from deltacharger_driver.bench_arm import BenchArm
-from deltacharger_driver.bench_plant import BenchPlant
-from deltacharger_driver.board_emulator import BoardEmulator
-from deltacharger_driver.mx64 import REGISTERS
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_emulator import ServoBusEmulator, terminal_speed
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.board import BoardEmulator
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, terminal_speed
+from deltacharger_driver.servos.mx64 import REGISTERS
 
 IDS = (1, 2, 3)
 

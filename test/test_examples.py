@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from deltacharger_bringup.environment import LARGEST_DOMAIN
+from deltacharger_core.environment import LARGEST_DOMAIN
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 DEADLINE = 110.0  # s; far longer than any takes, and inside of the suite's own limit

@@ -1,69 +1,100 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may import whom: libraries below, ROS as a thin shell on top."""
+"""Who may import whom: libraries below, ROS as a thin shell on top, no arrow up, no two files that import each other."""
 
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = sorted(path.parent.name for path in ROOT.glob("deltacharger_*/__init__.py"))
-LIBRARIES_ALLOWED = {
-    "deltacharger_kinematics": set(),
-    "deltacharger_driver": set(),
-    "deltacharger_tactile": set(),
-    "deltacharger_vision": set(),
-    "deltacharger_docking": {"deltacharger_kinematics"},
-    "deltacharger_sim": {"deltacharger_kinematics"},
-    "deltacharger_bringup": set(PACKAGES),
+BELOW = {  # package: the packages that it may import; deltacharger_ is left out
+    "core": "",
+    "ros": "core",
+    "kinematics": "core",
+    "driver": "core",
+    "tactile": "core",
+    "vision": "core",
+    "docking": "core kinematics",
+    "mission": "core kinematics docking",
+    "sim": "core kinematics driver tactile vision",
+    "records": "core ros kinematics driver tactile vision docking mission sim",
+    "scenes": "core ros kinematics driver tactile vision docking mission sim records",
+    "lab": "core ros kinematics driver tactile vision docking mission sim records scenes",
+    "bringup": "core ros kinematics driver tactile vision docking mission sim records scenes lab",
 }
+KNOWS_ROS = {"ros", "records", "scenes", "lab", "bringup"}  # the others only in *_node.py, *_node_io.py and ros/
 ROS_ROOTS = {"rclpy", "deltacharger", "rcl_interfaces", "builtin_interfaces", "launch", "launch_ros"}
 ROS_SUFFIX = ("_msgs", "_srvs")
 HEAVY = {"torch", "sklearn", "cv2", "depthai", "mujoco", "matplotlib", "xgboost", "onnxruntime"}
-FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+FILES = sorted(ROOT.glob("deltacharger_*/**/*.py"))
+MODULES = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in FILES}
+NAME_OF = {path: name for name, path in MODULES.items()}
+
+every_file = pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
 
 
 def is_shell(path: Path) -> bool:
-    return path.stem.endswith(("_node", "_node_io"))
+    return path.stem.endswith(("_node", "_node_io")) or path.parent.name == "ros"
 
 
-def roots(tree: ast.AST, package: str) -> set[str]:
+def package_of(path: Path) -> str:
+    return path.relative_to(ROOT).parts[0].removeprefix("deltacharger_")
+
+
+@cache
+def imported(path: Path, *, at_once: bool = False) -> frozenset[str]:
+    """Return the dotted names that a file imports; `at_once`: with its own import alone, not inside functions."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
     found = set()
-    for node in ast.walk(tree):
+    for node in tree.body if at_once else ast.walk(tree):
         if isinstance(node, ast.Import):
-            found |= {alias.name.split(".")[0] for alias in node.names}
+            found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            found.add(package if node.level else (node.module or "").split(".")[0])
-    return found
+            assert not node.level, f"{path}:{node.lineno}: write the whole name of what is imported"
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return frozenset(found)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.name}")
+def roots(names: frozenset[str]) -> set[str]:
+    return {name.split(".")[0] for name in names}
+
+
+@every_file
 def test_imports_point_downward(path: Path) -> None:
-    package = path.relative_to(ROOT).parts[0]
-    imported = roots(ast.parse(path.read_text()), package)
-    ours = {name for name in imported if name.startswith("deltacharger_")} - {package}
-    allowed = LIBRARIES_ALLOWED[package] | ({"deltacharger_bringup"} if is_shell(path) else set())
+    package = package_of(path)
+    ours = {name.removeprefix("deltacharger_") for name in roots(imported(path)) if name.startswith("deltacharger_")}
+    allowed = {package, *BELOW[package].split(), *(["ros"] if is_shell(path) else [])}
     assert ours <= allowed, f"{path} may not import {sorted(ours - allowed)}"
-    if package != "deltacharger_bringup" and not is_shell(path):
-        ros = {name for name in imported if name in ROS_ROOTS or name.endswith(ROS_SUFFIX)}
-        assert not ros, f"{path} is a library and may not import {sorted(ros)}"
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.name}")
-def test_heavy_modules_are_imported_where_used(path: Path) -> None:
-    tree = ast.parse(path.read_text())
-    top = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
-    assert not set().union(*(roots(node, "") for node in top)) & HEAVY
-
-
-@pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.name}")
-def test_node_shells_use_of_bringup_only_what_nodes_share(path: Path) -> None:
-    if not is_shell(path) or path.parent.name == "deltacharger_bringup":
+@every_file
+def test_libraries_know_no_ros(path: Path) -> None:
+    if package_of(path) in KNOWS_ROS or is_shell(path):
         return
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("deltacharger_bringup"):
-            names = {alias.name for alias in node.names}
-            modules = names if node.module == "deltacharger_bringup" else {node.module.split(".")[1]}  # type: ignore[union-attr]
-            assert modules <= {"node_support", "on_demand"}
+    ros = {name for name in roots(imported(path)) if name in ROS_ROOTS or name.endswith(ROS_SUFFIX)}
+    shells = {name for name in imported(path) if (module := module_of(name)) and is_shell(MODULES[module])}
+    assert not ros | shells, f"{path} is a library and may not import {sorted(ros | shells)}"
+
+
+@every_file
+def test_heavy_modules_are_imported_where_used(path: Path) -> None:
+    assert not roots(imported(path, at_once=True)) & HEAVY
+
+
+def module_of(name: str) -> str:
+    """Return the module of ours that an imported name is, or stands in; '' where it is not ours."""
+    return name if name in MODULES else name.rpartition(".")[0] if name.rpartition(".")[0] in MODULES else ""
+
+
+def test_no_two_files_import_each_other() -> None:
+    arrows = {(NAME_OF[path], module_of(name)) for path in FILES for name in imported(path) if module_of(name)}
+    assert not sorted((a, b) for a, b in arrows if a < b and (b, a) in arrows)
+
+
+def test_every_package_has_its_place() -> None:
+    assert {package_of(path) for path in FILES} == set(BELOW)
+    order = list(BELOW)
+    assert all(order.index(below) < order.index(package) for package in BELOW for below in BELOW[package].split())

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_bringup import cli
+from deltacharger_bringup.cli import main as cli
 
 ROOT = Path(__file__).resolve().parents[1]
 LICENCE = "SPDX-License-Identifier: Apache-2.0"
@@ -122,7 +122,7 @@ def outside_functions(tree: ast.AST) -> Iterator[ast.AST]:
 def test_a_missing_extra_is_told_with_its_name(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    from deltacharger_bringup import cli_calibrate
+    from deltacharger_bringup.cli import calibrate_kinematics as cli_calibrate
 
     def fit(options: object) -> int:
         raise ModuleNotFoundError("No module named 'scipy'", name="scipy.optimize")

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
 
 if TYPE_CHECKING:
-    from deltacharger_driver.board_link import BoardLink
-    from deltacharger_driver.board_payloads import Hello
-    from deltacharger_driver.board_samples import PowerSample, TactileSample
+    from deltacharger_driver.board.link import BoardLink
+    from deltacharger_driver.board.payloads import Hello
+    from deltacharger_driver.board.samples import PowerSample, TactileSample
 
 WATCHED = 2.0  # s of stream
 BATTERY = (22.7, 29.8)  # V, what the paper's battery gives
@@ -36,8 +36,8 @@ def examine_board(path: str, baud_rate: int, watched: float = WATCHED) -> Iterat
         baud_rate: bit/s.
         watched: s of stream.
     """
-    from deltacharger_driver.board_errors import BoardMismatch
-    from deltacharger_driver.board_link import BoardLink
+    from deltacharger_driver.board.errors import BoardMismatch
+    from deltacharger_driver.board.link import BoardLink
     from deltacharger_driver.errors import NoAnswer, WrongDevice
 
     frames: list[TactileSample] = []
@@ -65,7 +65,7 @@ def examine_board(path: str, baud_rate: int, watched: float = WATCHED) -> Iterat
 
 
 def _firmware(link: BoardLink, hello: Hello) -> Iterator[Finding]:
-    from deltacharger_driver.board_protocol import HEARTBEAT_PERIOD, MINOR
+    from deltacharger_driver.board.protocol import HEARTBEAT_PERIOD, MINOR
 
     trip = statistics.median(link.ping() for _ in range(_PINGS))
     text = f"version {hello.major}.{hello.minor}, {hello.rows} x {hello.columns} taxels per pad, {hello.rate:g} Hz"
@@ -106,7 +106,7 @@ def _pads(frames: list[Any]) -> Iterator[Finding]:
     """Yield dead taxels, what presses on a pad, and whether the pads are tared."""
     import numpy as np
 
-    from deltacharger_driver.board_protocol import CONTACT_FORCE
+    from deltacharger_driver.board.protocol import CONTACT_FORCE
     from deltacharger_tactile.estimate import Limits
 
     limit = Limits().pad_dead
@@ -136,7 +136,7 @@ def _pads(frames: list[Any]) -> Iterator[Finding]:
 
 
 def _power(powers: list[Any]) -> Iterator[Finding]:
-    from deltacharger_driver.board_protocol import fault_name
+    from deltacharger_driver.board.protocol import fault_name
 
     if not powers:
         yield wrong(
@@ -160,8 +160,8 @@ def _power(powers: list[Any]) -> Iterator[Finding]:
 
 
 def _probe(link: BoardLink) -> Iterator[Finding]:
-    from deltacharger_driver.board_errors import CommandRefused
-    from deltacharger_driver.board_payloads import probe_problem
+    from deltacharger_driver.board.errors import CommandRefused
+    from deltacharger_driver.board.payloads import probe_problem
     from deltacharger_driver.errors import NoAnswer
 
     try:

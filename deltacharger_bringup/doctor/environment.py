@@ -13,9 +13,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from deltacharger_bringup import environment
 from deltacharger_bringup.doctor.findings import Finding, hint, install, ok, wrong
 from deltacharger_bringup.doctor.ros_probe import ALONE
+from deltacharger_core import environment
 
 _OLDEST_PYTHON = (3, 10)
 _MODULES = ("numpy", "yaml", "serial", "dynamixel_sdk")

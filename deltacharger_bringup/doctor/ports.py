@@ -107,7 +107,7 @@ def _group_advice(path: str) -> str:
 
 def _habits(part: str, path: str, target: str) -> Iterator[Finding]:
     """Yield what is worth changing about a port that works."""
-    from deltacharger_driver.servo_port import latency_timer
+    from deltacharger_driver.servos.port import latency_timer
 
     latency = latency_timer(path)
     if latency > _SLOW_LATENCY:

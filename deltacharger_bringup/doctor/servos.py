@@ -12,7 +12,7 @@ from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wron
 
 if TYPE_CHECKING:
     from deltacharger_driver.port_identity import FoundServo, PortIdentity
-    from deltacharger_driver.servo_link import ServoLink
+    from deltacharger_driver.servos.link import ServoLink
 
 SUPPLY = (11.0, 13.0)  # V, what a 12 V regulator gives
 _WARM = 15.0  # °C below the servo's own limit
@@ -66,7 +66,7 @@ def _none(found: PortIdentity) -> Finding:
 
 def _problem(servo: int, matching: Sequence[FoundServo], baud_rate: int, path: str) -> Finding | None:
     """Return why one servo cannot be used, or None."""
-    from deltacharger_driver.mx64 import MODEL
+    from deltacharger_driver.servos.mx64 import MODEL
 
     part = f"servo {servo}"
     if not matching:
@@ -99,7 +99,7 @@ def _strangers(servos: Sequence[FoundServo], ids: Sequence[int]) -> Iterator[Fin
 def _look_inside(path: str, baud_rate: int, servos: Sequence[int], current_max: float) -> Iterator[Finding]:
     """Yield what the registers of servos at the right speed say."""
     from deltacharger_driver.errors import CorruptReply, NoAnswer, ServoFault
-    from deltacharger_driver.servo_link import ServoLink
+    from deltacharger_driver.servos.link import ServoLink
 
     link = ServoLink(path, baud_rate)
     link.open()
@@ -119,7 +119,7 @@ def _look_inside(path: str, baud_rate: int, servos: Sequence[int], current_max: 
 
 
 def _health(link: ServoLink, servo: int) -> Iterator[Finding]:
-    from deltacharger_driver.mx64 import VOLTAGE_UNIT, WATCHDOG_TRIPPED, describe_hardware_error
+    from deltacharger_driver.servos.mx64 import VOLTAGE_UNIT, WATCHDOG_TRIPPED, describe_hardware_error
 
     part = f"servo {servo}"
     errors = link.read(servo, "hardware_error")
@@ -149,7 +149,7 @@ def _health(link: ServoLink, servo: int) -> Iterator[Finding]:
 
 def _settings(link: ServoLink, servo: int, current_max: float) -> Iterator[Finding]:
     """Yield which registers servo_node would refuse."""
-    from deltacharger_driver.servo_setup import check_registers
+    from deltacharger_driver.servos.setup import check_registers
 
     for fault in check_registers(link, servo, current_max):
         what, _, advice = fault.partition("; ")

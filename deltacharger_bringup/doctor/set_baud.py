@@ -12,7 +12,7 @@ from deltacharger_bringup.doctor.findings import Finding, ok, wrong
 
 if TYPE_CHECKING:
     from deltacharger_driver.port_identity import FoundServo
-    from deltacharger_driver.servo_link import ServoLink
+    from deltacharger_driver.servos.link import ServoLink
 
 _PATIENCE = 0.15  # s for replies to a ping to all
 _COMES_BACK = 1.0  # s until a servo answers at its new speed
@@ -47,8 +47,8 @@ def set_baud(path: str, baud: int, ids: Sequence[int] | None, speeds: Sequence[i
 
 def _set_one(path: str, baud: int, servo: int, matching: Sequence[FoundServo]) -> Finding:
     from deltacharger_driver.errors import DriverError
-    from deltacharger_driver.mx64 import MODEL
-    from deltacharger_driver.servo_link import ServoLink
+    from deltacharger_driver.servos.link import ServoLink
+    from deltacharger_driver.servos.mx64 import MODEL
 
     part = f"servo {servo}"
     if not matching:
@@ -81,7 +81,7 @@ def _write(link: ServoLink, servo: int, old: int, new: int) -> Finding:
         DriverError: the servo refuses, or the line fails.
     """
     from deltacharger_driver.errors import CorruptReply, NoAnswer
-    from deltacharger_driver.mx64 import SPEEDS
+    from deltacharger_driver.servos.mx64 import SPEEDS
 
     part = f"servo {servo}"
     code = next(code for code, speed in SPEEDS.items() if speed == new)

@@ -15,9 +15,9 @@ from typing import Any
 
 import pytest
 
-from deltacharger_bringup.cli import build_parser, main
+from deltacharger_bringup.cli.main import build_parser, main
 
-from .conftest import Process
+from ..chargers import Process
 
 COMMANDS = (
     *("up", "dock", "undock", "scene", "simulate", "doctor", "tactile", "vision", "calibrate"),
@@ -130,7 +130,7 @@ def test_ctrl_c_before_anything_runs_is_130_with_one_object(
 ) -> None:
     (tmp_path / "yaml.py").write_text("import time\nprint('reading', flush=True)\ntime.sleep(30)\n", encoding="utf-8")
     source = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); "
-    source += "from deltacharger_bringup.cli import main; sys.exit(main())"
+    source += "from deltacharger_bringup.cli.main import main; sys.exit(main())"
     process = start(sys.executable, "-c", source, "dock", "--json")
     process.wait_for_line("reading", process.out)
     for _ in range(times):

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deltacharger_bringup.cli import main
+from deltacharger_bringup.cli.main import main
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.calibration_data import TICK, Encoder
-from deltacharger_kinematics.calibration_plan import plan
-from deltacharger_kinematics.calibration_problem import COUNT, Uncertainty, numbers, rms, with_numbers
-from deltacharger_kinematics.calibration_recording import Recording
+from deltacharger_kinematics.calibration.data import TICK, Encoder
+from deltacharger_kinematics.calibration.plan import plan
+from deltacharger_kinematics.calibration.problem import COUNT, Uncertainty, numbers, rms, with_numbers
+from deltacharger_kinematics.calibration.recording import Recording
 from deltacharger_kinematics.geometry_file import geometry_from_mapping, load_geometry
 
 NOMINAL = DeltaGeometry()

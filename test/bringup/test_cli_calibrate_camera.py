@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 import yaml
 
-from deltacharger_bringup.camera_views import VIEWS, ViewsError, ViewsFolder, read_rows
-from deltacharger_bringup.cli import main
-from deltacharger_bringup.cli_output import DONE, FAILED, WRONG_INPUT
-from deltacharger_vision.calibration_board import AprilTag
-from deltacharger_vision.camera_info import load_camera_info
+from deltacharger_bringup.calibrate.camera_views import VIEWS, ViewsError, ViewsFolder, read_rows
+from deltacharger_bringup.cli.main import main
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT
+from deltacharger_vision.cameras.camera_info import load_camera_info
+from deltacharger_vision.hand_eye.board import AprilTag
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
-from deltacharger_vision.simulated_camera import OAK_D
+from deltacharger_vision.rendering.camera import OAK_D
 
 from ..vision.hand_eye_rig import ARM, Rig, squared
 
@@ -117,7 +117,7 @@ def test_positions_do_as_well_as_angles(capsys: pytest.CaptureFixture[str], rig:
 
 
 def test_a_charuco_board_end_to_end(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    from deltacharger_vision.calibration_board import Charuco
+    from deltacharger_vision.hand_eye.board import Charuco
 
     rig = Rig(2, Charuco())
     folder = rig.write(tmp_path / "views", 7)

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deltacharger_bringup.cli import main
+from deltacharger_bringup.cli.main import main
+from deltacharger_tactile.calibration.rig import TactileCalibration
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.generator import generate_continuous
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.sensor import Rig
-from deltacharger_tactile.sensor_calibration import TactileCalibration
 
 NEAR = {"position_limit": 0.008, "angle_limit": math.radians(10.0)}
 

@@ -14,14 +14,14 @@ from typing import Any
 import pytest
 import serial
 
-from deltacharger_bringup.cli import main
-from deltacharger_bringup.fault_channel import ask, registered
-from deltacharger_bringup.fault_kinds import KINDS
-from deltacharger_bringup.scene import parse_scene
-from deltacharger_bringup.simulated_charger import SimulatedCharger
+from deltacharger_bringup.cli.main import main
+from deltacharger_scenes.scene import parse_scene
+from deltacharger_sim.charger.fault_channel import ask, registered
+from deltacharger_sim.charger.fault_kinds import KINDS
+from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
-from .conftest import Process, wait_until
-from .test_simulated_charger import answer, ping
+from ..chargers import Process, wait_until
+from ..sim.test_simulated_charger import answer, ping
 
 SCENE = parse_scene({"nodes": [], "simulation": {}}, "test")
 

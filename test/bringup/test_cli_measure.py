@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_bringup.cli_measure import position_of
+from deltacharger_bringup.cli.measure import position_of
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.calibration_data import Encoder, read_measurements
-from deltacharger_kinematics.calibration_plan import Pose, write_plan
+from deltacharger_kinematics.calibration.data import Encoder, read_measurements
+from deltacharger_kinematics.calibration.plan import Pose, write_plan
 
-from .conftest import DEADLINE, Process, new_namespace, wait_until
+from ..chargers import DEADLINE, Process, new_namespace, wait_until
 
 NOMINAL = DeltaGeometry()
 MEASURE = ("calibrate", "kinematics")
@@ -81,7 +81,7 @@ class Charger:
     def __init__(self, process: Process, namespace: str, node: Any) -> None:
         from deltacharger.msg import ServoState
 
-        from deltacharger_bringup import qos
+        from deltacharger_ros import qos
 
         self.process, self.namespace = process, namespace
         self.state: Any = None
@@ -103,12 +103,19 @@ def charger(quick_file: Path) -> Iterator[Charger]:
     from rclpy.context import Context
     from rclpy.node import Node
 
-    from deltacharger_bringup.node_support import Spinner
+    from deltacharger_ros.node_support import Spinner
 
     namespace, context = new_namespace(), Context()
     rclpy.init(context=context, args=[])
     process = Process(
-        sys.executable, "-m", "deltacharger_bringup.cli", "up", "--scene", str(quick_file), "--namespace", namespace
+        sys.executable,
+        "-m",
+        "deltacharger_bringup.cli.main",
+        "up",
+        "--scene",
+        str(quick_file),
+        "--namespace",
+        namespace,
     )
     spinner = Spinner(Node("listener", context=context, use_global_arguments=False))
     try:

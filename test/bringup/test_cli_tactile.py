@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deltacharger_bringup.cli import main
-from deltacharger_bringup.cli_output import DONE, WRONG_INPUT
-from deltacharger_bringup.cli_tactile_options import MODELS
+from deltacharger_bringup.cli.main import main
+from deltacharger_bringup.cli.output import DONE, WRONG_INPUT
+from deltacharger_bringup.cli.tactile_options import MODELS
 from deltacharger_tactile import MODEL_PATH
 from deltacharger_tactile.classifiers.classifier import NAMES
 

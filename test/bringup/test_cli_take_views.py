@@ -17,22 +17,22 @@ from rclpy.node import Node
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_bringup import qos
-from deltacharger_bringup.camera_client import CameraClient, CameraError
-from deltacharger_bringup.camera_views import ViewsFolder, read_rows
-from deltacharger_bringup.cli_output import CommandError
-from deltacharger_bringup.cli_take_views import _visit
-from deltacharger_bringup.node_support import Spinner
+from deltacharger_bringup.calibrate.camera_client import CameraClient, CameraError
+from deltacharger_bringup.calibrate.camera_views import ViewsFolder, read_rows
+from deltacharger_bringup.cli.output import CommandError
+from deltacharger_bringup.cli.take_views import _visit
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_vision.board_drawing import bracket
-from deltacharger_vision.calibration_board import AprilTag
+from deltacharger_ros import qos
+from deltacharger_ros.node_support import Spinner
+from deltacharger_vision.cameras.image_node_io import camera_info_message, color_message
 from deltacharger_vision.errors import CameraInfoError
-from deltacharger_vision.image_node_io import camera_info_message, color_message
+from deltacharger_vision.hand_eye.board import AprilTag
 from deltacharger_vision.mount import Mount
-from deltacharger_vision.simulated_camera import OAK_D
+from deltacharger_vision.rendering.board_drawing import bracket
+from deltacharger_vision.rendering.camera import OAK_D
 
+from ..chargers import DEADLINE, Process, new_namespace, wait_until
 from ..vision.hand_eye_rig import ARM, Rig, squared
-from .conftest import DEADLINE, Process, new_namespace, wait_until
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 

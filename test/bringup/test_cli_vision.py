@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 import yaml
 
-from deltacharger_bringup.cli import main
-from deltacharger_bringup.cli_output import DONE, FAILED, WRONG_INPUT
+from deltacharger_bringup.cli.main import main
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT
 from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.simulated_camera import OAK_D, SimulatedCamera
-from deltacharger_vision.simulated_scene import Scene
+from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
+from deltacharger_vision.rendering.scene import Scene
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
@@ -400,7 +400,7 @@ class Recording:
         return self
 
     def write(self) -> Path:
-        from deltacharger_bringup.mcap_recording import McapWriter
+        from deltacharger_records.recording.mcap_recording import McapWriter
 
         with McapWriter(self.path, {topic: type(message) for topic, message, _ in self._messages}) as writer:
             for number, (topic, message, stamp) in enumerate(self._messages):

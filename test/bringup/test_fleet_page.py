@@ -16,13 +16,13 @@ import deltacharger.action
 import pytest
 import yaml
 
-from deltacharger_bringup.composition import Composition
-from deltacharger_bringup.scene import parse_scene
 from deltacharger_docking.codes import Code, DockingError
-from deltacharger_docking.mission_dialogue import Stage
+from deltacharger_mission.dialogue import Stage
+from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.scene import parse_scene
 
-from .conftest import Process
-from .mock_docking import MockDocking
+from ..chargers import Process
+from ..docking.mock_docking import MockDocking
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "fleet.md").read_text(encoding="utf-8")

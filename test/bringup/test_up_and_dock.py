@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from .conftest import Process
+from ..chargers import Process
 
 
 def up(start: Callable[..., Process], deltacharger: tuple[str, ...], scene: Path, namespace: str) -> Process:

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import math
 
-from deltacharger_bringup.virtual_charger import GOAL, TICK, VirtualCharger
 from deltacharger_docking.codes import State
 from deltacharger_docking.observation import DockGoal
+from deltacharger_lab.campaigns.virtual_charger import GOAL, TICK, VirtualCharger
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 
 MILLIMETRE = 1e-3

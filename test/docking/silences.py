@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from deltacharger_bringup.virtual_charger import GOAL, VirtualCharger
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Command, DockGoal, Observation, Service
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
 
 SERVED_BY = {

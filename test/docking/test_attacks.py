@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import pytest
 
-from deltacharger_bringup.virtual_charger import GOAL, VirtualCharger
 from deltacharger_docking.codes import Busy, Code, State
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, Observation, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import CircuitParameters, ContactParameters, TargetParameters, WorldParameters
 
 NAN = math.nan

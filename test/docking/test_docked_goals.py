@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import pytest
 
-from deltacharger_bringup.virtual_charger import GOAL, VirtualCharger
 from deltacharger_docking.codes import Busy, Code, State
 from deltacharger_docking.observation import DockGoal, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import CircuitParameters
 
 from .dockings import assert_safe_at_home, charger

@@ -7,11 +7,11 @@ import math
 
 import pytest
 
-from deltacharger_bringup.virtual_charger import GOAL, VirtualCharger
 from deltacharger_docking.observation import Decision, Detection, DockGoal
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_driver.thermal import ThermalModel
+from deltacharger_driver.servos.thermal import ThermalModel
 from deltacharger_kinematics.geometry import Vector
+from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ContactParameters, ServoParameters, TargetParameters, WorldParameters
 
 MILLIMETRE = 1e-3

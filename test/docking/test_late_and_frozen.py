@@ -14,10 +14,10 @@ from dataclasses import replace
 
 import pytest
 
-from deltacharger_bringup.virtual_charger import GOAL
 from deltacharger_docking.clearance import Estimate
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockGoal, Reply, Request, Service, Waypoint
+from deltacharger_lab.campaigns.virtual_charger import GOAL
 
 from .silences import Faulty
 

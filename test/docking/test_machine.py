@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pytest
 
-from deltacharger_bringup.virtual_charger import GOAL, VirtualCharger
 from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
 from deltacharger_docking.observation import Detection, DockGoal, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
 
 from .dockings import MILLIMETRE, assert_safe_at_home, charger

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pytest
 
-from deltacharger_bringup.virtual_charger import GOAL, TICK
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import Command, DockGoal, Observation, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_lab.campaigns.virtual_charger import GOAL, TICK
 from deltacharger_sim.parameters import CircuitParameters, ServoParameters
 
 from .dockings import MILLIMETRE, assert_safe_at_home, charger, moves, moving_in

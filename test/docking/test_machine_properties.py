@@ -18,7 +18,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from deltacharger_bringup.campaign.quick_motion import QuickPlanner
 from deltacharger_docking.clearance import Estimate, Verdict, judge
 from deltacharger_docking.codes import Code, DockingError, State
 from deltacharger_docking.energy_script import CONTACT_LOST
@@ -37,6 +36,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.statics import TORQUE_CONSTANT
+from deltacharger_lab.campaigns.quick_motion import QuickPlanner
 
 TICK = 0.05  # s; coarse, as the model has no dynamics
 DEPTH = 0.080  # m, where the target's faces are

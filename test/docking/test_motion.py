@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_bringup.virtual_charger import VirtualCharger
 from deltacharger_docking.codes import Code, State, Unreachable
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.motion import Planner
@@ -17,6 +16,7 @@ from deltacharger_docking.observation import Detection, DockGoal, Waypoint
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.statics import TORQUE_CONSTANT
+from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 
 HOME, STANDOFF = (0.0, 0.0, 0.0), (0.010, -0.020, 0.062)

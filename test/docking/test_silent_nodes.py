@@ -4,7 +4,7 @@
 Whatever falls silent: an energised contactor is open within its limit, the goal ends with a code that names what is
 missing (or goes on where nothing was missed), nothing moves on meanwhile, nothing is let go or pulled apart while it is
 live, and when the node is back the next goal works on the same charger, which lifts off first where it was pressing.
-What real processes add to that is in test/bringup/test_killed_nodes.py.
+What real processes add to that is in test/scenes/test_killed_nodes.py.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Waypoint
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.trajectory_feed import HORIZON, PULL_HORIZON, TURN, Piece, TrajectoryFeed, pull
-from deltacharger_driver import trajectory as driver
+from deltacharger_driver.servos import trajectory as driver
 from deltacharger_kinematics import DeltaGeometry
 
 TICK = 0.01

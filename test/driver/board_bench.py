@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import pytest
 
-from deltacharger_driver.bench_plant import BenchPlant
-from deltacharger_driver.board_emulator import BoardEmulator
-from deltacharger_driver.board_payloads import Ack, Power, decode_ack, decode_power
-from deltacharger_driver.board_protocol import Packet, PacketDecoder, PacketType, SampleFormat, encode_packet
+from deltacharger_driver.board.payloads import Ack, Power, decode_ack, decode_power
+from deltacharger_driver.board.protocol import Packet, PacketDecoder, PacketType, SampleFormat, encode_packet
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.board import BoardEmulator
 
 STEP = 0.005
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from deltacharger_driver.bench_arm import BenchArm
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_bus import ServoBus
-from deltacharger_driver.servo_emulator import ServoBusEmulator
-from deltacharger_driver.servo_link import ServoLink
-from deltacharger_driver.servo_snapshot import BusSettings
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.link import ServoLink
+from deltacharger_driver.servos.snapshot import BusSettings
 
 from ..emulated_ports import board, board_port, servo_port, servos
 from .servo_host import Host

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from deltacharger_driver.bench_arm import BenchArm
-from deltacharger_driver.control_table import OK
-from deltacharger_driver.mx64 import REGISTERS
-from deltacharger_driver.servo_emulator import ServoBusEmulator
-from deltacharger_driver.servo_packets import HEADER, READ, WRITE
-from deltacharger_driver.servo_protocol import crc16
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.servos.control_table import OK
+from deltacharger_driver.servos.mx64 import REGISTERS
+from deltacharger_driver.servos.packets import HEADER, READ, WRITE
+from deltacharger_driver.servos.protocol import crc16
 
 
 class Host:

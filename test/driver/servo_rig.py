@@ -8,15 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from deltacharger_driver.bench_arm import BenchArm
-from deltacharger_driver.mx64 import TORQUE_CONSTANT
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_controller import ServoController
-from deltacharger_driver.servo_emulator import ServoBusEmulator
-from deltacharger_driver.servo_report import ServoReport
-from deltacharger_driver.servo_requests import Request
-from deltacharger_driver.servo_snapshot import BusSettings
-from deltacharger_driver.trajectory import JointLimits, Waypoint, check
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.servos.controller import ServoController
+from deltacharger_driver.servos.mx64 import TORQUE_CONSTANT
+from deltacharger_driver.servos.report import ServoReport
+from deltacharger_driver.servos.requests import Request
+from deltacharger_driver.servos.snapshot import BusSettings
+from deltacharger_driver.servos.trajectory import JointLimits, Waypoint, check
 
 START = (-0.7, -0.5, 0.2)
 NAMES = ("a", "b", "c")

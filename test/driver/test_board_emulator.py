@@ -11,9 +11,9 @@ import zlib
 import numpy as np
 import pytest
 
-from deltacharger_driver import cobs
-from deltacharger_driver.board_payloads import Hello, Power, decode_hello, decode_power
-from deltacharger_driver.board_protocol import Fault, Packet, PacketType, encode_packet
+from deltacharger_driver.board import cobs
+from deltacharger_driver.board.payloads import Hello, Power, decode_hello, decode_power
+from deltacharger_driver.board.protocol import Fault, Packet, PacketType, encode_packet
 
 from .board_bench import Bench, acks, tactile
 

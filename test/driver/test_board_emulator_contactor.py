@@ -8,7 +8,7 @@ import struct
 
 import pytest
 
-from deltacharger_driver.board_protocol import Fault, PacketType
+from deltacharger_driver.board.protocol import Fault, PacketType
 
 from .board_bench import Bench, acks
 

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from deltacharger_driver.board_payloads import decode_samples
-from deltacharger_driver.board_protocol import PacketType, SampleFormat
+from deltacharger_driver.board.payloads import decode_samples
+from deltacharger_driver.board.protocol import PacketType, SampleFormat
 
 from .board_bench import Bench, acks, tactile
 

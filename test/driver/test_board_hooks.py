@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 import pytest
 
-from deltacharger_driver.bench_plant import BenchPlant
-from deltacharger_driver.board_emulator import BoardEmulator
-from deltacharger_driver.board_protocol import Packet, PacketDecoder, PacketType, encode_packet
+from deltacharger_driver.board.protocol import Packet, PacketDecoder, PacketType, encode_packet
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.board import BoardEmulator
 
 STEP = 0.001
 

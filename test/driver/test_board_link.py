@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 import serial
 
-from deltacharger_driver.bench_plant import BenchPlant
-from deltacharger_driver.board_emulator import BoardEmulator
-from deltacharger_driver.board_errors import BoardMismatch, BoardRebooted, CommandRefused
-from deltacharger_driver.board_link import BoardLink
-from deltacharger_driver.board_port import BoardPort
-from deltacharger_driver.board_protocol import AckError, Fault, Packet, PacketDecoder, PacketType, encode_packet
-from deltacharger_driver.board_samples import PowerSample, TactileSample
+from deltacharger_driver.board.errors import BoardMismatch, BoardRebooted, CommandRefused
+from deltacharger_driver.board.link import BoardLink
+from deltacharger_driver.board.port import BoardPort
+from deltacharger_driver.board.protocol import AckError, Fault, Packet, PacketDecoder, PacketType, encode_packet
+from deltacharger_driver.board.samples import PowerSample, TactileSample
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.board import BoardEmulator
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.errors import NoAnswer, PortBusy, PortDenied, PortGone, PortMissing
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
 
 
 def wait_for(condition: Callable[[], object], timeout: float = 3.0) -> None:
@@ -389,7 +389,7 @@ def test_every_kind_of_hang_up_is_one_error(
         raise hang_up
 
     with monkeypatch.context() as patch:
-        patch.setattr("deltacharger_driver.board_port.os.read", read)
+        patch.setattr("deltacharger_driver.board.port.os.read", read)
         wait_for(lambda: _is_gone(port))
     port.close()
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 import math
 import time
 
-from deltacharger_driver.board_emulator import BoardEmulator
-from deltacharger_driver.board_link import BoardLink
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.board.link import BoardLink
+from deltacharger_driver.emulators.board import BoardEmulator
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 
 from .servo_bench import until
 

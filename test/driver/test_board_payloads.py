@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deltacharger_driver.board_payloads import (
+from deltacharger_driver.board.payloads import (
     Ack,
     Hello,
     Power,
@@ -30,9 +30,9 @@ from deltacharger_driver.board_payloads import (
     encode_samples,
     probe_problem,
 )
-from deltacharger_driver.board_protocol import FULL_SCALE, Packet, PacketError, PacketType, SampleFormat, encode_packet
-from deltacharger_driver.board_receiver import BoardReceiver
-from deltacharger_driver.board_requests import Requests
+from deltacharger_driver.board.protocol import FULL_SCALE, Packet, PacketError, PacketType, SampleFormat, encode_packet
+from deltacharger_driver.board.receiver import BoardReceiver
+from deltacharger_driver.board.requests import Requests
 
 FORMATS = [SampleFormat.U8, SampleFormat.U12, SampleFormat.U16]
 

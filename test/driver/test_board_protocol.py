@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deltacharger_driver import cobs
-from deltacharger_driver.board_payloads import (
+from deltacharger_driver.board import cobs
+from deltacharger_driver.board.payloads import (
     Ack,
     Hello,
     Power,
@@ -22,7 +22,7 @@ from deltacharger_driver.board_payloads import (
     encode_probe,
     encode_rate,
 )
-from deltacharger_driver.board_protocol import (
+from deltacharger_driver.board.protocol import (
     Packet,
     PacketDecoder,
     PacketError,

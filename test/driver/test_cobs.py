@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from deltacharger_driver import cobs
+from deltacharger_driver.board import cobs
 
 # From the table in the Wikipedia article on COBS, which follows Cheshire and Baker.
 PUBLISHED = [

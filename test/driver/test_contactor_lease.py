@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from deltacharger_driver.contactor_lease import ContactorLease, LeaseRefused
+from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
 
 
 def probed(now: float = 0.0, resistance: float = 25.0, voltage: float = 24.0) -> ContactorLease:

@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from deltacharger_driver.device_clock import DeviceClock, SequenceUnwrapper
+from deltacharger_driver.board.device_clock import DeviceClock, SequenceUnwrapper
 
 
 def run(

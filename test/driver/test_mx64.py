@@ -6,7 +6,7 @@ import math
 import pytest
 
 from deltacharger_driver.errors import DriverError, RangeError
-from deltacharger_driver.mx64 import (
+from deltacharger_driver.servos.mx64 import (
     CURRENT_UNIT,
     REGISTERS,
     TICK,

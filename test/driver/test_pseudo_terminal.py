@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import serial
 
-from deltacharger_driver.bench_plant import BenchPlant
-from deltacharger_driver.emulated_pads import EmulatedPads
-from deltacharger_driver.pseudo_terminal import PseudoTerminal, terminal_speed
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.pads import EmulatedPads
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal, terminal_speed
 from deltacharger_tactile.source import ContactSource
 
 

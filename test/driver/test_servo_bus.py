@@ -8,13 +8,13 @@ import time
 
 import pytest
 
-from deltacharger_driver.bench_arm import BenchArm
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import DriverError, NoAnswer, PortGone, RangeError, ServoFault
-from deltacharger_driver.mx64 import CURRENT_UNIT, TICK
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_bus import ServoBus
-from deltacharger_driver.servo_emulator import ServoBusEmulator
-from deltacharger_driver.servo_snapshot import BusSettings
+from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
+from deltacharger_driver.servos.snapshot import BusSettings
 
 from .servo_bench import BOUND, OVERLOAD, until
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from deltacharger_driver.errors import PortMissing, TrajectoryRefused
-from deltacharger_driver.mx64 import TICK, TORQUE_CONSTANT
-from deltacharger_driver.servo_controller import OPENING_TIME, STOP_TIME, ServoController
-from deltacharger_driver.servo_report import Phase
-from deltacharger_driver.servo_snapshot import BusSettings
+from deltacharger_driver.servos.controller import OPENING_TIME, STOP_TIME, ServoController
+from deltacharger_driver.servos.mx64 import TICK, TORQUE_CONSTANT
+from deltacharger_driver.servos.report import Phase
+from deltacharger_driver.servos.snapshot import BusSettings
 
 from .servo_bench import OVERLOAD
 from .servo_rig import DEFAULT, START, Rig

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 import pytest
 
 from deltacharger_driver.errors import TrajectoryRefused
-from deltacharger_driver.mx64 import CURRENT_UNIT, TICK, TORQUE_CONSTANT
-from deltacharger_driver.servo_report import Phase, ServoReport
-from deltacharger_driver.trajectory import Waypoint, check
+from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK, TORQUE_CONSTANT
+from deltacharger_driver.servos.report import Phase, ServoReport
+from deltacharger_driver.servos.trajectory import Waypoint, check
 
 from .servo_rig import DEFAULT, LIMITS, NAMES, START, Rig
 

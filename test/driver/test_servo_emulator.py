@@ -3,11 +3,20 @@
 
 from __future__ import annotations
 
-from deltacharger_driver.bench_arm import BenchArm
-from deltacharger_driver.control_table import ACCESS, CHECKSUM, INSTRUCTION, LENGTH, LIMIT, OK, RANGE, RESULT_FAIL
-from deltacharger_driver.mx64 import REGISTERS, indirect_address, indirect_data
-from deltacharger_driver.servo_emulator import ServoBusEmulator
-from deltacharger_driver.servo_packets import (
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.servos.control_table import (
+    ACCESS,
+    CHECKSUM,
+    INSTRUCTION,
+    LENGTH,
+    LIMIT,
+    OK,
+    RANGE,
+    RESULT_FAIL,
+)
+from deltacharger_driver.servos.mx64 import REGISTERS, indirect_address, indirect_data
+from deltacharger_driver.servos.packets import (
     ACTION,
     BROADCAST,
     BULK_READ,

@@ -11,18 +11,18 @@ from pathlib import Path
 
 import pytest
 
-from deltacharger_driver.bench_arm import BenchArm
-from deltacharger_driver.control_table import OK, RANGE, RESULT_FAIL
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.emulators.servo_faults import collide
+from deltacharger_driver.emulators.servo_firmware import ServoFirmware
 from deltacharger_driver.errors import DriverError, HandshakeError
-from deltacharger_driver.mx64 import REGISTERS, TORQUE_CONSTANT, indirect_address, indirect_data
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_bus import ServoBus
-from deltacharger_driver.servo_controller import ServoController
-from deltacharger_driver.servo_emulator import ServoBusEmulator
-from deltacharger_driver.servo_faults import collide
-from deltacharger_driver.servo_firmware import ServoFirmware
-from deltacharger_driver.servo_packets import BROADCAST, PING, READ, REBOOT, SYNC_READ, SYNC_WRITE, WRITE
-from deltacharger_driver.servo_snapshot import BusSettings
+from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.control_table import OK, RANGE, RESULT_FAIL
+from deltacharger_driver.servos.controller import ServoController
+from deltacharger_driver.servos.mx64 import REGISTERS, TORQUE_CONSTANT, indirect_address, indirect_data
+from deltacharger_driver.servos.packets import BROADCAST, PING, READ, REBOOT, SYNC_READ, SYNC_WRITE, WRITE
+from deltacharger_driver.servos.snapshot import BusSettings
 
 from .servo_bench import OVERLOAD
 from .servo_host import Host, parse, words

@@ -7,8 +7,8 @@ import itertools
 
 import pytest
 
-from deltacharger_driver.control_table import LIMIT, OK
-from deltacharger_driver.mx64 import CURRENT_UNIT, TICK, VELOCITY_UNIT
+from deltacharger_driver.servos.control_table import LIMIT, OK
+from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK, VELOCITY_UNIT
 
 from .servo_host import Host
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import serial
 
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortBusy, PortDenied, PortError, PortMissing
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_emulator import ServoBusEmulator
-from deltacharger_driver.servo_link import ServoLink
+from deltacharger_driver.servos.link import ServoLink
 
 
 def test_a_second_program_finds_the_port_busy(terminal: PseudoTerminal, link: ServoLink) -> None:

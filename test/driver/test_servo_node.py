@@ -25,15 +25,15 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from deltacharger_bringup.node_support import Spinner, StartupError
-from deltacharger_driver.bench_arm import BenchArm
-from deltacharger_driver.bench_plant import BenchPlant
-from deltacharger_driver.board_emulator import BoardEmulator
-from deltacharger_driver.mx64 import CURRENT_UNIT, TICK, TORQUE_CONSTANT
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_emulator import ServoBusEmulator, terminal_speed
-from deltacharger_driver.servo_node import JOINTS, ServoNode
-from deltacharger_driver.tactile_node import TactileNode
+from deltacharger_driver.board.tactile_node import TactileNode
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.board import BoardEmulator
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, terminal_speed
+from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK, TORQUE_CONSTANT
+from deltacharger_driver.servos.servo_node import JOINTS, ServoNode
+from deltacharger_ros.node_support import Spinner, StartupError
 
 START = (-0.7, -0.5, 0.2)
 VOLTAGE, OVERLOAD = 1 << 0, 1 << 5  # the former does not make the servo let go by itself
@@ -461,7 +461,14 @@ def test_it_does_not_start_with_a_wrong_configuration_and_says_why(context, term
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_executable_ends_cleanly_on_a_signal(context, terminal, arm, number):
     environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "PYTHONUNBUFFERED": "1"}
-    command = [sys.executable, "-m", "deltacharger_driver.servo_node", "--ros-args", "-p", f"port:={terminal.path}"]
+    command = [
+        sys.executable,
+        "-m",
+        "deltacharger_driver.servos.servo_node",
+        "--ros-args",
+        "-p",
+        f"port:={terminal.path}",
+    ]
     client = Spinner(Client(context))
     process = subprocess.Popen(command, env=environment)
     try:

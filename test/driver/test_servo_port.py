@@ -22,15 +22,15 @@ from dynamixel_sdk import (
     Protocol2PacketHandler,
 )
 
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import HandshakeError, NoAnswer, PortGone, WrongThread
-from deltacharger_driver.mx64 import REGISTERS
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_bus import ServoBus
-from deltacharger_driver.servo_emulator import ServoBusEmulator
-from deltacharger_driver.servo_link import ServoLink
-from deltacharger_driver.servo_port import ServoPort
-from deltacharger_driver.servo_protocol import ServoProtocol, crc16, sync_write_packet
-from deltacharger_driver.servo_snapshot import BusSettings
+from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.link import ServoLink
+from deltacharger_driver.servos.mx64 import REGISTERS
+from deltacharger_driver.servos.port import ServoPort
+from deltacharger_driver.servos.protocol import ServoProtocol, crc16, sync_write_packet
+from deltacharger_driver.servos.snapshot import BusSettings
 
 POSITION = REGISTERS["present_position"].address
 SPARE = 650  # indirect data that nothing maps: plain memory

@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-from deltacharger_driver.bench_arm import BenchArm
-from deltacharger_driver.control_table import ControlTable
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, terminal_speed
 from deltacharger_driver.errors import DriverError, HandshakeError
-from deltacharger_driver.mx64 import TICK
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_bus import ServoBus
-from deltacharger_driver.servo_emulator import ServoBusEmulator, terminal_speed
-from deltacharger_driver.servo_snapshot import BusSettings
+from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.control_table import ControlTable
+from deltacharger_driver.servos.mx64 import TICK
+from deltacharger_driver.servos.snapshot import BusSettings
 
 
 def test_after_opening_torque_is_off_and_every_register_is_as_it_should(

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import RangeError
-from deltacharger_driver.servo_bus import UNKNOWN_AFTER, ServoBus
-from deltacharger_driver.servo_emulator import ServoBusEmulator
-from deltacharger_driver.servo_packets import status
-from deltacharger_driver.servo_snapshot import READ_LENGTH, decode_block, has_restarted
+from deltacharger_driver.servos.bus import UNKNOWN_AFTER, ServoBus
+from deltacharger_driver.servos.packets import status
+from deltacharger_driver.servos.snapshot import READ_LENGTH, decode_block, has_restarted
 
 from .servo_bench import until
 
@@ -77,7 +77,7 @@ def test_a_burst_across_the_last_byte_and_the_checksum_does_not_reach_the_snapsh
         reply = status(*fields)
         return reply[:-3] + bytes((reply[-3] ^ 0x03, reply[-2] ^ 0x0A, reply[-1]))
 
-    monkeypatch.setattr("deltacharger_driver.servo_emulator.status", struck)
+    monkeypatch.setattr("deltacharger_driver.emulators.servo_bus.status", struck)
     assert bus._link.read(1, "temperature") == 30 ^ 0x03  # the checksum does not see it
     assert bus.read().valid == (False, False, False)
     assert bus.counters.implausible == 3

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import pytest
 
-from deltacharger_driver.control_table import OK
-from deltacharger_driver.mx64 import TICK
+from deltacharger_driver.servos.control_table import OK
+from deltacharger_driver.servos.mx64 import TICK
 
 from .servo_host import Host
 

@@ -29,12 +29,12 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
-from deltacharger_bringup.node_support import Spinner, StartupError
-from deltacharger_driver.bench_plant import BenchPlant
-from deltacharger_driver.board_emulator import BoardEmulator
-from deltacharger_driver.board_protocol import Fault, PacketType
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.tactile_node import TactileNode
+from deltacharger_driver.board.protocol import Fault, PacketType
+from deltacharger_driver.board.tactile_node import TactileNode
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.board import BoardEmulator
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_ros.node_support import Spinner, StartupError
 
 _domains = itertools.count(os.getpid() % 50 * 4)
 

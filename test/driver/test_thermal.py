@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from deltacharger_driver.thermal import HEAT_LIMIT, ThermalModel, reserve
+from deltacharger_driver.servos.thermal import HEAT_LIMIT, ThermalModel, reserve
 
 
 def test_what_the_constants_stand_for():

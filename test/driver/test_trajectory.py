@@ -6,7 +6,7 @@ import math
 import pytest
 
 from deltacharger_driver.errors import DriverError, TrajectoryRefused
-from deltacharger_driver.trajectory import JointLimits, Waypoint, check, check_age
+from deltacharger_driver.servos.trajectory import JointLimits, Waypoint, check, check_age
 
 NAMES = ("a", "b", "c")
 LIMITS = JointLimits(NAMES, -1.0, 1.2, 4.0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from deltacharger_driver.board_payloads import Ack, Power, decode_ack, decode_power
-from deltacharger_driver.board_protocol import Packet, PacketDecoder, PacketType, encode_packet
+from deltacharger_driver.board.payloads import Ack, Power, decode_ack, decode_power
+from deltacharger_driver.board.protocol import Packet, PacketDecoder, PacketType, encode_packet
 
 from .board_host import BoardHost
 

@@ -12,9 +12,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from deltacharger_driver import cobs
-from deltacharger_driver.board_protocol import COLUMNS, ROWS, SampleFormat
-from deltacharger_driver.wire_faults import WireFaults
+from deltacharger_driver.board import cobs
+from deltacharger_driver.board.protocol import COLUMNS, ROWS, SampleFormat
+from deltacharger_driver.emulators.wire_faults import WireFaults
 
 
 class BoardHost:

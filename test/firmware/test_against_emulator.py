@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from deltacharger_driver.bench_plant import BenchPlant
-from deltacharger_driver.board_emulator import BoardEmulator
-from deltacharger_driver.board_payloads import decode_ack, decode_hello, decode_power, decode_samples
-from deltacharger_driver.board_protocol import FLAG_TARED, Packet, PacketDecoder, PacketType, encode_packet
+from deltacharger_driver.board.payloads import decode_ack, decode_hello, decode_power, decode_samples
+from deltacharger_driver.board.protocol import FLAG_TARED, Packet, PacketDecoder, PacketType, encode_packet
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.board import BoardEmulator
 
 from .board_host import FirmwareBoard, FirmwarePlant
 

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from deltacharger_driver import cobs
-from deltacharger_driver.board_payloads import (
+from deltacharger_driver.board import cobs
+from deltacharger_driver.board.payloads import (
     Ack,
     Hello,
     Power,
@@ -25,7 +25,7 @@ from deltacharger_driver.board_payloads import (
     encode_power,
     encode_samples,
 )
-from deltacharger_driver.board_protocol import (
+from deltacharger_driver.board.protocol import (
     FULL_SCALE,
     Packet,
     PacketDecoder,

@@ -11,8 +11,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from deltacharger_driver.board_payloads import decode_hello, decode_samples
-from deltacharger_driver.board_protocol import FLAG_TARED, Packet, PacketType, encode_packet
+from deltacharger_driver.board.payloads import decode_hello, decode_samples
+from deltacharger_driver.board.protocol import FLAG_TARED, Packet, PacketType, encode_packet
 
 from .bench import MS, Bench, S, acks, tactile
 

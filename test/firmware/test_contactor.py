@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from deltacharger_driver.board_protocol import AckError, Fault, PacketType
+from deltacharger_driver.board.protocol import AckError, Fault, PacketType
 
 from .bench import MS, STRONG, Bench, S, acks
 

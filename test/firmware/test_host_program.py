@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from deltacharger_driver.board_errors import CommandRefused
-from deltacharger_driver.board_link import BoardLink
-from deltacharger_driver.board_protocol import Fault
-from deltacharger_driver.board_samples import PowerSample, TactileSample
+from deltacharger_driver.board.errors import CommandRefused
+from deltacharger_driver.board.link import BoardLink
+from deltacharger_driver.board.protocol import Fault
+from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_driver.errors import PortGone
 
 

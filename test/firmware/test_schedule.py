@@ -9,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from deltacharger_driver.board_payloads import decode_hello, decode_samples
-from deltacharger_driver.board_protocol import FLAG_OVERRUN, PacketType
+from deltacharger_driver.board.payloads import decode_hello, decode_samples
+from deltacharger_driver.board.protocol import FLAG_OVERRUN, PacketType
 
 from .bench import MS, Bench, S, acks, tactile
 

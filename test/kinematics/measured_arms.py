@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.calibration_data import Encoder, Measurements
-from deltacharger_kinematics.calibration_plan import plan
-from deltacharger_kinematics.calibration_problem import COUNT, Uncertainty, numbers, with_numbers
+from deltacharger_kinematics.calibration.data import Encoder, Measurements
+from deltacharger_kinematics.calibration.plan import plan
+from deltacharger_kinematics.calibration.problem import COUNT, Uncertainty, numbers, with_numbers
 
 NOMINAL = DeltaGeometry()
 STATED = Uncertainty()

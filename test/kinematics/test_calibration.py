@@ -12,10 +12,18 @@ import numpy as np
 import pytest
 
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.calibration import Calibration, calibrate, describe, find_outliers, fit
-from deltacharger_kinematics.calibration_data import TICK, Measurements, read_measurements
-from deltacharger_kinematics.calibration_problem import COUNT, NAMES, Problem, Uncertainty, numbers, rms, with_numbers
-from deltacharger_kinematics.calibration_table import CalibrationError
+from deltacharger_kinematics.calibration.calibrate import Calibration, calibrate, describe, find_outliers, fit
+from deltacharger_kinematics.calibration.data import TICK, Measurements, read_measurements
+from deltacharger_kinematics.calibration.problem import (
+    COUNT,
+    NAMES,
+    Problem,
+    Uncertainty,
+    numbers,
+    rms,
+    with_numbers,
+)
+from deltacharger_kinematics.calibration.table import CalibrationError
 from deltacharger_kinematics.geometry import LimbAdjustment
 from deltacharger_kinematics.geometry_file import load_geometry, save_geometry
 

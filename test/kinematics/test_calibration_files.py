@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from deltacharger_kinematics import Delta
-from deltacharger_kinematics.calibration_data import TICK, Encoder, Measurements, read_measurements
-from deltacharger_kinematics.calibration_plan import plan, read_plan, write_plan
-from deltacharger_kinematics.calibration_recording import Recording
-from deltacharger_kinematics.calibration_table import CalibrationError
+from deltacharger_kinematics.calibration.data import TICK, Encoder, Measurements, read_measurements
+from deltacharger_kinematics.calibration.plan import plan, read_plan, write_plan
+from deltacharger_kinematics.calibration.recording import Recording
+from deltacharger_kinematics.calibration.table import CalibrationError
 
 from .measured_arms import HEADER, KEPT, NOMINAL, POINTS, POSES, drawn_arm, measured, write
 

@@ -10,7 +10,7 @@ import pytest
 from mpmath import mpf
 
 from deltacharger_kinematics import WORKING_MODES, Delta, DeltaGeometry, LimbAdjustment, Status
-from deltacharger_kinematics.precise import exact_discriminant
+from deltacharger_kinematics.exact.precise import exact_discriminant
 from deltacharger_kinematics.scalar import ScalarDelta
 
 from .reference import along, angles, discriminants, edge_of_reach, worst_error

@@ -27,12 +27,12 @@ from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 
-from deltacharger_bringup.node_support import Spinner, StartupError  # noqa: E402
+from deltacharger_ros.node_support import Spinner, StartupError  # noqa: E402
 from deltacharger_tactile import default_model  # noqa: E402
+from deltacharger_tactile.calibration.rig import TactileCalibration  # noqa: E402
 from deltacharger_tactile.classifiers import files  # noqa: E402
 from deltacharger_tactile.generator import generate_paper  # noqa: E402
 from deltacharger_tactile.misalignment_node import MisalignmentNode  # noqa: E402
-from deltacharger_tactile.sensor_calibration import TactileCalibration  # noqa: E402
 from deltacharger_tactile.source import ContactSource  # noqa: E402
 
 TRUTH = (0.001, 0.003, 0.08)

@@ -13,13 +13,13 @@ import pytest
 import yaml
 
 from deltacharger_tactile import PoseEstimator, default_model
+from deltacharger_tactile.calibration.faults import Dockings, compare_tares, find, select
+from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT, Parts, fit, judge, predict
+from deltacharger_tactile.calibration.rig import AXES, SHAPE, SensorCalibrationError, TactileCalibration
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.generator import generate_continuous, measure
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.sensor import Rig
-from deltacharger_tactile.sensor_calibration import AXES, SHAPE, SensorCalibrationError, TactileCalibration
-from deltacharger_tactile.sensor_calibration_fit import JITTER, MISFIT_LIMIT, Parts, fit, judge, predict
-from deltacharger_tactile.sensor_faults import Dockings, compare_tares, find, select
 
 RIG = 655
 REACH = np.array([0.010, 0.010, math.radians(12.0)])

@@ -9,10 +9,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_vision.detection import Detection
+from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.images import RgbdImage
-from deltacharger_vision.simulated_camera import SimulatedCamera
-from deltacharger_vision.simulated_scene import Box, Scene
+from deltacharger_vision.rendering.camera import SimulatedCamera
+from deltacharger_vision.rendering.scene import Box, Scene
 from deltacharger_vision.terminal import Terminal
 
 Array = NDArray[np.float64]

@@ -10,22 +10,22 @@ from pathlib import Path
 
 import numpy as np
 
-from deltacharger_bringup.camera_views import ViewsFolder
-from deltacharger_bringup.view_places import view_places
+from deltacharger_bringup.calibrate.camera_views import ViewsFolder
+from deltacharger_bringup.calibrate.view_places import view_places
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_vision.board_drawing import bracket, with_board
-from deltacharger_vision.calibration_board import AprilTag, Board, Sighting
-from deltacharger_vision.hand_eye import Calibration
-from deltacharger_vision.hand_eye_views import Beliefs, View
+from deltacharger_vision.hand_eye.board import AprilTag, Board, Sighting
+from deltacharger_vision.hand_eye.calibrate import Calibration
+from deltacharger_vision.hand_eye.views import Beliefs, View
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.poses import cross_matrix, turn
 from deltacharger_vision.projection import project
-from deltacharger_vision.scene_drawing import charger_parts
-from deltacharger_vision.simulated_camera import OAK_D, SimulatedCamera
-from deltacharger_vision.simulated_parameters import CameraParameters
-from deltacharger_vision.simulated_scene import Scene, shifted
+from deltacharger_vision.rendering.board_drawing import bracket, with_board
+from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
+from deltacharger_vision.rendering.parameters import CameraParameters
+from deltacharger_vision.rendering.scene import Scene, shifted
+from deltacharger_vision.rendering.scene_drawing import charger_parts
 
 ARM = ScalarDelta()
 DOCK = np.array([0.0, 0.0, 0.080])

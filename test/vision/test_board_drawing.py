@@ -6,14 +6,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deltacharger_vision.board_drawing import board_boxes, bracket, with_board
-from deltacharger_vision.board_print import board_svg
-from deltacharger_vision.calibration_board import AprilTag, Board, Charuco
 from deltacharger_vision.errors import SceneError
+from deltacharger_vision.hand_eye.board import AprilTag, Board, Charuco
+from deltacharger_vision.hand_eye.board_print import board_svg
 from deltacharger_vision.projection import project
-from deltacharger_vision.simulated_camera import OAK_D, SimulatedCamera
-from deltacharger_vision.simulated_parameters import CameraParameters, SceneParameters
-from deltacharger_vision.simulated_scene import Scene, shifted
+from deltacharger_vision.rendering.board_drawing import board_boxes, bracket, with_board
+from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
+from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
+from deltacharger_vision.rendering.scene import Scene, shifted
 
 from .views import linear, view
 

@@ -8,14 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from deltacharger_vision.board_drawing import with_board
-from deltacharger_vision.calibration_board import AprilTag, Board, BoardError, Charuco, markers_in, parse_board
+from deltacharger_vision.hand_eye.board import AprilTag, Board, BoardError, Charuco, markers_in, parse_board
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.poses import turn
 from deltacharger_vision.projection import project
-from deltacharger_vision.simulated_camera import OAK_D, SimulatedCamera
-from deltacharger_vision.simulated_parameters import CameraParameters, SceneParameters
-from deltacharger_vision.simulated_scene import Scene, shifted
+from deltacharger_vision.rendering.board_drawing import with_board
+from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
+from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
+from deltacharger_vision.rendering.scene import Scene, shifted
 
 from .views import DISTORTIONS, view
 

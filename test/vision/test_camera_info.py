@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from deltacharger_vision.camera_info import from_camera_info, load_camera_info
+from deltacharger_vision.cameras.camera_info import from_camera_info, load_camera_info
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics
 

@@ -26,16 +26,16 @@ from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_bringup import environment
-from deltacharger_bringup.node_support import Spinner, StartupError
-from deltacharger_vision.camera_info import from_camera_info
-from deltacharger_vision.camera_keeper import CameraUnavailable
-from deltacharger_vision.camera_node import CameraNode
-from deltacharger_vision.camera_node_io import stamp_ns
-from deltacharger_vision.image_node_io import camera_info_message, color_message, depth_message
+from deltacharger_core import environment
+from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_vision.cameras.camera_info import from_camera_info
+from deltacharger_vision.cameras.camera_node import CameraNode
+from deltacharger_vision.cameras.camera_node_io import stamp_ns
+from deltacharger_vision.cameras.image_node_io import camera_info_message, color_message, depth_message
+from deltacharger_vision.cameras.keeper import CameraUnavailable
+from deltacharger_vision.cameras.oak_pipeline import OakImage, OakSettings
+from deltacharger_vision.cameras.ros_images import color_array, depth_array
 from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.oak_pipeline import OakImage, OakSettings
-from deltacharger_vision.ros_images import color_array, depth_array
 
 environment.prepare()
 
@@ -258,7 +258,7 @@ def test_without_a_device_it_says_so_and_lives(start: Start, client: Client) -> 
 def recording(tmp_path: Path) -> Path:
     """Five images 20 ms apart, depth 3 ms after colour, one camera_info in the middle, all under another namespace."""
     pytest.importorskip("mcap", reason="replays with deltacharger[record]")
-    from deltacharger_bringup.mcap_recording import McapWriter
+    from deltacharger_records.recording.mcap_recording import McapWriter
 
     kinds = {"/old/color/image_raw": Image, "/old/depth/image_raw": Image, "/old/color/camera_info": CameraInfo}
     path = tmp_path / "rec.mcap"
@@ -336,7 +336,7 @@ def test_wrong_parameters_stop_it_at_start(start: Start, tmp_path: Path, values:
     if values.get("replay"):
         pytest.importorskip("mcap", reason="replays with deltacharger[record]")
         if values["replay"] == "empty":
-            from deltacharger_bringup.mcap_recording import McapWriter
+            from deltacharger_records.recording.mcap_recording import McapWriter
 
             values = {"replay": str(tmp_path / "empty.mcap")}
             with McapWriter(Path(values["replay"]), {"/color/image_raw": Image}):
@@ -353,7 +353,7 @@ def test_without_depthai_it_says_what_to_install(start: Start, monkeypatch: pyte
 
 def test_the_executable_takes_a_recording_and_ros_arguments() -> None:
     pytest.importorskip("mcap", reason="replays with deltacharger[record]")
-    words = [sys.executable, "-m", "deltacharger_vision.camera_node"]
+    words = [sys.executable, "-m", "deltacharger_vision.cameras.camera_node"]
     for more, says in (
         (["--replay", "none.mcap", "--ros-args", "-r", "__ns:=/a"], "none.mcap: there is no such file"),
         (["--ros-args", "-p", "replay:=other.mcap"], "other.mcap: there is no such file"),

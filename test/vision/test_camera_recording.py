@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deltacharger_vision.camera_recording import (
+from deltacharger_vision.cameras.recording import (
     CAMERA_INFO,
     COLOR,
     DEPTH,

@@ -11,11 +11,11 @@ import sys
 import numpy as np
 import pytest
 
-from deltacharger_vision.detector import DetectorSettings, ElectrodeDetector
+from deltacharger_vision.detector.detector import DetectorSettings, ElectrodeDetector
 from deltacharger_vision.errors import CameraInfoError, ParameterError
 from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.simulated_camera import OAK_D, SimulatedCamera
-from deltacharger_vision.simulated_scene import Scene
+from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
+from deltacharger_vision.rendering.scene import Scene
 from deltacharger_vision.terminal import Terminal
 
 from .detector_scenes import (
@@ -283,7 +283,7 @@ def test_settings_out_of_bounds_are_refused_by_name() -> None:
 
 def test_importing_the_detector_does_not_load_opencv() -> None:
     script = (
-        "import sys, deltacharger_vision, deltacharger_vision.detector, deltacharger_vision.annotate;"
+        "import sys, deltacharger_vision, deltacharger_vision.detector.detector, deltacharger_vision.detector.annotate;"
         "sys.exit('cv2' in sys.modules or 'rclpy' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

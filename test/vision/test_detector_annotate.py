@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deltacharger_vision.annotate import annotated
-from deltacharger_vision.detector import ElectrodeDetector
-from deltacharger_vision.simulated_scene import Scene
+from deltacharger_vision.detector.annotate import annotated
+from deltacharger_vision.detector.detector import ElectrodeDetector
+from deltacharger_vision.rendering.scene import Scene
 
 from .detector_scenes import pose_at, render
 

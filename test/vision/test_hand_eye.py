@@ -10,16 +10,16 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from deltacharger_vision.calibration_board import AprilTag, Board, Charuco, Sighting
-from deltacharger_vision.hand_eye import Calibration, calibrate
-from deltacharger_vision.hand_eye_checks import doubts, drift, held_out_rms, notes
-from deltacharger_vision.hand_eye_model import FREE_WITH_SCALE, State, jacobian, residuals
-from deltacharger_vision.hand_eye_start import start
-from deltacharger_vision.hand_eye_views import Beliefs, Corners, HandEyeError, View
+from deltacharger_vision.hand_eye.board import AprilTag, Board, Charuco, Sighting
+from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate
+from deltacharger_vision.hand_eye.checks import doubts, drift, held_out_rms, notes
+from deltacharger_vision.hand_eye.model import FREE_WITH_SCALE, State, jacobian, residuals
+from deltacharger_vision.hand_eye.start import start
+from deltacharger_vision.hand_eye.views import Beliefs, Corners, HandEyeError, View
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.poses import turn
 from deltacharger_vision.projection import project, rays
-from deltacharger_vision.simulated_camera import OAK_D
+from deltacharger_vision.rendering.camera import OAK_D
 
 from .hand_eye_rig import DOCK, OFFSET, Rig, held, squared
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltacharger_vision.detection import Detection
+from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.errors import MountError
 from deltacharger_vision.mount import Mount, line_angle, look_at, quaternion
 from deltacharger_vision.poses import turn

@@ -16,11 +16,11 @@ import pytest
 from deltacharger_vision.errors import RendererError, SceneError
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
-from deltacharger_vision.mujoco_camera import MujocoCamera
-from deltacharger_vision.scene_drawing import charger_parts, cover, draw_scene
-from deltacharger_vision.simulated_camera import OAK_D, SimulatedCamera
-from deltacharger_vision.simulated_parameters import CameraParameters, SceneParameters
-from deltacharger_vision.simulated_scene import Box, Scene, shifted
+from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
+from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
+from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
+from deltacharger_vision.rendering.scene import Box, Scene, shifted
+from deltacharger_vision.rendering.scene_drawing import charger_parts, cover, draw_scene
 from deltacharger_vision.terminal import Terminal
 
 from .views import edge_errors, linear, shown, view
@@ -257,7 +257,7 @@ def test_without_mujoco_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.parametrize("backend", ["disable", "glfw", "nonsense"])
 def test_without_opengl_it_says_what_to_install(camera: MujocoCamera, backend: str) -> None:
-    code = "from deltacharger_vision.mujoco_camera import MujocoCamera; MujocoCamera()"
+    code = "from deltacharger_vision.rendering.mujoco_camera import MujocoCamera; MujocoCamera()"
     environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     ended = subprocess.run(
         [sys.executable, "-c", code],
@@ -273,7 +273,7 @@ def test_without_opengl_it_says_what_to_install(camera: MujocoCamera, backend: s
 
 def test_the_detector_finds_what_it_draws(camera: MujocoCamera) -> None:
     pytest.importorskip("cv2", reason="the detector needs deltacharger[vision]")
-    from deltacharger_vision.detector import ElectrodeDetector
+    from deltacharger_vision.detector.detector import ElectrodeDetector
 
     with MujocoCamera() as noisy:
         for seed, away in enumerate((0.16, 0.25, 0.5)):

@@ -14,10 +14,10 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from deltacharger_vision.camera_keeper import CameraKeeper, CameraUnavailable
+from deltacharger_vision.cameras.keeper import CameraKeeper, CameraUnavailable
+from deltacharger_vision.cameras.oak_pipeline import OakCamera, OakImage, OakSettings, attach, converted, find_device
 from deltacharger_vision.errors import CameraInfoError, ImageError, ParameterError
 from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.oak_pipeline import OakCamera, OakImage, OakSettings, attach, converted, find_device
 
 DEADLINE = 60.0  # s; far longer than anything takes
 MATRIX = [[441.0, 0.0, 319.5], [0.0, 440.0, 199.5], [0.0, 0.0, 1.0]]
@@ -237,7 +237,7 @@ def test_the_camera_is_set_up_for_docking_and_tells_when_it_is_gone(
 
 
 def test_a_camera_that_falls_silent_is_noticed(depthai: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("deltacharger_vision.oak_pipeline._SILENCE", 0.3)
+    monkeypatch.setattr("deltacharger_vision.cameras.oak_pipeline._SILENCE", 0.3)
     bench, images = Bench(depthai, monkeypatch, 50.0, count=5), []
     camera = OakCamera(OakSettings(rate=50.0), lambda: True, images.append)
     try:
@@ -278,7 +278,7 @@ def test_settings_have_bounds() -> None:
 
 def test_depthai_is_imported_only_for_a_camera() -> None:
     code = (
-        "import sys, deltacharger_vision.camera_node, deltacharger_vision.oak_pipeline;"
+        "import sys, deltacharger_vision.cameras.camera_node, deltacharger_vision.cameras.oak_pipeline;"
         "print('depthai' in sys.modules, 'cv2' in sys.modules)"
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout

@@ -8,8 +8,8 @@ from array import array
 import numpy as np
 import pytest
 
+from deltacharger_vision.cameras.ros_images import color_array, depth_array
 from deltacharger_vision.errors import ImageError
-from deltacharger_vision.ros_images import color_array, depth_array
 
 RGB = np.random.default_rng(3).integers(0, 256, (18, 21, 3), dtype=np.uint8)
 

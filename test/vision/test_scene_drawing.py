@@ -9,10 +9,10 @@ import pytest
 
 from deltacharger_vision.errors import SceneError
 from deltacharger_vision.mount import look_at
-from deltacharger_vision.scene_drawing import charger_parts, cover, draw_decoy, draw_scene
-from deltacharger_vision.simulated_camera import SimulatedCamera
-from deltacharger_vision.simulated_parameters import CameraParameters
-from deltacharger_vision.simulated_scene import Box, Scene, shifted
+from deltacharger_vision.rendering.camera import SimulatedCamera
+from deltacharger_vision.rendering.parameters import CameraParameters
+from deltacharger_vision.rendering.scene import Box, Scene, shifted
+from deltacharger_vision.rendering.scene_drawing import charger_parts, cover, draw_decoy, draw_scene
 from deltacharger_vision.terminal import Terminal
 
 from .views import view

@@ -11,10 +11,10 @@ import pytest
 from deltacharger_vision.errors import SceneError
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.lens import undistort
-from deltacharger_vision.scene_drawing import cover
-from deltacharger_vision.simulated_camera import OAK_D, SimulatedCamera
-from deltacharger_vision.simulated_parameters import CameraParameters, SceneParameters
-from deltacharger_vision.simulated_scene import Box, Scene, shifted
+from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
+from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
+from deltacharger_vision.rendering.scene import Box, Scene, shifted
+from deltacharger_vision.rendering.scene_drawing import cover
 from deltacharger_vision.terminal import LOWER, UPPER, Terminal
 
 from .views import DISTORTIONS, edge_errors, linear, shown, view

@@ -11,9 +11,9 @@ import pytest
 
 from deltacharger_vision.errors import ParameterError
 from deltacharger_vision.images import RgbdImage
-from deltacharger_vision.simulated_camera import SimulatedCamera
-from deltacharger_vision.simulated_parameters import CameraParameters, SceneParameters
-from deltacharger_vision.simulated_scene import Scene
+from deltacharger_vision.rendering.camera import SimulatedCamera
+from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
+from deltacharger_vision.rendering.scene import Scene
 
 from .views import linear, view
 

@@ -7,11 +7,11 @@ import pytest
 
 from deltacharger_bringup.doctor.board import examine_board
 from deltacharger_bringup.doctor.findings import Finding
-from deltacharger_driver.bench_plant import BenchPlant
-from deltacharger_driver.board_emulator import BoardEmulator
-from deltacharger_driver.board_link import BoardLink
-from deltacharger_driver.board_protocol import Fault
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.board.link import BoardLink
+from deltacharger_driver.board.protocol import Fault
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.board import BoardEmulator
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 
 from .found import one, only
 

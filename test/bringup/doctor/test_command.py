@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from deltacharger_bringup.cli import main
-from deltacharger_driver.servo_emulator import ServoBusEmulator
+from deltacharger_bringup.cli.main import main
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 
 from ...emulated_ports import IDS
 

@@ -13,7 +13,7 @@ from deltacharger_bringup.doctor.camera import examine_camera
 from deltacharger_bringup.doctor.environment import RosProbe, examine_settings
 from deltacharger_bringup.doctor.findings import Finding, checked, ok
 
-from ..conftest import new_namespace
+from ...chargers import new_namespace
 from .found import one, only
 
 

@@ -61,7 +61,7 @@ def test_a_forbidden_port_names_the_group(monkeypatch: pytest.MonkeyPatch, silen
 
 
 def test_an_adapter_that_holds_bytes_back_is_hinted_at(monkeypatch: pytest.MonkeyPatch, silent_port: str) -> None:
-    monkeypatch.setattr("deltacharger_driver.servo_port.latency_timer", lambda port: 16e-3)
+    monkeypatch.setattr("deltacharger_driver.servos.port.latency_timer", lambda port: 16e-3)
     finding = one(examine_port("servo port", silent_port), "hint", "servo port")
     assert "16 ms" in finding.message
     assert "99-deltacharger.rules" in finding.remedy

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import pytest
 
-from deltacharger_driver.bench_arm import BenchArm
-from deltacharger_driver.mx64 import WATCHDOG_TRIPPED
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.port_identity import SERVO_SPEEDS
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_emulator import ServoBusEmulator
+from deltacharger_driver.servos.mx64 import WATCHDOG_TRIPPED
 
 from ...emulated_ports import written
 from .found import one, only, servo_findings

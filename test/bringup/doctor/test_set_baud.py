@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from deltacharger_bringup.doctor.set_baud import set_baud
-from deltacharger_driver.bench_arm import BenchArm
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_emulator import ServoBusEmulator
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 
 from ...emulated_ports import IDS, written
 from .found import LIKELY, only, servo_findings

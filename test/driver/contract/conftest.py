@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from deltacharger_driver.board_link import BoardLink
+from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.errors import DriverError
-from deltacharger_driver.servo_bus import ServoBus
-from deltacharger_driver.servo_link import ServoLink
-from deltacharger_driver.servo_setup import set_up
+from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.link import ServoLink
+from deltacharger_driver.servos.setup import set_up
 
 from .host import BoardHost
 from .sites import BoardSite, ServoSite, emulated_board, emulated_servos, firmware_board

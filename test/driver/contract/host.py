@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import time
 
-from deltacharger_driver.board_link import BoardLink
-from deltacharger_driver.board_protocol import DEFAULT_RATE
-from deltacharger_driver.board_samples import PowerSample, TactileSample
-from deltacharger_driver.contactor_guard import ContactorGuard
+from deltacharger_driver.board.contactor_guard import ContactorGuard
+from deltacharger_driver.board.link import BoardLink
+from deltacharger_driver.board.protocol import DEFAULT_RATE
+from deltacharger_driver.board.samples import PowerSample, TactileSample
 
 from .sites import until
 

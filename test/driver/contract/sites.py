@@ -15,13 +15,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from deltacharger_driver.bench_arm import BenchArm
-from deltacharger_driver.bench_plant import BenchPlant
-from deltacharger_driver.board_emulator import BoardEmulator
-from deltacharger_driver.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.servo_emulator import ServoBusEmulator
-from deltacharger_driver.servo_port import REPLY_MARGIN
-from deltacharger_driver.servo_snapshot import BusSettings
+from deltacharger_driver.emulators.bench_arm import BenchArm
+from deltacharger_driver.emulators.bench_plant import BenchPlant
+from deltacharger_driver.emulators.board import BoardEmulator
+from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.servos.port import REPLY_MARGIN
+from deltacharger_driver.servos.snapshot import BusSettings
 
 LARGEST_CURRENT = 3.0  # A, servo_node's default
 DEAD_TAXEL = (0, 3, 4)  # pad, row, column of the one that every emulated board has

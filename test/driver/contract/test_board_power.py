@@ -10,8 +10,8 @@ from itertools import pairwise
 
 import pytest
 
-from deltacharger_driver.board_protocol import POWER_RATE, Fault
-from deltacharger_driver.contactor_lease import LeaseRefused
+from deltacharger_driver.board.contactor_lease import LeaseRefused
+from deltacharger_driver.board.protocol import POWER_RATE, Fault
 
 from .host import BoardHost
 from .sites import BoardSite, holds

@@ -11,9 +11,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from deltacharger_driver.board_errors import CommandRefused
-from deltacharger_driver.board_protocol import COLUMNS, CONTACT_FORCE, FULL_SCALE, ROWS, VERSION, AckError
-from deltacharger_driver.board_samples import TactileSample
+from deltacharger_driver.board.errors import CommandRefused
+from deltacharger_driver.board.protocol import COLUMNS, CONTACT_FORCE, FULL_SCALE, ROWS, VERSION, AckError
+from deltacharger_driver.board.samples import TactileSample
 from deltacharger_driver.port_identity import identify
 
 from .host import BoardHost
@@ -23,7 +23,7 @@ STRETCH = 120  # frames
 SETTLED = 40  # frames whose stamps must follow the board's clock
 STAMP_STEP = 0.002  # s
 RESTING = 0.05  # N, median of a tared pad
-OPEN_AGAIN = "import sys; from deltacharger_driver.board_link import BoardLink; BoardLink(sys.argv[1]).open()"
+OPEN_AGAIN = "import sys; from deltacharger_driver.board.link import BoardLink; BoardLink(sys.argv[1]).open()"
 
 
 def seconds(frames: list[TactileSample]) -> float:

@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from deltacharger_driver import cobs
-from deltacharger_driver.board_errors import CommandRefused
-from deltacharger_driver.board_payloads import Ack, decode_ack, decode_hello, encode_rate
-from deltacharger_driver.board_port import BoardPort
-from deltacharger_driver.board_protocol import (
+from deltacharger_driver.board import cobs
+from deltacharger_driver.board.errors import CommandRefused
+from deltacharger_driver.board.payloads import Ack, decode_ack, decode_hello, encode_rate
+from deltacharger_driver.board.port import BoardPort
+from deltacharger_driver.board.protocol import (
     LONGEST_PING,
     VERSION,
     AckError,

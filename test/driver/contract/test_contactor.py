@@ -7,15 +7,9 @@ import time
 
 import pytest
 
-from deltacharger_driver.board_errors import CommandRefused
-from deltacharger_driver.board_payloads import probe_problem
-from deltacharger_driver.board_protocol import (
-    HEARTBEAT_TIMEOUT,
-    POWER_RATE,
-    PROBE_LIFETIME,
-    AckError,
-    Fault,
-)
+from deltacharger_driver.board.errors import CommandRefused
+from deltacharger_driver.board.payloads import probe_problem
+from deltacharger_driver.board.protocol import HEARTBEAT_TIMEOUT, POWER_RATE, PROBE_LIFETIME, AckError, Fault
 
 from .host import BoardHost
 from .sites import BoardSite, holds, until

@@ -13,7 +13,10 @@ from dataclasses import replace
 import pytest
 
 from deltacharger_driver.errors import DriverError, ServoFault
-from deltacharger_driver.mx64 import (
+from deltacharger_driver.port_identity import identify
+from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.link import ServoLink
+from deltacharger_driver.servos.mx64 import (
     CURRENT_UNIT,
     MODE_CURRENT_POSITION,
     MODEL,
@@ -22,11 +25,8 @@ from deltacharger_driver.mx64 import (
     VOLTAGE_UNIT,
     WATCHDOG_TRIPPED,
 )
-from deltacharger_driver.port_identity import identify
-from deltacharger_driver.servo_bus import ServoBus
-from deltacharger_driver.servo_link import ServoLink
-from deltacharger_driver.servo_setup import configure, restart_watchdog
-from deltacharger_driver.servo_snapshot import (
+from deltacharger_driver.servos.setup import configure, restart_watchdog
+from deltacharger_driver.servos.snapshot import (
     READ_ADDRESS,
     READ_BLOCK,
     READ_LENGTH,
@@ -63,7 +63,7 @@ JITTER = {
 }
 """Counts by which what is measured may differ between two readings at rest; 0 for any other register."""
 OPEN_AGAIN = (
-    "import sys; from deltacharger_driver.servo_link import ServoLink; ServoLink(sys.argv[1], 1_000_000).open()"
+    "import sys; from deltacharger_driver.servos.link import ServoLink; ServoLink(sys.argv[1], 1_000_000).open()"
 )
 
 

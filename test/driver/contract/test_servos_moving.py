@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from deltacharger_driver.errors import DriverError, ServoFault
-from deltacharger_driver.mx64 import TORQUE_CONSTANT, WATCHDOG_UNIT
-from deltacharger_driver.servo_bus import ServoBus
-from deltacharger_driver.servo_controller import ServoController
-from deltacharger_driver.servo_link import ServoLink
-from deltacharger_driver.servo_snapshot import WATCHDOG, Snapshot
+from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.controller import ServoController
+from deltacharger_driver.servos.link import ServoLink
+from deltacharger_driver.servos.mx64 import TORQUE_CONSTANT, WATCHDOG_UNIT
+from deltacharger_driver.servos.snapshot import WATCHDOG, Snapshot
 
 from .sites import ServoSite, until
 

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A client of a running colour camera: its intrinsics, and an image that was taken after a given moment."""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.context import Context
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, Image
+
+from deltacharger_ros import qos
+from deltacharger_ros.node_support import Spinner
+from deltacharger_vision.cameras.camera_info import from_camera_info
+from deltacharger_vision.cameras.ros_images import color_array
+from deltacharger_vision.errors import CameraInfoError
+from deltacharger_vision.images import Intrinsics
+
+_POLL = 0.01  # s
+_SAME_CLOCK = 10.0  # s between stamp and arrival; beyond it the camera's clock is another one
+_LATENCY = 0.5  # s that an image of such a camera may be under way
+
+
+class CameraError(RuntimeError):
+    """The camera gives no image; the message says what to do."""
+
+
+class CameraClient:
+    """Hears a colour image and its camera_info.
+
+    Args:
+        context: a running rclpy context.
+        topic: of the colour image; camera_info stands beside it.
+        namespace: of the charger.
+    """
+
+    def __init__(self, context: Context, topic: str, namespace: str = "") -> None:
+        self._topic = topic
+        folder, slash, _ = topic.rpartition("/")
+        self._info_topic = f"{folder}{slash}camera_info"
+        self._lock = threading.Lock()
+        self._image: tuple[float, Image] | None = None
+        self._info: CameraInfo | None = None
+        node = Node(
+            f"camera_client_{uuid.uuid4().hex[:8]}",
+            context=context,
+            namespace=namespace,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        node.create_subscription(Image, topic, self._on_image, qos.SENSOR)
+        node.create_subscription(CameraInfo, self._info_topic, self._on_info, qos.SENSOR)
+        self._clock = node.get_clock()
+        self._spinner: Spinner | None = Spinner(node, 2)
+
+    def __enter__(self) -> CameraClient:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the graph. Safe to call twice."""
+        if self._spinner is not None:
+            self._spinner.close()
+            self._spinner = None
+
+    def intrinsics(self, timeout: float, check: Callable[[], None]) -> Intrinsics:
+        """Wait for camera_info and return it.
+
+        Args:
+            timeout: s.
+            check: called while waiting; may raise.
+
+        Raises:
+            CameraError: none comes.
+            CameraInfoError: it cannot be used.
+        """
+        info = self._wait(lambda: self._info, timeout, check)
+        if info is None:
+            raise CameraError(f"no {self._info_topic} is heard: start the camera, in this ROS domain")
+        if info.binning_x > 1 or info.binning_y > 1 or info.roi.x_offset or info.roi.y_offset:
+            raise CameraInfoError(self._info_topic, "binning or a region of interest is set; send whole images")
+        return from_camera_info(info.width, info.height, info.k, info.d, info.distortion_model, self._info_topic)
+
+    def image(self, timeout: float, check: Callable[[], None]) -> NDArray[np.uint8]:
+        """Return an image (H, W, 3) RGB that was taken after this call; arguments as of `intrinsics`.
+
+        Raises:
+            CameraError: none comes.
+            ImageError: its encoding is unknown.
+        """
+        since, asked = self._now(), time.monotonic()
+
+        def fresh() -> Image | None:
+            with self._lock:
+                heard = self._image
+            if heard is None:
+                return None
+            arrival, message = heard
+            stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+            if abs(stamp - since) > _SAME_CLOCK:
+                return message if arrival > asked + _LATENCY else None
+            return message if stamp >= since and arrival > asked else None
+
+        message = self._wait(fresh, timeout, check)
+        if message is None:
+            raise CameraError(f"no image comes on {self._topic}: look at the camera's node and its cable")
+        fields = (message.encoding, message.height, message.width, message.step, message.data, message.is_bigendian)
+        pixels = color_array(*fields)
+        eight = (pixels >> 8).astype(np.uint8) if pixels.dtype == np.uint16 else pixels
+        return np.ascontiguousarray(eight if eight.ndim == 3 else np.repeat(eight[:, :, None], 3, axis=2))
+
+    def _now(self) -> float:
+        return float(self._clock.now().nanoseconds) * 1e-9
+
+    def _on_image(self, message: Image) -> None:
+        with self._lock:
+            self._image = (time.monotonic(), message)
+
+    def _on_info(self, message: CameraInfo) -> None:
+        self._info = message
+
+    @staticmethod
+    def _wait(value: Callable[[], Any], timeout: float, check: Callable[[], None]) -> Any:
+        end = time.monotonic() + timeout
+        while True:
+            check()
+            found = value()
+            if found is not None or time.monotonic() > end:
+                return found
+            time.sleep(_POLL)

@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A folder of views for `deltacharger calibrate camera`: images, where the platform stood at each, the intrinsics.
+
+    FOLDER/views.csv          one row per image, in the order in which they were taken
+    FOLDER/camera_info.yaml   as camera_calibration writes it
+    FOLDER/view_001.png …
+
+Columns of views.csv: image, and x_mm,y_mm,z_mm or x_m,y_m,z_m (end_effector in charger_base) or angle_0_rad,… or
+angle_0_deg,… (as servo_node reports them). Lines that start with # are comments.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_vision.hand_eye.board import Board
+from deltacharger_vision.hand_eye.views import View
+from deltacharger_vision.image_files import CAMERA_INFO, PICTURES, read_color, write_picture
+from deltacharger_vision.images import Intrinsics
+
+VIEWS = "views.csv"
+MOST = 2000
+"""Views in a folder."""
+_IMAGE = "image"
+_ANGLES = tuple(f"angle_{limb}_rad" for limb in range(3))
+_POSITIONS = {("x_mm", "y_mm", "z_mm"): 1e-3, ("x_m", "y_m", "z_m"): 1.0}
+_JOINTS = {_ANGLES: 1.0, tuple(f"angle_{limb}_deg" for limb in range(3)): math.radians(1.0)}
+_GROUPS = _POSITIONS | _JOINTS
+_KNOWN = (_IMAGE, *(name for group in _GROUPS for name in group))
+_LONGEST = 1_000_000  # bytes
+
+
+class ViewsError(ValueError):
+    """A folder of views cannot be used. Example: a row without an image.
+
+    Args:
+        path: file or folder.
+        reason: what is wrong and what to do.
+    """
+
+    def __init__(self, path: Path, reason: str) -> None:
+        self.path = path
+        self.reason = reason
+        super().__init__(f"{path}: {reason}")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row: the image's name, the line of the file, and the platform's position (m) or the arm's angles (rad)."""
+
+    image: str
+    line: int
+    position: Vector | None
+    angles: Vector | None
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The views of a folder: those that show the board, their images' names, and the names of the others."""
+
+    views: tuple[View, ...]
+    names: tuple[str, ...]
+    without: tuple[str, ...]
+
+
+def read_rows(folder: Path) -> list[Row]:
+    """Read views.csv of a folder.
+
+    Raises:
+        ViewsError: there is none, or names the line and what is wrong with it.
+        OSError: it cannot be read.
+    """
+    path = folder / VIEWS
+    if not path.is_file():
+        raise ViewsError(folder, f"holds no {VIEWS}; name a folder that --take filled, or write one")
+    if path.stat().st_size > _LONGEST:
+        raise ViewsError(path, f"is larger than {_LONGEST // 1000} kB; give one row per image")
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise ViewsError(path, "is not UTF-8; save it as 'CSV UTF-8'") from error
+    rows: list[Row] = []
+    header: list[str] = []
+    for number, text in enumerate(lines, start=1):
+        if not text.strip(" \t,") or text.lstrip().startswith("#"):
+            continue
+        try:
+            cells = [cell.strip() for cell in next(csv.reader([text]))]
+        except csv.Error as error:
+            raise ViewsError(path, f"line {number}: {error}") from error
+        if header:
+            rows.append(_row(path, number, header, cells))
+        else:
+            header = _header(path, number, cells)
+    if not header:
+        raise ViewsError(path, f"is empty; give the header {_IMAGE},{','.join(_ANGLES)}")
+    if len(rows) > MOST:
+        raise ViewsError(path, f"has {len(rows)} rows, more than {MOST}")
+    _refuse_doubled(path, rows)
+    return rows
+
+
+def gather(folder: Path, rows: Sequence[Row], board: Board, intrinsics: Intrinsics, geometry: DeltaGeometry) -> Seen:
+    """Look for the board in the image of each row.
+
+    Raises:
+        ViewsError: an image has another size than the intrinsics, or the arm cannot stand as a row says.
+        ImageError: a file is no image.
+        OSError: an image cannot be read.
+    """
+    kinematics = ScalarDelta(geometry)
+    views, names, without = [], [], []
+    for row in rows:
+        position, slope = _stand(folder / VIEWS, row, kinematics)
+        path = folder / row.image
+        if not path.is_file():
+            raise ViewsError(folder / VIEWS, f"line {row.line}: there is no image {row.image} in {folder}")
+        sighting = board.detect(_pixels(path, intrinsics))
+        if sighting is None:
+            without.append(row.image)
+        else:
+            views.append(View(position, sighting, slope))
+            names.append(row.image)
+    return Seen(tuple(views), tuple(names), tuple(without))
+
+
+def read_pixels(path: Path) -> NDArray[np.uint8]:
+    """Return an image as (H, W) gray or (H, W, 3) RGB, uint8; errors as of `read_color`."""
+    pixels = read_color(path)
+    eight = (pixels >> 8).astype(np.uint8) if pixels.dtype == np.uint16 else pixels
+    return np.asarray(eight if eight.ndim == 2 else np.ascontiguousarray(eight[:, :, :3]), dtype=np.uint8)
+
+
+class ViewsFolder:
+    """A folder that views are added to one by one, so that nothing taken is lost and taking resumes.
+
+    Args:
+        folder: made where it is missing, continued where it holds views.
+        intrinsics: of the camera.
+
+    Attributes:
+        angles: rad, of the arm at each view that it holds.
+
+    Raises:
+        ViewsError: what it holds was taken otherwise, or is no folder of views.
+        OSError: it cannot be read or written.
+    """
+
+    def __init__(self, folder: Path, intrinsics: Intrinsics) -> None:
+        self._folder = folder
+        self.angles: list[Vector] = []
+        folder.mkdir(parents=True, exist_ok=True)
+        if (folder / VIEWS).exists():
+            self._resume(intrinsics)
+            return
+        if any(path.name != CAMERA_INFO for path in folder.iterdir()):
+            raise ViewsError(folder, f"holds other files and no {VIEWS}; name a new folder")
+        (folder / CAMERA_INFO).write_text(camera_info_text(intrinsics), encoding="utf-8")
+        self._write(f"{_IMAGE},{','.join(_ANGLES)}\n")
+
+    def add(self, image: NDArray[np.uint8], angles: Vector) -> str:
+        """Add an image (H, W, 3) and the arm's angles (rad) at it; return its name once both are on the disk."""
+        name = f"view_{len(self.angles) + 1:03}.png"
+        write_picture(self._folder / name, image)
+        self._write(",".join([name, *(f"{angle:.7f}" for angle in angles)]) + "\n")
+        self.angles.append(angles)
+        return name
+
+    def _resume(self, intrinsics: Intrinsics) -> None:
+        from deltacharger_vision.cameras.camera_info import load_camera_info
+
+        rows = read_rows(self._folder)
+        ours = all(row.angles is not None and row.image == f"view_{n:03}.png" for n, row in enumerate(rows, start=1))
+        if not ours or not (self._folder / CAMERA_INFO).is_file():
+            raise ViewsError(self._folder, "was not filled by --take; name a new folder")
+        if load_camera_info(self._folder / CAMERA_INFO) != intrinsics:
+            raise ViewsError(self._folder, "was taken with other intrinsics than the camera has now; name a new folder")
+        self.angles = [row.angles for row in rows if row.angles is not None]
+
+    def _write(self, text: str) -> None:
+        with (self._folder / VIEWS).open("a", encoding="utf-8", newline="") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+
+
+def camera_info_text(intrinsics: Intrinsics) -> str:
+    """Return intrinsics as the YAML that `load_camera_info` reads."""
+    import yaml
+
+    coefficients = list(intrinsics.distortion) or [0.0] * 5
+    content = {
+        "image_width": intrinsics.width,
+        "image_height": intrinsics.height,
+        "camera_matrix": {"rows": 3, "cols": 3, "data": intrinsics.matrix().ravel().tolist()},
+        "distortion_model": "rational_polynomial" if len(coefficients) == 8 else "plumb_bob",
+        "distortion_coefficients": {"rows": 1, "cols": len(coefficients), "data": coefficients},
+    }
+    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
+
+
+def _header(path: Path, line: int, names: list[str]) -> list[str]:
+    for name in names:
+        if name not in _KNOWN:
+            near = difflib.get_close_matches(name, _KNOWN, 1)
+            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(_KNOWN)}"
+            raise ViewsError(path, f"line {line}: unknown column '{name}'; {hint}")
+        if names.count(name) > 1:
+            raise ViewsError(path, f"line {line}: column '{name}' appears {names.count(name)} times")
+    given = [group for group in _GROUPS if set(group) & set(names)]
+    if _IMAGE not in names or len(given) != 1 or not set(given[0]) <= set(names):
+        groups = " or ".join(",".join(group) for group in _GROUPS)
+        raise ViewsError(path, f"line {line}: give the column {_IMAGE} and one of {groups}")
+    return names
+
+
+def _row(path: Path, line: int, header: list[str], cells: list[str]) -> Row:
+    if len(cells) != len(header):
+        raise ViewsError(path, f"line {line}: {len(cells)} cells for {len(header)} columns; write decimal points")
+    found = dict(zip(header, cells, strict=True))
+    group = next(group for group in _GROUPS if group[0] in found)
+    first, second, third = (_number(path, line, name, found[name]) * _GROUPS[group] for name in group)
+    image = found[_IMAGE]
+    if Path(image).suffix.lower() not in PICTURES or Path(image).name != image:
+        raise ViewsError(path, f"line {line}: image '{image}'; give a {', '.join(PICTURES)} file of the same folder")
+    values = (first, second, third)
+    return Row(image, line, *((None, values) if group in _JOINTS else (values, None)))
+
+
+def _number(path: Path, line: int, name: str, cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise ViewsError(path, f"line {line}: {name} is '{cell}', which is no finite number")
+    return value
+
+
+def _refuse_doubled(path: Path, rows: Sequence[Row]) -> None:
+    lines: dict[str, int] = {}
+    for row in rows:
+        if row.image in lines:
+            raise ViewsError(path, f"line {row.line}: image {row.image} stands in line {lines[row.image]} already")
+        lines[row.image] = row.line
+
+
+def _stand(path: Path, row: Row, kinematics: ScalarDelta) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the platform's position (3,) m and its slope (3, 3) m/rad by the arm's angles."""
+    position = row.position or kinematics.forward(*(row.angles or (math.nan,) * 3))
+    slope = np.array(kinematics.jacobian(*position)).reshape(3, 3)
+    if not np.isfinite(slope).all():
+        said = f"angles {row.angles} rad" if row.position is None else f"position {row.position} m"
+        raise ViewsError(path, f"line {row.line}: the arm cannot have the {said}; look at their unit and --geometry")
+    return np.array(position), slope
+
+
+def _pixels(path: Path, intrinsics: Intrinsics) -> NDArray[np.uint8]:
+    pixels = read_pixels(path)
+    height, width = pixels.shape[:2]
+    if (width, height) != (intrinsics.width, intrinsics.height):
+        raise ViewsError(
+            path,
+            f"has {width} × {height} px, and the camera's calibration is for {intrinsics.width} × {intrinsics.height}; "
+            "give images and --camera-info of one size",
+        )
+    return pixels

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger calibrate camera`: where the camera sits, from images of a board on the platform, and how sure."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+
+import numpy as np
+
+from deltacharger_bringup.calibrate.camera_report import MILLIMETRE, Judged, about, as_mapping, as_text
+from deltacharger_bringup.calibrate.camera_views import ViewsError, gather, read_pixels, read_rows
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_vision.cameras.camera_info import load_camera_info
+from deltacharger_vision.errors import VisionError
+from deltacharger_vision.hand_eye.board import AprilTag, Board, markers_in, parse_board
+from deltacharger_vision.hand_eye.board_print import board_svg
+from deltacharger_vision.hand_eye.calibrate import calibrate
+from deltacharger_vision.hand_eye.checks import doubts, notes
+from deltacharger_vision.hand_eye.views import Beliefs
+from deltacharger_vision.image_files import CAMERA_INFO, require_opencv
+from deltacharger_vision.mount import Mount
+
+_FAR = (0.020, math.radians(10.0))
+"""From the believed mount, m and rad, further than which a slip is likelier than a bent bracket."""
+_SATURATED = 250  # of 255
+_HINTED = 3  # images that are searched for other markers
+
+
+def camera(options: argparse.Namespace) -> int:
+    """Take views where that is asked for, then fit the mount, judge it, and write it where nothing is doubtful."""
+    try:
+        require_opencv()
+        for flag in ("out", "print"):
+            _check_output(options, flag)
+        board = parse_board(
+            options.board,
+            options.size_mm * MILLIMETRE,
+            None if options.marker_mm is None else options.marker_mm * MILLIMETRE,
+        )
+        if options.print is not None:
+            return _print(options, board)
+        if options.views is None:
+            raise CommandError("give --views FOLDER, or --print FILE.svg for a board", WRONG_INPUT)
+        offset, geometry = _offset(options), _geometry(options)
+        if options.take is not None:
+            from deltacharger_bringup.cli.take_views import take
+
+            take(options, board, offset, geometry)
+        return _tell(options, board, _judge(options, board, offset, geometry))
+    except (VisionError, ViewsError) as error:
+        raise CommandError(str(error), WRONG_INPUT) from error
+    except ModuleNotFoundError as error:
+        if error.name != "cv2":
+            raise
+        raise CommandError(str(error), WRONG_INPUT) from error
+
+
+def _check_output(options: argparse.Namespace, flag: str) -> None:
+    name = getattr(options, flag)
+    if name is None:
+        return
+    path = Path(name)
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        raise CommandError(f"--{flag} {path}: name a file in a folder that exists", WRONG_INPUT)
+    if path.exists() and not options.force:
+        raise CommandError(f"{path} exists: choose another name, or overwrite it with --force", WRONG_INPUT)
+
+
+def _print(options: argparse.Namespace, board: Board) -> int:
+    """Draw the board."""
+    if Path(options.print).suffix.lower() != ".svg":
+        raise CommandError(f"--print {options.print}: give a name that ends in .svg", WRONG_INPUT)
+    Path(options.print).write_text(board_svg(board), encoding="utf-8")
+    width, height = (length / MILLIMETRE for length in board.pattern)
+    say(
+        f"print it at 100 % (no 'fit to page') on matte paper; the black pattern must measure {width:g} × {height:g} mm"
+    )
+    if options.json:
+        write_json({"success": True, "written": options.print, "pattern": list(board.pattern)})
+    else:
+        tell(f"wrote {options.print}")
+    return DONE
+
+
+def _offset(options: argparse.Namespace) -> Vector:
+    """Return the board's origin in end_effector, m."""
+    values = {axis: getattr(options, f"board_{axis}_mm") for axis in "xyz"}
+    missing = [f"--board-{axis}-mm" for axis, value in values.items() if value is None]
+    if missing:
+        raise CommandError(
+            f"give {', '.join(missing)}: where the board's centre is in end_effector, measured with a ruler; images "
+            "cannot tell it, as the platform never turns",
+            WRONG_INPUT,
+        )
+    x, y, z = (MILLIMETRE * float(value) for value in values.values())
+    return x, y, z
+
+
+def _geometry(options: argparse.Namespace) -> DeltaGeometry:
+    if options.geometry is None:
+        return DeltaGeometry()
+    try:
+        return load_geometry(options.geometry)
+    except ValueError as error:
+        raise CommandError(str(error), WRONG_INPUT, file=options.geometry) from error
+
+
+def _judge(options: argparse.Namespace, board: Board, offset: Vector, geometry: DeltaGeometry) -> Judged:
+    folder = Path(options.views)
+    rows = read_rows(folder)
+    info = folder / CAMERA_INFO if options.camera_info is None else Path(options.camera_info)
+    if not info.is_file():
+        raise CommandError(f"{info}: there is no such file; put it there, or give --camera-info", WRONG_INPUT)
+    intrinsics = load_camera_info(info)
+    seen = gather(folder, rows, board, intrinsics, geometry)
+    if not seen.views:
+        raise CommandError(_unseen(folder, board, [row.image for row in rows]), FAILED, views=len(rows))
+    beliefs = Beliefs(
+        offset,
+        offset_stddev=options.board_stddev_mm * MILLIMETRE,
+        joint_stddev=math.radians(options.joint_stddev_deg),
+        arm_stddev=options.arm_stddev_mm * MILLIMETRE,
+    )
+    found = calibrate(seen.views, intrinsics, beliefs, options.held_out_every)
+    away = _away(found.mount, Mount.load(options.mount) if options.mount else Mount.default())
+    said = [*notes(found, seen.names), *_slips(away)]
+    if seen.without:
+        said.append(f"{len(seen.without)} of {len(rows)} images do not show the board: {_few(seen.without)}")
+    if isinstance(board, AprilTag) and np.median([view.sighting.white for view in seen.views]) >= _SATURATED:
+        said.append("the print's white is over-exposed, which makes a tag look smaller: lower the camera's exposure")
+    return Judged(found, seen, away, doubts(found, board.length, seen.names), said)
+
+
+def _away(found: Mount, believed: Mount) -> tuple[float, float]:
+    """Return how far a mount is from the believed one, m and rad."""
+    turned = 0.5 * (float(np.trace(found.pose[:3, :3] @ believed.pose[:3, :3].T)) - 1.0)
+    distance = float(np.linalg.norm(found.pose[:3, 3] - believed.pose[:3, 3]))
+    return distance, math.acos(min(1.0, max(-1.0, turned)))
+
+
+def _slips(away: tuple[float, float]) -> list[str]:
+    """Return a note where the mount is so far from the believed one that a sign may be wrong: no image tells that."""
+    if away[0] < _FAR[0] and away[1] < _FAR[1]:
+        return []
+    return [
+        f"that is {1e3 * away[0]:.0f} mm and {math.degrees(away[1]):.0f} ° from the believed mount: if it should not "
+        "be, look at the signs of --board-…-mm (x to the left, y up, z toward the target) and at --mount"
+    ]
+
+
+def _unseen(folder: Path, board: Board, names: list[str]) -> str:
+    """Return what to do where no image shows the board."""
+    others = sorted({marker for name in names[:_HINTED] for marker in markers_in(read_pixels(folder / name))})
+    hint = f"they show {_few(others)}: give the right --board" if others else "is it sharp, lit, and not cut off?"
+    return f"none of {len(names)} images shows {board.name}; {hint}"
+
+
+def _few(names: list[str] | tuple[str, ...], most: int = 5) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def _tell(options: argparse.Namespace, board: Board, judged: Judged) -> int:
+    written = options.out if options.out is not None and (options.force or not judged.doubts) else None
+    if written is not None:
+        judged.found.mount.save(written, about(options, board, judged))
+    success = not judged.doubts or written is not None
+    if options.json:
+        write_json({"success": success, **as_mapping(judged), "written": written})
+    else:
+        tell(as_text(judged))
+    for text in (*judged.notes, *judged.doubts):
+        say(text)
+    if written is not None:
+        say(f"wrote {written}")
+    elif options.out is not None:
+        say(f"{options.out} was not written; --force writes it nevertheless")
+    return DONE if success else FAILED

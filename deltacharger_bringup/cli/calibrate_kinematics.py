@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger calibrate kinematics`: plan the poses, or fit the geometry to measured ones and say how well."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import datetime
+import hashlib
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_kinematics.calibration.calibrate import Calibration, calibrate, describe
+from deltacharger_kinematics.calibration.checks import named
+from deltacharger_kinematics.calibration.data import Encoder, read_measurements
+from deltacharger_kinematics.calibration.plan import plan, write_plan
+from deltacharger_kinematics.calibration.problem import NAMES, Uncertainty, numbers, rms
+from deltacharger_kinematics.calibration.table import MILLIMETRE, CalibrationError
+from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry
+from deltacharger_kinematics.geometry_file import geometry_to_mapping, load_geometry, save_geometry
+
+_WORST = 5  # rows to name
+_UNEXPLAINED = 2.0  # scatter; below it the stated uncertainties are near enough
+_SUSPICIOUS = 3.0  # tolerances; what a well-built arm hardly ever differs by
+
+
+def kinematics(options: argparse.Namespace) -> int:
+    """Fit, plan or measure, as the options say."""
+    if options.measure is not None:
+        if options.plan is None or options.data is not None:
+            raise CommandError("--measure FILE needs --plan FILE to read, and no DATA.csv", WRONG_INPUT)
+        from deltacharger_bringup.cli.measure import measure
+
+        return measure(options, _nominal(options))
+    if options.plan is not None:
+        if options.data is not None or options.out is not None:
+            raise CommandError("--plan FILE writes a plan; it takes neither DATA.csv nor --out", WRONG_INPUT)
+        return _plan(options)
+    if options.data is None:
+        raise CommandError(
+            "give DATA.csv to fit, --plan FILE to write a plan, or both --plan and --measure", WRONG_INPUT
+        )
+    return _fit(options)
+
+
+@contextlib.contextmanager
+def refusing(path: str) -> Iterator[None]:
+    """Turn what is wrong with a file of measurements into exit code 2 and its lines.
+
+    Raises:
+        CommandError: instead of CalibrationError.
+    """
+    try:
+        yield
+    except CalibrationError as error:
+        raise CommandError(f"{path}: {error}", WRONG_INPUT, file=path, lines=list(error.lines)) from error
+
+
+def encoder_of(options: argparse.Namespace) -> Encoder | None:
+    """Return the encoder that the options state; None where they state nothing.
+
+    Raises:
+        CommandError: a direction is not 1 or -1.
+    """
+    given = {"zero_ticks": options.zero_ticks, "direction": options.direction}
+    values = {name: tuple(value) for name, value in given.items() if value is not None}
+    try:
+        return Encoder(**values) if values else None
+    except CalibrationError as error:
+        raise CommandError(str(error), WRONG_INPUT) from error
+
+
+def _nominal(options: argparse.Namespace) -> DeltaGeometry:
+    if options.nominal is None:
+        return DeltaGeometry()
+    try:
+        return load_geometry(options.nominal)
+    except ValueError as error:
+        raise CommandError(str(error), WRONG_INPUT, file=options.nominal) from error
+
+
+def _refuse_existing(path: str, force: bool) -> None:
+    if Path(path).exists() and not force:
+        raise CommandError(f"{path} exists: choose another name, or overwrite it with --force", WRONG_INPUT, file=path)
+    if not Path(path).absolute().parent.is_dir():
+        raise CommandError(f"{path}: there is no such folder", WRONG_INPUT, file=path)
+
+
+def _plan(options: argparse.Namespace) -> int:
+    geometry = _nominal(options)
+    _refuse_existing(options.plan, options.force)
+    poses = plan(geometry, options.seed)
+    with refusing(options.plan):
+        write_plan(options.plan, poses, geometry, encoder_of(options) or Encoder())
+    kept = sum(pose.held_out for pose in poses)
+    if options.json:
+        write_json({"success": True, "written": options.plan, "poses": len(poses), "held_out": kept})
+    else:
+        tell(f"wrote {options.plan}: {len(poses)} poses, {kept} of them to judge the fit by")
+    return DONE
+
+
+def _fit(options: argparse.Namespace) -> int:
+    if options.out is not None:
+        _refuse_existing(options.out, options.force)
+    nominal = _nominal(options)
+    uncertainty = Uncertainty(
+        options.measurement_mm * MILLIMETRE, options.tolerance_mm * MILLIMETRE, math.radians(options.tolerance_deg)
+    )
+    with refusing(options.data):
+        measurements = read_measurements(options.data, encoder_of(options))
+        found = calibrate(measurements, nominal, uncertainty, options.held_out, options.seed)
+    digest = hashlib.sha256(Path(options.data).read_bytes()).hexdigest()
+    doubts = _doubts(found)
+    written = options.out if options.out is not None and (options.force or not doubts) else None
+    if written is not None:
+        save_geometry(found.fit.geometry, written, _header(options, found, digest))
+    success = not doubts or written is not None
+    if options.json:
+        write_json({"success": success, **_as_mapping(found, digest), "doubts": doubts, "written": written})
+    else:
+        tell(_as_text(options, found))
+    for doubt in doubts:
+        say(doubt)
+    if written is not None:
+        say(f"wrote {written}")
+    elif options.out is not None:
+        say(f"{options.out} was not written; --force writes it nevertheless")
+    return DONE if success else FAILED
+
+
+def _doubts(found: Calibration) -> list[str]:
+    """Return why the geometry should not be used; empty where it should."""
+    doubts = []
+    if not found.improves:
+        before, after = found.held_out_rms
+        doubts.append(
+            f"the fit does not help where it was not fitted: held-out error {_mm(before)} mm before, {_mm(after)} mm "
+            "after; the nominal geometry is already this good, or the measurements contradict each other"
+        )
+    if found.outliers.any():
+        lines = _lines(found, np.flatnonzero(found.outliers))
+        doubts.append(f"{named(tuple(lines))}: the other rows contradict this; measure again, or delete the row")
+    return doubts
+
+
+def _worst(found: Calibration) -> list[int]:
+    """Return the rows with the largest residuals, worst first."""
+    return [int(row) for row in np.argsort(-np.linalg.norm(found.fit.residuals, axis=1))[:_WORST]]
+
+
+def _lines(found: Calibration, rows: Any) -> list[int]:
+    return [found.measurements.lines[row] for row in rows]
+
+
+def _mm(value: float) -> str:
+    return f"{value / MILLIMETRE:.3f}"
+
+
+def _header(options: argparse.Namespace, found: Calibration, digest: str) -> str:
+    """Return the comment that says what a geometry file was made from."""
+    count, kept = len(found.measurements), int(found.held_out.sum())
+    before, after = found.held_out_rms
+    encoder = found.measurements.encoder
+    mounted = f" with {', '.join(encoder.statement.replace('# ', '').splitlines())}" if encoder else ""
+    return "\n".join(
+        [
+            "Geometry of one arm, fitted by `deltacharger calibrate kinematics`.",
+            f"date: {datetime.datetime.now(datetime.timezone.utc):%Y-%m-%d %H:%M} UTC",
+            f"measurements: {Path(options.data).name}, SHA-256 {digest}",
+            f"nominal geometry: {Path(options.nominal).name if options.nominal else 'built-in'}",
+            f"{count} rows; rms error {_mm(rms(found.before))} mm before, {_mm(rms(found.fit.residuals))} mm after",
+            f"held out: {kept} of these rows; rms error there {_mm(before)} mm before, {_mm(after)} mm after a fit to "
+            f"the other {count - kept}; the geometry below is fitted to all rows",
+            f"stated: measurement {options.measurement_mm:g} mm, tolerances {options.tolerance_mm:g} mm and "
+            f"{options.tolerance_deg:g} deg",
+            f"angles as servo_node reports them{mounted}",
+            *(f"doubtful: {doubt}" for doubt in _doubts(found)),
+        ]
+    )
+
+
+def _as_mapping(found: Calibration, digest: str) -> dict[str, Any]:
+    """Return everything in SI units."""
+    columns = (numbers(found.nominal), numbers(found.fit.geometry), found.standard_deviations)
+    before, after = found.held_out_rms
+    lengths = np.linalg.norm(found.fit.residuals, axis=1)
+    return {
+        "sha256": digest,
+        "rows": len(found.measurements),
+        "parameters": [
+            {
+                "limb": index // len(NAMES),
+                "name": NAMES[index % len(NAMES)],
+                "nominal": float(nominal),
+                "fitted": float(fitted),
+                "stddev": float(stddev),
+            }
+            for index, (nominal, fitted, stddev) in enumerate(zip(*columns, strict=True))
+        ],
+        "rms": {"before": rms(found.before), "after": rms(found.fit.residuals), "largest": float(lengths.max())},
+        "held_out": {"lines": _lines(found, np.flatnonzero(found.held_out)), "before": before, "after": after},
+        "expected": {"rms": found.expected[0], "largest": found.expected[1]},
+        "scatter": found.fit.scatter,
+        "singular_values": [float(value) for value in found.fit.singular_values],
+        "weakest": describe(found.fit.weakest),
+        "worst": [{"line": found.measurements.lines[row], "residual": float(lengths[row])} for row in _worst(found)],
+        "outliers": _lines(found, np.flatnonzero(found.outliers)),
+        "geometry": geometry_to_mapping(found.fit.geometry),
+    }
+
+
+def _as_text(options: argparse.Namespace, found: Calibration) -> str:
+    count, kept = len(found.measurements), int(found.held_out.sum())
+    before, after = found.held_out_rms
+    values = found.fit.singular_values
+    lengths = np.linalg.norm(found.fit.residuals, axis=1)
+    worst = ", ".join(f"line {found.measurements.lines[row]} {_mm(lengths[row])}" for row in _worst(found))
+    held = f", {(values < 1.0).sum()} of 18 below 1: there the tolerances decide" if (values < 1.0).any() else ""
+    rows = [
+        ("all rows", f"{count}: rms {_mm(rms(found.before))} mm before, {_mm(rms(found.fit.residuals))} mm after"),
+        ("held out", f"{kept} of them: rms {_mm(before)} mm before, {_mm(after)} mm after a fit to the others"),
+        ("expected", f"{_mm(found.expected[0])} mm rms over the workspace, {_mm(found.expected[1])} mm at worst (1 σ)"),
+        ("scatter", f"{found.fit.scatter:.2f} of what measurement and encoder explain{_scatter_hint(found)}"),
+        ("residuals", f"largest, mm: {worst}"),
+        ("singular", f"{' '.join(f'{value:.3g}' for value in values)}{held}"),
+        ("weakest", describe(found.fit.weakest)),
+    ]
+    return "\n".join([*_table(found), "", *(f"{name:<10} {text}" for name, text in rows)])
+
+
+def _scatter_hint(found: Calibration) -> str:
+    if found.fit.scatter < _UNEXPLAINED:
+        return ""
+    return ": is there play in the joints, or was it measured more coarsely than stated?"
+
+
+def _table(found: Calibration) -> list[str]:
+    """Return nominal value, fitted value and its standard deviation of each number, limbs side by side."""
+    shape = (LIMB_COUNT, len(NAMES))
+    nominal, fitted = numbers(found.nominal), numbers(found.fit.geometry)
+    far = (np.abs(fitted - nominal) > _SUSPICIOUS * found.uncertainty.tolerances).reshape(shape)
+    columns = [values.reshape(shape) for values in (nominal, fitted, found.standard_deviations)]
+    lines = [
+        " " * 22 + "".join(f"{f'limb {limb}':^30}" for limb in range(LIMB_COUNT)),
+        " " * 22 + f"{'nominal':>9}{'fitted':>10}{'±':>8}   " * LIMB_COUNT,
+    ]
+    for index, name in enumerate(NAMES):
+        unit, scale = ("deg", math.radians(1.0)) if name == "angle_offset" else ("mm", MILLIMETRE)
+        cells = ""
+        for limb in range(LIMB_COUNT):
+            start, end, spread = (column[limb, index] / scale for column in columns)
+            cells += f"{start:>9.3f}{end:>10.3f}{spread:>8.3f} {'!' if far[limb, index] else ' '} "
+        lines.append(f"{name:<17} {unit:<4}{cells}")
+    if far.any():
+        lines.append(f"! more than {_SUSPICIOUS:g} tolerances from nominal")
+    return [line.rstrip() for line in lines]

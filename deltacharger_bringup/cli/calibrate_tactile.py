@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger calibrate tactile`: a rig's pads from dockings at known poses, and what that is worth."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import datetime
+import hashlib
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from deltacharger_tactile.calibration.faults import Dockings, Faults, Tares
+    from deltacharger_tactile.calibration.fit import Fit, Worth
+    from deltacharger_tactile.calibration.rig import TactileCalibration
+    from deltacharger_tactile.dataset import Dataset
+    from deltacharger_tactile.estimator import PoseEstimator
+
+_FEW = 30  # dockings, fewer of which leave most gains where they were
+_JITTERS = 3.0  # that an error of a well-mounted rig stays below
+_DEGREE = math.radians(1.0)
+_UNITS = {"horizontal": ("mm", 1e-3), "vertical": ("mm", 1e-3), "angle": ("°", _DEGREE)}
+
+
+@dataclass(frozen=True)
+class _Found:
+    faults: Faults
+    tares: Tares
+    fit: Fit
+    worth: Worth
+    doubts: list[str]
+
+
+def tactile(options: argparse.Namespace) -> int:
+    """Calibrate, judge, and write what was found unless it makes estimates worse."""
+    from deltacharger_tactile.errors import TactileError
+
+    _check_output(options)
+    try:
+        data, model = _read(options)
+        found = _calibrate(data, model, options)
+    except TactileError as error:
+        raise CommandError(str(error), WRONG_INPUT, file=options.data) from error
+    worse = bool(found.worth.worse.any())
+    written = options.out if options.force or not worse else None
+    if written is not None:
+        found.fit.calibration.save(written, _header(options, found))
+    if options.json:
+        write_json({"success": written is not None, **_as_mapping(found), "written": written})
+    else:
+        tell(_as_text(found))
+    for doubt in found.doubts:
+        say(doubt)
+    say(f"wrote {written}" if written else f"{options.out} was not written; --force writes it nevertheless")
+    return DONE if written else FAILED
+
+
+def _check_output(options: argparse.Namespace) -> None:
+    out = Path(options.out)
+    if out.exists() and not options.force:
+        raise CommandError(f"{out} exists: choose another name, or overwrite it with --force", WRONG_INPUT)
+    if out.is_dir() or not out.absolute().parent.is_dir():
+        raise CommandError(f"--out {out}: name a file in a folder that exists", WRONG_INPUT)
+
+
+def _read(options: argparse.Namespace) -> tuple[Dataset, PoseEstimator]:
+    from deltacharger_tactile import MODEL_PATH
+    from deltacharger_tactile.dataset import Dataset
+    from deltacharger_tactile.estimator import PoseEstimator
+
+    for flag, path in (("--data", options.data), ("--model", options.model)):
+        if path is not None and not Path(path).is_file():
+            raise CommandError(f"{flag} {path}: there is no such file", WRONG_INPUT)
+    return Dataset.load(options.data), PoseEstimator.load(options.model or MODEL_PATH)
+
+
+def _calibrate(data: Dataset, model: PoseEstimator, options: argparse.Namespace) -> _Found:
+    from deltacharger_tactile.calibration import faults as sensor_faults
+    from deltacharger_tactile.calibration import fit as sensor_calibration_fit
+    from deltacharger_tactile.calibration.rig import SensorCalibrationError
+
+    dockings = sensor_faults.select(data, options.rig)
+    faults = sensor_faults.find(dockings)
+    tares = sensor_faults.compare_tares(dockings, faults.dead)
+    pads = _doubts_of_pads(faults, tares, model)
+    try:
+        fit = sensor_calibration_fit.fit(dockings, model)
+    except SensorCalibrationError as error:
+        raise CommandError("; ".join([str(error), *pads]), WRONG_INPUT, file=options.data) from error
+    worth = sensor_calibration_fit.judge(dockings, model)
+    stamped = dataclasses.replace(
+        fit.calibration,
+        sensor=str(data.meta.get("sensor", "")),
+        date=f"{datetime.datetime.now(datetime.timezone.utc):%Y-%m-%dT%H:%MZ}",
+        data=hashlib.sha256(Path(options.data).read_bytes()).hexdigest(),
+        simulated=data.simulated,
+    )
+    fit = dataclasses.replace(fit, calibration=stamped)
+    return _Found(faults, tares, fit, worth, [*pads, *_doubts_of_fit(dockings, fit, worth)])
+
+
+def _doubts_of_pads(faults: Faults, tares: Tares, model: PoseEstimator) -> list[str]:
+    doubts = []
+    most = int(faults.dead.sum(axis=(1, 2)).max())
+    if most > model.limits.pad_dead:
+        doubts.append(
+            f"{most} dead taxels on one pad, and no estimate is in range with more than {model.limits.pad_dead}: "
+            "replace the pad"
+        )
+    if tares.drifted.any():
+        doubts.append(f"the tare of {_places(tares.drifted)} moved between sessions: tare again before each docking")
+    if tares.outlying.any():
+        doubts.append(f"the baseline of {_places(tares.outlying)} lies far from the others': look at the skin there")
+    return doubts
+
+
+def _doubts_of_fit(dockings: Dockings, fit: Fit, worth: Worth) -> list[str]:
+    from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT
+    from deltacharger_tactile.calibration.rig import AXES, SHIFT_LIMIT
+
+    doubts = []
+    if len(dockings) < _FEW:
+        doubts.append(f"{len(dockings)} dockings tell little: most gains stay near 1; dock {_FEW} times or more")
+    if fit.misfit > MISFIT_LIMIT:
+        doubts.append(
+            f"{100 * fit.misfit:.0f} % of what the pads read is not what this ridge should do (at most "
+            f"{100 * MISFIT_LIMIT:.0f} %): another target? Gains and load shift were left alone, and the pose model "
+            "may be wrong about this target altogether"
+        )
+    if abs(fit.calibration.load_shift) > 0.8 * SHIFT_LIMIT:
+        doubts.append("the load shift is at the end of its range: is the end effector level, and both pads fixed?")
+    for axis, bias, jitter in zip(AXES, fit.bias, JITTER, strict=True):
+        unit, scale = _UNITS[axis]
+        if abs(bias) > _JITTERS * jitter:
+            doubts.append(
+                f"the {axis} error of {bias / scale:+.2f} {unit} is over {_JITTERS:g} times what dockings scatter: "
+                "are the pads mounted askew, or the poses of the data not those of the target in end_effector?"
+            )
+    for axis, worse in zip(AXES, worth.worse, strict=True):
+        if worse:
+            doubts.append(f"on held-out dockings the {axis} gets worse: record more dockings, of this rig alone")
+    return doubts
+
+
+def _places(mask: NDArray[np.bool_], most: int = 6) -> str:
+    from deltacharger_tactile.calibration.rig import SIDES
+
+    found = [f"{SIDES[pad]} row {row} column {column}" for pad, row, column in np.argwhere(mask).tolist()]
+    more = f" and {len(found) - most} more" if len(found) > most else ""
+    return ", ".join(found[:most]) + more if found else "none"
+
+
+def _kinds(faults: Faults) -> dict[str, NDArray[np.bool_]]:
+    return {name: getattr(faults, name) for name in ("told", "silent", "loud", "noisy")}
+
+
+def _seen(calibration: TactileCalibration) -> NDArray[np.float64]:
+    """Return the gains of the taxels that are believed."""
+    return calibration.gain[~calibration.dead]
+
+
+def _as_mapping(found: _Found) -> dict[str, Any]:
+    """Return everything in SI units."""
+    from deltacharger_tactile.calibration.rig import AXES
+
+    fit, worth, made = found.fit, found.worth, found.fit.calibration
+    gains = _seen(made)
+    return {
+        "rig": made.rig,
+        "simulated": made.simulated,
+        "model": made.model,
+        "sha256": made.data,
+        "dockings": made.dockings,
+        "in_range": fit.in_range,
+        "dead": {name: np.argwhere(mask).tolist() for name, mask in _kinds(found.faults).items()},
+        "gain": {"stddev": float(gains.std()), "low": float(gains.min()), "high": float(gains.max())},
+        "misfit": fit.misfit,
+        "tare": {
+            "sessions": found.tares.sessions,
+            "drift": _largest(found.tares.drift),
+            "drifted": np.argwhere(found.tares.drifted).tolist(),
+            "outlying": np.argwhere(found.tares.outlying).tolist(),
+        },
+        "load_shift": {"found": fit.load_shift, "stddev": fit.load_shift_error, "used": made.load_shift},
+        "bias": {
+            axis: {"found": float(bias), "stddev": float(error), "used": float(used)}
+            for axis, bias, error, used in zip(AXES, fit.bias, fit.bias_error, made.bias, strict=True)
+        },
+        "held_out": {
+            "dockings": worth.count,
+            "against_contact_pose": worth.known,
+            "in_range": {"before": worth.in_range[0], "after": worth.in_range[1]},
+            "rms": {
+                axis: {"before": float(before), "after": float(after)}
+                for axis, before, after in zip(AXES, worth.before, worth.after, strict=True)
+            },
+        },
+        "doubts": found.doubts,
+    }
+
+
+def _largest(drift: NDArray[np.float64]) -> float:
+    return float(np.nanmax(drift)) if np.isfinite(drift).any() else float("nan")
+
+
+def _as_text(found: _Found) -> str:
+    from deltacharger_tactile.calibration.rig import AXES
+
+    fit, worth, made = found.fit, found.worth, found.fit.calibration
+    gains, drift = _seen(made), _largest(found.tares.drift)
+    tare = f"at most {drift:.2f} N apart" if math.isfinite(drift) else "the data do not tell"
+    source = ", simulated" if made.simulated else ""
+    rows = [("dockings", f"{made.dockings} of rig {made.rig}{source}, {fit.in_range} in range of {made.model}")]
+    rows += [
+        (f"dead, {name}", _places(mask)) for name, mask in _kinds(found.faults).items() if mask.any() or name == "told"
+    ]
+    rows += [
+        ("gains", f"{gains.min():.2f} to {gains.max():.2f}, spread {100 * gains.std():.0f} %; misfit {fit.misfit:.2f}"),
+        ("tares", f"{found.tares.sessions} sessions, {tare}"),
+        ("load shift", f"{fit.load_shift:+.1f} ± {fit.load_shift_error:.1f} N, used {made.load_shift:+.1f} N"),
+    ]
+    against = "pose in contact" if worth.known else "commanded pose, jitter included"
+    for index, axis in enumerate(AXES):
+        unit, scale = _UNITS[axis]
+        bias, error, used = (values[index] / scale for values in (fit.bias, fit.bias_error, made.bias))
+        rows.append((f"{axis} error", f"{bias:+.2f} ± {error:.2f} {unit}, used {used:+.2f} {unit}"))
+    rows.append(("held out", f"{worth.count} dockings in range, rms error against the {against}"))
+    for axis, before, after in zip(AXES, worth.before, worth.after, strict=True):
+        unit, scale = _UNITS[axis]
+        rows.append((f"  {axis}", f"{before / scale:.3f} {unit} before, {after / scale:.3f} {unit} after"))
+    return "\n".join(f"{name:<17} {text}" for name, text in rows)
+
+
+def _header(options: argparse.Namespace, found: _Found) -> str:
+    """Return the comment that says what the file was made from."""
+    lines = [
+        "Calibration of one rig's pads by `deltacharger calibrate tactile`, for the parameter `calibration` of",
+        f"misalignment_node; data: {Path(options.data).name}",
+        _as_text(found),
+        *(f"doubtful: {doubt}" for doubt in found.doubts),
+    ]
+    return "\n".join(lines)

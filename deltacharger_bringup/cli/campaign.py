@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger campaign`: many simulated dockings, and the comparison of two campaigns."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from deltacharger_bringup.cli.output import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    WRONG_INPUT,
+    CommandError,
+    Interrupts,
+    say,
+    tell,
+    write_json,
+)
+from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, Settings, versions_of
+from deltacharger_scenes.scene import SceneError
+
+_DEFAULT_COUNT = 100
+_BAR = 30  # characters
+_PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
+
+
+def campaign(options: argparse.Namespace) -> int:
+    """Run what is missing of a campaign, and say how its dockings ended."""
+    from deltacharger_lab.campaigns.runner import run_missing
+    from deltacharger_lab.campaigns.store import Store, read_results, require_pyarrow
+    from deltacharger_lab.campaigns.summary import COLUMNS, summarise
+
+    folder, settings = _folder(options), _settings(options)
+    if options.scheduler and options.workers:
+        raise CommandError("--workers is for this computer; a scheduler has workers of its own", WRONG_INPUT)
+    _demand(require_pyarrow)
+    try:
+        with Interrupts() as interrupts, Store(folder, settings) as store:
+            progress = Progress(settings.n, len(store.done))
+            run_missing(
+                store, options.workers or 1, options.scheduler, options.batch, progress, interrupts.event.is_set, say
+            )
+            progress.end()
+            complete = not store.missing()
+        results = read_results(folder, COLUMNS)
+    except CampaignError as error:
+        raise CommandError(str(error), WRONG_INPUT if isinstance(error, CampaignRefused) else FAILED) from error
+    summary = {**summarise(results), "complete": complete, "out": str(folder), "seed": settings.seed, "simulated": True}
+    if not complete:
+        say(f"{folder}: {len(results['number'])} of {settings.n} dockings are written; the same command goes on")
+    if options.json:
+        write_json({"success": complete, **summary})
+    else:
+        _tell(summary, settings)
+    if complete:
+        return DONE
+    return INTERRUPTED if interrupts.number == signal.SIGINT else FAILED
+
+
+def compare(options: argparse.Namespace) -> int:
+    """Compare two campaigns docking by docking, and draw the differences."""
+    from deltacharger_lab.campaigns.compare import compare_campaigns, describe
+    from deltacharger_lab.campaigns.store import require_pyarrow
+
+    _demand(require_pyarrow)
+    picture = _picture(options.picture)
+    try:
+        found = compare_campaigns(Path(options.a), Path(options.b))
+    except CampaignError as error:
+        raise CommandError(str(error), WRONG_INPUT if isinstance(error, CampaignRefused) else FAILED) from error
+    if picture is not None:
+        from deltacharger_lab.campaigns.compare_picture import draw
+
+        try:
+            draw(found, picture)
+        except ModuleNotFoundError as error:
+            raise CommandError(f"{error.name} is not installed; install deltacharger[report]", FAILED) from error
+        say(f"{picture}: written")
+    if options.json:
+        write_json({**found, "picture": str(picture) if picture is not None else None})
+    else:
+        tell(describe(found))
+    return DONE
+
+
+class Progress:
+    """Says on stderr how far a campaign is: a bar on a terminal, else a line at every tenth.
+
+    Args:
+        total: dockings.
+        begun: how many were there before.
+    """
+
+    def __init__(self, total: int, begun: int) -> None:
+        self._total = total
+        self._begun = begun
+        self._done = begun
+        self._charged = 0
+        self._started = time.monotonic()
+        self._tenth = 10 * begun // total
+        self._bar = sys.stderr is not None and sys.stderr.isatty()
+        if begun:
+            say(f"{begun} of {total} dockings are there already")
+
+    def __call__(self, rows: Sequence[dict[str, Any]]) -> None:
+        """Count rows that have been written."""
+        self._done += len(rows)
+        self._charged += sum(row["charged"] for row in rows)
+        tenth = 10 * self._done // self._total
+        if self._bar:
+            full = _BAR * self._done // self._total
+            print(f"\r[{'#' * full}{'.' * (_BAR - full)}] {self._line()}  ", end="", file=sys.stderr, flush=True)
+        elif tenth > self._tenth:
+            say(f"{10 * tenth:3} %  {self._line()}")
+        self._tenth = tenth
+
+    def end(self) -> None:
+        """Leave the line of the bar."""
+        if self._bar:
+            say("")
+
+    def _line(self) -> str:
+        run = self._done - self._begun
+        rate = run / max(time.monotonic() - self._started, 1e-9)
+        left = (self._total - self._done) / rate if rate else 0.0
+        return (
+            f"{self._done} of {self._total} dockings, {self._charged} of the {run} now run charged, {rate:.1f} per s, "
+            f"{left:.0f} s left"
+        )
+
+
+def _picture(name: str | None) -> Path | None:
+    """Return where to draw, in a folder that is there; None = nowhere."""
+    if name is None:
+        return None
+    path = Path(name)
+    if path.suffix.lower() not in _PICTURES:
+        raise CommandError(f"--picture '{name}': end it in {', '.join(_PICTURES)}", WRONG_INPUT)
+    if not path.absolute().parent.is_dir():
+        raise CommandError(f"--picture {name}: the folder {path.parent} does not exist; make it", WRONG_INPUT)
+    return path
+
+
+def _folder(options: argparse.Namespace) -> Path:
+    if not options.out:
+        raise CommandError("--out DIR is missing: the folder that the results are written to", WRONG_INPUT)
+    folder = Path(options.out)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CommandError(f"--out {folder}: {folder.parent} cannot be made ({error.strerror})", WRONG_INPUT) from error
+    return folder
+
+
+def _settings(options: argparse.Namespace) -> Settings:
+    from deltacharger_lab.campaigns import paper
+    from deltacharger_lab.campaigns.scene import load_campaign_scene
+
+    try:
+        scene = load_campaign_scene(options.scenes)
+    except SceneError as error:
+        raise CommandError(str(error), WRONG_INPUT, file=error.file, key=error.key) from error
+    count = options.n or len(scene.dockings) or _DEFAULT_COUNT
+    if scene.dockings and count > len(scene.dockings):
+        raise CommandError(
+            f"-n {count}: {scene.file} lists {len(scene.dockings)} dockings; give at most as many", WRONG_INPUT
+        )
+    if paper.are_wanted(scene.content):
+        try:
+            paper.prepare(_folder(options), say)
+        except ModuleNotFoundError as error:
+            raise CommandError(f"{error.name} is not installed; install deltacharger[train]", FAILED) from error
+    versions = versions_of(scene.content)
+    return Settings(count, options.seed, options.approach, options.exact, scene.content, scene.name, versions)
+
+
+def _demand(requirement: Any) -> None:
+    try:
+        requirement()
+    except CampaignError as error:
+        raise CommandError(str(error), FAILED) from error
+
+
+def _tell(summary: dict[str, Any], settings: Settings) -> None:
+    low, high = summary["charged_interval"]
+    tell(f"{summary['n']} simulated dockings of '{settings.scene_name}', seed {settings.seed}, {settings.approach}")
+    tell(f"  charged            {100 * summary['charged']:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f})")
+    tell(f"  aligned            {100 * summary['aligned']:.1f} %")
+    refused = ", ".join(f"{name} {count}" for name, count in summary["refused"].items())
+    tell(f"  refused            {refused or 'none'}")
+    tell(f"  shorts             {summary['shorts']}; {summary['energised_unsafe']:.3f} s live without clearance")
+    for name, scale, unit in (
+        ("time", 1.0, "s"),
+        ("moves", 1.0, ""),
+        ("final_misalignment", 1e3, "mm"),
+        ("peak_push", 1.0, "N"),
+        ("time_above_band", 1.0, "s"),
+    ):
+        values = ", ".join(f"{key} {scale * value:.2f}" for key, value in summary[name].items())
+        tell(f"  {name:<18} {values} {unit}".rstrip())
+    if summary["crashed"]:
+        tell(f"  crashed            {summary['crashed']}; their errors stand in the column error")

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger dock`: one docking as a fleet manager would order it, with progress, result and picture."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deltacharger_bringup.cli.charger import (
+    PhasePrinter,
+    prepare,
+    report,
+    require_docking,
+    ros_context,
+    start,
+    wait_for_actions,
+)
+from deltacharger_bringup.cli.main import DEFAULT_PICTURE
+from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, WRONG_INPUT, CommandError, Interrupts, say
+from deltacharger_core import environment
+from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
+from deltacharger_scenes.scene import Scene
+from deltacharger_scenes.with_recorder import recorder_alone, with_recorder
+
+if TYPE_CHECKING:
+    from deltacharger_records.replay.recorder import Recorder
+    from deltacharger_ros.client import ChargerClient
+    from deltacharger_scenes.composition import Composition
+
+_PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
+
+
+def dock(options: argparse.Namespace) -> int:
+    """Dock with the running charger, or else with the scene's own in this process."""
+    _check_picture(options)
+    scene = prepare(options, look_around=True)
+    require_docking(scene)
+    request = dock_request(options, scene)
+    with Interrupts() as interrupts, ros_context() as context, contextlib.ExitStack() as stack:
+        from deltacharger_records.replay.recorder import Recorder
+        from deltacharger_ros.client import ChargerClient
+
+        client = stack.enter_context(ChargerClient(options.namespace, context))
+        composition: Composition | None = None
+        if not client.wait_until_it_answers(options.discovery, interrupts.event) and not interrupts.event.is_set():
+            if options.must_run:
+                raise CommandError(f"the charger in ROS domain {environment.domain()} no longer answers")
+            say(f"no charger answers in ROS domain {environment.domain()}; starting that of scene '{scene.name}'")
+            composition = stack.enter_context(start(with_recorder(scene, options.record), context, options.namespace))
+            wait_for_actions(composition, client, interrupts)
+        if interrupts.event.is_set():
+            raise CommandError("interrupted", INTERRUPTED)
+        if composition is None and options.scene is not None:
+            say(f"using the charger that runs already; of scene '{scene.name}' only the goal is taken")
+        if composition is None and options.record:
+            stack.enter_context(start(recorder_alone(scene, options.record), context, options.namespace))
+        recorder = stack.enter_context(Recorder(context, options.namespace))
+        return _Run(options, scene, request, client, recorder, composition, interrupts).carry_out()
+
+
+def _check_picture(options: argparse.Namespace) -> None:
+    """Refuse, before anything moves, a picture that could not be written at the end."""
+    if options.no_picture or options.picture == DEFAULT_PICTURE:  # whoever asked for none needs no writable folder
+        return
+    path = Path(options.picture)
+    if path.suffix.lower() not in _PICTURES:
+        raise CommandError(f"--picture '{options.picture}': end it in {', '.join(_PICTURES)}", WRONG_INPUT)
+    if path.is_dir() or not path.parent.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise CommandError(f"--picture {path}: cannot be written; give a file in a folder that exists", WRONG_INPUT)
+
+
+def dock_request(options: argparse.Namespace, scene: Scene) -> DockRequest:
+    """Return the goal: coordinates of the command line over those of the scene, else the camera's.
+
+    Raises:
+        CommandError: some coordinates are given and nothing supplies the others.
+    """
+    flags: dict[str, float] = {}
+    for axis in "xyz":
+        millimetres = getattr(options, f"{axis}_mm")
+        if millimetres is not None:
+            flags[axis] = 1e-3 * millimetres
+    if options.roll_deg is not None:
+        flags["roll"] = math.radians(options.roll_deg)
+    return DockRequest(
+        electrodes=_electrodes(flags, options.camera, scene),
+        critical_angle=math.radians(options.critical_angle_deg),
+        start_charging=not options.no_charge,
+        hold=options.hold,
+        stop_energy=options.stop_energy_j,
+        stop_after=options.stop_after_s,
+        request_id=options.request_id,
+    )
+
+
+def _electrodes(flags: dict[str, float], camera: bool, scene: Scene) -> Pose | None:
+    if camera:
+        if flags:
+            raise CommandError("--camera and coordinates exclude each other", WRONG_INPUT)
+        return None
+    if scene.goal is not None:
+        known = {"x": scene.goal.x, "y": scene.goal.y, "z": scene.goal.z, "roll": scene.goal.roll, **flags}
+        return Pose(known["x"], known["y"], known["z"], known["roll"])
+    if not flags:
+        return None
+    missing = [f"--{axis}-mm" for axis in "xyz" if axis not in flags]
+    if missing:
+        raise CommandError(
+            f"{', '.join(missing)} missing: scene '{scene.name}' has no goal to take it from", WRONG_INPUT
+        )
+    return Pose(flags["x"], flags["y"], flags["z"], flags.get("roll", 0.0))
+
+
+class _Run:
+    """One docking from goal to report."""
+
+    def __init__(
+        self,
+        options: argparse.Namespace,
+        scene: Scene,
+        request: DockRequest,
+        client: ChargerClient,
+        recorder: Recorder,
+        composition: Composition | None,
+        interrupts: Interrupts,
+    ) -> None:
+        self._options = options
+        self._scene = scene
+        self._request = request
+        self._client = client
+        self._recorder = recorder
+        self._composition = composition
+        self._interrupts = interrupts
+
+    def carry_out(self) -> int:
+        """Dock, undock where this process started the charger, draw and report."""
+        say(self._goal_line())
+        whose = "the running charger" if self._composition is None else f"scene '{self._scene.name}'"
+        self._recorder.run.notes["about"] = f"{whose}; {self._goal_line()}"
+        printer = PhasePrinter(self._recorder.force)
+        outcome = self._dock(printer)
+        cure = self._cure(outcome)
+        self._recorder.finish(outcome)
+        more: dict[str, Any] = {
+            "scene": self._scene.name,
+            "charger": "running" if self._composition is None else "started",
+            "phases": printer.phases,
+        }
+        unsafe = ""
+        if self._composition is not None:
+            if outcome.success:
+                more["undock"] = self._undock()
+            unsafe = self._truth(more)
+            # Drawing holds the interpreter for seconds, which nodes in this process would take for a broken cable.
+            self._recorder.close()
+            self._composition.close()
+        more["picture"] = self._draw()
+        report(outcome, self._options.json, more)
+        if cure:
+            say(cure)
+        if not self._options.json and outcome.success:
+            say(_summary(outcome))
+        if unsafe:
+            say(unsafe)
+        if self._interrupts.event.is_set():
+            return INTERRUPTED
+        return DONE if outcome.success and not unsafe else FAILED
+
+    def _goal_line(self) -> str:
+        pose = self._request.electrodes
+        if pose is None:
+            return "goal: electrodes where the camera finds them"
+        return (
+            f"goal: electrodes at ({1e3 * pose.x:.1f}, {1e3 * pose.y:.1f}, {1e3 * pose.z:.1f}) mm, "
+            f"roll {math.degrees(pose.roll):.1f}°"
+        )
+
+    def _dock(self, printer: PhasePrinter) -> Outcome:
+        from deltacharger_ros.client import ClientError
+
+        def on_progress(progress: Any) -> None:
+            self._recorder.on_progress(progress)
+            printer(progress)
+
+        try:
+            return self._client.dock(
+                self._request, on_progress, self._interrupts.event, self._options.deadline_s, self._interrupts.impatient
+            )
+        except ClientError as error:
+            raise CommandError(str(error), INTERRUPTED if self._interrupts.event.is_set() else FAILED) from error
+
+    def _cure(self, outcome: Outcome) -> str:
+        """Return what to do where the camera was asked and there is none, or ''."""
+        if outcome.error_name != "ELECTRODES_NOT_FOUND" or self._client.finds_electrodes():
+            return ""
+        return (
+            "nothing here finds electrodes: give coordinates (--x-mm --y-mm --z-mm), or start a charger whose scene "
+            "has a detector, such as --scene camera (simulated), oakd or rgbd"
+        )
+
+    def _undock(self) -> dict[str, Any]:
+        from deltacharger_ros.client import ClientError
+
+        say("undocking, since this command ends the charger that it started")
+        try:
+            outcome = self._client.undock(on_progress=PhasePrinter(), deadline=60.0)
+        except ClientError as error:
+            say(str(error))
+            return {"success": False, "error_message": str(error)}
+        if not outcome.success:
+            say(f"undock: failed, {outcome.error_code} {outcome.error_name}: {outcome.error_message}")
+        return outcome.as_dict()
+
+    def _draw(self) -> str | None:
+        if self._options.no_picture:
+            return None
+        from deltacharger_records.replay.run_picture import PictureError, draw
+
+        path = Path(self._options.picture)
+        try:
+            draw(self._recorder.run, path)
+        except PictureError as error:
+            say(f"no picture: {error}")
+            return None
+        say(f"picture: {path}")
+        return str(path)
+
+    def _truth(self, more: dict[str, Any]) -> str:
+        """Add what really happened in an own simulated world; return why it was unsafe, or ''."""
+        assert self._composition is not None
+        if self._composition.charger is None:
+            return ""
+        record = self._composition.charger.record()
+        more["simulation"] = record
+        if record.get("energised_shorts") or record.get("energised_unsafe"):
+            return "the simulated world saw a short or a lost clearance while energised: this docking has failed"
+        return ""
+
+
+def _summary(outcome: Outcome) -> str:
+    """Return the figures of a docking that worked, in one line."""
+    details = outcome.details
+    felt = details["misalignment"]
+    where = f"({1e3 * felt['horizontal']:.1f}, {1e3 * felt['vertical']:.1f}) mm and {math.degrees(felt['angle']):.1f}°"
+    return (
+        f"charge {details['charge_current']:.2f} A, {details['energy']:.0f} J; "
+        f"contact {details['contact_current']:.3f} A, {details['contact_force']:.1f} N; "
+        f"{details['alignments']} alignments, rest {where}"
+    )

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger doctor`: what is wrong with this charger and this computer, and how to mend it.
+
+Nothing here needs ROS, a driver or a scene to be loadable: each check says by itself what it lacks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from deltacharger_bringup.cli.main import DEFAULT_SCENE
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.doctor.board import examine_board
+from deltacharger_bringup.doctor.camera import examine_camera
+from deltacharger_bringup.doctor.environment import RosProbe, examine_settings, examine_versions
+from deltacharger_bringup.doctor.findings import Finding, checked, hint, install, ok, wrong
+from deltacharger_bringup.doctor.ports import candidates, examine_port, same_device
+from deltacharger_bringup.doctor.servos import examine_servos
+from deltacharger_bringup.doctor.set_baud import set_baud
+from deltacharger_core import environment
+
+if TYPE_CHECKING:
+    from deltacharger_scenes.scene import Scene
+
+_SPEED = 1_000_000  # bit/s, default of both nodes
+_CURRENT_MAX = 3.0  # A, default of servo_node
+
+
+@dataclass
+class _Hardware:
+    """What is to be examined, of the scene or of the command line; a port is empty where there is none to examine."""
+
+    scene: str = ""
+    simulated: Scene | None = None
+    servo_port: str = ""
+    board_port: str = ""
+    servo_speed: int = _SPEED
+    board_speed: int = _SPEED
+    ids: tuple[int, ...] = (1, 2, 3)
+    current_max: float = _CURRENT_MAX
+    problems: list[Finding] = field(default_factory=list)
+
+
+def doctor(options: argparse.Namespace) -> int:
+    """Examine everything, or write the servos' speed where that is asked for; print the findings."""
+    if options.set_baud is not None:
+        return _set_baud(options)
+    if options.ids is not None:
+        raise CommandError("--ids belongs to --set-baud", WRONG_INPUT)
+    hardware = _hardware(options)
+    environment.prepare()
+    if hardware.simulated is not None:
+        environment.isolate()
+    found: list[Finding] = list(hardware.problems)
+    probe = RosProbe()
+    try:
+        say("looking at this computer and its ROS ...")
+        found += checked("versions", examine_versions)
+        found += checked("ros settings", examine_settings)
+        with contextlib.ExitStack() as stack:
+            found += _start_emulators(hardware, stack)
+            found += _examine_ports(hardware)
+        found += checked("rclpy", probe.examine)
+        found += checked("camera", lambda: examine_camera(probe.images()))
+    finally:
+        probe.close()
+    return _report(options, found, hardware)
+
+
+def _set_baud(options: argparse.Namespace) -> int:
+    if not options.servo_port:
+        raise CommandError("--set-baud needs --servo-port: say which port's servos are to be written", WRONG_INPUT)
+    if options.scene or options.board_port:
+        raise CommandError("--set-baud looks at --servo-port alone; leave --scene and --board-port out", WRONG_INPUT)
+    port = options.servo_port
+    found = checked("servo port", lambda: examine_port("servo port", port))
+    if not _any_wrong(found):
+        say(f"looking for servos on {port} ...")
+        found += checked("servos", lambda: set_baud(port, options.set_baud, options.ids))
+    return _report(options, found, _Hardware(servo_port=port))
+
+
+def _hardware(options: argparse.Namespace) -> _Hardware:
+    """Return what to examine; the ports of the command line alone where no scene is named.
+
+    Raises:
+        CommandError: the scene is refused, or is a simulated one and ports are given; exit code 2.
+    """
+    given = bool(options.servo_port or options.board_port)
+    hardware = _Hardware(servo_port=options.servo_port or "", board_port=options.board_port or "")
+    if given and options.scene is None:
+        return hardware
+    try:
+        from deltacharger_bringup.cli.scene import load_for_command
+    except ImportError as error:
+        hardware.problems.append(wrong("scene", f"cannot be read: {error}", install(error.name or "")))
+        return hardware
+    scene = load_for_command(options.scene or DEFAULT_SCENE)
+    hardware.scene = scene.name
+    if scene.simulation is not None:
+        if given:
+            raise CommandError(f"scene '{scene.name}' brings its own ports; leave --servo-port and --board-port out", 2)
+        hardware.simulated = scene
+        return hardware
+    for node, port in (("servo_node", "servo"), ("tactile_node", "board")):
+        if node not in scene.nodes:
+            hardware.problems.append(ok(f"{port} port", f"scene '{scene.name}' starts no {node} and needs none"))
+    if "servo_node" in scene.nodes:
+        values = scene.node_parameters("servo_node", {})
+        hardware.servo_port = hardware.servo_port or str(values.get("port", ""))
+        hardware.servo_speed = int(values.get("baud_rate", _SPEED))
+        hardware.ids = tuple(values.get("ids", hardware.ids))
+        hardware.current_max = float(values.get("current_max", _CURRENT_MAX))
+    if "tactile_node" in scene.nodes:
+        values = scene.node_parameters("tactile_node", {})
+        hardware.board_port = hardware.board_port or str(values.get("port", ""))
+        hardware.board_speed = int(values.get("baud_rate", _SPEED))
+    return hardware
+
+
+def _start_emulators(hardware: _Hardware, stack: contextlib.ExitStack) -> list[Finding]:
+    """Serve a simulated scene's emulators as long as `stack` is open, and take their ports for the hardware's."""
+    scene = hardware.simulated
+    if scene is None:
+        return []
+
+    def start() -> Iterator[Finding]:
+        from deltacharger_sim.charger.simulated_charger import SimulatedCharger
+
+        charger = stack.enter_context(SimulatedCharger(scene))
+        hardware.servo_port, hardware.board_port = charger.servo_port, charger.board_port
+        there = candidates()
+        remedy = "for a real charger: --scene bench, or --servo-port and --board-port"
+        if there:
+            remedy += f"; this machine has {', '.join(there)}"
+        yield hint("scene", f"'{scene.name}' is simulated: ports, servos and board below are its emulators", remedy)
+
+    return checked("scene", start)
+
+
+def _examine_ports(hardware: _Hardware) -> list[Finding]:
+    """Return what is found on both ports."""
+    servo, board = hardware.servo_port, hardware.board_port
+    found: list[Finding] = []
+    if servo and board and same_device(servo, board):
+        return [wrong("ports", f"{servo} and {board} are one device", "give each its own port")]
+    if servo:
+        opened = checked("servo port", lambda: examine_port("servo port", servo))
+        found += opened
+        if not _any_wrong(opened):
+            say(f"looking at the servos on {servo} ...")
+            speed, ids, current = hardware.servo_speed, hardware.ids, hardware.current_max
+            found += checked("servos", lambda: examine_servos(servo, speed, ids, current))
+    if board:
+        opened = checked("board port", lambda: examine_port("board port", board))
+        found += opened
+        if not _any_wrong(opened):
+            say(f"looking at the board on {board} ...")
+            found += checked("board", lambda: examine_board(board, hardware.board_speed))
+    return found
+
+
+def _any_wrong(found: list[Finding]) -> bool:
+    return any(finding.level == "wrong" for finding in found)
+
+
+def _report(options: argparse.Namespace, found: list[Finding], hardware: _Hardware) -> int:
+    counts = {level: sum(finding.level == level for finding in found) for level in ("ok", "hint", "wrong")}
+    if options.json:
+        value: dict[str, Any] = {
+            "success": counts["wrong"] == 0,
+            "scene": hardware.scene or None,
+            "servo_port": hardware.servo_port or None,
+            "board_port": hardware.board_port or None,
+            "counts": counts,
+            "findings": [asdict(finding) for finding in found],
+        }
+        write_json(value)
+    else:
+        width = max((len(finding.part) for finding in found), default=0)
+        for finding in found:
+            tell(f"{finding.level:<5}  {finding.part:<{width}}  {finding.message}")
+            if finding.remedy:
+                tell(f"{'':<7}{'':<{width}}  -> {finding.remedy}")
+        tell(f"\n{counts['wrong']} wrong, {counts['hint']} worth a look, {counts['ok']} as they should be")
+    return FAILED if counts["wrong"] else DONE

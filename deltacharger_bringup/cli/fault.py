@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger fault`: let something go wrong with the emulated hardware of a charger that runs."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, tell, write_json
+from deltacharger_core import environment
+from deltacharger_sim.charger.fault_channel import SOCKET, ask, registered
+from deltacharger_sim.charger.fault_kinds import KINDS, Kind
+from deltacharger_sim.charger.faults import Fault
+from deltacharger_sim.parameters import ParameterError
+
+_FLAGS = {"last": "--for-s", "servo": "--servo", "amount": "--amount"}
+
+
+def fault(options: argparse.Namespace) -> int:
+    """Cause one fault, end all, or list."""
+    if (options.kind is not None) + options.list + options.clear != 1:
+        raise CommandError("give a KIND, --list or --clear, and one of them only", WRONG_INPUT)
+    problem = environment.domain_problem()
+    if problem:
+        raise CommandError(problem, WRONG_INPUT)
+    if options.kind is not None:
+        return _cause(options, _checked(options))
+    if options.amount is not None or options.servo or options.for_s:
+        raise CommandError("--amount, --servo and --for-s go with a KIND", WRONG_INPUT)
+    return _clear(options) if options.clear else _list(options)
+
+
+def _checked(options: argparse.Namespace) -> Fault:
+    try:
+        return Fault(options.kind, last=options.for_s, servo=options.servo, amount=options.amount)
+    except ParameterError as error:
+        flag = _FLAGS.get(error.key)
+        raise CommandError(f"{flag}: {error.problem}" if flag else error.problem, WRONG_INPUT) from error
+
+
+def _cause(options: argparse.Namespace, wanted: Fault) -> int:
+    request: dict[str, Any] = {"command": "begin", "kind": wanted.kind, "last": wanted.last, "servo": wanted.servo}
+    if wanted.amount is not None:
+        request["amount"] = wanted.amount
+    reply = _ask(options, request)
+    kind = KINDS[wanted.kind]
+    caused = {
+        "kind": wanted.kind,
+        "servo": wanted.whom or None,
+        "amount": wanted.how_much if kind.amount else None,
+        "for_s": wanted.last or None,
+    }
+    if options.json:
+        write_json({"success": True, **caused, "active": reply["active"]})
+    else:
+        tell(f"{_named(caused)}: {kind.text}{_until(wanted, kind)}")
+    return DONE
+
+
+def _until(wanted: Fault, kind: Kind) -> str:
+    if not kind.lasts:
+        return ""
+    return f", for {wanted.last:g} s" if wanted.last else ", until --clear"
+
+
+def _clear(options: argparse.Namespace) -> int:
+    reply = _ask(options, {"command": "clear"})
+    if options.json:
+        write_json({"success": True, "active": reply["active"]})
+    else:
+        tell("nothing goes wrong any more; errors that a servo or the board has latched stay until they are cleared")
+    return DONE
+
+
+def _list(options: argparse.Namespace) -> int:
+    try:
+        active = _ask(options, {"command": "active"})["active"]
+    except CommandError:
+        active = None
+    if options.json:
+        write_json({"success": True, "kinds": [_described(name) for name in KINDS], "active": active})
+        return DONE
+    for name, kind in KINDS.items():
+        amount = f"; amount: {kind.amount.name}, usually {kind.amount.default:g}" if kind.amount else ""
+        servo = {"one": "; --servo, usually 2", "some": "; --servo, usually all"}.get(kind.servo, "")
+        tell(f"{name:20} {kind.text}{amount}{servo}{'' if kind.lasts else '; over at once'}")
+    if active is None:
+        tell(f"\n{_nobody(options)}")
+    else:
+        tell("\nat present: " + ("; ".join(_named(each) for each in active) or "nothing goes wrong"))
+    return DONE
+
+
+def _described(name: str) -> dict[str, Any]:
+    kind = KINDS[name]
+    amount = kind.amount
+    return {
+        "kind": name,
+        "text": kind.text,
+        "lasts": kind.lasts,
+        "servo": kind.servo or None,
+        "amount": amount and {"name": amount.name, "low": amount.low, "high": amount.high, "default": amount.default},
+    }
+
+
+def _named(each: dict[str, Any]) -> str:
+    words = [each["kind"]]
+    if each["servo"]:
+        words.append(f"of servo {each['servo']}")
+    if each["amount"] is not None:
+        words.append(f"({each['amount']:g})")
+    if each.get("remaining_s") is not None:
+        words.append(f"for {each['remaining_s']:.1f} s more")
+    return " ".join(words)
+
+
+def _ask(options: argparse.Namespace, request: dict[str, Any]) -> dict[str, Any]:
+    """Ask the charger that the options name.
+
+    Raises:
+        CommandError: none runs, or it refuses.
+    """
+    for path in _places(options):
+        try:
+            reply = ask(path, request)
+        except ConnectionError:
+            continue
+        except OSError as error:
+            raise CommandError(f"{path}: {error}; is it a charger of another user, or one that hangs?") from error
+        if not reply["success"]:
+            raise CommandError(reply["error"])
+        return reply
+    raise CommandError(_nobody(options))
+
+
+def _places(options: argparse.Namespace) -> list[Path]:
+    """Return where the charger's socket may be: in its ports' folder, or where its ROS domain is registered."""
+    if options.directory:
+        return [Path(options.directory) / SOCKET]
+    return [registered(domain, options.namespace) for domain in _domains()]
+
+
+def _domains() -> list[int]:
+    """Return the given ROS domain, or else that of simulated scenes and the default one."""
+    return [environment.domain()] if os.environ.get("ROS_DOMAIN_ID") else [environment.SIMULATION_DOMAIN, 0]
+
+
+def _nobody(options: argparse.Namespace) -> str:
+    if options.directory:
+        return f"no simulated charger runs on the ports in {options.directory}"
+    where = " or ".join(str(domain) for domain in _domains())
+    space = f" under the namespace '{options.namespace}'" if options.namespace else ""
+    return (
+        f"no simulated charger runs in ROS domain {where}{space}: start one with `deltacharger up`, or name the folder "
+        "of its ports with --directory"
+    )

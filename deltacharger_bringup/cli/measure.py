@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger calibrate kinematics --plan … --measure …`: go from pose to pose, ask what was measured, record it."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import os
+import re
+import select
+import sys
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deltacharger_bringup.cli.calibrate_kinematics import encoder_of, refusing
+from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
+from deltacharger_bringup.cli.output import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    WRONG_INPUT,
+    CommandError,
+    Interrupts,
+    say,
+    write_json,
+)
+from deltacharger_kinematics.calibration.data import TICK, Encoder
+from deltacharger_kinematics.calibration.plan import Pose, read_plan
+from deltacharger_kinematics.calibration.recording import Recording
+from deltacharger_kinematics.calibration.table import MILLIMETRE
+from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+
+if TYPE_CHECKING:
+    from deltacharger_records.datasets.arm_client import ArmClient
+
+_STOPPED = 0.010  # m from the pose; an arm that is further away was stopped by something
+_DOUBTFUL = 0.020  # m between measured and predicted position; more is rather a slip of the pen than an ill-built arm
+_POLL = 0.1  # s between looks at the arm while nobody answers
+
+
+class Answers:
+    """Lines from standard input, waited for without missing what happens meanwhile.
+
+    `input()` would go on waiting after a signal, and would not look at the arm.
+    """
+
+    def __init__(self) -> None:
+        self._left = b""
+        self._ended = sys.stdin is None
+
+    def next(self, look: Callable[[], None]) -> str | None:
+        """Return the next line, or None at the end of the input; `look` is called while it is waited for."""
+        while b"\n" not in self._left and not self._ended:
+            look()
+            if select.select([sys.stdin], [], [], _POLL)[0]:
+                chunk = b""
+                with contextlib.suppress(OSError):  # a closed terminal
+                    chunk = os.read(sys.stdin.fileno(), 4096)
+                self._ended = not chunk
+                self._left += chunk
+        if not self._left:
+            return None
+        line, _, self._left = self._left.partition(b"\n")
+        return line.decode("utf-8", "replace").strip()
+
+
+def measure(options: argparse.Namespace, geometry: DeltaGeometry) -> int:
+    """Measure the poses of a plan with the running charger."""
+    with refusing(options.plan):
+        poses = read_plan(options.plan)
+    options.scene = None
+    prepare(options, look_around=True)
+    counts = {"measured": 0, "skipped": 0}
+    with Interrupts() as interrupts, ros_context() as context:
+        from deltacharger_records.datasets.arm_client import ArmClient, ArmError
+
+        try:
+            with ArmClient(context, geometry, options.namespace, interrupts.event) as arm:
+                arm.wait_until_ready(DISCOVERY)
+                with refusing(options.measure):
+                    recording = Recording(options.measure, _encoder(encoder_of(options), arm.encoder()))
+                    left = [pose for pose in poses if pose.number not in recording.done]
+                    _announce(options.measure, poses, left)
+                    complete = not left or _visit(arm, left, recording, counts)
+        except ArmError as error:
+            code = INTERRUPTED if interrupts.event.is_set() else FAILED
+            kept = f"; {options.measure} holds what was measured" if counts["measured"] else ""
+            raise CommandError(f"{error}{kept}", code, **counts) from error
+    remaining = len(poses) - len(recording.done)
+    say(f"{options.measure} holds {len(recording.done)} of {len(poses)} poses; the torque is off")
+    if options.json:
+        write_json({"success": complete, "written": options.measure, **counts, "remaining": remaining})
+    return DONE if complete else FAILED
+
+
+def _encoder(stated: Encoder | None, told: Encoder | None) -> Encoder:
+    """Return what turns angles back into ticks: what servo_node says, which the options may not contradict."""
+    if told is None:
+        used = stated or Encoder()
+        say(f"servo_node does not tell zero_ticks and direction; taking {used.zero_ticks} and {used.direction}")
+        return used
+    if stated is not None and stated != told:
+        raise CommandError(
+            f"servo_node has zero_ticks {told.zero_ticks} and direction {told.direction}: leave out the options that "
+            "say otherwise",
+            WRONG_INPUT,
+        )
+    return told
+
+
+def _announce(path: str, poses: Sequence[Pose], left: Sequence[Pose]) -> None:
+    if len(left) < len(poses):
+        say(f"{path} holds {len(poses) - len(left)} of {len(poses)} poses already; going on with the others")
+    say("keep clear: the arm moves as soon as an answer is given, and at once now")
+
+
+def _visit(arm: ArmClient, poses: Sequence[Pose], recording: Recording, counts: dict[str, int]) -> bool:
+    """Go to the poses one by one and record what is answered; False where the input ended too early."""
+    answers = Answers()
+    arm.start()
+    for number, pose in enumerate(poses, start=1):
+        say(f"pose {pose.number}, {number} of {len(poses)}: going to {_place(pose.position)} mm")
+        arm.move(pose.position)
+        if math.dist(arm.position(), pose.position) > _STOPPED:
+            say(f"  the arm stopped at {_place(arm.position())} mm: is something in its way?")
+        say("  measured x y z in mm, s = skip, q = quit:")
+        word = _record(arm, pose, recording, answers)
+        if word in ("end", "quit"):
+            say("the input has ended" if word == "end" else "quitting; the same command goes on from here")
+            arm.go_home()
+            return word == "quit"
+        counts[word] += 1
+    arm.go_home()
+    return True
+
+
+def _record(arm: ArmClient, pose: Pose, recording: Recording, answers: Answers) -> str:
+    """Ask until there is an answer: "measured" and recorded, "skipped", "quit", or "end" of the input."""
+    from deltacharger_records.datasets.arm_client import STILL
+
+    asked, doubted = arm.angles(), ""
+    while True:
+        text = answers.next(arm.check)
+        if text is None or text in ("q", "s"):
+            return "end" if text is None else {"q": "quit", "s": "skipped"}[text]
+        position = position_of(text)
+        if position is None:
+            say(f"  '{text}' is not three numbers; x y z in mm, s = skip, q = quit:")
+            continue
+        arm.rest()
+        away = math.dist(position, arm.position())
+        if away > _DOUBTFUL and text != doubted:
+            doubted = text
+            say(f"  that is {away / MILLIMETRE:.0f} mm from where the arm should be; again, if it is so:")
+            continue
+        angles = arm.angles()
+        moved = float(np.abs(np.subtract(angles, asked)).max())
+        if moved > STILL:
+            asked = angles
+            say(f"  the arm has moved by {moved / TICK:.0f} ticks meanwhile; measure again, x y z in mm:")
+            continue
+        first, second, third = recording.encoder.ticks(np.array(angles))
+        recording.append(pose, (float(first), float(second), float(third)), position)
+        return "measured"
+
+
+def position_of(text: str) -> Vector | None:
+    """Return the position (m) that three numbers in mm say; None where there are not three.
+
+    Between them stand spaces, commas or semicolons; where spaces separate, a comma may be the decimal point.
+    """
+    words = text.replace(";", " ").split()
+    words = [word.replace(",", ".") for word in words] if len(words) == 3 else re.split(r"[\s,;]+", text)
+    try:
+        x, y, z = (float(word) * MILLIMETRE for word in words)
+    except ValueError:
+        return None
+    return (x, y, z) if all(map(math.isfinite, (x, y, z))) else None
+
+
+def _place(position: Vector) -> str:
+    return "(" + ", ".join(f"{value / MILLIMETRE:.1f}" for value in position) + ")"

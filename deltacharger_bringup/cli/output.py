@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all commands share: exit codes, where text goes, and signals as events."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import sys
+import threading
+from types import FrameType, TracebackType
+from typing import Any, TextIO
+
+from deltacharger_ros.outcomes import json_ready
+
+DONE, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+class CommandError(Exception):
+    """A command ends with a message and an exit code.
+
+    Args:
+        message: what is wrong and what to do.
+        exit_code: FAILED or WRONG_INPUT.
+        details: more for the JSON object.
+    """
+
+    def __init__(self, message: str, exit_code: int = FAILED, **details: Any) -> None:
+        self.exit_code = exit_code
+        self.details = details
+        super().__init__(message)
+
+
+def say(text: str) -> None:
+    """Write a line for people, to stderr."""
+    _write(text, sys.stderr)
+
+
+def tell(text: str) -> None:
+    """Write lines of a command's answer for people, to stdout."""
+    _write(text, sys.stdout)
+
+
+def answer(options: argparse.Namespace, value: dict[str, Any]) -> None:
+    """Write the one JSON object of a command early; what goes wrong later is told on stderr only."""
+    write_json(value)
+    options.json = False
+
+
+def _write(text: str, stream: TextIO | None) -> None:
+    if stream is None:  # closed by the shell; print would turn to stdout
+        return
+    try:
+        print(text, file=stream, flush=True)
+    except BrokenPipeError:  # nobody reads any more; a charger must not stop for that
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())  # below the stream, whose buffer is written once more at exit
+        os.close(nowhere)
+
+
+def write_json(value: dict[str, Any]) -> None:
+    """Write the command's one JSON object to stdout; NaN and infinity become null."""
+    tell(json.dumps(json_ready(value), ensure_ascii=False))
+
+
+class Interrupts:
+    """SIGINT, SIGTERM and SIGHUP as an event, so that a command ends in its own order.
+
+    A second signal ends its waits at once. A closed terminal (SIGHUP) ends a command as SIGTERM does.
+
+    Attributes:
+        event: set by the first signal.
+        impatient: set by the second.
+        number: the first signal; 0 = none.
+    """
+
+    def __init__(self) -> None:
+        self.event = threading.Event()
+        self.impatient = threading.Event()
+        self.number = 0
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Interrupts:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # ignored = started by nohup
+                self._before[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            # Once interrupted the process is on its way out; an impatient third signal must not break that off.
+            signal.signal(number, signal.SIG_IGN if self.event.is_set() else handler)
+
+    def exit_code(self, otherwise: int) -> int:
+        """Return the exit code of a server that was asked to end: 130 after SIGINT, 0 after others."""
+        if self.number == signal.SIGINT:
+            return INTERRUPTED
+        return DONE if self.number else otherwise
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self.event.is_set():
+            self.impatient.set()
+        self.number = self.number or number
+        self.event.set()

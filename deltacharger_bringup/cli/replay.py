@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger replay`: a recorded docking in words and as a picture, and the records of a folder."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_core import environment
+from deltacharger_records.recording.folder import PARTIAL, SUFFIX
+
+_PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
+
+
+def replay(options: argparse.Namespace) -> int:
+    """Tell, and draw where asked, one record; or list those of a folder."""
+    environment.prepare()
+    path = Path(options.path)
+    if not path.exists():
+        raise CommandError(f"{path}: there is no such file or folder", WRONG_INPUT)
+    try:
+        from deltacharger_records.recording.mcap_recording import RecordingError
+    except ImportError as error:
+        raise CommandError(f"ROS 2 or the built interfaces are missing ({error}): install the package") from error
+    try:
+        return _folder(options, path) if path.is_dir() else _file(options, path)
+    except RecordingError as error:
+        raise CommandError(str(error), WRONG_INPUT) from error
+
+
+def _file(options: argparse.Namespace, path: Path) -> int:
+    from deltacharger_records.replay.record import replay as read
+    from deltacharger_records.replay.words import story, why
+
+    picture = _picture(options)
+    found = read(path, options.namespace or None)
+    lines, closing = story(found), why(found)
+    if picture is not None:
+        from deltacharger_records.replay.picture import draw
+        from deltacharger_records.replay.run_picture import PictureError
+
+        try:
+            draw(found, picture)
+        except PictureError as error:
+            raise CommandError(f"no picture: {error}") from error
+        say(f"picture: {picture}")
+    if options.json:
+        told = {"story": lines, "why": closing, "picture": str(picture) if picture else None}
+        write_json(found.as_dict() | told)
+        return DONE
+    outcome = found.outcome()
+    tell(f"{_when(found.began)}  {found.request_id or 'no request id'}  {outcome['name']}")
+    if found.recording.damage:
+        tell(f"incomplete: {found.recording.damage}")
+    tell("\n".join([*lines, "", closing]))
+    return DONE
+
+
+def _picture(options: argparse.Namespace) -> Path | None:
+    """Return where to draw, refused before anything is read."""
+    if not options.picture:
+        return None
+    path = Path(options.picture)
+    if path.suffix.lower() not in _PICTURES or path.is_dir() or not path.parent.is_dir():
+        kinds = ", ".join(_PICTURES)
+        raise CommandError(f"--picture {path}: give a file in a folder that exists, ending in {kinds}", WRONG_INPUT)
+    return path
+
+
+def _folder(options: argparse.Namespace, folder: Path) -> int:
+    if options.picture:
+        raise CommandError("--picture draws one record; name a file, not a folder", WRONG_INPUT)
+    entries = [_entry(path) for path in sorted(folder.iterdir()) if path.name.endswith((SUFFIX, PARTIAL))]
+    if options.json:
+        write_json({"folder": str(folder), "records": entries})
+        return DONE
+    if not entries:
+        say(f"{folder}: no records")
+    for entry in entries:
+        if entry["problem"]:
+            tell(f"{entry['file']}: {entry['problem']}")
+            continue
+        size = entry["bytes"] / 1e6
+        tell(
+            f"{_when(round(entry['time'] * 1e9))}  {entry['duration']:9.1f} s  {size:7.2f} MB  "
+            f"{entry['outcome']:<22} {entry['request_id'] or '–'}  ({entry['file']})"
+        )
+    return DONE
+
+
+def _entry(path: Path) -> dict[str, Any]:
+    from deltacharger_records.recording.docking_recorder import ABOUT, END
+    from deltacharger_records.recording.mcap_recording import RecordingError
+    from deltacharger_records.replay.file import span
+
+    entry: dict[str, Any] = {"file": path.name, "bytes": path.stat().st_size, "problem": ""}
+    try:
+        first, last, recording = span(path)
+    except (RecordingError, OSError) as error:
+        return entry | {"problem": str(error), "time": math.nan, "duration": math.nan, "outcome": "", "request_id": ""}
+    about, end = (recording.told(name) or [{}] for name in (ABOUT, END))
+    return entry | {
+        "time": first * 1e-9,
+        "duration": (last - first) * 1e-9,
+        "outcome": end[-1].get("ending", "unfinished"),
+        "request_id": about[-1].get("request_id", ""),
+    }
+
+
+def _when(ns: int) -> str:
+    return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(ns * 1e-9))

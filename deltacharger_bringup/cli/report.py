@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger report`: measure a part, write a page with tables and pictures, say which targets are met."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+from deltacharger_bringup.cli.output import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    WRONG_INPUT,
+    CommandError,
+    Interrupts,
+    say,
+    tell,
+    write_json,
+)
+
+
+def kinematics(options: argparse.Namespace) -> int:
+    """Write the report of the kinematics into a folder."""
+    from deltacharger_lab.reports.kinematics import report
+
+    directory = _folder(options.out)
+    count = options.points or (report.QUICK_POINTS if options.quick else report.DEFAULT_POINTS)
+    plan = (report.quick_plan if options.quick else report.full_plan)(count, options.seed)
+    command = f"deltacharger report kinematics{' --quick' if options.quick else ''} --points {count} --seed {plan.seed}"
+    try:
+        results = report.build(plan, directory, command, say)
+    except ModuleNotFoundError as error:
+        if error.name != "mpmath":
+            raise
+        raise CommandError("mpmath is not installed; install deltacharger[report]", FAILED) from error
+    for name, reason in results["absent"].items():
+        say(f"{name} is absent: {reason}")
+    return _end(options, results, directory, [report.PAGE, report.FIGURES], ("seed", "points"))
+
+
+def tactile(options: argparse.Namespace) -> int:
+    """Write the comparison of the classifiers of misalignment, on simulated data, into a folder."""
+    from deltacharger_lab.reports.tactile import plan as tactile_plan
+    from deltacharger_lab.reports.tactile import report as tactile_report
+
+    directory = _folder(options.out)
+    plan = (tactile_plan.quick_plan if options.quick else tactile_plan.full_plan)(options.seed)
+    command = f"deltacharger report tactile{' --quick' if options.quick else ''} --seed {options.seed}"
+    for name, reason in tactile_plan.absent().items():
+        say(f"{name} is absent: {reason}")
+    if not plan.names:
+        raise CommandError("nothing that trains is installed; install deltacharger[train]", FAILED)
+    results = tactile_report.build(plan, directory, command, say)
+    files = [tactile_report.HTML, tactile_report.PAGE, tactile_report.FIGURES]
+    return _end(options, results, directory, files, ("simulated", "rigs", "seeds"), "simulated data:")
+
+
+def vision(options: argparse.Namespace) -> int:
+    """Write what the electrode detector does on simulated images into a folder."""
+    from deltacharger_lab.reports.vision import plan as vision_plan
+    from deltacharger_lab.reports.vision import report as vision_report
+
+    directory = _folder(options.out)
+    plan = vision_plan.plan(options.images, options.seed, options.quick)
+    command = (
+        f"deltacharger report vision{' --quick' if options.quick else ''} --images {plan.images} --seed {plan.seed}"
+    )
+    for name, reason in plan.absent.items():
+        say(f"{name} is absent: {reason}")
+    if "opencv" in plan.absent:
+        raise CommandError(f"OpenCV is absent: {plan.absent['opencv']}", FAILED)
+    results = vision_report.build(plan, directory, command, say)
+    files = [vision_report.HTML, vision_report.PAGE, vision_report.FIGURES]
+    return _end(options, results, directory, files, ("simulated", "seed", "images"), "simulated images:")
+
+
+def simulation(options: argparse.Namespace) -> int:
+    """Write the report of the simulated charger's mechanics into a folder."""
+    from deltacharger_lab.reports.simulation import map as simulation_map
+    from deltacharger_lab.reports.simulation import plan as simulation_plan
+    from deltacharger_lab.reports.simulation import report as simulation_report
+
+    directory = _folder(options.out)
+    plan = simulation_plan.quick_plan() if options.quick else simulation_plan.full_plan()
+    command = f"deltacharger report simulation{' --quick' if options.quick else ''}"
+    for name, reason in simulation_plan.absent().items():
+        say(f"{name} is absent: {reason}")
+    results = simulation_report.build(plan, directory, command, say)
+    files = [simulation_report.PAGE, simulation_report.FIGURES, simulation_map.MODULE]
+    return _end(options, results, directory, files, ("models", "quick"))
+
+
+def docking(options: argparse.Namespace) -> int:
+    """Run the campaigns of the docking report, or go on with them, and write what they say."""
+    from deltacharger_bringup.cli.campaign import Progress
+    from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused
+    from deltacharger_lab.reports.docking import plan as docking_plan
+    from deltacharger_lab.reports.docking import report as docking_report
+
+    directory = _folder(options.out)
+    try:
+        plan = docking_plan.make_plan(options.quick, options.only, options.n, options.seed)
+    except ValueError as error:
+        raise CommandError(f"--only: {error}", WRONG_INPUT) from error
+    command = f"deltacharger report docking{' --quick' if options.quick else ''} --seed {plan.seed}"
+
+    def progress(part: docking_plan.Part, total: int, begun: int) -> Progress:
+        say(f"{part.name}: {part.about}")
+        return Progress(total, begun)
+
+    try:
+        with Interrupts() as interrupts:
+            complete = docking_report.run(plan, directory, options.workers, progress, interrupts.event.is_set, say)
+        if not complete:
+            say(f"{directory}: broken off; the same command goes on")
+            return INTERRUPTED if interrupts.number == signal.SIGINT else FAILED
+        results = docking_report.build(plan, directory, command, say)
+    except CampaignRefused as error:
+        raise CommandError(str(error), WRONG_INPUT) from error
+    except CampaignError as error:
+        raise CommandError(str(error), FAILED) from error
+    files = [docking_report.PAGE, docking_report.FIGURES]
+    return _end(options, results, directory, files, ("simulated", "seed", "quick", "not_run"), "simulated dockings:")
+
+
+def footprint(options: argparse.Namespace) -> int:
+    """Write what a charger costs this computer, scene by scene, into a folder."""
+    from deltacharger_bringup.cli.charger import ros_context
+    from deltacharger_core import environment
+    from deltacharger_lab.reports.footprint import plan as footprint_plan
+    from deltacharger_lab.reports.footprint import process as footprint_process
+    from deltacharger_scenes.scene import SceneError
+
+    unsupported = footprint_process.unsupported()
+    if unsupported:
+        raise CommandError(unsupported, FAILED)
+    try:
+        plan = footprint_plan.make_plan(options.scene, options.quick, options.repeats)
+    except SceneError as error:
+        raise CommandError(f"--scene: {error}", WRONG_INPUT, file=error.file, key=error.key) from error
+    for name, reason in plan.left_out.items():
+        say(f"{name} is left out: {reason}")
+    if not plan.scenes:
+        raise CommandError(f"nothing to measure: {'; '.join(f'{name}: {why}' for name, why in plan.left_out.items())}")
+    directory = _folder(options.out)
+    environment.prepare()
+    problem = environment.domain_problem()
+    if problem:
+        raise CommandError(problem, WRONG_INPUT)
+    environment.isolate()
+    words = [*(f" --scene {name}" for name in options.scene), " --quick" if options.quick else ""]
+    command = f"deltacharger report footprint{''.join(words)} --repeats {plan.repeats}"
+    with ros_context() as context:
+        from deltacharger_lab.reports.footprint import report as footprint_report
+
+        results = footprint_report.build(plan, context, directory, command, say)
+    files = [footprint_report.PAGE, footprint_report.FIGURES]
+    return _end(options, results, directory, files, ("rows", "left_out", "quick", "repeats"))
+
+
+def _end(
+    options: argparse.Namespace,
+    results: dict[str, Any],
+    directory: Path,
+    files: list[str],
+    more: tuple[str, ...],
+    of_what: str = "",
+) -> int:
+    """Say what was written, the file to read first of all, and which targets are met."""
+    for name, reason in results["missing_pictures"].items():
+        say(f"no picture {name}: {reason}")
+    say(f"{directory / files[0]}: written in {results['elapsed_s']:.0f} s")
+    if options.json:
+        write_json(_summary(results, directory, files, more))
+        return DONE
+    if of_what:
+        tell(of_what)
+    _tell_targets(results)
+    return DONE
+
+
+def _tell_targets(results: dict[str, Any]) -> None:
+    for target in results["targets"]:
+        verdict = "not measured" if target["met"] is None else "met" if target["met"] else "NOT MET"
+        tell(f"{target['name']:<52} {target['wanted']:>9}  {target['measured']:>10.3g} {target['unit']:<8} {verdict}")
+
+
+def _folder(name: str) -> Path:
+    """Return the folder to write to, made where it is missing."""
+    directory = Path(name)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CommandError(f"--out {name}: cannot be a folder ({error.strerror}); give another", WRONG_INPUT) from error
+    if not os.access(directory, os.W_OK | os.X_OK):
+        raise CommandError(f"--out {name}: the folder cannot be written to; give another", WRONG_INPUT)
+    return directory
+
+
+def _summary(results: dict[str, Any], directory: Path, files: list[str], more: tuple[str, ...]) -> dict[str, Any]:
+    keys = ("targets", "absent", "missing_pictures", "elapsed_s", *more)
+    written = [str(directory / name) for name in (*files, *results["pictures"])]
+    return {"success": True, "files": written, **{key: results[key] for key in keys}}

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger scene list|check|explain`."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.scene import Scene, SceneError, load_scene, packaged_scenes
+from deltacharger_sim.proven import doubts
+
+
+def load_for_command(name_or_file: str) -> Scene:
+    """Return the scene.
+
+    Raises:
+        CommandError: the scene is refused; exit code 2.
+    """
+    try:
+        return load_scene(name_or_file)
+    except SceneError as error:
+        raise CommandError(str(error), WRONG_INPUT, file=error.file, key=error.key) from error
+
+
+def list_scenes(options: argparse.Namespace) -> int:
+    """Name every packaged scene with its description."""
+    scenes = []
+    for name, path in packaged_scenes().items():
+        try:
+            scene = load_scene(path)
+            scenes.append({"name": name, "kind": _kind(scene), "description": scene.description, "file": str(path)})
+        except SceneError as error:
+            scenes.append({"name": name, "kind": "refused", "description": error.problem, "file": str(path)})
+    if options.json:
+        write_json({"scenes": scenes})
+        return DONE
+    width = max((len(entry["name"]) for entry in scenes), default=0)
+    for entry in scenes:
+        tell(f"{entry['name']:<{width}}  {entry['kind']:<9}  {entry['description']}")
+    return DONE
+
+
+def check(options: argparse.Namespace) -> int:
+    """Load scenes and report each one's first problem, and what of a simulated world is not proven."""
+    reports = []
+    for name in options.scenes or list(packaged_scenes()):
+        try:
+            scene = load_scene(name)
+            warnings = [] if scene.simulation is None else list(doubts(scene.simulation.world))
+            good = {"scene": scene.name, "file": scene.file, "ok": True, "key": "", "problem": "", "warnings": warnings}
+            reports.append(good)
+            for warning in warnings:
+                say(f"{scene.file}: warning: simulation.world: {warning}")
+        except SceneError as error:
+            refused = {"scene": name, "file": error.file, "ok": False, "key": error.key, "problem": error.problem}
+            reports.append({**refused, "warnings": []})
+            say(str(error))
+    if options.json:
+        write_json({"ok": all(report["ok"] for report in reports), "scenes": reports})
+    else:
+        for report in reports:
+            tell(f"{report['scene']}: {'ok' if report['ok'] else 'refused'}")
+    return DONE if all(report["ok"] for report in reports) else WRONG_INPUT
+
+
+def explain(options: argparse.Namespace) -> int:
+    """Show what a scene sets, starts, loads and leaves out; with --all also every key that it could set."""
+    from deltacharger_scenes.parts import describe_parts, tell_parts
+
+    scene = load_for_command(options.scene)
+    keys = list(describe(scene))
+    shown = keys if options.all or options.json else [key for key in keys if key["set"]]
+    parts = describe_parts(scene)
+    if options.json:
+        head = {"scene": scene.name, "description": scene.description, "file": scene.file}
+        write_json({**head, "keys": shown, **parts})
+        return DONE
+    tell(f"{scene.name} ({_kind(scene)}): {scene.description}\n{scene.file}\n")
+    for key in shown:
+        tell(f"{key['key']} = {_plain(key['value'])}{_unit(key)}")
+        about = [text for text in (key["doc"], _range(key), "" if key["set"] else "default") if text]
+        if about:
+            tell(f"    {'; '.join(about)}")
+    if not options.all:
+        tell(f"\n{len(keys) - len(shown)} more keys stand at their default; --all shows them.")
+    tell(f"\n{tell_parts(parts)}")
+    return DONE
+
+
+def describe(scene: Scene) -> Iterator[dict[str, Any]]:
+    """Yield every key of a scene with value, unit, range, meaning, and whether it differs from its default."""
+    yield _entry("nodes", list(scene.nodes), True, {"doc": "executables that it starts"})
+    if scene.goal is not None:
+        yield from _fields("goal", scene.goal, None)
+    if scene.simulation is not None:
+        yield from _fields("simulation", scene.simulation, type(scene.simulation)())
+    if scene.touches_hardware:
+        yield from _fields("ports", scene.ports, type(scene.ports)())
+    for node, values in scene.parameters.items():
+        for name, value in values.items():
+            yield _entry(f"parameters.{node}.{name}", value, True, {})
+
+
+def _fields(key: str, instance: Any, default: Any) -> Iterator[dict[str, Any]]:
+    for item in dataclasses.fields(instance):
+        value = getattr(instance, item.name)
+        usual = None if default is None else getattr(default, item.name, None)
+        path = f"{key}.{item.name}"
+        if dataclasses.is_dataclass(value):
+            yield from _fields(path, value, usual)
+        else:
+            yield _entry(path, _data(value), default is None or value != usual, dict(item.metadata))
+
+
+def _entry(key: str, value: Any, is_set: bool, metadata: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "key": key,
+        "value": value,
+        "set": is_set,
+        "unit": metadata.get("unit", ""),
+        "minimum": metadata.get("low"),
+        "maximum": metadata.get("high"),
+        "doc": metadata.get("doc", ""),
+    }
+
+
+def _data(value: Any) -> Any:
+    """Return dataclasses in a tuple, such as faults, as mappings."""
+    if isinstance(value, tuple):
+        return [dataclasses.asdict(item) if dataclasses.is_dataclass(item) else item for item in value]  # type: ignore[arg-type]
+    return value
+
+
+def _kind(scene: Scene) -> str:
+    if scene.simulation is not None:
+        return "simulated"
+    if any(NODES[name].plays for name in scene.nodes):
+        return "recording"
+    return "hardware" if scene.touches_hardware else "mocks"
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_plain(item) for item in value) + "]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _unit(key: dict[str, Any]) -> str:
+    return f" {key['unit']}" if key["unit"] else ""
+
+
+def _range(key: dict[str, Any]) -> str:
+    if key["minimum"] is None or key["maximum"] is None:
+        return ""
+    return f"{_plain(key['minimum'])} to {_plain(key['maximum'])}"

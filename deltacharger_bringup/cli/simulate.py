@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger simulate`: the emulated hardware of a scene as a process of its own, without ROS."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from pathlib import Path
+
+from deltacharger_bringup.cli.main import DEFAULT_SCENE
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, answer, say, tell
+from deltacharger_bringup.cli.scene import load_for_command
+from deltacharger_ros.outcomes import json_ready
+from deltacharger_sim.charger.simulated_charger import SimulatedCharger
+
+_QUIET = 0.6  # s without a byte from any host, after which nobody is left to switch anything off
+_LONGEST_LINGER = 3.0  # s
+
+
+def simulate(options: argparse.Namespace) -> int:
+    """Serve until SIGINT or SIGTERM."""
+    scene = load_for_command(options.scene or DEFAULT_SCENE)
+    if scene.simulation is None:
+        raise CommandError(
+            f"scene '{scene.name}' has no key 'simulation': there is nothing to simulate; choose a simulated scene",
+            WRONG_INPUT,
+        )
+    if options.record:
+        _check_record(Path(options.record))
+    with Interrupts() as interrupts, SimulatedCharger(scene, Path(options.directory)) as charger:
+        if options.json:
+            ports = {"servo": charger.servo_port, "board": charger.board_port}
+            answer(options, {"ready": True, **ports, "scene": scene.name})
+        else:
+            tell(f"servo {charger.servo_port}\nboard {charger.board_port}\nready")
+        while not interrupts.event.wait(0.2):
+            broken = charger.errors()
+            if broken:
+                raise CommandError(f"the simulated charger broke: {broken[0]!r}", FAILED)
+        # Nodes that the same Ctrl-C ends still want to switch torque off and open the contactor.
+        charger.wait_until_quiet(_QUIET, _LONGEST_LINGER, interrupts.impatient)
+        record = charger.record()
+        if options.record:
+            Path(options.record).write_text(json.dumps(json_ready(record), indent=2) + "\n", encoding="utf-8")
+        say("in the simulated world: " + ", ".join(f"{key} {value}" for key, value in record.items()))
+        return DONE if options.as_node else interrupts.exit_code(DONE)
+
+
+def _check_record(path: Path) -> None:
+    """Refuse at the start a record that could not be written at the end."""
+    if path.is_dir() or not path.parent.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise CommandError(f"--record {path}: cannot be written; give a file in a folder that exists", WRONG_INPUT)

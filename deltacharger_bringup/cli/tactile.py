@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger tactile`: data sets, training and judging of the classifiers."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_tactile.errors import TactileError
+
+if TYPE_CHECKING:
+    from deltacharger_tactile.dataset import Dataset
+
+_CALIBRATED = 0.8  # share of the dockings that are learnt from; the rest tells when an answer may be acted on
+
+
+def generate(options: argparse.Namespace) -> int:
+    """Write a simulated data set."""
+    from deltacharger_tactile.estimator import THRESHOLD
+    from deltacharger_tactile.generator import generate_continuous, generate_paper
+    from deltacharger_tactile.parameters import CONTACT_THRESHOLD
+
+    out = _writable(options.out)
+    rigs = range(options.first_rig, options.first_rig + options.rigs)
+    paper = options.protocol == "paper"
+    threshold = options.threshold if options.threshold is not None else CONTACT_THRESHOLD if paper else THRESHOLD
+    common = {"rigs": rigs, "seed": options.seed, "frames": options.frames, "threshold": threshold}
+    if paper:
+        if options.dockings is not None:
+            raise CommandError("--dockings is for --protocol continuous; the paper's numbers are fixed", WRONG_INPUT)
+        data = generate_paper(**common, rows=options.rows)
+    else:
+        data = generate_continuous(**common, rows=options.rows, count=options.dockings or 400)
+    data.save(out)
+    summary = {"out": str(out), "n": len(data), "protocol": options.protocol, "digest": data.meta["digest"]}
+    if options.json:
+        write_json({"success": True, **summary})
+    else:
+        tell(f"{out}: {len(data)} dockings on {options.rigs} simulated rigs, parameters {data.meta['digest']}")
+    return DONE
+
+
+def train(options: argparse.Namespace) -> int:
+    """Train a classifier, or the pose estimator, on a data set."""
+    if (options.target == "pose") != (options.model == "pose") and options.target == "pose":
+        raise CommandError(f"--model {options.model} tells a class; for --target pose give --model pose", WRONG_INPUT)
+    out, data = _writable(options.out), _load(options.data)
+    try:
+        result = _train_pose(options, data, out) if options.target == "pose" else _train_class(options, data, out)
+    except TactileError as error:
+        raise CommandError(str(error), WRONG_INPUT) from error
+    except ModuleNotFoundError as error:
+        raise CommandError(f"{error.name} is not installed; install deltacharger[train]", FAILED) from error
+    summary = {"out": str(out), "model": options.model, "target": options.target, **result}
+    if options.json:
+        write_json({"success": True, **summary})
+    else:
+        rows, seconds = result["n"], result["fit_time"]
+        tell(f"{out}: {options.model} for {options.target}, learnt from {rows} rows in {seconds:.2f} s")
+    return DONE
+
+
+def _train_class(options: argparse.Namespace, data: Dataset, out: Path) -> dict[str, Any]:
+    from deltacharger_tactile.classifiers.classifier import Classifier
+    from deltacharger_tactile.classifiers.labels import examples
+    from deltacharger_tactile.classifiers.splits import by_docking
+    from deltacharger_tactile.estimator import THRESHOLD
+    from deltacharger_tactile.parameters import CONTACT_THRESHOLD
+
+    rows = examples(data, options.target)
+    learns, checks = by_docking(rows, options.seed, _CALIBRATED)
+    cut = data.threshold
+    model = Classifier(options.model, options.target, max(cut, THRESHOLD) if cut >= 0.0 else CONTACT_THRESHOLD)
+    model.about = {"data": data.meta, "seed": options.seed, "dockings": len(np.unique(rows.groups[learns]))}
+    model.fit(rows.frames[learns], rows.labels[learns], options.seed, _Progress())
+    model.calibrate(rows.frames[checks], rows.labels[checks], rows.frames[learns])
+    if options.reference is not None:
+        known = examples(_load(options.reference, "--reference"), options.target)
+        model.refer(known.frames, known.labels)
+    model.save(out)
+    return {"n": len(learns), "fit_time": model.fit_time}
+
+
+def _train_pose(options: argparse.Namespace, data: Dataset, out: Path) -> dict[str, Any]:
+    from deltacharger_tactile.training import fit_dataset
+
+    if options.reference is not None:
+        raise CommandError("--reference is for classes; for the pose see `deltacharger calibrate tactile`", WRONG_INPUT)
+    started = time.perf_counter()
+    fit_dataset(data, options.seed, _Progress()).save(out)
+    return {"n": len(data), "fit_time": time.perf_counter() - started}
+
+
+def evaluate(options: argparse.Namespace) -> int:
+    """Judge a trained classifier or pose estimator on a data set."""
+    from deltacharger_tactile import npz, pose_judgement
+    from deltacharger_tactile.classifiers import judgement
+    from deltacharger_tactile.classifiers.classifier import Classifier
+    from deltacharger_tactile.classifiers.labels import examples
+    from deltacharger_tactile.estimator import PoseEstimator
+
+    data = _load(options.data)
+    try:
+        if npz.holds(options.model, "meta"):
+            estimator = PoseEstimator.load(options.model)
+            name, learnt_from = estimator.name, estimator.about.get("data")
+            found = pose_judgement.evaluate(estimator, data)
+        else:
+            model = Classifier.load(options.model)
+            name, learnt_from = model.name, model.about.get("data")
+            found = judgement.evaluate(model, examples(data, model.target))
+    except FileNotFoundError as error:
+        raise CommandError(f"--model {options.model}: there is no such file", WRONG_INPUT) from error
+    except TactileError as error:
+        raise CommandError(str(error), WRONG_INPUT) from error
+    if learnt_from == data.meta:
+        say(f"warning: {options.model} was trained on {options.data}: these figures flatter it; judge it on other data")
+    if options.json:
+        write_json(found)
+        return DONE
+    what = "simulated" if data.simulated else "recorded"
+    tell(f"{name} on {found['n']} {what} rows")
+    for part in [found[axis] for axis in pose_judgement.AXES] if found["target"] == "pose" else [found]:
+        _tell(part)
+    return DONE
+
+
+def _tell(found: dict[str, Any]) -> None:
+    unit, scale = ("°", 57.29577951308232) if found["target"] == "angle" else ("mm", 1e3)
+    tell(f"{found['target']}")
+    tell(f"  accuracy                {100 * found['accuracy']:.1f} %")
+    tell(f"  mean absolute error     {scale * found['mean_absolute_error']:.2f} {unit}")
+    tell(f"  sets hold the truth     {100 * found['coverage']:.1f} % (nominal {100 * found['nominal']:.0f} %)")
+    tell(f"  may be acted on         {100 * found['act_rate']:.1f} %")
+    tell(f"  look unlike training    {100 * found['drift_rate']:.1f} %")
+    if found.get("drifted_together", 0.0) > 0.0:
+        tell("  all of them together look unlike training: calibrate or train anew")
+
+
+def _load(name: str, option: str = "--data") -> Dataset:
+    from deltacharger_tactile.dataset import Dataset
+
+    try:
+        return Dataset.load(name)
+    except FileNotFoundError as error:
+        raise CommandError(f"{option} {name}: there is no such file", WRONG_INPUT) from error
+    except (TactileError, OSError) as error:
+        raise CommandError(str(error), WRONG_INPUT) from error
+
+
+def _writable(name: str) -> Path:
+    """Return where to write, with a folder that is there."""
+    path = Path(name)
+    if path.suffix != ".npz":
+        raise CommandError(f"--out {name}: give a name that ends in .npz", WRONG_INPUT)
+    if not path.parent.is_dir():
+        raise CommandError(f"--out {name}: the folder {path.parent} does not exist; make it", WRONG_INPUT)
+    return path
+
+
+class _Progress:
+    """Says how far training is, at most at every tenth."""
+
+    def __init__(self) -> None:
+        self._told = -1
+
+    def __call__(self, share: float, text: str) -> None:
+        """Take note, and say it where another tenth is done."""
+        tenth = int(10 * share)
+        if tenth != self._told:
+            self._told = tenth
+            say(f"{100 * share:3.0f} %  {text}")

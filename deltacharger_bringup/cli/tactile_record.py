@@ -1,0 +1,318 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger tactile record`: the paper's data sets from a charger that runs, docking by docking."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
+from deltacharger_bringup.cli.output import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    WRONG_INPUT,
+    CommandError,
+    Interrupts,
+    say,
+    tell,
+    write_json,
+)
+from deltacharger_core import environment
+from deltacharger_docking.codes import Code, Unreachable
+from deltacharger_docking.observation import Outcome
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, TILTED, Part
+
+if TYPE_CHECKING:
+    from deltacharger_records.datasets.charger import RecordingCharger
+    from deltacharger_records.datasets.dataset import Docking, Settings
+    from deltacharger_records.datasets.journal import Journal
+    from deltacharger_records.datasets.machine import RecordingMachine
+
+_TRIES = 3  # at one docking whose failure may pass; any other failure wants a person
+_PAUSE = 3.0  # s before another try, in which a silence may pass
+_FRAME = 1.0 / 120.0  # s
+
+
+def record(options: argparse.Namespace) -> int:
+    """Record what is left of a set, or only compose the data set."""
+    out, part = _out(options), None if options.compose else _part(options)
+    environment.prepare()
+    with _refusing():
+        from deltacharger_records.datasets.dataset import Settings
+        from deltacharger_records.datasets.journal import Journal
+        from deltacharger_records.recording.mcap_recording import require_mcap
+
+        require_mcap()
+        with Journal(out) as journal:
+            call = _Call(journal, options.json)
+            if part is None:
+                return call.finish(None)
+            settings = Settings(
+                rig=options.rig,
+                sensor=options.sensor,
+                frames=options.frames,
+                rows=options.rows,
+                threshold=options.threshold,
+                dwell_s=options.dwell_s,
+            )
+            journal.check(part, settings)
+            if call.left(part):
+                try:
+                    _record(options, call, part, settings)
+                except CommandError as error:
+                    call.compose()
+                    error.details.update(call.summary(part))
+                    kept = f"; {out} holds the {call.count} dockings of this call" if call.count else ""
+                    raise CommandError(f"{error}{kept}", error.exit_code, **error.details) from error
+            return call.finish(part)
+
+
+@contextmanager
+def _refusing() -> Iterator[None]:
+    """Turn what the files refuse into an end of the command."""
+    try:
+        from deltacharger_records.datasets.journal import Mismatch
+        from deltacharger_records.recording.mcap_recording import RecordingError
+    except ImportError as error:
+        raise CommandError(f"{error.name} is missing: install the package or source its workspace") from error
+    try:
+        yield
+    except Mismatch as error:
+        raise CommandError(str(error), WRONG_INPUT) from error
+    except RecordingError as error:
+        raise CommandError(str(error), FAILED) from error
+
+
+def _out(options: argparse.Namespace) -> Path:
+    path = Path(options.out)
+    if path.suffix != ".npz":
+        raise CommandError(f"--out {path}: give a name that ends in .npz", WRONG_INPUT)
+    if not path.parent.is_dir():
+        raise CommandError(f"--out {path}: the folder {path.parent} does not exist; make it", WRONG_INPUT)
+    return path
+
+
+def _part(options: argparse.Namespace) -> Part:
+    """Return what the options ask for; those of another set are refused."""
+    if options.set is None:
+        raise CommandError("give --set, or --compose to write the data set from what was recorded", WRONG_INPUT)
+    most = TILTED.get(options.set)
+    if most is None and options.angle_deg:
+        raise CommandError(f"--set {options.set} takes no --angle-deg: the target stands level", WRONG_INPUT)
+    if most is not None and options.angle_deg is None:
+        raise CommandError(
+            f"--set {options.set} takes --angle-deg, by which the target is turned: from +x to +y is positive",
+            WRONG_INPUT,
+        )
+    angle = options.angle_deg or 0.0
+    if most is not None and abs(angle) > most:
+        raise CommandError(
+            f"--angle-deg {angle:g} is outside {-most:g} to {most:g} of --set {options.set}", WRONG_INPUT
+        )
+    if options.offsets_mm is not None and options.set != "position":
+        raise CommandError(f"--set {options.set} takes no --offsets-mm", WRONG_INPUT)
+    return Part(
+        set=options.set,
+        angle_deg=angle,
+        repeat=options.repeat or REPEATS[options.set],
+        seed=options.seed,
+        x_mm=options.x_mm,
+        y_mm=options.y_mm,
+        z_mm=options.z_mm,
+        offsets_mm=tuple(options.offsets_mm or OFFSETS_MM),
+    )
+
+
+class _Call:
+    """One call of the command: what it has recorded, and what it says.
+
+    Attributes:
+        journal: into which it records.
+        count: dockings that it added.
+    """
+
+    def __init__(self, journal: Journal, as_json: bool) -> None:
+        self.journal = journal
+        self.count = 0
+        self._json = as_json
+        self._began = time.monotonic()
+
+    def left(self, part: Part) -> list[int]:
+        """Return the numbers of the part's dockings that are still to be made."""
+        done = self.journal.done(part)
+        return [number for number in range(len(part.poses())) if number not in done]
+
+    def start(self, part: Part) -> None:
+        """Say what is going to happen."""
+        left, total = len(self.left(part)), len(part.poses())
+        if left < total:
+            say(f"{self.journal.folder} holds {total - left} of {total} dockings already; going on with the others")
+        turned = f", turned by {part.angle_deg:g}° (from +x to +y)" if part.set in TILTED else ", level"
+        say(f"{left} dockings; the target stands at ({part.x_mm:g}, {part.y_mm:g}, {part.z_mm:g}) mm{turned}")
+        say("keep clear: the arm moves at once now")
+        self._began = time.monotonic()
+
+    def report(self, part: Part) -> Callable[[Docking], None]:
+        """Return what says that a docking is on the disk."""
+        total = len(part.poses())
+
+        def say_so(docking: Docking) -> None:
+            self.count += 1
+            left = len(self.left(part))
+            minutes = (time.monotonic() - self._began) / self.count * left / 60.0
+            place = f"({1e3 * docking.horizontal:+.1f}, {1e3 * docking.vertical:+.1f}) mm"
+            say(f"{total - left} of {total}  {place}  {docking.current:.3f} A  {minutes:.0f} min left")
+
+        return say_so
+
+    def compose(self) -> int:
+        """Write the data set and return the number of its rows."""
+        data = self.journal.compose()
+        return 0 if data is None else len(data)
+
+    def summary(self, part: Part | None) -> dict[str, Any]:
+        """Return what the JSON object says of the files."""
+        settings = self.journal.settings
+        return {
+            "out": str(self.journal.out),
+            "recorded": self.count,
+            "remaining": None if part is None else len(self.left(part)),
+            "dockings": len(self.journal.dockings),
+            "simulated": None if settings is None else settings.simulated,
+        }
+
+    def finish(self, part: Part | None) -> int:
+        """Compose, and say what there is."""
+        rows = self.compose()
+        out, journal = self.journal.out, self.journal
+        if not rows:
+            raise CommandError(f"{journal.folder} holds no dockings: record some with --set", WRONG_INPUT)
+        if self._json:
+            write_json({"success": True, **self.summary(part), "n": rows})
+            return DONE
+        assert journal.settings is not None
+        kind = "simulated " if journal.settings.simulated else ""
+        tell(f"{out}: {rows} rows of {len(journal.dockings)} {kind}dockings")
+        for name, each in journal.parts.items():
+            tell(f"  {name:<12} {len(journal.done(each))} of {len(each.poses())}")
+        return DONE
+
+
+def _record(options: argparse.Namespace, call: _Call, part: Part, settings: Settings) -> None:
+    """Connect to the charger and make the dockings that are left.
+
+    Raises:
+        CommandError: it ended early; what was recorded is on the disk.
+    """
+    options.scene = None
+    prepare(options, look_around=True)
+    with Interrupts() as interrupts, ros_context() as context:
+        from deltacharger_records.datasets.arm_client import ArmError
+        from deltacharger_records.datasets.charger import RecordingCharger
+
+        journal, begun = call.journal, False
+        charger = RecordingCharger(context, options.namespace, interrupts.event)
+        try:
+            with charger:
+                charger.wait_until_ready(DISCOVERY)
+                settings = dataclasses.replace(settings, simulated=charger.simulated())
+                journal.check(part, settings)
+                machine = _machine(charger, part)
+                if charger.claim(journal.driver()):
+                    say("the last call was killed while it drove the arm; taking it over")
+                journal.set_driver(charger.name)
+                begun = True
+                call.start(part)
+                _Sessions(call, part, settings, charger, machine).run(options.tare_every, interrupts)
+        except ArmError as error:
+            raise CommandError(str(error), INTERRUPTED if interrupts.event.is_set() else FAILED) from error
+        finally:
+            if begun and not charger.is_driving:
+                journal.set_driver("")
+
+
+def _commands(part: Part) -> list[Vector]:
+    """Return where the end effector meets the target for each pose: the target's place less the offset."""
+    x, y, z = part.target
+    return [(x - pose.horizontal, y - pose.vertical, z) for pose in part.poses()]
+
+
+def _machine(charger: RecordingCharger, part: Part) -> RecordingMachine:
+    """Return the machine, set as docking_node is, once all places are known to be in reach."""
+    from deltacharger_records.datasets.machine import RecordingMachine
+
+    if not charger.has_docking_node:
+        say("docking_node is not running: docking by its default parameters")
+    machine = RecordingMachine(*charger.settings())
+    try:
+        machine.check(_commands(part))
+    except Unreachable as error:
+        raise CommandError(str(error), WRONG_INPUT) from error
+    return machine
+
+
+class _Sessions:
+    """Sessions one after the other, each with its own tare."""
+
+    def __init__(
+        self, call: _Call, part: Part, settings: Settings, charger: RecordingCharger, machine: RecordingMachine
+    ) -> None:
+        self._call, self._part, self._settings = call, part, settings
+        self._charger, self._machine = charger, machine
+        self._commands = _commands(part)
+
+    def run(self, size: int, interrupts: Interrupts) -> None:
+        """Run sessions of `size` dockings until nothing is left; one that fails is tried again in a new session.
+
+        Raises:
+            CommandError: interrupted, or failed once too often.
+        """
+        failures = 0
+        while numbers := self._call.left(self._part)[:size]:
+            before = self._call.count
+            outcome = self._session(numbers)
+            if interrupts.event.is_set():
+                break
+            if outcome.success:
+                continue
+            failures = 1 if self._call.count > before else failures + 1
+            what = outcome.message if outcome.code is Code.INTERNAL else f"{outcome.code.name}: {outcome.message}"
+            if not outcome.retriable:
+                raise CommandError(what, code=int(outcome.code))
+            if failures == _TRIES:
+                raise CommandError(f"a docking failed {_TRIES} times, {what}", code=int(outcome.code))
+            say(f"docking failed, {what}; trying again")
+            if interrupts.event.wait(_PAUSE):
+                break
+        if interrupts.event.is_set():
+            raise CommandError("interrupted; the same call goes on", INTERRUPTED)
+
+    def _session(self, numbers: Sequence[int]) -> Outcome:
+        """Make the dockings of these numbers; all that is felt is on the disk when this ends."""
+        from deltacharger_records.datasets.keeper import SessionKeeper
+        from deltacharger_records.datasets.machine import NotKept
+
+        charger, settings = self._charger, self._settings
+        report = self._call.report(self._part)
+        keeper = SessionKeeper(
+            self._call.journal, self._part, settings, numbers, charger.tape, charger.names, charger.now, report
+        )
+        places = [self._commands[number] for number in numbers]
+        holding = settings.frames * settings.rows * _FRAME
+        try:
+            return charger.run(
+                self._machine,
+                lambda now: self._machine.start_session(places, settings.dwell_s, holding, keeper, now),
+            )
+        finally:
+            try:
+                keeper.close()
+            except NotKept as error:
+                raise CommandError(str(error)) from error

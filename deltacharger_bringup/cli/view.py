@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger view`: a charger at work in Rerun, live or from a recording, on a screen or into a file."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_bringup.cli.charger import prepare, ros_context
+from deltacharger_bringup.cli.main import DEFAULT_SCENE
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, say, write_json
+from deltacharger_bringup.cli.scene import load_for_command
+from deltacharger_core import environment
+from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_scenes.scene import Scene
+from deltacharger_vision.mount import Mount
+
+if TYPE_CHECKING:
+    from deltacharger_records.view.feed import ViewFeed
+
+_SILENT_AFTER = 5.0  # s; who misses the first announcement of a topic waits 3 s for the next
+_LOOK = 1.0 / 30.0  # s between two looks into the topics
+_FLUSH = 10.0  # s for what is under way to the viewer
+_EXTRA = "install deltacharger[view], or `pip install 'rerun-sdk>=0.39'`"
+
+
+def view(options: argparse.Namespace) -> int:
+    """Show a running charger until it is interrupted, or a recording."""
+    rr = _rerun()
+    _check_places(options)
+    if options.recording is None:
+        return _show_charger(rr, options)
+    return _show_recording(rr, options)
+
+
+def _rerun() -> Any:
+    try:
+        import rerun
+    except ImportError as error:
+        raise CommandError(f"{error.name} is not installed: {_EXTRA}", WRONG_INPUT) from error
+    if not hasattr(rerun, "StateChange"):  # another package of this name, or one too old
+        raise CommandError(f"the package rerun that is installed cannot show a charger: {_EXTRA}", WRONG_INPUT)
+    return rerun
+
+
+def _check_places(options: argparse.Namespace) -> None:
+    """Refuse, before anything is heard, what could not be read or shown at the end."""
+    if options.recording is not None and not Path(options.recording).is_file():
+        raise CommandError(f"--recording {options.recording}: there is no such file", WRONG_INPUT)
+    if options.recording is not None and options.stop_after_s:
+        raise CommandError("--stop-after-s is for a running charger, not for --recording", WRONG_INPUT)
+    if options.connect is not None and not options.connect.startswith("rerun"):
+        raise CommandError(
+            f"--connect {options.connect}: give an address such as rerun+http://HOST:9876/proxy", WRONG_INPUT
+        )
+    if options.save is not None:
+        path = Path(options.save)
+        if path.suffix != ".rrd":
+            raise CommandError(f"--save '{options.save}': end it in .rrd", WRONG_INPUT)
+        if path.is_dir() or not path.parent.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+            raise CommandError(f"--save {path}: cannot be written; give a file in a folder that exists", WRONG_INPUT)
+    elif options.connect is None and sys.platform == "linux" and not _has_screen():
+        raise CommandError(
+            "there is no screen here: give --save FILE.rrd and open the file elsewhere with `rerun FILE.rrd`, "
+            "or --connect to a viewer that runs on another computer",
+            WRONG_INPUT,
+        )
+
+
+def _has_screen() -> bool:
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _open(rr: Any, options: argparse.Namespace, scene: Scene) -> tuple[Any, ViewFeed]:
+    """Return a recording that goes where the options say, and the feed that fills it."""
+    from deltacharger_records.view.blueprint import blueprint
+    from deltacharger_records.view.feed import ViewFeed
+    from deltacharger_records.view.log import ViewLog
+
+    geometry, camera = geometry_of(scene), mount_of(scene)
+    recording = rr.RecordingStream("deltacharger")
+    layout = blueprint(live=options.recording is None and options.save is None)
+    try:
+        if options.save is not None:
+            recording.save(options.save, default_blueprint=layout)
+        elif options.connect is not None:
+            recording.connect_grpc(options.connect, default_blueprint=layout)
+        else:
+            _find_viewer()
+            recording.spawn(default_blueprint=layout)
+    except (OSError, RuntimeError, ValueError) as error:
+        raise CommandError(f"Rerun cannot start: {error}", FAILED) from error
+    return recording, ViewFeed(ViewLog(rr, recording, geometry, camera), geometry)
+
+
+def _find_viewer() -> None:
+    """Let Rerun find the viewer that was installed with it, also where nobody has activated this environment."""
+    beside = str(Path(sys.executable).parent)
+    os.environ["PATH"] = os.pathsep.join([beside, os.environ.get("PATH", os.defpath)])
+
+
+def _close(recording: Any) -> None:
+    """Let everything that was logged arrive."""
+    try:
+        recording.flush(timeout_sec=_FLUSH)
+    except Exception as error:  # rerun raises kinds of its own; the figures are lost, the command has done its part
+        raise CommandError(f"not everything reached the viewer: {error}", FAILED) from error
+    finally:
+        recording.disconnect()
+
+
+def geometry_of(scene: Scene) -> DeltaGeometry:
+    """Return the arm's geometry as a scene gives it to kinematics_node.
+
+    Raises:
+        CommandError: its file cannot be read, or a value is refused; exit code 2.
+    """
+    given = scene.parameters.get("kinematics_node", {})
+    try:
+        file = given.get("geometry_file")
+        known = load_geometry(Path(file).expanduser()) if file else DeltaGeometry()
+        names = [item.name for item in fields(DeltaGeometry) if item.name in given]
+        return known.with_values(**{name: _tupled(given[name]) for name in names})
+    except (OSError, ValueError) as error:
+        raise CommandError(f"{scene.file}: parameters.kinematics_node: {error}", WRONG_INPUT) from error
+
+
+def mount_of(scene: Scene) -> NDArray[np.float64]:
+    """Return (4, 4) of the camera in charger_base as a scene gives it to electrode_detector_node.
+
+    Raises:
+        CommandError: it is refused; exit code 2.
+    """
+    given = scene.parameters.get("electrode_detector_node", {})
+    try:
+        if given.get("mount_file"):
+            return Mount.load(Path(given["mount_file"]).expanduser()).pose
+        return (Mount.from_numbers(given["mount"]) if "mount" in given else Mount.default()).pose
+    except (OSError, ValueError) as error:
+        raise CommandError(f"{scene.file}: parameters.electrode_detector_node: {error}", WRONG_INPUT) from error
+
+
+def _tupled(value: Any) -> Any:
+    return tuple(float(item) for item in value) if isinstance(value, list) else value
+
+
+def _show_charger(rr: Any, options: argparse.Namespace) -> int:
+    scene = prepare(options, look_around=True)
+    with Interrupts() as interrupts, ros_context() as context:
+        from deltacharger_records.view.feed import COLOR_IMAGE, TOPICS
+        from deltacharger_records.view.listener import Listener
+
+        recording, feed = _open(rr, options, scene)
+        topics = [topic for topic in TOPICS if options.camera or topic.name != COLOR_IMAGE]
+        listener = Listener(context, options.namespace, topics)
+        began = time.monotonic()
+        silent: list[str] | None = None
+        try:
+            say(f"listening in ROS domain {environment.domain()}; Ctrl-C ends it")
+            while not interrupts.event.wait(_LOOK):
+                listener.hand(feed)
+                passed = time.monotonic() - began
+                if silent is None and passed > _SILENT_AFTER:
+                    silent = _tell_silence(feed, options.namespace)
+                if options.stop_after_s and passed > options.stop_after_s:
+                    break
+        finally:
+            listener.close()
+            _close(recording)
+    _report(options, feed, time.monotonic() - began, silent or ())
+    return interrupts.exit_code(DONE)
+
+
+def _tell_silence(feed: ViewFeed, namespace: str) -> list[str]:
+    from deltacharger_records.view.feed import ALWAYS_THERE
+
+    silent = [f"/{namespace}/{name}" if namespace else f"/{name}" for name in ALWAYS_THERE if not feed.counts[name]]
+    if silent:
+        hint = "no charger runs there" if len(silent) == len(ALWAYS_THERE) else "their nodes do not run"
+        say(
+            f"nothing came in {_SILENT_AFTER:g} s on {', '.join(silent)}: {hint}, or in another ROS domain than "
+            f"{environment.domain()} or another --namespace; still listening"
+        )
+    return silent
+
+
+def _show_recording(rr: Any, options: argparse.Namespace) -> int:
+    scene = load_for_command(options.scene or DEFAULT_SCENE)
+    environment.prepare()
+    from deltacharger_records.recording.mcap_recording import RecordingError
+    from deltacharger_records.view.recording import OtherRecording, Recorded
+
+    began = time.monotonic()
+    try:
+        recorded = Recorded(Path(options.recording), options.namespace)
+        with Interrupts() as interrupts:
+            recording, feed = _open(rr, options, scene)
+            try:
+                recorded.play(feed, interrupts.event.is_set)
+            finally:
+                _close(recording)
+    except (OtherRecording, RecordingError) as error:
+        raise CommandError(str(error), WRONG_INPUT) from error
+    _report(options, feed, time.monotonic() - began)
+    return interrupts.exit_code(DONE)
+
+
+def _report(options: argparse.Namespace, feed: ViewFeed, took: float, silent: Sequence[str] = ()) -> None:
+    """Tell what was shown."""
+    counts = dict(sorted(feed.counts.items()))
+    place = options.save or options.connect
+    if options.json:
+        told = {"success": True, "saved": options.save, "messages": counts, "silent": list(silent), "elapsed": took}
+        write_json(told)
+        return
+    say(f"{sum(counts.values())} messages of {len(counts)} topics in {took:.1f} s{f'; {place}' if place else ''}")
+    if options.save is not None:
+        say(f"open it with: rerun {options.save}")

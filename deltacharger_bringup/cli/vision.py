@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger vision detect`: electrodes in an image, in a folder of images and in a recording."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from deltacharger_bringup.calibrate import vision_results
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_core import environment
+from deltacharger_vision.cameras.camera_info import load_camera_info
+from deltacharger_vision.cameras.recording import CameraRecording, CameraRecordingError, CameraTopics
+from deltacharger_vision.detector.annotate import annotated
+from deltacharger_vision.detector.detection import Detection
+from deltacharger_vision.detector.detector import ElectrodeDetector
+from deltacharger_vision.errors import VisionError
+from deltacharger_vision.image_files import (
+    CAMERA_INFO,
+    check_picture_name,
+    images_in,
+    read_rgbd,
+    require_opencv,
+    write_picture,
+)
+from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.mount import CAMERA_FRAME, Mount
+from deltacharger_vision.terminal import Terminal
+
+_RECORDING = ".mcap"
+_ONE = ("depth", "picture")
+_TOPICS = ("color_topic", "depth_topic", "info_topic")
+_MANY = ("pictures", *_TOPICS)
+_NAMED = 10  # broken images that are named on stderr; the JSON object names all
+
+
+class _Readable(Protocol):
+    """An image that is read when its turn comes."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in the results."""
+
+    def read(self, intrinsics: Intrinsics) -> RgbdImage:
+        """Return it, or raise VisionError or OSError."""
+
+
+@dataclass(frozen=True)
+class _Images:
+    """Many images of one camera; `count` is how many there are, of which `images` may leave out some."""
+
+    images: Iterable[_Readable]
+    count: int
+    intrinsics: Intrinsics
+
+
+def detect(options: argparse.Namespace) -> int:
+    """Find the electrodes in one image or in many."""
+    _check_usage(options)
+    try:
+        require_opencv().setNumThreads(1)  # an image is too little work for several, which wait for each other
+        finder = _Finder(options)
+        return _one(options, finder) if options.path is None else _many(options, finder)
+    except ModuleNotFoundError as error:
+        if error.name not in ("cv2", "mcap"):
+            raise
+        raise CommandError(str(error), WRONG_INPUT) from error  # FAILED would say that there are no electrodes
+    except VisionError as error:
+        raise CommandError(str(error), WRONG_INPUT) from error
+    except FileNotFoundError as error:
+        raise CommandError(f"{error.filename}: there is no such file", WRONG_INPUT) from error
+
+
+def _check_usage(options: argparse.Namespace) -> None:
+    if options.path is None and options.color is None:
+        raise CommandError("give --color for one image, or a folder or a recording", WRONG_INPUT)
+    if options.path is not None and options.color is not None:
+        raise CommandError(f"give --color or {options.path}, not both", WRONG_INPUT)
+    for name in _MANY if options.path is None else _ONE:
+        if getattr(options, name):
+            where = "a folder or a recording" if options.path is None else "one image, with --color"
+            raise CommandError(f"{_flag(name)} is for {where}", WRONG_INPUT)
+
+
+class _Finder:
+    """The detector and the mount of one call."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._detector = ElectrodeDetector(Terminal.load(options.terminal) if options.terminal else None)
+        self.mount = Mount.load(options.mount) if options.mount else None
+
+    def find(self, image: RgbdImage) -> tuple[Detection | None, dict[str, Any]]:
+        """Return what is in an image, and the same JSON-ready."""
+        started = time.perf_counter()
+        found = self._detector.detect(image)
+        return found, vision_results.fields(found, self.mount, time.perf_counter() - started)
+
+
+def _one(options: argparse.Namespace, finder: _Finder) -> int:
+    if options.camera_info is None:
+        raise CommandError("--color needs --camera-info, the intrinsics of the image", WRONG_INPUT)
+    picture = None if options.picture is None else _picture(options.picture)
+    depth = None if options.depth is None else Path(options.depth)
+    image = read_rgbd(Path(options.color), depth, load_camera_info(options.camera_info))
+    if depth is None:
+        say("no --depth: the image alone is looked at")
+    elif not np.isfinite(image.depth).any():
+        say(f"{depth}: all depth is unknown; the image alone is looked at")
+    found, fields = finder.find(image)
+    if picture is not None:
+        write_picture(picture, annotated(image, found))
+    if options.json:
+        write_json(fields)
+    else:
+        for line in ["no electrodes found"] if found is None else vision_results.lines(found, finder.mount):
+            tell(line)
+    return FAILED if found is None else DONE
+
+
+def _many(options: argparse.Namespace, finder: _Finder) -> int:
+    pictures = None if options.pictures is None else _folder(options.pictures)
+    path = Path(options.path)
+    source = _recorded(options, path) if path.suffix.lower() == _RECORDING else _stored(options, path)
+    results: list[dict[str, Any]] = []
+    progress = _Progress(source.count)
+    try:
+        for each in source.images:
+            try:
+                image = each.read(source.intrinsics)
+                found, fields = finder.find(image)
+            except (VisionError, OSError) as error:
+                progress.broken(each.name, error)
+                results.append({"name": each.name, "error": str(error)})
+                continue
+            if pictures is not None:
+                write_picture(pictures / f"{each.name}.png", annotated(image, found))
+            results.append({"name": each.name, **fields})
+            progress.looked(found is not None)
+    except CameraRecordingError as error:  # what came before the damage counts
+        if not results:
+            raise
+        say(str(error))
+    if not results:
+        raise CommandError(f"{path}: none of {source.count} images has a depth image of the same instant", WRONG_INPUT)
+    return _tell_many(options, results, source.count)
+
+
+def _tell_many(options: argparse.Namespace, results: list[dict[str, Any]], count: int) -> int:
+    total = vision_results.summary(results, count)
+    if options.json:
+        write_json({"frame": CAMERA_FRAME, **total, "results": results})
+        say(vision_results.total_line(total))
+    else:
+        for each in results:
+            tell(f"{each['name']}: {vision_results.short(each)}")
+        tell(vision_results.total_line(total))
+    if total["found"]:
+        return DONE
+    return WRONG_INPUT if total["broken"] == total["images"] else FAILED
+
+
+def _stored(options: argparse.Namespace, folder: Path) -> _Images:
+    """Return the images of a folder."""
+    if folder.is_file():
+        raise CommandError(f"{folder}: give a folder or a recording (*{_RECORDING}); one image by --color", WRONG_INPUT)
+    recording = next(iter(sorted(folder.glob(f"*{_RECORDING}"))), None)
+    if recording is not None:  # `ros2 bag` makes folders
+        raise CommandError(f"{folder} holds a recording; give {recording}", WRONG_INPUT)
+    for name in _TOPICS:
+        if getattr(options, name):
+            raise CommandError(f"{_flag(name)} is for a recording", WRONG_INPUT)
+    images = images_in(folder)
+    info = folder / CAMERA_INFO if options.camera_info is None else Path(options.camera_info)
+    if options.camera_info is None and not info.exists():
+        raise CommandError(f"{folder} holds no {CAMERA_INFO}; put it there, or give --camera-info", WRONG_INPUT)
+    alone = sum(each.depth is None for each in images)
+    if alone:
+        say(f"{alone} of {len(images)} images have no depth; they are looked at alone")
+    return _Images(images, len(images), load_camera_info(info))
+
+
+def _recorded(options: argparse.Namespace, path: Path) -> _Images:
+    """Return the images of a recording."""
+    environment.prepare()
+    from deltacharger_records.recording.rgbd_recording import recorded_images, recorded_intrinsics
+
+    recording = CameraRecording(path, CameraTopics(options.color_topic, options.depth_topic, options.info_topic))
+    topics = recording.topics
+    given = None if options.camera_info is None else load_camera_info(options.camera_info)
+    intrinsics = given or recorded_intrinsics(recording)
+    if intrinsics is None:
+        raise CommandError(f"{path} has no camera_info beside {topics.color}; give --camera-info", WRONG_INPUT)
+    if not recording.images:
+        raise CommandError(f"{path}: {topics.color} holds no images; record again", WRONG_INPUT)
+    if not topics.depth:
+        say(f"{path} has no depth topic; the images alone are looked at")
+    return _Images(recorded_images(recording), recording.images, intrinsics)
+
+
+class _Progress:
+    """Says on stderr how far it is, at most at every tenth, and which images are broken."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._seen = self._found = self._broken = self._tenth = 0
+
+    def looked(self, found: bool) -> None:
+        """Count an image that was looked at."""
+        self._found += found
+        self._count_one()
+
+    def broken(self, name: str, error: Exception) -> None:
+        """Count an image that could not be, and name it."""
+        self._broken += 1
+        if self._broken <= _NAMED:
+            say(f"{name}: {error}")
+        elif self._broken == _NAMED + 1:
+            say("more images are broken; --json names all")
+        self._count_one()
+
+    def _count_one(self) -> None:
+        self._seen += 1
+        tenth = 10 * self._seen // self._count
+        if tenth > self._tenth:
+            self._tenth = tenth
+            say(f"{10 * tenth:3} %  {self._seen} of {self._count} images, electrodes in {self._found}")
+
+
+def _picture(name: str) -> Path:
+    """Return where to write a picture, with a folder that is there."""
+    path = Path(name)
+    check_picture_name(path)
+    if not path.parent.is_dir():
+        raise CommandError(f"--picture {name}: the folder {path.parent} does not exist; make it", WRONG_INPUT)
+    return path
+
+
+def _folder(name: str) -> Path:
+    """Return the folder for pictures, made where it is missing."""
+    folder = Path(name)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CommandError(f"--pictures {name}: cannot be a folder ({error.strerror})", WRONG_INPUT) from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise CommandError(f"--pictures {name}: the folder cannot be written to", WRONG_INPUT)
+    return folder
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"

@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docking_node: the actions dock and undock over the docking state machine.
+
+Subscribes to servo_state, tactile_frame, charger_power; calls set_torque, tare, probe, set_contactor,
+predict_misalignment and detect_electrodes; publishes joint_trajectory, docking_state, docking_decision and
+/diagnostics. One thread, paced by servo_state, steps the machine, publishes what it commands and renews the contactor's
+lease: if that thread hangs, the lease lapses.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
+
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.time import Time
+from trajectory_msgs.msg import JointTrajectory
+
+from deltacharger_docking.codes import Code, State
+from deltacharger_docking.machine import DockingMachine
+from deltacharger_docking.observation import Command, Observation, Outcome, Request, Service
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.ros import messages as io
+from deltacharger_docking.ros.goals import Goals
+from deltacharger_docking.ros.inputs import Inputs
+from deltacharger_docking.ros.reports import Reports
+from deltacharger_docking.ros.services import Services
+from deltacharger_kinematics.kinematics_node import declare_geometry
+from deltacharger_ros import node_support
+
+_TICK = 0.02  # s; pace where servo_state does not come
+_OPEN_TIMEOUT = 0.6  # s to see the contactor open when the node closes
+_TORQUE_DELAY = 0.5  # s from an opening after a defect to torque off
+_LAST_REQUEST = -1  # number of the request that switches the torque off at the end
+_SHUTTING_DOWN = "the charger is shutting down"
+_TORQUE_TIMEOUT = 1.0  # s to see the torque go off; servo_node waits 0.5 s before it switches it off
+
+
+def declare_parameters(node: Node) -> DockingParameters:
+    """Declare every field of `DockingParameters` and return the given values.
+
+    Raises:
+        StartupError: a value is refused.
+    """
+    values = {}
+    for item in fields(DockingParameters):
+        bounds = item.metadata
+        values[item.name] = node_support.declare(
+            node,
+            item.name,
+            item.default,
+            bounds["description"],
+            bounds.get("low"),
+            bounds.get("high"),
+            bounds.get("choices", ()),
+        )
+    try:
+        return DockingParameters(**values)
+    except ValueError as error:
+        raise node_support.StartupError(f"{node.get_name()}: {error}") from error
+
+
+class DockingNode(Node):
+    """Serves dock and undock; see the module for topics and services, docs/docking.md for the parameters."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        self._closed = True  # nothing to make safe before the node is complete
+        super().__init__("docking_node", **kwargs)
+        self._settings = declare_parameters(self)
+        geometry = declare_geometry(self)
+        self._base_frame = node_support.declare(
+            self, "base_frame", "base_link", "the robot's frame in which goals may be given besides charger_base"
+        )
+        self._base_pose = node_support.declare(
+            self,
+            "base_pose",
+            [0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5],
+            "charger_base in base_frame: x, y, z in m, then the quaternion x, y, z, w",
+        )
+        if len(self._base_pose) != 7:
+            raise node_support.StartupError("docking_node: parameter 'base_pose' needs 7 numbers: x y z qx qy qz qw")
+        node_support.reject_unknown(self)
+        self._machine = DockingMachine(self._settings, geometry)
+        self._lock = threading.RLock()
+        self._stopping = threading.Event()
+        self._torque_off_at = math.inf
+        self._slowest_tick = 0.0
+        group = ReentrantCallbackGroup()
+        self._inputs = Inputs(self)
+        self._calls = Services(self, group, self._age)
+        self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", QoSProfile(depth=1))
+        self._reports = Reports(self, self._settings.servo_age_max)
+        self._goals = Goals(
+            self,
+            group,
+            self._machine,
+            self._lock,
+            self._inputs.observation,  # takes no reply that the running goal waits for
+            self._begun,
+            self._calls.misalignment,
+            (self._base_frame, self._base_pose),
+        )
+        self._closed = False
+        self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Open the contactor, see it open, stop the servos, end the goal and the loop. Safe to call twice."""
+        if self._closed:
+            return
+        self._closed = True
+        self._goals.refuse(f"{_SHUTTING_DOWN}; send the goal again when it is back")
+        self._stopping.set()
+        self._thread.join(2.0)
+        with self._lock:
+            command = self._machine.emergency()
+            self._carry_out(command, self._observe())
+            self._reports.decided(command.decisions, self._machine.status.request_id)
+        end = time.monotonic() + _OPEN_TIMEOUT
+        while self._observe().contactor_closed and time.monotonic() < end:
+            self._calls.contactor(False, True)
+            time.sleep(0.02)
+        if self._is_live(self._observe()):
+            self.get_logger().error("the contactor does not open; the torque stays on so that no arc is drawn")
+        else:
+            self._see_torque_off()
+        self._reports.show(self._machine.status, force=True)
+        self._goals.close(Outcome(code=Code.CANCELED, message=_SHUTTING_DOWN, retriable=True))
+
+    def _see_torque_off(self) -> None:
+        """Switch the torque off and wait until it is, also where an order to switch it on is still under way."""
+        self._calls.call(Request(_LAST_REQUEST, Service.TORQUE_OFF))
+        observation = self._observe()
+        answered, end = observation.servo_age == math.inf, time.monotonic() + _TORQUE_TIMEOUT
+        while (observation.torque_enabled or not answered) and time.monotonic() < end:
+            time.sleep(0.02)
+            observation = self._observe()
+            answered |= any(reply.number == _LAST_REQUEST for reply in observation.replies)
+
+    def destroy_node(self) -> None:
+        """Close, then release the ROS side."""
+        self.close()
+        if hasattr(self, "_goals"):
+            self._goals.destroy()
+        super().destroy_node()
+
+    def _age(self, stamp: Any) -> float:
+        return float((self.get_clock().now() - Time.from_msg(stamp)).nanoseconds) * 1e-9
+
+    def _observe(self) -> Observation:
+        replies, refusal = self._calls.take()
+        return self._inputs.observation(replies, refusal)
+
+    def _loop(self) -> None:
+        while not self._stopping.is_set():
+            started = time.monotonic()
+            try:
+                self._pace()
+                started = time.monotonic()
+                with self._lock:
+                    observation = self._observe()
+                    self._goals.forward_cancel()
+                    command = self._machine.step(observation)
+                    self._carry_out(command, observation)
+                    self._report(command, observation)
+                    self._switch_off_when_due(observation)
+            except Exception as error:  # a defect must open the contactor and end the goal, not the thread
+                self._defect(error)
+            self._slowest_tick = max(self._slowest_tick, time.monotonic() - started)
+
+    def _pace(self) -> None:
+        """Wait for the next servo_state; while nothing goes on, the tick alone will do."""
+        if self._machine.status.state is State.IDLE:
+            self._stopping.wait(_TICK)
+        else:
+            self._inputs.wait(_TICK)
+
+    def _switch_off_when_due(self, observation: Observation) -> None:
+        """After a defect, switch the torque off once the contactor is open: never before."""
+        if time.monotonic() >= self._torque_off_at and not self._is_live(observation):
+            self._torque_off_at = math.inf
+            self._calls.call(Request(0, Service.TORQUE_OFF))
+
+    def _is_live(self, observation: Observation) -> bool:
+        return observation.contactor_closed and observation.power_age <= self._settings.power_age_max
+
+    def _defect(self, error: Exception) -> None:
+        text = f"docking stopped by a defect: {type(error).__name__}: {error}"
+        self.get_logger().error(text, throttle_duration_sec=1.0)
+        with self._lock:
+            try:
+                observation = self._observe()
+            except Exception:  # where that is the defect, nothing is known; the contactor's lease lapses by itself
+                observation = Observation(time.monotonic())
+            self._carry_out(self._machine.emergency(), observation)
+            self._switch_off_when_due(observation)  # here too, where every tick meets the defect
+            self._torque_off_at = min(self._torque_off_at, time.monotonic() + _TORQUE_DELAY)
+            self._end_goal(Outcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log"))
+
+    def _carry_out(self, command: Command, observation: Observation) -> None:
+        self._calls.contactor(command.energise, observation.contactor_closed)
+        if command.trajectory is not None:
+            # Not the instant of sending: planning a line takes milliseconds, and times count from the observation.
+            now = self.get_clock().now() - Duration(seconds=time.monotonic() - observation.time)
+            self._trajectory.publish(io.trajectory(command.trajectory, now.to_msg()))
+        for request in command.requests:
+            self._calls.call(request)
+
+    def _report(self, command: Command, observation: Observation) -> None:
+        """Publish what was decided and changed, hand a finished goal over, diagnose now and then."""
+        status = self._machine.status
+        self._reports.decided(command.decisions, status.request_id)
+        self._show(command)
+        self._goals.feed_back(command.states, observation.charge_current)
+        self._hand_over()
+        if self._reports.diagnose(status, observation, self._slowest_tick):
+            self._slowest_tick = 0.0
+
+    def _begun(self) -> None:
+        """Tell the goal that the machine has just begun; one that needs nothing to be done has ended already."""
+        self._torque_off_at = math.inf
+        self._show(Command())
+        self._hand_over()
+
+    def _show(self, command: Command) -> None:
+        self._reports.show(self._machine.status, command.states)
+
+    def _hand_over(self) -> None:
+        outcome, self._machine.outcome = self._machine.outcome, None
+        if outcome is not None:
+            self._end_goal(outcome)
+
+    def _end_goal(self, outcome: Outcome) -> None:
+        if not outcome.success:
+            self._calls.forget()
+        self._goals.end(outcome)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run docking_node until SIGINT or SIGTERM; 0 after a signal, 2 where it cannot start as configured."""
+    return node_support.run(DockingNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The actions dock and undock: goals taken, watched, fed back and answered. Part of docking_node."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from deltacharger.action import Dock, Undock
+from deltacharger.msg import Misalignment
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+
+from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.codes import Busy, Code, DockingError, State
+from deltacharger_docking.goal_check import suggested_base
+from deltacharger_docking.machine import DockingMachine
+from deltacharger_docking.observation import DockGoal, Observation, Outcome, Status
+from deltacharger_docking.ros import messages as io
+from deltacharger_docking.ros.reports import changes
+
+GoalHandle = ServerGoalHandle[Any, Any, Any]
+Start = Callable[[Observation], None]
+
+_ANSWER = 1.0  # s to see a goal's callback end when the node closes
+_LAST_WORD = 0.1  # s for the result: rclpy sends it later, from another thread, and tells nobody when
+_FEEDBACK = 0.2  # s between feedbacks without a change
+
+
+class Goal:
+    """A goal being served: its handle, and events for the thread that waits in its callback."""
+
+    def __init__(self, handle: GoalHandle, feedback: Any) -> None:
+        self.handle = handle
+        self.feedback = feedback
+        self.done = threading.Event()
+        self.answered = threading.Event()
+        self.outcome: Outcome | None = None
+        self.state: State | None = None
+        self.shown: tuple[Any, ...] = ()
+        self.shown_at = -math.inf
+
+    def end(self, outcome: Outcome) -> None:
+        """Let the waiting thread answer the client."""
+        self.outcome = outcome
+        self.done.set()
+
+
+class Goals:
+    """Serves dock and undock over the machine, one goal at a time.
+
+    Every goal is accepted, because only a result can carry a code and a reason.
+
+    Args:
+        node: owns the action servers.
+        group: of their callbacks.
+        machine: carries goals out; stepped by the node.
+        lock: held by whoever speaks to the machine.
+        observe: gives what is known now.
+        begun: called with the lock held after the machine has begun a goal; it publishes and hands over an outcome
+            that is there at once.
+        misalignment: gives the message of an estimate.
+        base: name of the robot's frame, and charger_base in it (see `docking_node_io.electrodes`).
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        group: ReentrantCallbackGroup,
+        machine: DockingMachine,
+        lock: threading.RLock,
+        observe: Callable[[], Observation],
+        begun: Callable[[], None],
+        misalignment: Callable[[Estimate | None], Misalignment],
+        base: tuple[str, Sequence[float]],
+    ) -> None:
+        self._node = node
+        self._machine = machine
+        self._lock = lock
+        self._observe = observe
+        self._begun = begun
+        self._misalignment = misalignment
+        self._base = base
+        self._goal: Goal | None = None
+        self._ended: GoalHandle | None = None  # of the goal that ended last
+        self._refusal = ""
+        self._servers = [
+            self._serve(Dock, "dock", self._execute_dock, group),
+            self._serve(Undock, "undock", self._execute_undock, group),
+        ]
+
+    def _serve(self, kind: Any, name: str, execute: Any, group: ReentrantCallbackGroup) -> ActionServer[Any, Any, Any]:
+        return ActionServer(
+            self._node,
+            kind,
+            name,
+            execute_callback=execute,
+            goal_callback=lambda request: GoalResponse.ACCEPT,
+            cancel_callback=self._on_cancel,
+            callback_group=group,
+        )
+
+    def destroy(self) -> None:
+        """Release the ROS side."""
+        for server in self._servers:
+            server.destroy()
+
+    def refuse(self, reason: str) -> None:
+        """Serve no goal that comes from now on."""
+        with self._lock:
+            self._refusal = reason
+
+    def close(self, outcome: Outcome) -> None:
+        """End the goal being served, and give its client the time to hear of it."""
+        goal = self._goal
+        self.end(outcome)
+        if goal is not None and goal.answered.wait(_ANSWER):
+            time.sleep(_LAST_WORD)
+
+    def forward_cancel(self) -> None:
+        """Tell the machine where the client has taken its goal back; before each step, so that none comes too late."""
+        goal = self._goal
+        if goal is not None and goal.handle.is_cancel_requested:
+            self._machine.cancel()
+
+    def end(self, outcome: Outcome) -> None:
+        """Hand the outcome of the goal being served over."""
+        goal, self._goal = self._goal, None
+        if goal is not None:
+            self._ended = goal.handle
+            goal.end(outcome)
+
+    def feed_back(self, passed: Sequence[State], charge_current: float) -> None:
+        """Publish feedback where something changed, once for each state passed through since the last call."""
+        goal, status = self._goal, self._machine.status
+        if goal is None:
+            return
+        for state in changes(goal.state or State.IDLE, passed, status.state):
+            self._publish(goal, state, status, charge_current)
+        shown = (status.state, status.alignments, status.estimate)
+        if shown != goal.shown or time.monotonic() - goal.shown_at >= _FEEDBACK:
+            self._publish(goal, status.state, status, charge_current)
+
+    def _publish(self, goal: Goal, state: State, status: Status, charge_current: float) -> None:
+        goal.state, goal.shown_at = state, time.monotonic()
+        goal.shown = (state, status.alignments, status.estimate)
+        message = goal.feedback()
+        message.state = int(state)
+        message.z = status.position[2]
+        if isinstance(message, Dock.Feedback):
+            message.alignments = status.alignments
+            message.contact_current = status.contact_current
+            message.misalignment = self._misalignment(status.estimate)
+            message.elapsed = io.duration(status.elapsed)
+        else:
+            message.charge_current = charge_current
+        with contextlib.suppress(RuntimeError):  # the client may have gone between the check and the call
+            goal.handle.publish_feedback(message)
+
+    def _on_cancel(self, handle: GoalHandle) -> CancelResponse:
+        """Accept unless the goal has ended: whoever hears an acceptance knows that the arm goes back."""
+        ended = not handle.is_active or handle is self._ended
+        return CancelResponse.REJECT if ended else CancelResponse.ACCEPT
+
+    def _execute_dock(self, handle: GoalHandle) -> Dock.Result:
+        request = handle.request
+        outcome = self._answer(
+            Goal(handle, Dock.Feedback),
+            lambda observation: self._machine.start_dock(self._dock_goal(request), observation),
+        )
+        return self._dock_result(outcome)
+
+    def _execute_undock(self, handle: GoalHandle) -> Undock.Result:
+        request = handle.request
+        outcome = self._answer(
+            Goal(handle, Undock.Feedback),
+            lambda observation: self._machine.start_undock(request.request_id, observation),
+        )
+        return Undock.Result(
+            success=outcome.success,
+            error_code=int(outcome.code),
+            error_message="" if outcome.success else outcome.message,
+            retriable=outcome.retriable,
+            elapsed=io.duration(outcome.elapsed),
+        )
+
+    def _answer(self, goal: Goal, start: Start) -> Outcome:
+        """Start a goal, wait for its end in this callback's own thread, and set the handle's final state."""
+        try:
+            with self._lock:
+                if self._refusal:
+                    raise Busy(self._refusal)
+                start(self._observe())
+                self._goal = goal
+                self._begun()
+        except DockingError as error:
+            goal.handle.abort()
+            return Outcome(
+                code=error.code, message=str(error), retriable=error.retriable, suggested_base=suggested_base(error)
+            )
+        except Exception as error:  # rclpy would answer with an empty result, which looks like code 0
+            self._node.get_logger().error(f"a goal met a defect: {type(error).__name__}: {error}")
+            goal.handle.abort()
+            return Outcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log")
+        while not goal.done.wait(1.0):
+            if self._goal is not goal and not goal.done.is_set():  # a goal that nobody serves must not wait for ever
+                goal.end(Outcome(message="the goal was lost; see the log"))
+        assert goal.outcome is not None
+        _conclude(goal.handle, goal.outcome)
+        goal.answered.set()
+        return goal.outcome
+
+    def _dock_goal(self, request: Dock.Goal) -> DockGoal:
+        return DockGoal(
+            electrodes=io.electrodes(request.electrodes, *self._base),
+            critical_angle=request.critical_angle,
+            start_charging=request.start_charging,
+            hold=request.hold,
+            stop_energy=request.stop_energy,
+            stop_after=io.seconds(request.stop_after),
+            request_id=request.request_id,
+        )
+
+    def _dock_result(self, outcome: Outcome) -> Dock.Result:
+        return Dock.Result(
+            success=outcome.success,
+            error_code=int(outcome.code),
+            error_message="" if outcome.success else outcome.message,
+            retriable=outcome.retriable,
+            aligned=outcome.aligned,
+            alignments=outcome.alignments,
+            misalignment=self._misalignment(outcome.estimate),
+            contact_current=outcome.contact_current,
+            contact_force=outcome.contact_force,
+            charge_current=outcome.charge_current,
+            energy=outcome.energy,
+            elapsed=io.duration(outcome.elapsed),
+            suggested_base_pose=io.pose_stamped(outcome.suggested_base, self._node.get_clock().now().to_msg()),
+        )
+
+
+def _conclude(handle: GoalHandle, outcome: Outcome) -> None:
+    if outcome.success:
+        handle.succeed()
+    elif outcome.code is Code.CANCELED and handle.is_cancel_requested:
+        handle.canceled()
+    else:
+        handle.abort()

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The board link: packets, samples, the contactor and its node."""

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keeps the board link up: connects, configures, watches, reconnects. No ROS; tactile_node wraps it."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable
+
+from deltacharger_driver.board.contactor_guard import ContactorGuard
+from deltacharger_driver.board.link import BoardLink
+from deltacharger_driver.board.samples import PowerSample, TactileSample
+from deltacharger_driver.errors import DriverError, NoAnswer, PortGone
+
+_SHORTEST_BACKOFF, _LONGEST_BACKOFF = 0.1, 0.5  # s
+_SILENCE = 1.0  # s without any packet: the cable is cut or the board hangs
+_STREAM_SILENCE = 0.5  # s without a frame while the rest works: the board does not know that it should stream
+_LONGEST_WAIT = 0.1  # s between looks
+
+
+class BoardKeeper:
+    """One board, from plugging in to unplugging, as often as it takes.
+
+    After every connection and every reboot of the board it sets the rate and starts the stream; the contactor stays
+    open and nothing is tared until somebody asks.
+
+    Attributes:
+        link: to the board.
+        guard: of its contactor.
+        problem: why there is no connection, '' where there is one.
+
+    Args:
+        port: path of the port.
+        baud_rate: speed on a UART.
+        rate: tactile frames per second, Hz.
+        on_tactile: called in the reader's thread.
+        on_power: called in the reader's thread.
+        on_change: called in the keeper's thread with `problem` whenever it changes.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        baud_rate: int,
+        rate: float,
+        on_tactile: Callable[[TactileSample], None],
+        on_power: Callable[[PowerSample], None],
+        on_change: Callable[[str], None],
+    ) -> None:
+        self._rate = rate
+        self._on_tactile = on_tactile
+        self._on_power = on_power
+        self._on_change = on_change
+        self._wake = threading.Event()
+        self._stop = threading.Event()
+        self._rebooted = False
+        self._last_packet = self._last_frame = 0.0
+        self.problem = f"{port}: not connected yet"
+        self.link = BoardLink(
+            port,
+            baud_rate,
+            on_tactile=self._take_tactile,
+            on_power=self._take_power,
+            on_boot=self._take_boot,
+            on_gone=self._take_gone,
+        )
+        self.guard = ContactorGuard(self.link, on_lease=self._wake.set)
+        self._thread = threading.Thread(target=self._run, name=f"board keeper {port}", daemon=True)
+
+    def start(self) -> None:
+        """Begin to connect."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Open the contactor and confirm it, stop the stream, release the port, join the threads. Idempotent."""
+        self._stop.set()
+        self._wake.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def _run(self) -> None:
+        backoff = _SHORTEST_BACKOFF
+        while not self._stop.is_set():
+            try:
+                self.link.open()
+                self._configure()
+                backoff = _SHORTEST_BACKOFF
+                self._watch()
+                self._shut_down()
+            except DriverError as error:
+                self._tell(str(error))
+            finally:
+                self.guard.interrupted()
+                self.link.close()
+            self._stop.wait(backoff)
+            backoff = min(backoff * 2.0, _LONGEST_BACKOFF)
+
+    def _configure(self) -> None:
+        self._rebooted = False
+        self._last_packet = self._last_frame = time.monotonic()
+        self.link.set_rate(self._rate)
+        self.link.start()
+        self._tell("")
+
+    def _watch(self) -> None:
+        while not self._stop.is_set():
+            self._wake.wait(min(self.guard.remaining(), _LONGEST_WAIT))
+            self._wake.clear()
+            if self.link.gone is not None:
+                raise self.link.gone
+            self.guard.tick()
+            now = time.monotonic()
+            if now - self._last_packet > _SILENCE:
+                raise NoAnswer(self.link.port, "being listened to (no packet)", _SILENCE)
+            if self._rebooted or now - self._last_frame > _STREAM_SILENCE:
+                self._configure()
+
+    def _shut_down(self) -> None:
+        with contextlib.suppress(DriverError):
+            self.guard.shut_down()
+        with contextlib.suppress(DriverError):
+            self.link.stop()
+
+    def _tell(self, problem: str) -> None:
+        if problem != self.problem:
+            self.problem = problem
+            self._on_change(problem)
+
+    def _take_tactile(self, sample: TactileSample) -> None:
+        self._last_frame = self._last_packet = time.monotonic()
+        self.guard.observe_tactile(sample)
+        self._on_tactile(sample)
+
+    def _take_power(self, sample: PowerSample) -> None:
+        self._last_packet = time.monotonic()
+        self.guard.observe_power(sample)
+        self._on_power(sample)
+
+    def _take_boot(self) -> None:
+        self.guard.interrupted()
+        self._rebooted = True
+        self._wake.set()
+
+    def _take_gone(self, error: PortGone) -> None:
+        self.guard.interrupted()
+        self._wake.set()

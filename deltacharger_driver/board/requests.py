@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands to the board that wait for their answers."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from deltacharger_driver.board.errors import BoardRebooted
+from deltacharger_driver.board.payloads import Ack
+from deltacharger_driver.board.protocol import PacketType
+
+
+@dataclass
+class Request:
+    """One command. Every attempt has its own sequence number, and an answer to any of them counts.
+
+    Attributes:
+        type: of the command.
+        payload: what it carries; a PING is recognised by it.
+        sequences: of the attempts so far.
+        done: set when `ack`, `error` or a returned PING is there.
+        received: s, when the answer came.
+    """
+
+    type: PacketType
+    payload: bytes
+    sequences: set[int] = field(default_factory=set)
+    done: threading.Event = field(default_factory=threading.Event)
+    ack: Ack | None = None
+    received: float = 0.0
+    error: Exception | None = None
+
+
+class Requests:
+    """All commands that wait; any thread may ask, one answers."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._waiting: list[Request] = []
+
+    @contextmanager
+    def waiting(self, request: Request) -> Iterator[Request]:
+        """Let `request` be answered inside the block."""
+        with self._lock:
+            self._waiting.append(request)
+        try:
+            yield request
+        finally:
+            with self._lock:
+                self._waiting.remove(request)
+
+    def attempt(self, request: Request, sequence: int) -> None:
+        """Note an attempt before it is sent."""
+        with self._lock:
+            request.sequences.add(sequence)
+
+    def acknowledge(self, ack: Ack, received: float) -> None:
+        """Hand an ACK to the command that it answers; a late one finds nobody and is dropped."""
+        with self._lock:
+            for request in self._waiting:
+                if request.type == ack.type and ack.sequence in request.sequences:
+                    request.ack = ack
+                    request.received = received
+                    request.done.set()
+                    return
+
+    def ping_returned(self, payload: bytes, received: float) -> None:
+        """Hand a returned PING to the one that sent it."""
+        with self._lock:
+            for request in self._waiting:
+                if request.type is PacketType.PING and request.payload == payload and not request.done.is_set():
+                    request.received = received
+                    request.done.set()
+                    return
+
+    def fail(self, error: Exception) -> None:
+        """End all waiting commands with `error`."""
+        with self._lock:
+            for request in self._waiting:
+                request.error = error
+                request.done.set()
+
+    def rebooted(self) -> None:
+        """End all waiting commands but HELLO, whose answer may be what told of the boot."""
+        with self._lock:
+            for request in self._waiting:
+                if request.type is not PacketType.HELLO and not request.done.is_set():
+                    request.error = BoardRebooted(request.type.name)
+                    request.done.set()

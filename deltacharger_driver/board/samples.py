@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the board link hands out: samplings on the host's clock, results and counters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from deltacharger_driver.board.payloads import Power, Taxels
+
+
+class TactileSample(NamedTuple):
+    """One sampling of both pads.
+
+    Attributes:
+        time: sampling instant, s on the host's monotonic clock.
+        sequence: unwrapped, rising over a reboot; gaps are lost frames.
+        device_time_us: us on the board's clock at the sampling instant.
+        pads: (2, 10, 10) N, float32: left, which is the pad at +x, and right; row 0 at +y, column 0 at +x of
+            end_effector; NaN = dead.
+        tared: the board subtracts a tare.
+        overrun: the board lost samplings before this one.
+    """
+
+    time: float
+    sequence: int
+    device_time_us: int
+    pads: Taxels
+    tared: bool
+    overrun: bool
+
+    @property
+    def left(self) -> Taxels:
+        """(10, 10) N of the pad at +x."""
+        pads: Taxels = self.pads[0]
+        return pads
+
+    @property
+    def right(self) -> Taxels:
+        """(10, 10) N of the pad at -x."""
+        pads: Taxels = self.pads[1]
+        return pads
+
+
+@dataclass(frozen=True)
+class PowerSample:
+    """The power stage at `time`, s on the host's monotonic clock."""
+
+    time: float
+    power: Power
+
+
+@dataclass(frozen=True)
+class ProbeResult:
+    """A probe: ohm (inf = open circuit), V (negative = reversed), and when it was measured (s, monotonic)."""
+
+    resistance: float
+    target_voltage: float
+    time: float
+
+
+@dataclass
+class LinkCounters:
+    """What the link met so far. Every number only rises."""
+
+    tactile: int = 0
+    power: int = 0
+    lost_tactile: int = 0
+    lost_power: int = 0
+    duplicates: int = 0
+    unknown_types: int = 0
+    bad_payloads: int = 0
+    reboots: int = 0
+    retries: int = 0
+    unanswered: int = 0
+    heartbeats: int = 0
+    callback_errors: int = 0

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""tactile_node: the tactile arrays and the power stage on ROS.
+
+Publishes: tactile_frame (sensor data, at `rate`), charger_power (reliable, depth 1, 20 Hz), /diagnostics (1 Hz).
+Serves: tare, set_contactor, probe.
+Parameters: port, baud_rate, rate, pitch.
+
+Safe at start: the contactor is open and nothing is tared. A close is a lease of at most 0.25 s; while it lives, the
+node relays it as the board's heartbeat, and it never invents one. The node refuses to close without fresh frames,
+contact and a fresh probe, or on a short, a reversal, an open circuit or a latched fault. When the port vanishes, the
+lease ends, the topics fall silent, and the node reopens the port by itself.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from deltacharger.srv import Probe, SetContactor
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from std_srvs.srv import Trigger
+
+from deltacharger_driver.board.contactor_guard import STALE_FRAME, STALE_POWER
+from deltacharger_driver.board.keeper import BoardKeeper
+from deltacharger_driver.board.port import BoardPort
+from deltacharger_driver.board.protocol import fault_name
+from deltacharger_driver.board.samples import PowerSample, TactileSample
+from deltacharger_driver.board.tactile_node_io import SamplePublishers
+from deltacharger_driver.errors import DriverError
+from deltacharger_driver.rate_meter import RateMeter
+from deltacharger_ros import node_support
+
+_RELIABLE_LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
+_DIAGNOSTICS_PERIOD = 1.0  # s
+
+
+class TactileNode(Node):
+    """See the module's docstring.
+
+    Frames and power are published from the board link's reader thread; the services may wait for the board (a probe up
+    to 0.25 s) and need an executor of several threads.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("tactile_node", **kwargs)
+        port = node_support.declare(self, "port", "/dev/ttyACM0", "serial port of the board")
+        baud_rate = node_support.declare(
+            self, "baud_rate", 1_000_000, "speed on a UART (baud); any on USB", 9600, 4_000_000
+        )
+        rate = node_support.declare(self, "rate", 120.0, "tactile frames per second (Hz)", 1.0, 200.0)
+        pitch = node_support.declare(self, "pitch", 0.0024, "distance between neighbouring taxels (m)", 0.0001, 0.1)
+        node_support.reject_unknown(self)
+        try:  # a port that cannot be opened now is a wrong set-up; one that vanishes later is waited for
+            BoardPort(port, baud_rate).close()
+        except DriverError as error:
+            raise node_support.StartupError(f"tactile_node: {error}") from error
+        self._frame: TactileSample | None = None
+        self._power: PowerSample | None = None
+        self._frame_rate, self._power_rate = RateMeter(time.monotonic), RateMeter(time.monotonic)
+        self._period = 1.0 / rate
+        self._samples = SamplePublishers(self, _RELIABLE_LATEST, pitch)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        group = ReentrantCallbackGroup()
+        self.create_service(Trigger, "tare", self._on_tare, callback_group=group)
+        self.create_service(Probe, "probe", self._on_probe, callback_group=group)
+        self.create_service(SetContactor, "set_contactor", self._on_contactor, callback_group=group)
+        self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose, callback_group=group)
+        self._keeper = BoardKeeper(port, baud_rate, rate, self._publish_frame, self._publish_power, self._report)
+        self._keeper.start()
+
+    def close(self) -> None:
+        """Open the contactor and confirm it, stop the stream, release the port. Idempotent."""
+        self._keeper.close()
+
+    def _publish_frame(self, sample: TactileSample) -> None:
+        self._frame = sample
+        self._frame_rate.count(late=time.monotonic() - sample.time > self._period)
+        if self.context.ok():
+            self._samples.frame(sample)
+
+    def _publish_power(self, sample: PowerSample) -> None:
+        self._power = sample
+        self._power_rate.count()
+        if self.context.ok():
+            self._samples.power(sample, *self._keeper.guard.probe_record())
+
+    def _report(self, problem: str) -> None:
+        if problem:
+            self.get_logger().error(problem)
+        else:
+            self.get_logger().info(f"board connected at {self._keeper.link.port}")
+
+    def _served(self, response: Any, action: Callable[[], str]) -> Any:
+        """Fill `success` and `message` from an action that returns the message or raises why not."""
+        problem = self._keeper.problem
+        try:
+            if problem:
+                response.success, response.message = False, f"the board is not connected: {problem}"
+            else:
+                response.message = action()
+                response.success = True
+        except DriverError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _on_tare(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        def tare() -> str:
+            self._keeper.link.tare()
+            return "tared"
+
+        return self._served(response, tare)
+
+    def _on_probe(self, request: Probe.Request, response: Probe.Response) -> Probe.Response:
+        response.resistance = response.target_voltage = math.nan
+
+        def probe() -> str:
+            result = self._keeper.guard.probe()
+            response.resistance, response.target_voltage = result.resistance, result.target_voltage
+            return f"{result.resistance:.3g} ohm, {result.target_voltage:.2f} V"
+
+        return self._served(response, probe)
+
+    def _on_contactor(self, request: SetContactor.Request, response: SetContactor.Response) -> SetContactor.Response:
+        guard = self._keeper.guard
+
+        def switch() -> str:
+            if not request.close:
+                guard.open()
+                return "opened"
+            lasts = guard.close(request.holder, request.lease.sec + request.lease.nanosec * 1e-9)
+            return f"closed for {lasts:.3f} s; renew it before"
+
+        return self._served(response, switch)
+
+    def _diagnose(self) -> None:
+        if not self.context.ok():
+            return
+        array_message = DiagnosticArray(status=[self._link_status(), self._tactile_status(), self._power_status()])
+        array_message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array_message)
+
+    def _status(self, part: str, problem: str, warning: str, values: dict[str, object]) -> DiagnosticStatus:
+        level = DiagnosticStatus.ERROR if problem else DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
+        return DiagnosticStatus(
+            level=level,
+            name=f"{self.get_fully_qualified_name()}: {part}",
+            message=problem or warning or "OK",
+            hardware_id=self._keeper.link.port,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+
+    def _link_status(self) -> DiagnosticStatus:
+        link = self._keeper.link
+        values = {**vars(link.decoder_counters), **vars(link.counters), "clock_drift": f"{link.drift:.2e}"}
+        lateness = link.heartbeat_lateness
+        if lateness is not None:
+            values["heartbeat_late_max"] = f"{1e3 * lateness.largest:.1f} ms"
+            values["heartbeat_late_p99"] = f"{1e3 * lateness.percentile(0.99):.1f} ms"
+        damaged = link.decoder_counters.damaged
+        warning = f"{damaged} damaged packets since start" if damaged else ""
+        return self._status("board link", self._keeper.problem, warning, values)
+
+    def _tactile_status(self) -> DiagnosticStatus:
+        frame = self._frame
+        values: dict[str, object] = {"rate": f"{self._frame_rate.rate():.1f} Hz", "late_frames": self._frame_rate.late}
+        if frame is None or time.monotonic() - frame.time > STALE_FRAME:
+            return self._status("tactile arrays", "no fresh frames", "", values)
+        dead = int(np.isnan(frame.pads).sum())
+        warning = ("" if frame.tared else "not tared; call tare in free air") or (f"{dead} dead taxels" if dead else "")
+        return self._status("tactile arrays", "", warning, {**values, "tared": frame.tared, "dead_taxels": dead})
+
+    def _power_status(self) -> DiagnosticStatus:
+        sample = self._power
+        lease = self._keeper.guard.lease_record()
+        values: dict[str, object] = {
+            "rate": f"{self._power_rate.rate():.1f} Hz",
+            "holder": lease.holder,
+            "lease_left": f"{lease.left:.3f} s",
+            "lease_renewals": lease.renewals,
+            "lease_lapses": lease.lapses,
+            "openings": lease.openings,
+        }
+        if sample is None or time.monotonic() - sample.time > STALE_POWER:
+            return self._status("power stage", "silent", "", values)
+        power = sample.power
+        problem = f"latched fault: {fault_name(power.fault)}; open the contactor to clear it" if power.fault else ""
+        return self._status("power stage", problem, "", {**values, **vars(power)})
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; see node_support.run for the exit codes."""
+    return node_support.run(TactileNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

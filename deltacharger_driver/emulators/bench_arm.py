@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Three servos on a bench instead of a world: the least physics that lets the servo emulator be used on its own.
+
+Each servo is a spring and a damper with a torque limit, against a settable load; they do not feel each other.
+deltacharger_sim knows the arm's geometry.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+
+from deltacharger_driver.servos.mx64 import TORQUE_CONSTANT
+
+STIFFNESS = 15.0  # N·m/rad of the position loop
+DAMPING = 0.91  # N·m·s/rad
+_STEP = 1e-3  # s
+_LONGEST = 1.0  # s; a longer pause is not caught up
+
+
+class BenchArm:
+    """A `ServoPlant` of servos that follow d · ω = clip(k (reference − angle), ± Kt · limit) + load; thread-safe.
+
+    Without torque a servo stays where it is, held by its gear.
+
+    Attributes:
+        load: N·m on each servo, toward +angle.
+        voltage: V of the supply of each servo when no current is drawn.
+        supply_resistance: Ω of regulator and cable, common to all servos.
+        temperature: °C of each servo.
+        commands: last (torque enabled, reference rad, current limit A) of each servo; None before the first.
+
+    Args:
+        angles: where the servos stand at first, rad.
+        clock: s, monotonic.
+    """
+
+    def __init__(
+        self, angles: tuple[float, ...] = (-0.7, -0.7, -0.7), clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.load = [0.0] * len(angles)
+        self.voltage = [12.0] * len(angles)
+        self.supply_resistance = 0.0
+        self.temperature = [30.0] * len(angles)
+        self.commands: list[tuple[bool, float, float] | None] = [None] * len(angles)
+        self._angle = list(angles)
+        self._velocity = [0.0] * len(angles)
+        self._current = [0.0] * len(angles)
+        self._clock = clock
+        self._at = clock()
+        self._lock = threading.RLock()
+
+    @property
+    def angles(self) -> tuple[float, ...]:
+        """Angle of each servo now, rad."""
+        with self._lock:
+            self._advance()
+            return tuple(self._angle)
+
+    def torque_enabled(self) -> list[bool]:
+        """Return whether each servo has torque."""
+        with self._lock:
+            return [command is not None and command[0] for command in self.commands]
+
+    def command_servo(self, index: int, torque_enabled: bool, reference: float, current_limit: float) -> None:
+        """Let servo `index` hold `reference` (rad) with at most `current_limit` (A)."""
+        with self._lock:
+            self._advance()
+            self.commands[index] = (torque_enabled, reference, current_limit)
+
+    def read_servo(self, index: int) -> tuple[float, float, float, float, float]:
+        """Return angle (rad), velocity (rad/s), current (A), voltage (V) and temperature (°C) of servo `index`."""
+        with self._lock:
+            self._advance()
+            return (
+                self._angle[index],
+                self._velocity[index],
+                self._current[index],
+                self.voltage[index] - self.supply_resistance * sum(map(abs, self._current)),
+                self.temperature[index],
+            )
+
+    def _advance(self) -> None:
+        now = self._clock()
+        self._at = max(self._at, now - _LONGEST)
+        while self._at + _STEP <= now:
+            self._at += _STEP
+            for index in range(len(self._angle)):
+                self._step(index)
+
+    def _step(self, index: int) -> None:
+        command = self.commands[index]
+        if command is None or not command[0]:
+            self._velocity[index] = self._current[index] = 0.0
+            return
+        _, reference, current_limit = command
+        limit = TORQUE_CONSTANT * current_limit
+        # Implicit in the angle, so that no stiffness makes it unstable; where that is clipped, the torque is known.
+        change = (STIFFNESS * (reference - self._angle[index]) + self.load[index]) / (DAMPING / _STEP + STIFFNESS)
+        torque = STIFFNESS * (reference - self._angle[index] - change)
+        if abs(torque) > limit:
+            torque = math.copysign(limit, torque)
+            change = (torque + self.load[index]) * _STEP / DAMPING
+        self._angle[index] += change
+        self._velocity[index] = change / _STEP
+        self._current[index] = torque / TORQUE_CONSTANT

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bench instead of a world: the least physics that lets the board emulator be used on its own.
+
+Two pads under settable forces with offset and noise, and a battery that charges a target through a resistor. It knows
+no geometry; deltacharger_sim does.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from deltacharger_driver.board.protocol import COLUMNS, ROWS, Fault
+
+PRECHARGE_TIME = 0.060  # s from the command to the contactor
+RAMP = 100.0  # A/s
+OPEN_CURRENT = 1.0  # A, below it a ramped opening opens
+LARGEST_CURRENT = 18.0  # A
+
+
+class BenchPlant:
+    """A `BoardPlant` with settable forces and circuit; thread-safe.
+
+    Attributes:
+        left, right: (10, 10) N of contact on each pad.
+        battery: V. target: V, negative = reversed. resistance: ohm of the loop, inf = not touching.
+        detected: a fault to report as detected, 0 none.
+
+    Args:
+        offset: N added to every taxel, as before a tare.
+        noise: N standard deviation.
+        seed: of the noise.
+        clock: s.
+    """
+
+    def __init__(
+        self,
+        offset: float = 0.12,
+        noise: float = 0.02,
+        seed: int = 0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.left = np.zeros((ROWS, COLUMNS))
+        self.right = np.zeros((ROWS, COLUMNS))
+        self.battery = 26.0
+        self.target = 24.0
+        self.resistance = 2.0
+        self.detected = int(Fault.NONE)
+        self._offset = offset
+        self._noise = noise
+        self._random = np.random.default_rng(seed)
+        self._clock = clock
+        self._lock = threading.RLock()
+        self._updated = clock()
+        self._current = 0.0
+        self._closed = False
+        self._closing_at = math.inf
+        self._opening = False
+
+    def press(self, force: float) -> None:
+        """Press both pads with `force` N each on the four taxels in the middle."""
+        for pad in (self.left, self.right):
+            pad[:] = 0.0
+            pad[4:6, 4:6] = force / 4.0
+
+    def read_taxels(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """See PadPlant."""
+        noise = self._random.normal(self._offset, self._noise, (2, ROWS, COLUMNS))
+        return self.left + noise[0], self.right + noise[1]
+
+    def read_power(self) -> tuple[float, float, float, bool, int]:
+        """See PowerPlant."""
+        with self._lock:
+            self._advance()
+            target = math.nan if math.isinf(self.resistance) else self.target
+            return self.battery, target, self._current, self._closed, self.detected
+
+    def close_contactor(self) -> None:
+        """See PowerPlant."""
+        with self._lock:
+            self._advance()
+            self._closing_at = self._updated + PRECHARGE_TIME
+            self._opening = False
+
+    def open_contactor(self, ramp: bool) -> None:
+        """See PowerPlant."""
+        with self._lock:
+            self._advance()
+            self._closing_at = math.inf
+            self._opening = True
+            if not ramp or self._current < OPEN_CURRENT:
+                self._break()
+
+    def probe(self) -> tuple[float, float]:
+        """See PowerPlant."""
+        return self.resistance, (0.0 if math.isinf(self.resistance) else self.target)
+
+    def _break(self) -> None:
+        self._closed = self._opening = False
+        self._current = 0.0
+
+    def _advance(self) -> None:
+        now = self._clock()
+        if now >= self._closing_at and not self._closed:
+            self._closed = True
+            self._updated = self._closing_at
+            self._closing_at = math.inf
+        elapsed, self._updated = now - self._updated, now
+        if not self._closed:
+            return
+        if self._opening:
+            self._current -= LARGEST_CURRENT / 0.05 * elapsed  # from full current below 1 A within 50 ms
+            if self._current < OPEN_CURRENT:
+                self._break()
+            return
+        wanted = min(max((self.battery - self.target) / self.resistance, 0.0), LARGEST_CURRENT)
+        self._current = min(self._current + RAMP * elapsed, wanted)

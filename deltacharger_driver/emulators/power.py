@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulated board's power stage: contactor, heartbeat, latched faults and the probe, with every interlock."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+from deltacharger_driver.board.payloads import Power, probe_problem
+from deltacharger_driver.board.protocol import HEARTBEAT_TIMEOUT, PROBE_LIFETIME, AckError, Fault
+
+HEARTBEAT_LIMIT = HEARTBEAT_TIMEOUT - 0.005
+"""s without a heartbeat that the contactor stays closed: the rest is what the board may need to notice and to open."""
+CHECK_PERIOD = 0.010  # s between looks at the power stage's own detectors while closed, and after an opening
+
+
+class PowerPlant(Protocol):
+    """The physics behind the power stage, on its own clock."""
+
+    def read_power(self) -> tuple[float, float, float, bool, int]:
+        """Return battery V, target V, charge A (NaN = not measured), contactor closed, fault detected now (0 none).
+
+        The fault is one of 1, 2, 4, 5, 6, 7, 9 of docs/board-link.md; the board latches it.
+        """
+
+    def close_contactor(self) -> None:
+        """Pre-charge, close and ramp up."""
+
+    def open_contactor(self, ramp: bool) -> None:
+        """Open: below 1 A first (≤ 50 ms) with `ramp`, at once without."""
+
+    def probe(self) -> tuple[float, float]:
+        """Return ohm between the electrodes (inf = open circuit) and V of the target, measured at low voltage."""
+
+
+class EmulatedPower:
+    """State of the power stage between packets.
+
+    Attributes:
+        closed: a close was accepted and no opening followed (the plant may still pre-charge).
+        fault: the latched fault, 0 none.
+        probe_aborted: something ended the probe that ran, and nobody has answered it yet.
+
+    Args:
+        plant: the physics.
+        probe_time: s that a probe takes, at most 0.25.
+    """
+
+    def __init__(self, plant: PowerPlant, probe_time: float) -> None:
+        self._plant = plant
+        self._probe_time = probe_time
+        self.closed = False
+        self.fault = int(Fault.NONE)
+        self.reset(0.0)
+
+    def reset(self, now: float) -> None:
+        """Boot: everything forgotten, the contactor open."""
+        if self.closed:
+            self._plant.open_contactor(False)
+        self.closed = False
+        self.fault = int(Fault.NONE)
+        self._seen_closed = False
+        self._heartbeat_deadline = -math.inf
+        self._probe_deadline = -math.inf  # until when the last probe allows a close
+        self._probe_due = math.inf
+        self._next_check = now
+        self.probe_aborted = False
+
+    def heartbeat(self, now: float) -> None:
+        """Take a heartbeat."""
+        self._heartbeat_deadline = now + HEARTBEAT_LIMIT
+
+    def close(self, now: float) -> AckError:
+        """Close where every interlock allows it."""
+        if self.closed:
+            return AckError.NOT_NOW
+        if now >= self._heartbeat_deadline or self.fault or now >= self._probe_deadline:
+            return AckError.INTERLOCK
+        self._abort_probe()  # its circuit must be off the electrodes before they carry the battery
+        self.closed = True
+        self._seen_closed = False
+        self._next_check = now + CHECK_PERIOD
+        self._plant.close_contactor()
+        return AckError.DONE
+
+    def open(self, now: float) -> None:
+        """Open as commanded, ramping down, and forget the latched fault; one that is still there comes back."""
+        self._open(ramp=True)
+        self.fault = int(Fault.NONE)
+        self._next_check = now + CHECK_PERIOD
+
+    def trip(self, fault: int) -> None:
+        """Open at once and latch `fault`; the first fault stays until the next opening command."""
+        self._open(ramp=False)
+        self.fault = self.fault or int(fault)
+
+    def _open(self, ramp: bool) -> None:
+        self._plant.open_contactor(ramp)
+        self._void()
+
+    def _void(self) -> None:
+        self.closed = False
+        self._probe_deadline = -math.inf
+        self._abort_probe()
+
+    def _abort_probe(self) -> None:
+        if self._probe_due < math.inf:
+            self._probe_due = math.inf
+            self.probe_aborted = True
+
+    def start_probe(self, now: float) -> AckError:
+        """Begin to measure; DONE means that `poll_probe` will have the answer."""
+        if self.closed or self._probe_due < math.inf or self._plant.read_power()[3]:
+            return AckError.NOT_NOW
+        self._probe_due = now + self._probe_time
+        return AckError.DONE
+
+    def poll_probe(self, now: float) -> tuple[float, float] | None:
+        """Return the result (ohm, V) of a probe that has just ended."""
+        if now < self._probe_due:
+            return None
+        self._probe_due = math.inf
+        resistance, voltage = self._plant.probe()
+        allowed = not probe_problem(resistance, voltage)
+        self._probe_deadline = now + PROBE_LIFETIME if allowed else -math.inf
+        return resistance, voltage
+
+    def poll(self, now: float) -> None:
+        """Watch the heartbeat and the power stage's own detectors."""
+        if self.closed and now >= self._heartbeat_deadline:
+            self.trip(Fault.HEARTBEAT_LOST)
+        if now >= self._next_check:
+            self.read()
+            self._next_check = now + CHECK_PERIOD if self.closed else math.inf
+
+    def read(self) -> Power:
+        """Look at the plant, latch what it detects, and return what a POWER packet says."""
+        battery, target, current, contactor, detected = self._plant.read_power()
+        if detected == Fault.NO_CHARGE_CURRENT and not self.closed:
+            detected = Fault.NONE  # no current is what an opening is for
+        if detected and not self.fault:
+            self.trip(detected)
+            contactor = self._plant.read_power()[3]
+        elif self._seen_closed and not contactor and self.closed:
+            self._void()  # it opened by itself: a plug pulled, a fuse
+        self._seen_closed = bool(contactor)
+        return Power(battery, target, current, bool(contactor), self.fault)
+
+    def next_event(self) -> float:
+        """Return when `poll` or `poll_probe` is due, s."""
+        due = min(self._probe_due, self._next_check)
+        return min(due, self._heartbeat_deadline) if self.closed else due

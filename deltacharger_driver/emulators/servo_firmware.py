@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What runs inside an emulated MX-64: modes, profile, watchdog, latched errors, restart. Its motor is a plant."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+from deltacharger_driver.servos.control_table import ACCESS, OK, RESULT_FAIL, ControlTable
+from deltacharger_driver.servos.mx64 import (
+    ACCELERATION_UNIT,
+    ALERT,
+    CURRENT_UNIT,
+    MODE_CURRENT_POSITION,
+    MODE_EXTENDED,
+    MODE_POSITION,
+    SPEEDS,
+    TICK,
+    VELOCITY_UNIT,
+    VOLTAGE_UNIT,
+    WATCHDOG_TRIPPED,
+    WATCHDOG_UNIT,
+)
+from deltacharger_driver.servos.profile import Profile, shape
+
+ZERO_TICKS = 2048
+"""Encoder count of an emulated servo at angle 0 of its plant; counts rise with the angle."""
+RESTART_TIME = 0.3  # s that a servo is silent after a reboot
+_PROFILE_PERIOD = 5e-3  # s between two forwarded references while a profile runs
+_OVERHEATING, _VOLTAGE = 1 << 2, 1 << 0
+_LARGEST_OFFSET = 1024  # counts of homing offset that mode 3 heeds
+_IN_POSITION = 10  # counts from the goal; the vendor gives no figure
+_NOT_FOLLOWING = 114  # counts from the reference, 10°; the vendor gives no figure
+_POSITION_MODES = (MODE_POSITION, MODE_EXTENDED, MODE_CURRENT_POSITION)
+
+
+class ServoPlant(Protocol):
+    """The physics behind emulated servos: motor, gear, load and supply. It keeps its own clock."""
+
+    def command_servo(self, index: int, torque_enabled: bool, reference: float, current_limit: float) -> None:
+        """Let the position loop of servo `index` hold `reference` (rad) with at most `current_limit` (A)."""
+
+    def read_servo(self, index: int) -> tuple[float, float, float, float, float]:
+        """Return angle (rad), velocity (rad/s), current (A, signed), voltage (V) and temperature (°C) now."""
+
+
+class ServoFirmware:
+    """One servo: control table and behaviour.
+
+    Args:
+        plant: its physics.
+        index: of the servo in the plant.
+        servo: id.
+
+    Attributes:
+        table: its registers.
+        protocol: 2, or 1 to emulate a servo with old firmware, which answers only pings and its model number.
+        supply_limit: V that its supply does not exceed, whatever the plant says; inf = as the plant says.
+    """
+
+    def __init__(self, plant: ServoPlant, index: int, servo: int) -> None:
+        self.table = ControlTable(servo)
+        self.protocol = 2
+        self.supply_limit = math.inf
+        self._plant = plant
+        self._index = index
+        self._profile = Profile()
+        self._registered: tuple[int, bytes] | None = None
+        self._silent_until = -math.inf
+        self._heard = -math.inf
+        self._moving = False
+        self._shape = 0
+        self._goal = 0.0
+        self._commanded: tuple[bool, float, float] | None = None
+        self._start(-math.inf)
+
+    @property
+    def servo(self) -> int:
+        """Its id."""
+        return self.table.get("id")
+
+    @property
+    def speed(self) -> int:
+        """The speed it listens and answers at, bit/s."""
+        return SPEEDS.get(self.table.get("baud"), 0)
+
+    @property
+    def return_delay(self) -> float:
+        """How long it waits before it answers, s."""
+        return self.table.get("return_delay") * 2e-6
+
+    def answers(self, now: float) -> bool:
+        """Return whether it is running at `now` (s); a restart takes a moment."""
+        return now >= self._silent_until
+
+    def error_byte(self, number: int) -> int:
+        """Return the error byte of a status packet with error `number`."""
+        return number | (ALERT if self.table.get("hardware_error") else 0)
+
+    def heard(self, now: float) -> None:
+        """Note an instruction packet on the bus for this servo at `now` (s).
+
+        The watchdog is looked at in `tick` only, after what has come is read: if the emulator itself was kept waiting
+        for the processor, that was no silence of the host.
+        """
+        self._heard = now
+
+    def read(self, address: int, length: int, now: float) -> tuple[int, bytes]:
+        """Return (error number, data) of a read instruction."""
+        self.measure(now)
+        data = self.table.read(address, length)
+        return (ACCESS, b"") if data is None else (OK, data)
+
+    def write(self, address: int, data: bytes, now: float) -> int:
+        """Carry out a write instruction and return its error number."""
+        locked = self.table.get("hardware_error") & self.table.get("shutdown")
+        if locked and address == 64 and data[:1] == b"\1":
+            return RESULT_FAIL
+        was_on = self.table.get("torque_enable")
+        error, values = self.table.write(address, data)
+        if error == OK and values:
+            self._written(values, bool(was_on), now)
+        return error
+
+    def register_write(self, address: int, data: bytes) -> int:
+        """Keep a write for the next action instruction."""
+        self._registered = (address, data)
+        self.table.set("registered", 1)
+        return OK
+
+    def action(self, now: float) -> int:
+        """Carry out the registered write."""
+        if self._registered is None:
+            return RESULT_FAIL
+        address, data = self._registered
+        self._registered = None
+        self.table.set("registered", 0)
+        return self.write(address, data, now)
+
+    def reboot(self, now: float) -> None:
+        """Restart: torque off, RAM to defaults, latched errors gone, silent for a moment."""
+        self.table.restart()
+        self._start(now)
+        self._silent_until = now + RESTART_TIME
+
+    def factory_reset(self, now: float, keep: int) -> None:
+        """Put EEPROM to its defaults too; `keep` 1 spares the id, 2 the id and the speed."""
+        servo = self.servo if keep in (1, 2) else 1
+        baud = self.table.get("baud") if keep == 2 else 1
+        self.table = ControlTable(servo, baud)
+        self.reboot(now)
+
+    def raise_error(self, bits: int) -> None:
+        """Latch hardware error `bits`; torque goes off where the shutdown register says so."""
+        before = self.table.get("hardware_error")
+        self.table.set("hardware_error", before | bits)
+        if bits & self.table.get("shutdown"):
+            self.table.set("torque_enable", 0)
+            self._forward()
+
+    def tick(self, now: float) -> None:
+        """Let time-driven behaviour happen: watchdog and profile."""
+        self._watch(now)
+        if self._moving:
+            self._follow(now)
+
+    def next_event(self, now: float) -> float:
+        """Return the seconds until `tick` is needed; inf for never."""
+        wait = _PROFILE_PERIOD if self._moving else math.inf
+        return max(min(wait, self._watchdog_due() - now + 1e-4), 0.0)
+
+    def measure(self, now: float) -> float:
+        """Take the plant's state into the registers, latch what it causes, and return the angle, rad."""
+        angle, velocity, current, voltage, temperature = self._plant.read_servo(self._index)
+        voltage = min(voltage, self.supply_limit)
+        table = self.table
+        table.set_present(
+            max(-32768, min(32767, round(current / CURRENT_UNIT))),
+            round(velocity / VELOCITY_UNIT),
+            self._ticks(angle),
+            max(0, min(65535, round(voltage / VOLTAGE_UNIT))),
+            max(0, min(255, round(temperature))),
+        )
+        table.set_movement(*self._movement(angle, velocity))
+        decivolts = voltage / VOLTAGE_UNIT
+        errors = 0
+        if temperature >= table.get("temperature_limit"):
+            errors |= _OVERHEATING
+        if not table.get("min_voltage") <= decivolts <= table.get("max_voltage"):
+            errors |= _VOLTAGE
+        if errors & ~table.get("hardware_error"):
+            self.raise_error(errors)
+        return angle
+
+    def _offset(self) -> int:
+        """Counts between the encoder and the registers: present = actual + homing offset. Mode 3 ignores large ones."""
+        offset = self.table.get("homing_offset")
+        if abs(offset) > _LARGEST_OFFSET and self.table.get("operating_mode") == MODE_POSITION:
+            return 0
+        return offset
+
+    def _ticks(self, angle: float) -> int:
+        return ZERO_TICKS + self._offset() + round(angle / TICK)
+
+    def _angle(self, ticks: int) -> float:
+        return (ticks - ZERO_TICKS - self._offset()) * TICK
+
+    def _movement(self, angle: float, velocity: float) -> tuple[bool, int]:
+        """Return what registers 122 and 123 say."""
+        table = self.table
+        moving = self._moving or abs(velocity) > table.get("moving_threshold") * VELOCITY_UNIT
+        if not table.get("torque_enable") or table.get("operating_mode") not in _POSITION_MODES:
+            return moving, 0
+        arrived = not self._moving and abs(self._goal - angle) <= _IN_POSITION * TICK
+        astray = abs(self._profile.position - angle) > _NOT_FOLLOWING * TICK
+        return moving, arrived | self._moving << 1 | astray << 3 | self._shape << 4
+
+    def _start(self, now: float) -> None:
+        self._registered = None
+        self._moving = False
+        self._shape = 0
+        self._heard = -math.inf
+        angle = self.measure(now)
+        self.table.set("goal_position", self._ticks(angle))
+        self._goal = angle
+        self._profile.jump(angle, now)
+        self._forward()
+
+    def _written(self, values: dict[str, int], was_on: bool, now: float) -> None:
+        if "goal_position" in values:
+            if not self._moving:
+                self._profile.jump(self._profile.position, now)  # time has passed since it came to rest
+            self._goal = self._angle(values["goal_position"])
+            self._moving = True
+        if values.get("torque_enable") and not was_on:
+            # A profile begins where the shaft is, not where the last one ended.
+            self._profile.jump(self.measure(now), now)
+            self._goal = self._angle(self.table.get("goal_position"))
+            self._moving = True
+        if values.get("bus_watchdog"):
+            self._heard = now
+        if self._moving and not values.keys().isdisjoint(("goal_position", "torque_enable")):
+            self._shape = shape(abs(self._goal - self._profile.position), *self._limits())
+        if self._moving:
+            self._follow(now)
+        else:
+            self._forward()
+
+    def _follow(self, now: float) -> None:
+        on = bool(self.table.get("torque_enable"))
+        self._moving = on and self._profile.advance(self._goal, *self._limits(), now)
+        self._forward()
+
+    def _limits(self) -> tuple[float, float]:
+        """Velocity (rad/s) and acceleration (rad/s²) of the profile, 0 = none."""
+        table = self.table
+        return table.get("profile_velocity") * VELOCITY_UNIT, table.get("profile_acceleration") * ACCELERATION_UNIT
+
+    def _watch(self, now: float) -> None:
+        if now > self._watchdog_due():
+            self.trip_watchdog(now)
+
+    def _watchdog_due(self) -> float:
+        """Return when silence trips the watchdog, s; inf = never. It watches only while torque is on (e-manual, 98)."""
+        period = self.table.get("bus_watchdog")
+        armed = 0 < period < WATCHDOG_TRIPPED and self.table.get("torque_enable")
+        return self._heard + period * WATCHDOG_UNIT if armed else math.inf
+
+    def trip_watchdog(self, now: float) -> None:
+        """Stop where it is and lock its goals, as after too long a silence; nothing where the watchdog is off."""
+        if not 0 < self.table.get("bus_watchdog") < WATCHDOG_TRIPPED:
+            return
+        self.table.set("bus_watchdog", WATCHDOG_TRIPPED)
+        self._moving = False
+        self._goal = self.measure(now)
+        self._profile.jump(self._goal, now)
+        self._forward()
+
+    def _forward(self) -> None:
+        """Command the plant where anything has changed."""
+        table = self.table
+        mode = table.get("operating_mode")
+        on = bool(table.get("torque_enable")) and mode in _POSITION_MODES
+        limit = table.get("current_limit")
+        if mode == MODE_CURRENT_POSITION:
+            limit = min(limit, abs(table.get("goal_current")))
+        command = (on, self._profile.position, limit * CURRENT_UNIT)
+        if command != self._commanded:
+            self._commanded = command
+            self._plant.command_servo(self._index, *command)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The servo bus: registers, packets, the controller and its node."""

@@ -1,0 +1,316 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The servos of the arm as one device: a snapshot per cycle, goals with current bounds, torque, reboot."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import struct
+import time
+from collections.abc import Sequence
+
+from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, RangeError, ServoFault
+from deltacharger_driver.servos.link import ServoLink
+from deltacharger_driver.servos.mx64 import (
+    CURRENT_UNIT,
+    REGISTERS,
+    VELOCITY_UNIT,
+    VOLTAGE_UNIT,
+    WATCHDOG_TRIPPED,
+    angle_to_ticks,
+    current_to_counts,
+    describe_hardware_error,
+    ticks_to_angle,
+)
+from deltacharger_driver.servos.protocol import LinkCounters, sync_write_packet
+from deltacharger_driver.servos.setup import configure, restart_watchdog, set_up
+from deltacharger_driver.servos.snapshot import (
+    READ_ADDRESS,
+    READ_LENGTH,
+    WRITE_ADDRESS,
+    WRITE_LENGTH,
+    BusSettings,
+    Snapshot,
+    decode_block,
+    has_restarted,
+)
+
+UNKNOWN_AFTER = 3
+"""Cycles without a good reply after which a servo's last values are no longer worth anything."""
+MISSING_TIME = 0.2
+"""s without a good reply, and `UNKNOWN_AFTER` cycles, after which it counts as missing: a pause of this computer alone
+is none of the servo's doing."""
+_RETRY_EVERY = 25  # cycles between two questions to a missing servo: waiting for it must not slow the others
+_WRITE_LAYOUT = struct.Struct("<hi")
+_UNKNOWN = (math.nan,) * 5
+
+
+class ServoBus:
+    """The servos on one port. Whichever thread opens it owns it until it is closed.
+
+    Args:
+        settings: wiring and mounting.
+    """
+
+    def __init__(self, settings: BusSettings) -> None:
+        self.settings = settings
+        self._link = ServoLink(settings.port, settings.baud_rate, settings.reply_margin)
+        self._count = len(settings.ids)
+        self._largest_counts = current_to_counts(settings.current_max)
+        self._cycle = 0
+        self._goals: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+        self._goal_bytes = b""
+        self._forget()
+
+    @property
+    def counters(self) -> LinkCounters:
+        """What went wrong on the wire so far."""
+        return self._link.counters
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is open."""
+        return self._link.is_open
+
+    def open(self, scan: bool = True) -> None:
+        """Open the port, identify every servo and set each up; torque is off afterwards.
+
+        Args:
+            scan: look for missing servos at other speeds, so that the error names where they are.
+
+        Raises:
+            PortMissing, PortBusy, PortDenied, PortError: the port cannot be opened, and why.
+            HandshakeError: servos are missing, wrong or do not take their set-up; names every fault of each.
+        """
+        self._forget()
+        self._link.open()
+        try:
+            set_up(self._link, self.settings, scan)
+        except BaseException:
+            self._link.close()
+            raise
+
+    def close(self) -> None:
+        """Release the port. Does not touch the servos: switch torque off first. Never raises; safe to call twice."""
+        self._link.close()
+
+    def configure(self, index: int) -> None:
+        """Set up servo `index` again, torque off, after it was restarted.
+
+        Raises:
+            HandshakeError: it does not take its set-up.
+            PortGone: the port vanished.
+        """
+        configure(self._link, self.settings.ids[index], self.settings)
+        self._rebooted[index] = False
+        self._torque[index] = False
+        self._missed[index] = min(self._missed[index], 1)  # ask it again in the next cycle
+
+    def read(self) -> Snapshot:
+        """Return the state of all servos; a servo that gave no good reply is NaN and not valid.
+
+        One sync read while all answer. Once one has failed, each is asked by itself, for in a sync read those behind
+        a missing servo stay silent; a servo missing for longer is asked now and then.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        return self._read(b"")
+
+    def exchange(self, angles: Sequence[float], currents: Sequence[float]) -> Snapshot:
+        """Send the goals as `write_goals` does and return the state as `read` does, in one piece.
+
+        Raises:
+            RangeError, PortGone: as both.
+        """
+        return self._read(self._goal_packet(angles, currents))
+
+    def _read(self, ahead: bytes) -> Snapshot:
+        """Read all servos; packets `ahead`, which nobody answers, go out with the first question."""
+        ids = self.settings.ids
+        if not any(self._missed):
+            replies = self._link.sync_read(ids, READ_ADDRESS, READ_LENGTH, ahead)
+        else:
+            replies = {}
+            if ahead:
+                self._link.send(ahead)
+            for index, servo in enumerate(ids):
+                if not self._missing(index) or (self._cycle + index) % _RETRY_EVERY == 0:
+                    replies.update(self._link.sync_read((servo,), READ_ADDRESS, READ_LENGTH))
+        now = time.monotonic()
+        self._cycle += 1
+        return self._snapshot(now, replies)
+
+    def write_goals(self, angles: Sequence[float], currents: Sequence[float]) -> None:
+        """Send goal angle (rad) and current bound (A, 0 to `current_max`) of each servo; they change together.
+
+        Servos do not confirm this. It moves nothing while torque is off.
+
+        Raises:
+            RangeError: a bound above `current_max`, or a value that the registers cannot hold; nothing is sent.
+            PortGone: the port vanished.
+        """
+        packet = self._goal_packet(angles, currents)
+        self._link.send(packet)
+
+    def _goal_packet(self, angles: Sequence[float], currents: Sequence[float]) -> bytes:
+        """Return the packet that writes goal and bound of every servo; an arm that holds sends the same again."""
+        goals = tuple(angles), tuple(currents)
+        if goals == self._goals:
+            return self._goal_bytes
+        settings = self.settings
+        rows = []
+        for index, (angle, current) in enumerate(zip(angles, currents, strict=True)):
+            ticks = angle_to_ticks(angle, settings.zero_ticks[index], settings.direction[index])
+            rows.append((settings.ids[index], _WRITE_LAYOUT.pack(self._bound(current), ticks)))
+        self._goals, self._goal_bytes = goals, sync_write_packet(WRITE_ADDRESS, WRITE_LENGTH, rows)
+        return self._goal_bytes
+
+    def enable_torque(self, currents: Sequence[float]) -> Snapshot:
+        """Switch all servos on, holding where they are: goal := present position first.
+
+        Args:
+            currents: current bound of each servo, A.
+
+        Returns:
+            the snapshot whose angles became the goals.
+
+        Raises:
+            NoAnswer: a servo is missing or has just been restarted; none is switched on.
+            ServoFault: a servo has a latched hardware error or refuses; all are switched off again.
+            PortGone: the port vanished.
+        """
+        snapshot = self.read()
+        for index, servo in enumerate(self.settings.ids):
+            if not snapshot.valid[index]:
+                raise NoAnswer(f"servo {servo}", "read before switching torque on", self.settings.reply_margin)
+            if snapshot.hardware_error[index]:
+                bits = snapshot.hardware_error[index]
+                text = f"{describe_hardware_error(bits)} latched; remove the cause, then reboot it"
+                raise ServoFault(servo, "switch torque on", text, bits)
+        try:
+            for index, servo in enumerate(self.settings.ids):
+                restart_watchdog(self._link, servo, self.settings.watchdog)
+                self._verify_goal(index, snapshot.angle, currents)
+            for servo in self.settings.ids:
+                self._link.write(servo, "torque_enable", 1)
+            self._torque = [True] * self._count
+        except DriverError:
+            with contextlib.suppress(DriverError):
+                self.disable_torque()
+            raise
+        return snapshot
+
+    def disable_torque(self) -> None:
+        """Switch all servos off: one packet to all, then each by itself until it confirms; one that did not answer
+        lately is asked once.
+
+        Raises:
+            PortGone: the port vanished; the servos stop by their watchdog.
+        """
+        register = REGISTERS["torque_enable"]
+        off = [(servo, b"\0") for servo in self.settings.ids]
+        self._link.send(sync_write_packet(register.address, register.size, off))
+        for index, servo in enumerate(self.settings.ids):
+            with contextlib.suppress(NoAnswer, CorruptReply, ServoFault):
+                self._link.write(servo, "torque_enable", 0, hurry=self._missed[index] > 0)
+                self._torque[index] = False
+
+    def reboot(self, index: int) -> None:
+        """Restart servo `index`: torque off, latched errors cleared. It is away for a moment and must be set up again.
+
+        Raises:
+            NoAnswer, CorruptReply, ServoFault, PortGone: it did not take the instruction.
+        """
+        self._link.reboot(self.settings.ids[index])
+        self._torque[index] = False
+
+    def restart_watchdogs(self) -> None:
+        """Clear and arm the watchdog of every servo that answers, so that it takes goals again.
+
+        Raises:
+            NoAnswer, CorruptReply, ServoFault, PortGone: a servo does not take it.
+        """
+        for servo in (servo for servo, missed in zip(self.settings.ids, self._missed, strict=True) if not missed):
+            restart_watchdog(self._link, servo, self.settings.watchdog)
+
+    def _forget(self) -> None:
+        """Start without knowledge of any servo."""
+        self._missed = [0] * self._count
+        self._seen = [time.monotonic()] * self._count
+        self._rebooted = [False] * self._count
+        self._errors = [0] * self._count
+        self._torque = [False] * self._count
+        self._tripped = [False] * self._count
+
+    def _missing(self, index: int) -> bool:
+        silent = time.monotonic() - self._seen[index]
+        return self._missed[index] >= UNKNOWN_AFTER and silent >= MISSING_TIME
+
+    def _bound(self, current: float) -> int:
+        """Return a current bound in counts; compared there, so that arithmetic may miss the largest by a rounding."""
+        counts = current_to_counts(current) if current >= 0.0 else -1
+        if not 0 <= counts <= self._largest_counts:
+            raise RangeError("current bound", current, 0.0, self.settings.current_max, " A")
+        return counts
+
+    def _verify_goal(self, index: int, angles: Sequence[float], currents: Sequence[float]) -> None:
+        """Write the goal of one servo with confirmation, so that switching on cannot jump."""
+        settings = self.settings
+        ticks = angle_to_ticks(angles[index], settings.zero_ticks[index], settings.direction[index])
+        servo = settings.ids[index]
+        self._link.write(servo, "goal_current", self._bound(currents[index]))
+        self._link.write(servo, "goal_position", ticks)
+        found = self._link.read(servo, "goal_position")
+        if found != ticks:
+            raise ServoFault(servo, "switch torque on", f"goal position reads {found} after {ticks} was written")
+
+    def _snapshot(self, now: float, replies: dict[int, tuple[int, bytes]]) -> Snapshot:
+        rows = [self._learn(index, now, replies.get(servo)) for index, servo in enumerate(self.settings.ids)]
+        angle, velocity, current, voltage, temperature = zip(*rows, strict=True)
+        return Snapshot(
+            time=now,
+            valid=tuple(missed == 0 for missed in self._missed),
+            angle=angle,
+            velocity=velocity,
+            current=current,
+            voltage=voltage,
+            temperature=temperature,
+            hardware_error=tuple(self._errors),
+            torque_enabled=tuple(self._torque),
+            watchdog_tripped=tuple(self._tripped),
+            rebooted=tuple(self._rebooted),
+            missed=tuple(self._missed),
+            missing=tuple(map(self._missing, range(self._count))),
+        )
+
+    def _learn(self, index: int, now: float, reply: tuple[int, bytes] | None) -> tuple[float, ...]:
+        """Take one servo's reply and return angle, velocity, current, voltage, temperature; NaN unless it is good."""
+        data = b"" if reply is None else reply[1]
+        self._missed[index] += 1
+        self._tripped[index] = False
+        if len(data) != READ_LENGTH:
+            return _UNKNOWN
+        if has_restarted(data):
+            self._rebooted[index] = True
+            self._torque[index] = False
+            return _UNKNOWN
+        try:
+            reading = decode_block(data)
+        except RangeError:
+            self.counters.implausible += 1
+            return _UNKNOWN
+        self._missed[index] = 0
+        self._seen[index] = now
+        self._rebooted[index] = False
+        self._errors[index] = reading.hardware_error
+        self._torque[index] = reading.torque_enabled
+        self._tripped[index] = reading.watchdog == WATCHDOG_TRIPPED
+        sign = self.settings.direction[index]
+        return (
+            ticks_to_angle(reading.ticks, self.settings.zero_ticks[index], sign),
+            sign * reading.velocity * VELOCITY_UNIT,
+            sign * reading.current * CURRENT_UNIT,
+            reading.voltage * VOLTAGE_UNIT,
+            float(reading.temperature),
+        )

@@ -1,0 +1,388 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the arm's servos do from cycle to cycle: follow trajectories, stop for faults, come back after them. No ROS.
+
+One thread calls `open`, `cycle` and `close`; `submit` and `request` may be called from any thread and take effect at
+the next cycle. Torque goes on by a request only, and every fault ends with torque off. Whatever ends the torque asks
+for the contactor to be opened first: electrodes that carry current must not come apart.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+from deltacharger_driver.errors import DriverError, PortError, PortGone, TrajectoryRefused
+from deltacharger_driver.servos.bus import ServoBus
+from deltacharger_driver.servos.goals import ServoGoals
+from deltacharger_driver.servos.report import Phase, ServoMemory, ServoReport, find_faults
+from deltacharger_driver.servos.requests import Contactor, NoContactor, Request
+from deltacharger_driver.servos.restarts import ServoRestarts
+from deltacharger_driver.servos.snapshot import BusSettings, Snapshot
+from deltacharger_driver.servos.trajectory import Trajectory
+
+STOP_TIME = 0.5  # s from "goal := present position" to torque off
+OPENING_TIME = 0.3  # s that torque stays on at most, by request, until the contactor is seen open
+_OPENING_LOOK = 0.005  # s between two looks at the contactor where no cycle does it
+_BACKOFF_FIRST, _BACKOFF_LONGEST = 0.25, 0.5  # s between two attempts to open a port that vanished
+_TRIPS, _TRIPS_WITHIN = 3, 2.0  # so many watchdog trips within so many s are a fault
+
+
+class ServoController:
+    """The arm's servos with their safety rules.
+
+    Args:
+        settings: wiring and mounting.
+        current_bound: bound of each servo's current where a trajectory sets none, A.
+        torque_constant: N·m/A, turns a trajectory's torque bound into a current.
+        notify: called with (severity "info" | "warning" | "error", sentence) at every event worth a log line.
+        clock: monotonic time, s.
+        contactor: opened before torque goes off.
+
+    Attributes:
+        watchdog_trips: how often the servos stopped because they heard nothing.
+        reconnections: how often a port that vanished was opened again.
+    """
+
+    def __init__(
+        self,
+        settings: BusSettings,
+        current_bound: float,
+        torque_constant: float,
+        notify: Callable[[str, str], None] = lambda severity, sentence: None,
+        clock: Callable[[], float] = time.monotonic,
+        contactor: Contactor | None = None,
+    ) -> None:
+        self.watchdog_trips = 0
+        self.reconnections = 0
+        self.bus = ServoBus(settings)
+        self._ids = settings.ids
+        self._goals = ServoGoals(len(settings.ids), current_bound, torque_constant)
+        self._notify = notify
+        self._clock = clock
+        self._contactor = contactor or NoContactor()
+        self._phase = Phase.DISCONNECTED
+        self._lock = threading.Lock()
+        self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
+        self._submitted: tuple[Trajectory, float] | None = None
+        self._stop_at = math.inf
+        self._stop_reason = self._unasked_stop = ""
+        self._releasing: list[Request] = []  # wait until the contactor is open, then for torque off
+        self._reopen_at = 0.0
+        self._backoff = _BACKOFF_FIRST
+        self._connection_fault = ""
+        self._restarts = ServoRestarts(self.bus, notify, clock)
+        self._trips: deque[float] = deque([-math.inf] * _TRIPS, maxlen=_TRIPS)
+        self._snapshot: Snapshot | None = None
+        self._memory = ServoMemory(len(settings.ids))
+
+    @property
+    def phase(self) -> Phase:
+        """What the servos are doing; may be read from any thread."""
+        return self._phase
+
+    @property
+    def stop_reason(self) -> str:
+        """Why the servos were stopped last."""
+        return self._stop_reason
+
+    @property
+    def unasked_stop(self) -> str:
+        """Why torque went off without being asked for, until it is on again; '' where it did not."""
+        return self._unasked_stop
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether the next cycle will serve a request."""
+        return not self._requests.empty()
+
+    @property
+    def is_releasing(self) -> bool:
+        """Whether the torque is about to go off because somebody asked for it."""
+        return bool(self._releasing)
+
+    def open(self) -> None:
+        """Open the port and set the servos up, torque off.
+
+        Raises:
+            PortMissing, PortBusy, PortDenied, PortError: the port cannot be opened, and why.
+            HandshakeError: names everything that is wrong with the servos.
+        """
+        self.bus.open(scan=True)
+        self._phase = Phase.OFF
+
+    def close(self) -> None:
+        """Switch torque off where it is on, and release the port. Never raises; safe to call twice.
+
+        Waits at most `OPENING_TIME` for the contactor; `stop` and cycles until the torque is off come before it where
+        there is time.
+        """
+        if self.bus.is_open and self._phase in (Phase.ON, Phase.STOPPING):
+            self._contactor.ask_open()
+            end = time.monotonic() + OPENING_TIME
+            while not self._contactor.is_open() and time.monotonic() < end:
+                time.sleep(_OPENING_LOOK)
+            with contextlib.suppress(DriverError):
+                self.bus.disable_torque()
+        self.bus.close()
+        self._phase = Phase.DISCONNECTED
+        self._refuse_all("the driver is closing")
+
+    def submit(self, trajectory: Trajectory, start: float = math.inf) -> None:
+        """Let `trajectory` replace whatever runs, at the next cycle.
+
+        Args:
+            trajectory: its first segment begins at the goal of that moment; what of it has passed is left out, and
+                where all has, its last point holds.
+            start: from when its times count, s of the controller's clock; not before it takes effect if later.
+
+        Raises:
+            TrajectoryRefused: torque is off, or the servos are being stopped.
+        """
+        with self._lock:
+            if self._phase is not Phase.ON:
+                reason = f": {self._stop_reason}" if self._phase is Phase.STOPPING else ""
+                raise TrajectoryRefused(f"{self._phase.value}{reason}; call set_torque first")
+            self._submitted = trajectory, start
+
+    def request(self, action: str) -> Request:
+        """Ask for "torque_on", "torque_off" or "reboot"; the servos' thread carries it out and finishes the request."""
+        request = Request(action)
+        self._requests.put(request)
+        return request
+
+    def stop(self, reason: str) -> None:
+        """Goal := present position and contactor open now, torque off after `STOP_TIME`; in the servos' thread only."""
+        if self._phase is Phase.ON:
+            self._begin_stop(reason, STOP_TIME)
+            self._unasked_stop = reason
+            self._notify("error", f"stopping all servos: {reason}")
+
+    def _begin_stop(self, reason: str, seconds: float) -> None:
+        """Hold the present position, ask for the contactor to be opened, and let torque go off after `seconds`."""
+        with self._lock:
+            self._phase = Phase.STOPPING
+            self._submitted = None
+        self._stop_reason = reason
+        self._stop_at = self._clock() + seconds
+        self._goals.hold(self._memory.angles)
+        self._contactor.ask_open()
+
+    def cycle(self) -> ServoReport:
+        """Carry out one bus cycle and return the state after it. Never raises `DriverError`."""
+        try:
+            if self._phase is Phase.DISCONNECTED:
+                self._reopen()
+            self._serve_requests()
+            if self._phase is not Phase.DISCONNECTED:
+                self._exchange()
+        except PortGone as error:
+            self._disconnect(error)
+        return self._memory.report(self._clock(), self._phase, self._faults())
+
+    def _exchange(self) -> None:
+        """Send goals, read the state, and act on what it says."""
+        if self._phase is Phase.OFF:
+            snapshot = self.bus.read()
+        else:
+            self._advance()
+            snapshot = self.bus.exchange(self._goals.angles, self._goals.bounds)
+        self._snapshot = snapshot
+        self._memory.learn(snapshot)
+        self._check_watchdogs(snapshot)
+        if self._phase is Phase.ON:
+            self._stop_on_faults(snapshot)
+        elif self._phase is Phase.STOPPING and self._may_let_go():
+            self._switch_off()
+        elif self._phase is Phase.OFF:
+            self._keep_off(snapshot)
+        if self._phase is Phase.OFF:
+            self._restore(snapshot)
+
+    def _stop_on_faults(self, snapshot: Snapshot) -> None:
+        """Stop where something stands in the way of moving, and tell the servos in this cycle already."""
+        faults = self._faults()
+        known = zip(self._ids, snapshot.valid, snapshot.torque_enabled, strict=True)
+        lost = [servo for servo, valid, torque in known if valid and not torque]
+        if lost:
+            faults.append(f"servo {lost[0]} has switched its torque off by itself")
+        if faults:
+            self.stop("; ".join(faults))
+            self.bus.write_goals(self._goals.angles, self._goals.bounds)
+
+    def _restore(self, snapshot: Snapshot) -> None:
+        """Set up again what has restarted; that may be why torque went."""
+        for servo in self._restarts.restore(snapshot):
+            if self._unasked_stop:
+                self._unasked_stop += f"; servo {servo} has restarted by itself"
+        if self._restarts.is_rebooting:
+            self._restarts.look(snapshot, self._faults())
+
+    def _keep_off(self, snapshot: Snapshot) -> None:
+        """Switch off a servo that did not hear it when it was told, as soon as it answers again."""
+        known = zip(self._ids, snapshot.valid, snapshot.torque_enabled, strict=True)
+        on = [servo for servo, valid, torque in known if valid and torque]
+        if on:
+            self._notify("warning", f"servos {on} have torque that nobody ordered; switching it off")
+            self.bus.disable_torque()
+
+    def _may_let_go(self) -> bool:
+        """Whether torque may go off now: its time has come, or it was asked for and the contactor is open."""
+        return self._clock() >= self._stop_at or (bool(self._releasing) and self._contactor.is_open())
+
+    def _advance(self) -> None:
+        """Take what was submitted, and the goal and the bounds of this instant."""
+        now = self._clock()
+        with self._lock:
+            submitted, self._submitted = self._submitted, None
+        if submitted is not None and self._phase is Phase.ON:
+            self._goals.follow(*submitted, now)
+        self._goals.advance(now)
+
+    def _check_watchdogs(self, snapshot: Snapshot) -> None:
+        tripped = [servo for servo, stopped in zip(self._ids, snapshot.watchdog_tripped, strict=True) if stopped]
+        if not tripped:
+            return
+        if self._phase is Phase.ON:
+            self.watchdog_trips += 1
+            now = self._clock()
+            self._trips.append(now)
+            sentence = f"the bus fell silent and servos {tripped} stopped by their watchdog"
+            if now - self._trips[0] < _TRIPS_WITHIN:
+                self.stop(f"{sentence} again and again; this computer is overloaded")
+            else:
+                self._goals.resume_at(self._memory.angles, now)
+                self._notify("warning", f"{sentence}; going on from where they stopped")
+        try:
+            self.bus.restart_watchdogs()
+        except PortGone:
+            raise
+        except DriverError as error:
+            self.stop(f"a tripped watchdog cannot be cleared: {error}")
+
+    def _faults(self) -> list[str]:
+        """Return what stands in the way of moving, by the last snapshot."""
+        if self._phase is Phase.DISCONNECTED:
+            return [self._connection_fault or "not connected"]
+        return find_faults(self._ids, self._snapshot) if self._snapshot is not None else []
+
+    def _serve_requests(self) -> None:
+        while not self._requests.empty():
+            request = self._requests.get_nowait()
+            try:
+                if self._phase is Phase.DISCONNECTED:
+                    request.finish(False, self._connection_fault or "not connected")
+                elif request.action == "torque_on":
+                    self._switch_on(request)
+                elif request.action == "torque_off":
+                    self._let_go(request)
+                else:
+                    self._reboot(request)
+            except PortGone as error:
+                request.finish(False, str(error))
+                raise
+            except DriverError as error:
+                request.finish(False, str(error))
+
+    def _switch_on(self, request: Request) -> None:
+        if self._phase is Phase.ON:
+            request.finish(True, "torque is already on")
+            return
+        if self._phase is Phase.STOPPING:
+            request.finish(False, f"stopping: {self._stop_reason}")
+            return
+        faults = self._faults()
+        if faults or self._restarts.is_rebooting:
+            request.finish(False, "; ".join(faults) or "the servos are being rebooted")
+            return
+        snapshot = self.bus.enable_torque(self._goals.default)
+        self._memory.learn(snapshot)
+        self._goals.begin_at(snapshot.angle)
+        self._unasked_stop = ""
+        with self._lock:
+            self._submitted = None
+            self._phase = Phase.ON
+        request.finish(True, "torque is on, holding the present position")
+        self._notify("info", "torque on")
+
+    def _let_go(self, request: Request) -> None:
+        """Switch torque off once the contactor is open, or after `OPENING_TIME`."""
+        self._releasing.append(request)
+        if self._phase is Phase.ON:
+            self._begin_stop("torque is being switched off on request", OPENING_TIME)
+        elif self._phase is Phase.STOPPING:
+            self._stop_at = min(self._stop_at, self._clock() + OPENING_TIME)
+            self._contactor.ask_open()
+        else:
+            self._switch_off()
+
+    def _switch_off(self) -> None:
+        with self._lock:
+            was, self._phase = self._phase, Phase.OFF
+            self._submitted = None
+        self._stop_at = math.inf
+        unseen = was is Phase.STOPPING and not self._contactor.is_open()
+        try:
+            self.bus.disable_torque()
+        finally:
+            if unseen:
+                self._notify("warning", "torque off; the contactor was not seen open before, check tactile_node")
+            elif was is not Phase.OFF:
+                self._notify("info", "torque off")
+        for request in self._releasing:
+            request.finish(True, "torque is off" + ("; the contactor was not seen open before" if unseen else ""))
+        self._releasing.clear()
+
+    def _reboot(self, request: Request) -> None:
+        if self._phase is Phase.OFF:
+            self._restarts.reboot(request, self._snapshot)
+        else:
+            request.finish(False, f"{self._phase.value}; call set_torque with false first")
+
+    def _reopen(self) -> None:
+        now = self._clock()
+        if now < self._reopen_at:
+            return
+        try:
+            self.bus.open(scan=False)
+        except DriverError as error:
+            self._backoff = min(2.0 * self._backoff, _BACKOFF_LONGEST)
+            self._reopen_at = self._clock() + self._backoff
+            if str(error) != self._connection_fault:
+                self._connection_fault = str(error)
+                self._notify("error", str(error))
+            return
+        self._phase = Phase.OFF
+        self._connection_fault = ""
+        self._backoff = _BACKOFF_FIRST
+        self.reconnections += 1
+        self._notify("info", "connected again; torque is off")
+
+    def _disconnect(self, error: PortError) -> None:
+        self.bus.close()
+        if self._phase in (Phase.ON, Phase.STOPPING):
+            self._unasked_stop = str(error)
+            self._contactor.ask_open()
+        with self._lock:
+            self._phase = Phase.DISCONNECTED
+            self._submitted = None
+        self._snapshot = None
+        self._connection_fault = str(error)
+        self._backoff = _BACKOFF_FIRST
+        self._reopen_at = self._clock() + self._backoff
+        self._memory.forget()
+        self._refuse_all(str(error))
+        self._notify("error", str(error))
+
+    def _refuse_all(self, reason: str) -> None:
+        self._restarts.refuse(reason)
+        for request in self._releasing:
+            request.finish(False, reason)
+        self._releasing.clear()
+        with contextlib.suppress(queue.Empty):
+            while True:
+                self._requests.get_nowait().finish(False, reason)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The servos' state as entries of /diagnostics, in plain words. No ROS."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+
+from deltacharger_driver.servos.controller import ServoController
+from deltacharger_driver.servos.mx64 import describe_hardware_error
+from deltacharger_driver.servos.report import Phase, ServoReport
+
+OK, WARN, ERROR = 0, 1, 2
+"""Levels of diagnostic_msgs/DiagnosticStatus."""
+
+_HOT = 70.0  # °C, ten below the servo's own limit
+_LITTLE_RESERVE = 60.0  # s
+
+
+@dataclass(frozen=True)
+class DiagnosticEntry:
+    """One status.
+
+    Attributes:
+        level: OK, WARN or ERROR.
+        name: of the part.
+        message: one sentence.
+        values: further values as text.
+    """
+
+    level: int
+    name: str
+    message: str
+    values: dict[str, str] = field(default_factory=dict)
+
+
+def bus_entry(
+    report: ServoReport, controller: ServoController, refused: int, last_refusal: str, rate: float, late: int
+) -> DiagnosticEntry:
+    """Return the state of the bus as a whole.
+
+    Args:
+        report: of the last cycle.
+        controller: for its counters.
+        refused: trajectories refused since the last diagnostic.
+        last_refusal: why.
+        rate: cycles per second since the last diagnostic, Hz.
+        late: cycles that began late, since the start.
+    """
+    settings = controller.bus.settings
+    counters = {key: str(value) for key, value in asdict(controller.bus.counters).items()}
+    values = {
+        "state": report.phase.value,
+        "baud_rate": str(settings.baud_rate),
+        "ids": str(list(settings.ids)),
+        "rate": f"{rate:.1f} Hz",
+        "late_cycles": str(late),
+        **counters,
+        "watchdog_trips": str(controller.watchdog_trips),
+        "reconnections": str(controller.reconnections),
+        "last_refusal": last_refusal,
+    }
+    if report.faults:
+        level, message = ERROR, "; ".join(report.faults)
+    elif report.phase is Phase.STOPPING:
+        level, message = WARN if controller.is_releasing else ERROR, controller.stop_reason
+    elif refused:
+        level, message = WARN, last_refusal
+    elif report.phase is Phase.OFF and controller.unasked_stop:
+        level, message = WARN, f"torque off: {controller.unasked_stop}"
+    else:
+        level, message = OK, report.phase.value
+    return DiagnosticEntry(level, "servo bus", message, values)
+
+
+def servo_entry(report: ServoReport, index: int, servo: int, joint: str) -> DiagnosticEntry:
+    """Return the state of one servo."""
+    values = {
+        "joint": joint,
+        "id": str(servo),
+        "angle": f"{report.angle[index]:.4f} rad",
+        "current": f"{report.current[index]:.3f} A",
+        "voltage": f"{report.voltage[index]:.1f} V",
+        "temperature": f"{report.temperature[index]:.0f} °C",
+        "thermal_reserve": f"{report.thermal_reserve[index]:.0f} s",
+        "torque_enabled": str(report.torque_enabled[index]),
+    }
+    errors = describe_hardware_error(report.hardware_error[index])
+    level, message = OK, "OK"
+    if errors:
+        level, message = ERROR, f"latched: {errors}"
+    elif not report.valid[index]:
+        level, message = ERROR, "no good reply"
+    elif report.temperature[index] >= _HOT:
+        level, message = WARN, f"hot: {report.temperature[index]:.0f} °C"
+    elif report.thermal_reserve[index] <= 0.0:
+        level, message = ERROR, "the winding has reached its thermal limit; let it rest"
+    elif report.thermal_reserve[index] < _LITTLE_RESERVE:
+        level, message = WARN, f"thermal limit in {report.thermal_reserve[index]:.0f} s at this current"
+    return DiagnosticEntry(level, f"servo {servo}", message, values)

@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Registers of servos by name over one serial port: bounded retries, every failure an error with a name."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+
+from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
+from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS
+
+from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortGone, ServoFault, WrongThread
+from deltacharger_driver.servos.mx64 import ALERT, REGISTERS, describe_status_error
+from deltacharger_driver.servos.port import PATIENCE, REPLY_MARGIN, ServoPort
+from deltacharger_driver.servos.protocol import TAKES_NOTHING, LinkCounters, ServoProtocol
+
+ATTEMPTS = 3
+"""How often a read or write is tried before it fails; reads and writes of registers may be repeated without harm."""
+
+
+class ServoLink:
+    """An open port with servos on it. The thread that opens it owns it; any other is refused.
+
+    Args:
+        port: path of the serial port.
+        baud_rate: bit/s.
+        reply_margin: s, for what is asked in a hurry, see `servo_port.REPLY_MARGIN`.
+    """
+
+    def __init__(self, port: str, baud_rate: int, reply_margin: float = REPLY_MARGIN) -> None:
+        self.port = port
+        self.baud_rate = baud_rate
+        self._margin = reply_margin
+        self._handler = ServoPort(port, baud_rate, reply_margin)
+        self._protocol = ServoProtocol()
+        self._protocol_1 = Protocol1PacketHandler()
+        self._owner: threading.Thread | None = None
+
+    @property
+    def counters(self) -> LinkCounters:
+        """What went wrong on the wire so far."""
+        return self._protocol.counters
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the port is open."""
+        return bool(self._handler.is_open)
+
+    def open(self) -> None:
+        """Open the port; the calling thread owns it from now on.
+
+        Raises:
+            PortMissing, PortBusy, PortDenied, PortError: it cannot be opened, and why.
+        """
+        self._owner = threading.current_thread()
+        self._handler.baudrate = self.baud_rate
+        if not self._handler.openPort():
+            raise DriverError(f"{self.port}: {self.baud_rate} bit/s is not a speed of this servo; see mx64.SPEEDS")
+
+    def close(self) -> None:
+        """Release the port. Never raises, and works from any thread so that nothing keeps a port open."""
+        self._handler.closePort()
+        self._owner = None
+
+    def set_speed(self, baud_rate: int) -> None:
+        """Speak and listen at another speed; the servos are not changed.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        self._check_owner()
+        self._handler.setBaudRate(baud_rate)
+
+    def ping(self, servo: int, attempts: int = 1, hurry: bool = False) -> int:
+        """Return the model number of a servo.
+
+        Args:
+            servo: its id.
+            attempts: how often to try.
+            hurry: wait for a reply no longer than in the cycle.
+
+        Raises:
+            NoAnswer: nobody has this id at this speed.
+            CorruptReply: somebody answers, but not intelligibly.
+            PortGone: the port vanished.
+        """
+        self._begin(hurry)
+        result = COMM_RX_TIMEOUT
+        for _ in self._attempts(attempts):
+            model, result, _ = self._protocol.ping(self._handler, servo)
+            if result == COMM_SUCCESS:
+                return int(model)
+        raise self._failure(servo, "ping", result, attempts)
+
+    def ping_protocol_1(self, servo: int, hurry: bool = False) -> bool:
+        """Return whether a servo with this id speaks Protocol 1.0 at this speed.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        self._begin(hurry)
+        _, result, _ = self._protocol_1.ping(self._handler, servo)
+        return bool(result == COMM_SUCCESS)
+
+    def read(self, servo: int, name: str, hurry: bool = False) -> int:
+        """Return the register `name` of a servo.
+
+        Args:
+            servo: its id.
+            name: key of `mx64.REGISTERS`.
+            hurry: try once, and wait no longer than in the cycle.
+
+        Raises:
+            NoAnswer, CorruptReply: no good reply in `ATTEMPTS` tries.
+            ServoFault: the servo refuses.
+            PortGone: the port vanished.
+        """
+        register = REGISTERS[name]
+        return register.from_bytes(self.read_bytes(servo, register.address, register.size, f"read {name}", hurry))
+
+    def read_bytes(self, servo: int, address: int, length: int, action: str = "", hurry: bool = False) -> bytes:
+        """Return `length` bytes from `address` of a servo; errors as in `read`."""
+        self._begin(hurry)
+        action = action or f"read {length} bytes at {address}"
+        result, attempts = COMM_RX_TIMEOUT, 1 if hurry else ATTEMPTS
+        for _ in self._attempts(attempts):
+            data, result, code = self._protocol.readTxRx(self._handler, servo, address, length)
+            if result == COMM_SUCCESS:
+                self._refuse(servo, action, code)
+                return bytes(data)
+        raise self._failure(servo, action, result, attempts)
+
+    def write(self, servo: int, name: str, value: int, hurry: bool = False) -> None:
+        """Write the register `name` of a servo.
+
+        Args:
+            servo: its id.
+            name: key of `mx64.REGISTERS`.
+            value: in register units.
+            hurry: try once, and wait no longer than in the cycle.
+
+        Raises:
+            RangeError: the register cannot hold `value`.
+            NoAnswer, CorruptReply: no good reply in `ATTEMPTS` tries.
+            ServoFault: the servo refuses.
+            PortGone: the port vanished.
+        """
+        register = REGISTERS[name]
+        self.write_bytes(servo, register.address, register.to_bytes(value), f"write {name} = {value}", hurry)
+
+    def write_bytes(self, servo: int, address: int, data: bytes, action: str = "", hurry: bool = False) -> None:
+        """Write `data` from `address` of a servo on; errors as in `write`."""
+        self._begin(hurry)
+        action = action or f"write {len(data)} bytes at {address}"
+        result, attempts = COMM_RX_TIMEOUT, 1 if hurry else ATTEMPTS
+        for _ in self._attempts(attempts):
+            result, code = self._protocol.writeTxRx(self._handler, servo, address, len(data), list(data))
+            if result == COMM_SUCCESS:
+                self._refuse(servo, action, code)
+                return
+        raise self._failure(servo, action, result, attempts)
+
+    def write_unanswered(self, servo: int, name: str, value: int) -> None:
+        """Write a register without waiting for a reply; for a servo told not to give any.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        self._check_owner()
+        register = REGISTERS[name]
+        result = self._protocol.writeTxOnly(
+            self._handler, servo, register.address, register.size, list(register.to_bytes(value))
+        )
+        if result != COMM_SUCCESS:
+            raise PortGone(self.port, TAKES_NOTHING)
+
+    def sync_read(
+        self, servos: Sequence[int], address: int, length: int, ahead: bytes = b""
+    ) -> dict[int, tuple[int, bytes]]:
+        """Return error byte and data of each servo that answered; see `ServoProtocol.sync_read`."""
+        self._begin(hurry=True)
+        return self._protocol.sync_read(self._handler, servos, address, length, ahead)
+
+    def send(self, packets: bytes) -> None:
+        """Send packets that nobody answers (`servo_protocol.sync_write_packet`).
+
+        Raises:
+            PortGone: the port vanished or takes nothing.
+        """
+        self._check_owner()
+        self._protocol.send(self._handler, packets)
+
+    def reboot(self, servo: int) -> None:
+        """Restart a servo: its torque goes off, latched errors are cleared, what is not in EEPROM is lost.
+
+        Raises:
+            NoAnswer, CorruptReply, ServoFault, PortGone: as in `write`, without a retry.
+        """
+        self._begin(hurry=False)
+        result, code = self._protocol.reboot(self._handler, servo)
+        if result != COMM_SUCCESS:
+            raise self._failure(servo, "reboot", result, 1)
+        self._refuse(servo, "reboot", code)
+
+    def _attempts(self, count: int) -> Iterator[int]:
+        """Count to `count`, and every repetition as a retry."""
+        for attempt in range(count):
+            self.counters.retries += attempt > 0
+            yield attempt
+
+    def _begin(self, hurry: bool) -> None:
+        """Check who asks, and set how long the reply is waited for."""
+        self._check_owner()
+        self._handler.margin = self._margin if hurry else max(self._margin, PATIENCE)
+
+    def _check_owner(self) -> None:
+        caller = threading.current_thread()
+        if self._owner is not caller:
+            raise WrongThread(self._owner.name if self._owner else "none (it is closed)", caller.name)
+
+    def _failure(self, servo: int, action: str, result: int, attempts: int) -> DriverError:
+        device = f"servo {servo}"
+        if result == COMM_RX_TIMEOUT:
+            return NoAnswer(device, action, attempts * self._handler.reply_timeout)
+        return CorruptReply(device, action, self._protocol.getTxRxResult(result).removeprefix("[TxRxResult] "))
+
+    @staticmethod
+    def _refuse(servo: int, action: str, code: int) -> None:
+        if code & ~ALERT:
+            raise ServoFault(servo, action, describe_status_error(code), code)

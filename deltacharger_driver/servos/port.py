@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The port handler of the vendor's dynamixel-sdk with its traps closed: it sleeps, and it can be unplugged.
+
+The class is the SDK's own with single methods replaced; docs/servos.md lists each trap and its test.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import termios
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import serial
+from dynamixel_sdk.port_handler import PortHandler
+
+from deltacharger_driver.board.protocol import PacketDecoder
+from deltacharger_driver.errors import PortGone, WrongDevice
+from deltacharger_driver.serial_open import HANG_UPS, open_serial
+
+REPLY_MARGIN = 0.02
+"""s beyond wire time and USB latency until a reply in the cycle counts as lost. A healthy servo answers in 1 ms, so
+this costs nothing until something fails, and it rides over the scheduling hiccups of an ordinary kernel."""
+PATIENCE = 0.1
+"""The same outside the cycle, where nothing waits for the answer but the set-up."""
+USB_LATENCY = 1e-3  # s, one USB frame; where the adapter's driver names no latency timer
+_DRAIN_LONGEST = 0.02  # s
+_SUSPECT_BYTES = 4096
+"""How many of the first bytes are searched for the board's packets. It sends its power unasked, 20 times a second, so
+that a ping's wait hears it; its checksum of 32 bits mistakes no servo for it."""
+
+
+def latency_timer(port: str) -> float:
+    """Return how long the adapter on `port` may hold received bytes back, s: the kernel's latency_timer of an FTDI
+    chip (16 ms unless a udev rule sets 1), one USB frame for any other."""
+    setting = Path("/sys/class/tty") / Path(os.path.realpath(port)).name / "device" / "latency_timer"
+    try:
+        return int(setting.read_text()) * 1e-3
+    except (OSError, ValueError):
+        return USB_LATENCY
+
+
+class ServoPort(PortHandler):  # type: ignore[misc]
+    """The SDK's port handler: waits in `poll`, keeps time by the monotonic clock, and reports a pulled cable.
+
+    Every method that receives raises `WrongDevice` where the first bytes after the opening are the board's.
+
+    Args:
+        port: path, e.g. /dev/ttyUSB0.
+        baud_rate: bit/s.
+        reply_margin: s, see `REPLY_MARGIN`.
+
+    Attributes:
+        margin: the same, for the packets to come.
+    """
+
+    def __init__(self, port: str, baud_rate: int = 1_000_000, reply_margin: float = REPLY_MARGIN) -> None:
+        super().__init__(port)
+        self.is_open: bool = False
+        self.ser: serial.Serial | None = None
+        self.baudrate = baud_rate
+        self.latency = USB_LATENCY
+        self.margin = reply_margin
+        self._descriptor = -1
+        self._poller = select.poll()
+        self._buffer = bytearray()
+        self._board: PacketDecoder | None = None
+
+    def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
+        """Open the port for this process alone, or change the speed of the open port.
+
+        Raises:
+            PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: it cannot be opened, and why.
+            PortGone: it was open and vanished.
+        """
+        if self.ser is not None and self.is_open:
+            try:
+                self.ser.baudrate = cflag_baud
+            except HANG_UPS as error:
+                raise self._gone(error) from error
+        else:
+            self.ser = open_serial(str(self.port_name), cflag_baud)
+            self._descriptor = self.ser.fileno()
+            self._poller = select.poll()
+            self._poller.register(self._descriptor, select.POLLIN)
+            self._board = PacketDecoder()
+            self.latency = latency_timer(self.port_name)
+            self.is_open = True
+        self.is_using = False
+        self.tx_time_per_byte = 10_000.0 / cflag_baud
+        self.clearPort()
+        return True
+
+    def closePort(self) -> None:  # noqa: N802
+        """Release the port. Never raises."""
+        if self.ser is not None:
+            with contextlib.suppress(*HANG_UPS):
+                self.ser.close()
+        self._descriptor = -1
+        self._buffer.clear()
+        self.is_open = self.is_using = False
+
+    def clearPort(self) -> None:  # noqa: N802
+        """Discard what has been received.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        self._buffer.clear()
+        try:
+            termios.tcflush(self._descriptor, termios.TCIFLUSH)
+        except HANG_UPS as error:
+            raise self._gone(error) from error
+
+    @property
+    def reply_timeout(self) -> float:
+        """How long a short reply is waited for, s."""
+        return 2.0 * self.latency + self.margin
+
+    def drain(self) -> None:
+        """Discard what is still on its way, until the line is quiet: a late reply must not answer the next question.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        end = time.monotonic() + _DRAIN_LONGEST
+        quiet = 2.0 * self.latency
+        while self._wait(min(quiet, end - time.monotonic())):
+            self._buffer.clear()
+        self._buffer.clear()
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802
+        """Return up to `length` bytes; sleep for the first of them, at most until the packet's timeout.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        if length <= 0:
+            return b""
+        data = bytes(self.received()[:length])
+        self.discard(len(data))
+        return data
+
+    def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802
+        """Send `packet` and return how many bytes the kernel took.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        try:
+            return os.write(self._descriptor, bytes(packet))
+        except BlockingIOError:
+            return 0
+        except HANG_UPS as error:
+            raise self._gone(error) from error
+
+    def received(self) -> bytes | bytearray:
+        """Return what has come and was not taken; where that is nothing, wait for it as `readPort` does.
+
+        Raises:
+            PortGone: the port vanished.
+        """
+        if not self._buffer:
+            self._wait(max(self.packet_timeout - self.getTimeSinceStart(), 0.0) * 1e-3)
+        return self._buffer
+
+    def discard(self, length: int) -> None:
+        """Take the first `length` bytes of what has come."""
+        del self._buffer[:length]
+
+    def getBytesAvailable(self) -> int:  # noqa: N802
+        """Return how many bytes wait to be read."""
+        self._wait(0.0)
+        return len(self._buffer)
+
+    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
+        """Allow `packet_length` bytes their wire time, the adapter its latency both ways, and the margin."""
+        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self.reply_timeout * 1e3)
+
+    def getCurrentTime(self) -> float:  # noqa: N802
+        """Return the monotonic time in milliseconds, as the SDK counts."""
+        return time.monotonic() * 1e3
+
+    def _wait(self, timeout: float) -> bool:
+        """Wait at most `timeout` s and take what has come into the buffer; return whether anything has."""
+        try:
+            if not self._poller.poll(max(timeout, 0.0) * 1e3):
+                return False
+            data = os.read(self._descriptor, 4096)
+        except BlockingIOError:
+            return False
+        except HANG_UPS as error:
+            raise self._gone(error) from error
+        if not data:
+            raise self._gone("end of file")
+        self._buffer += data
+        if self._board is not None:
+            self._refuse_board(self._board, data)
+        return True
+
+    def _refuse_board(self, decoder: PacketDecoder, data: bytes) -> None:
+        decoder.feed(data)
+        counters = decoder.counters
+        if counters.packets or counters.version_errors:
+            self.is_using = False
+            raise WrongDevice(str(self.port_name), "the servos", "the board with the pads and the power stage")
+        if counters.bytes >= _SUSPECT_BYTES:
+            self._board = None
+
+    def _gone(self, reason: object) -> PortGone:
+        self.is_using = False
+        self._buffer.clear()
+        return PortGone(str(self.port_name), str(reason))

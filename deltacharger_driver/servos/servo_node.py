@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""servo_node: the arm's three servos on ROS.
+
+Publishes: servo_state (reliable, depth 1, at `rate`), joint_states, /diagnostics (1 Hz and at every refusal).
+Subscribes: joint_trajectory (reliable, depth 1), charger_power.
+Serves: set_torque, reboot_servos. Calls: set_contactor, where somebody serves it.
+Parameters: port, baud_rate, ids, rate, zero_ticks, direction, torque_constant, current_bound, current_max, joint_min,
+joint_max, reply_margin.
+
+Safe at start: torque is off, and only set_torque switches it on, holding the present position. A missing servo, a
+latched hardware error or a lost port stops all: goal := present position, contactor open, torque off after 0.5 s. By
+request, torque goes off once the contactor is seen open, after 0.3 s at the latest. A port that vanishes is opened
+again by itself and torque stays off. Where the port cannot be opened at start, or other servos answer than expected,
+the node ends and says why.
+
+A trajectory's times count from its stamp (from its arrival without one), and its last point holds. A line may be sent
+piece by piece under one stamp, each piece replacing the one before.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from deltacharger_driver.errors import DriverError, TrajectoryRefused
+from deltacharger_driver.rate_meter import RateMeter
+from deltacharger_driver.servos.controller import ServoController
+from deltacharger_driver.servos.diagnostics import DiagnosticEntry, bus_entry, servo_entry
+from deltacharger_driver.servos.mx64 import TORQUE_CONSTANT
+from deltacharger_driver.servos.port import REPLY_MARGIN
+from deltacharger_driver.servos.report import Phase, ServoReport
+from deltacharger_driver.servos.servo_node_io import JOINTS, ContactorClient, Mailbox, StatePublishers, age, waypoint
+from deltacharger_driver.servos.snapshot import BusSettings
+from deltacharger_driver.servos.trajectory import JointLimits, check, check_age
+from deltacharger_ros import node_support
+
+_RELIABLE_LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
+_DIAGNOSTICS_PERIOD = 1.0  # s
+_REFUSAL_PERIOD = 0.2  # s between two diagnostics where trajectories are refused
+_LISTEN_EVERY = 10  # cycles between two looks for a trajectory while it can only be refused
+_LATE = 0.5  # of a period; a cycle that begins later than that is late
+_SERVICE_TIMEOUT = 5.0  # s; a reboot takes up to 3
+
+
+class ServoNode(Node):
+    """See the module's docstring.
+
+    One thread of its own owns the bus, takes trajectories and publishes; the services wait for it and need an executor
+    of several threads.
+
+    Raises:
+        StartupError: a parameter is wrong, the port cannot be opened, or the servos are not those expected.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("servo_node", **kwargs)
+        group = ReentrantCallbackGroup()
+        self._contactor = ContactorClient(self, group, _RELIABLE_LATEST)
+        self._controller, self._limits = self._configure()
+        self._states = StatePublishers(self, _RELIABLE_LATEST, self._torque_constant)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._refused = 0
+        self._last_refusal = ""
+        self._followed: tuple[int, int] | None = None  # stamp of the line that is being followed
+        self._cycles = RateMeter(time.monotonic)
+        self._stop = threading.Event()
+        self._ready = threading.Event()
+        self._listening = threading.Event()
+        self._start_error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="servo bus", daemon=True)
+        self._thread.start()
+        self._ready.wait()
+        if self._start_error is not None:
+            self._thread.join()
+            self.destroy_node()
+            raise node_support.StartupError(f"servo_node: {self._start_error}") from self._start_error
+        # Only now, so that nobody is heard before the servos are known.
+        self._trajectories = Mailbox(self, JointTrajectory, "joint_trajectory", _RELIABLE_LATEST)
+        self._listening.set()
+        self.create_service(SetBool, "set_torque", self._on_set_torque, callback_group=group)
+        self.create_service(Trigger, "reboot_servos", self._on_reboot, callback_group=group)
+
+    def close(self) -> None:
+        """Goal := present position, torque off after at most 0.5 s, port closed, thread joined. Idempotent."""
+        self._stop.set()
+        self._thread.join()
+
+    def _configure(self) -> tuple[ServoController, JointLimits]:
+        """Declare the parameters and build the controller."""
+
+        def declare(name: str, default: Any, text: str, low: float | None = None, high: float | None = None) -> Any:
+            return node_support.declare(self, name, default, text, low, high)
+
+        port = declare("port", "/dev/ttyUSB0", "serial port of the servos")
+        baud_rate = declare("baud_rate", 1_000_000, "speed of the servos' bus (bit/s)", 9600, 4_000_000)
+        ids = declare("ids", [1, 2, 3], "servo ids of limbs 0, 1, 2", 0, 252)
+        rate = declare("rate", 100.0, "bus cycles per second (Hz)", 20.0, 200.0)
+        zero = declare("zero_ticks", [2048, 2048, 2048], "encoder count at arm angle 0, per limb", -1048575, 1048575)
+        sign = declare("direction", [1, 1, 1], "1 or -1 per limb: whether the count rises with the angle", -1, 1)
+        constant = declare("torque_constant", TORQUE_CONSTANT, "torque per current of a servo (N·m/A)", 0.1, 10.0)
+        bound = declare("current_bound", 0.83, "current bound where a trajectory sets none (A)", 0.0, 4.1)
+        largest = declare("current_max", 3.0, "largest current bound a trajectory may set (A)", 0.0, 4.1)
+        low = declare("joint_min", math.radians(-65.0), "smallest arm angle (rad)", -math.pi, math.pi)
+        high = declare("joint_max", math.radians(70.0), "largest arm angle (rad)", -math.pi, math.pi)
+        margin = declare("reply_margin", REPLY_MARGIN, "time until a reply is missing (s)", 0.002, 0.1)
+        node_support.reject_unknown(self)
+        problem = ""
+        if len(ids) != len(JOINTS):
+            problem = f"parameter 'ids' has {len(ids)} values; give {len(JOINTS)}"
+        elif low >= high:
+            problem = f"parameter 'joint_min' ({low}) is not below 'joint_max' ({high})"
+        elif bound > largest:
+            problem = f"parameter 'current_bound' ({bound}) is above 'current_max' ({largest})"
+        if problem:
+            raise node_support.StartupError(f"servo_node: {problem}")
+        try:
+            settings = BusSettings(
+                port, baud_rate, tuple(ids), tuple(zero), tuple(sign), reply_margin=margin, current_max=largest
+            )
+        except DriverError as error:
+            raise node_support.StartupError(f"servo_node: {error}") from error
+        self._period = 1.0 / rate
+        self._torque_constant = constant
+        return (
+            ServoController(settings, bound, constant, self._log, contactor=self._contactor),
+            JointLimits(JOINTS, low, high, largest * constant * (1.0 + 1e-9)),
+        )
+
+    def _run(self) -> None:
+        """Own the bus: cycle until told to stop, then make the arm safe."""
+        controller = self._controller
+        try:
+            controller.open()
+        except BaseException as error:
+            self._start_error = error
+            controller.close()
+            return
+        finally:
+            self._ready.set()
+        try:
+            self._cycle_until_safe()
+        except BaseException as error:
+            # An error of ours must still leave the arm without torque; close() below sees to it.
+            self.get_logger().fatal(f"servo bus thread ended: {error!r}; torque goes off")
+            raise
+        finally:
+            controller.close()
+
+    def _cycle_until_safe(self) -> None:
+        """Cycle at the rate; after `close` was called, until torque is off."""
+        controller = self._controller
+        due = diagnosed = time.monotonic()
+        while True:
+            if self._stop.is_set():
+                controller.stop("the driver is closing")
+                if controller.phase in (Phase.OFF, Phase.DISCONNECTED):
+                    return
+            now = time.monotonic()
+            self._cycles.count(late=now - due > _LATE * self._period)
+            if controller.phase is Phase.ON or controller.is_asked or self._cycles.total % _LISTEN_EVERY == 0:
+                self._take_trajectory()  # what came before torque goes on is refused, not kept for then
+            report = controller.cycle()
+            if self.context.ok():
+                self._states.publish(report)
+            now = time.monotonic()
+            if now - diagnosed >= (_REFUSAL_PERIOD if self._refused else _DIAGNOSTICS_PERIOD):
+                diagnosed = now
+                self._publish_diagnostics(report)
+            due += self._period
+            if due < now:
+                due = now  # late: go on from here rather than hurry through what was missed
+            time.sleep(due - now)
+
+    def _publish_diagnostics(self, report: ServoReport) -> None:
+        if not self.context.ok():
+            return
+        refused, self._refused = self._refused, 0
+        ids = self._controller.bus.settings.ids
+        rate, late = self._cycles.rate(), self._cycles.late
+        entries = [bus_entry(report, self._controller, refused, self._last_refusal, rate, late)]
+        entries += [servo_entry(report, index, ids[index], joint) for index, joint in enumerate(JOINTS)]
+        message = DiagnosticArray(status=[self._diagnostic(entry) for entry in entries])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+    def _diagnostic(self, entry: DiagnosticEntry) -> DiagnosticStatus:
+        return DiagnosticStatus(
+            level=bytes((entry.level,)),
+            name=f"{self.get_fully_qualified_name()}: {entry.name}",
+            message=entry.message,
+            hardware_id=self._controller.bus.settings.port,
+            values=[KeyValue(key=key, value=value) for key, value in entry.values.items()],
+        )
+
+    def _take_trajectory(self) -> None:
+        """Hand the trajectory that has come, if any, to the controller, or refuse it."""
+        message = self._trajectories.take() if self._listening.is_set() else None
+        if message is None:
+            return
+        stamp = message.header.stamp
+        line = stamp.sec, stamp.nanosec
+        try:
+            points = [waypoint(point) for point in message.points]
+            trajectory = check(message.joint_names, points, self._limits)
+            old = age(self, stamp)
+            # A further piece of a line under way is as old as its end; the line itself may last longer than a stamp.
+            check_age(max(old - trajectory.duration, 0.0) if line == self._followed else old)
+            start = time.monotonic() - old if any(line) else math.inf
+            self._controller.submit(trajectory, start)
+            self._followed = line
+        except TrajectoryRefused as error:
+            self._followed = None
+            self._last_refusal = str(error)
+            self._refused += 1
+            self.get_logger().warning(str(error), throttle_duration_sec=1.0)
+
+    def _on_set_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        return self._ask("torque_on" if request.data else "torque_off", response)
+
+    def _on_reboot(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._ask("reboot", response)
+
+    def _ask(self, action: str, response: Any) -> Any:
+        """Have the bus thread carry `action` out, and fill in how it went."""
+        if self._stop.is_set():
+            response.success, response.message = False, "the driver is closing"
+            return response
+        asked = self._controller.request(action)
+        if asked.wait(_SERVICE_TIMEOUT):
+            response.success, response.message = asked.success, asked.message
+        else:
+            response.success, response.message = False, "the servos' thread did not answer in time"
+        return response
+
+    def _log(self, severity: str, sentence: str) -> None:
+        logger = self.get_logger()
+        if severity == "error":
+            logger.error(sentence)
+        elif severity == "warning":
+            logger.warning(sentence)
+        else:
+            logger.info(sentence)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; see node_support.run for the exit codes."""
+    return node_support.run(ServoNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How the servos are wired, which registers one cycle exchanges, and what is known of the servos after it."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from deltacharger_driver.errors import DriverError, RangeError
+from deltacharger_driver.servos.mx64 import (
+    CURRENT_UNIT,
+    LARGEST_CURRENT,
+    REGISTERS,
+    STALL_CURRENT,
+    VOLTAGE_UNIT,
+    WATCHDOG_TRIPPED,
+    indirect_data,
+)
+from deltacharger_driver.servos.port import REPLY_MARGIN
+
+WATCHDOG = 6
+"""Bus watchdog, units of 20 ms: a servo that hears nothing for 120 ms stops by itself."""
+
+CONSTANT_BLOCK = {"status_return_level": 2, "registered": 0}
+"""Registers whose value is known, read last. The checksum follows the data low byte first, so a burst across the last
+data byte and the checksum may escape it; what it changes is then one of these."""
+READ_BLOCK = (
+    "torque_enable",
+    "hardware_error",
+    "present_current",
+    "present_velocity",
+    "present_position",
+    "input_voltage",
+    "temperature",
+    "bus_watchdog",
+    *CONSTANT_BLOCK,
+)
+"""What one cycle reads, made contiguous by indirect addresses: 64, 70, 126, 128, 132, 144, 146, 98, 68, 69."""
+WRITE_BLOCK = ("goal_current", "goal_position")
+"""What one cycle writes, behind the read block, so that bound and goal always change together."""
+
+READ_LENGTH = sum(REGISTERS[name].size for name in READ_BLOCK)
+WRITE_LENGTH = sum(REGISTERS[name].size for name in WRITE_BLOCK)
+READ_ADDRESS = indirect_data(0)
+WRITE_ADDRESS = indirect_data(READ_LENGTH)
+
+HOTTEST = 125
+"""°C; beyond it the servo's electronics would not answer."""
+CURRENT_SPAN = 2047
+"""Counts of 3.36 mA that the servo's sensor can tell, either way."""
+LOWEST_VOLTAGE, HIGHEST_VOLTAGE = 40, 300
+"""Units of 0.1 V: a servo does not run below, and the battery behind its regulator does not reach above."""
+LONGEST_WATCHDOG = 127
+_READ_LAYOUT = struct.Struct("<BBhiiHBBBB")
+
+
+@dataclass(frozen=True)
+class BusSettings:
+    """How the arm's servos are wired and mounted.
+
+    Attributes:
+        port: path of the serial port.
+        baud_rate: bit/s.
+        ids: of the servos of limbs 0, 1, 2.
+        zero_ticks: encoder count at angle 0, per servo.
+        direction: +1 or −1 per servo: whether the count rises with the angle.
+        watchdog: units of 20 ms, 1–6.
+        reply_margin: s, see `servo_port.REPLY_MARGIN`.
+        current_max: largest current bound that will be asked for, A. A servo whose current limit is lower ignores the
+            whole goal, so it is refused at the set-up.
+    """
+
+    port: str
+    baud_rate: int = 1_000_000
+    ids: tuple[int, ...] = (1, 2, 3)
+    zero_ticks: tuple[int, ...] = (2048, 2048, 2048)
+    direction: tuple[int, ...] = (1, 1, 1)
+    watchdog: int = WATCHDOG
+    reply_margin: float = REPLY_MARGIN
+    current_max: float = STALL_CURRENT
+
+    def __post_init__(self) -> None:
+        count = len(self.ids)
+        if not count == len(set(self.ids)) == len(self.zero_ticks) == len(self.direction):
+            raise DriverError(
+                f"ids {self.ids}, zero_ticks {self.zero_ticks} and direction {self.direction} must have one value per "
+                "servo, and no id twice"
+            )
+        if any(sign not in (1, -1) for sign in self.direction):
+            raise DriverError(f"direction {self.direction}: each value is 1 or -1")
+        if not 1 <= self.watchdog <= WATCHDOG:
+            raise RangeError("watchdog", self.watchdog, 1, WATCHDOG, " × 20 ms")
+        if not 0.0 <= self.current_max <= LARGEST_CURRENT:
+            raise RangeError("current_max", self.current_max, 0.0, LARGEST_CURRENT, " A")
+
+
+class Reading(NamedTuple):
+    """One servo's read block, in register units, every value possible."""
+
+    torque_enabled: bool
+    hardware_error: int
+    current: int
+    velocity: int
+    ticks: int
+    voltage: int
+    temperature: int
+    watchdog: int
+
+
+def has_restarted(data: bytes) -> bool:
+    """Return whether a read block comes from a servo that has lost its set-up: its indirect registers point to
+    themselves then and read 0 throughout, also where the status return level, 2 in any servo that answers, should be.
+    """
+    return not any(data)
+
+
+def decode_block(data: bytes) -> Reading:
+    """Read the `READ_LENGTH` bytes of a read block.
+
+    Raises:
+        RangeError: names the first value that no servo reports; nothing in the block can be trusted then.
+        struct.error: another length.
+    """
+    torque, error, current, velocity, ticks, voltage, temperature, watchdog, *constants = _READ_LAYOUT.unpack(data)
+    for (name, expected), found in zip(CONSTANT_BLOCK.items(), constants, strict=True):
+        if found != expected:
+            raise RangeError(name, found, expected, expected)
+    if torque > 1:
+        raise RangeError("torque_enable", torque, 0, 1)
+    if not -CURRENT_SPAN <= current <= CURRENT_SPAN:
+        span = CURRENT_SPAN * CURRENT_UNIT
+        raise RangeError("present_current", current * CURRENT_UNIT, -span, span, " A")
+    if not LOWEST_VOLTAGE <= voltage <= HIGHEST_VOLTAGE:
+        low, high = LOWEST_VOLTAGE * VOLTAGE_UNIT, HIGHEST_VOLTAGE * VOLTAGE_UNIT
+        raise RangeError("input_voltage", voltage * VOLTAGE_UNIT, low, high, " V")
+    if temperature > HOTTEST:
+        raise RangeError("temperature", temperature, 0, HOTTEST, " °C")
+    if LONGEST_WATCHDOG < watchdog < WATCHDOG_TRIPPED:
+        raise RangeError("bus_watchdog", watchdog, 0, LONGEST_WATCHDOG)
+    return Reading(bool(torque), error, current, velocity, ticks, voltage, temperature, watchdog)
+
+
+class Snapshot(NamedTuple):
+    """The servos in one cycle, in the order of the ids. What was not measured is NaN, never 0.
+
+    Attributes:
+        time: when the replies had arrived, s, monotonic.
+        valid: a good reply came in this cycle.
+        angle: rad.
+        velocity: rad/s.
+        current: A, positive is torque toward +angle.
+        voltage: V.
+        temperature: °C.
+        hardware_error: latched error bits; the last known.
+        torque_enabled: the last known.
+        watchdog_tripped: it heard nothing for too long, has stopped and takes no goals.
+        rebooted: the servo answers but has lost its set-up; call `ServoBus.configure`.
+        missed: cycles since the last good reply.
+        missing: it gave none for so long that something must be wrong with it.
+    """
+
+    time: float
+    valid: tuple[bool, ...]
+    angle: tuple[float, ...]
+    velocity: tuple[float, ...]
+    current: tuple[float, ...]
+    voltage: tuple[float, ...]
+    temperature: tuple[float, ...]
+    hardware_error: tuple[int, ...]
+    torque_enabled: tuple[bool, ...]
+    watchdog_tripped: tuple[bool, ...]
+    rebooted: tuple[bool, ...]
+    missed: tuple[int, ...]
+    missing: tuple[bool, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every servo gave a good reply."""
+        return all(self.valid)

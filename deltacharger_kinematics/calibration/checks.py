@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What makes measured poses unfit for a calibration, each as a sentence that says what to do."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_kinematics.calibration.data import Measurements
+from deltacharger_kinematics.calibration.table import MILLIMETRE, Array, CalibrationError
+from deltacharger_kinematics.geometry import DeltaGeometry
+
+_FAR = 4.0  # times the error that the tolerances explain; beyond it, something else than tolerances is wrong
+_BEYOND = 0.2  # rad; servo_node keeps to the limits, and zero ticks may be off by a tolerance or two
+_SLIP = 3.0  # a ratio of 1000 within this factor is a slip of the unit
+_LEAST_SPREAD = 0.15  # standard deviation along any direction, of half the workspace box; a full grid has 0.8
+
+
+def check_reached(errors: Array, measurements: Measurements, geometry: DeltaGeometry) -> None:
+    """Refuse rows whose angles the arm cannot take: far beyond its joint limits, or where `errors` (n, 3) is NaN.
+
+    Raises:
+        CalibrationError: names the lines.
+    """
+    angles = measurements.angles
+    beyond = np.maximum(geometry.joint_min - angles, angles - geometry.joint_max).max(axis=1) > _BEYOND
+    if beyond.any():
+        lines = _lines(measurements, beyond)
+        low, high = np.degrees([geometry.joint_min, geometry.joint_max])
+        raise CalibrationError(
+            f"{named(lines)}: an arm angle is far outside the joint limits, {low:.0f}° to {high:.0f}°; check the unit, "
+            "zero ticks and direction",
+            lines,
+        )
+    lost = np.asarray(np.isnan(errors).any(axis=1))
+    if lost.any():
+        lines = _lines(measurements, lost)
+        raise CalibrationError(
+            f"{named(lines)}: the arm cannot have these angles, its rods would not meet; check the columns' order",
+            lines,
+        )
+
+
+def check_near(errors: Array, measurements: Measurements, explained: float) -> None:
+    """Refuse positions that lie further from the predicted ones than tolerances could move them.
+
+    Args:
+        errors: (n, 3) m, measured minus predicted by the nominal geometry.
+        measurements: the rows.
+        explained: m, rms of what the tolerances alone would cause.
+
+    Raises:
+        CalibrationError: says how far, and where to look.
+    """
+    predicted = measurements.positions - errors
+    ratio = float(
+        np.median(np.linalg.norm(measurements.positions, axis=1)) / np.median(np.linalg.norm(predicted, axis=1))
+    )
+    for factor, hint in ((1e3, "millimetres in columns that say metres"), (1e-3, "metres in columns that say mm")):
+        if factor / _SLIP < ratio < factor * _SLIP:
+            raise CalibrationError(f"the measured positions are {ratio:.3g} times the predicted ones: are they {hint}?")
+    distance = float(np.median(np.linalg.norm(errors, axis=1)))
+    if distance > _FAR * explained:
+        raise CalibrationError(
+            f"the measured positions lie {distance / MILLIMETRE:.1f} mm from the predicted ones (median), and the "
+            f"tolerances explain {explained / MILLIMETRE:.1f} mm: check the axes and origin of the measuring frame, "
+            "zero ticks and direction, or widen the tolerances"
+        )
+
+
+def check_spread(positions: Array, geometry: DeltaGeometry) -> None:
+    """Refuse `positions` (n, 3) m that stay in one plane, on one line or at one point of the workspace.
+
+    Raises:
+        CalibrationError: names the direction in which poses are missing.
+    """
+    half = 0.5 * (np.array(geometry.workspace_max) - np.array(geometry.workspace_min))
+    scaled = (positions - positions.mean(axis=0)) / half
+    spreads, directions = np.linalg.svd(scaled, full_matrices=False)[1:]
+    spreads = spreads / np.sqrt(len(positions))
+    flat = int((spreads < _LEAST_SPREAD).sum())
+    if not flat:
+        return
+    shape = ("in one plane", "on one line", "at one point")[flat - 1]
+    missing = " and ".join(_extent(positions, direction / half) for direction in directions[: -1 - flat : -1])
+    raise CalibrationError(
+        f"the poses lie {shape}: they cover only {missing}, so nothing says how the arm errs there; spread them over "
+        "the workspace"
+    )
+
+
+def _extent(positions: Array, along: Array) -> str:
+    """Return how much `positions` cover in a direction, as '3.1 mm along z'."""
+    unit = along / np.linalg.norm(along)
+    largest = int(np.abs(unit).argmax())
+    unit = unit * np.sign(unit[largest])
+    name = (
+        "xyz"[largest] if unit[largest] > 0.95 else f"({', '.join(f'{round(value, 1) + 0.0:.1f}' for value in unit)})"
+    )
+    return f"{float(np.ptp(positions @ unit)) / MILLIMETRE:.1f} mm along {name}"
+
+
+def named(lines: tuple[int, ...]) -> str:
+    """Return 'line 3' or 'lines 3, 7, 9'; after ten only how many more."""
+    shown = ", ".join(str(line) for line in lines[:10])
+    more = f" and {len(lines) - 10} more" if len(lines) > 10 else ""
+    return f"line{'s' if len(lines) > 1 else ''} {shown}{more}"
+
+
+def _lines(measurements: Measurements, rows: NDArray[np.bool_]) -> tuple[int, ...]:
+    return tuple(line for line, wanted in zip(measurements.lines, rows, strict=True) if wanted)

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which poses to measure for a calibration: a grid that spans the workspace, and others to judge the fit by."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deltacharger_kinematics.calibration.data import Encoder
+from deltacharger_kinematics.calibration.table import (
+    AXES,
+    HELD_OUT,
+    MILLIMETRE,
+    PLAN_COLUMNS,
+    TICKS,
+    CalibrationError,
+    read_table,
+)
+from deltacharger_kinematics.delta import Delta
+from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_kinematics.status import Status
+
+GRID = 3  # poses along each edge of the box
+HELD_OUT_POSES = 9
+_INSET = 0.95  # of the box; as built, an arm reaches some millimetres less than as drawn
+_TARGETS = tuple(f"target_{axis}_mm" for axis in AXES)
+_MEASURED = (*TICKS, *(f"{axis}_mm" for axis in AXES))
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A pose to measure: its number from 1, whether it is kept out of the fit, and where (m, charger_base)."""
+
+    number: int
+    held_out: bool
+    position: Vector
+
+
+def plan(geometry: DeltaGeometry, seed: int = 0) -> tuple[Pose, ...]:
+    """Return a grid of 27 poses, ordered so that neighbours follow each other, and 9 held-out ones between them.
+
+    The held-out ones are a Latin hypercube: in each coordinate one pose in each ninth of the box.
+    """
+    middle = 0.5 * (np.array(geometry.workspace_max) + np.array(geometry.workspace_min))
+    reach = 0.5 * _INSET * (np.array(geometry.workspace_max) - np.array(geometry.workspace_min))
+    levels = np.linspace(-1.0, 1.0, GRID)
+    grid = [
+        (x, y, z)
+        for z, (row, y) in itertools.product(levels, enumerate(levels))
+        for x in (levels if row % 2 == 0 else levels[::-1])
+    ]
+    draw = np.random.default_rng(seed)
+    ninths = (2.0 * np.arange(HELD_OUT_POSES) + 1.0) / HELD_OUT_POSES - 1.0
+    between = np.stack([draw.permutation(ninths), draw.permutation(ninths), ninths], axis=-1)
+    points = middle + reach * np.concatenate([np.array(grid), between])
+    return tuple(
+        Pose(number, number > len(grid), (float(point[0]), float(point[1]), float(point[2])))
+        for number, point in enumerate(points, start=1)
+    )
+
+
+def write_plan(path: str | Path, poses: Sequence[Pose], geometry: DeltaGeometry, encoder: Encoder) -> None:
+    """Write a table of `poses` with commanded angles and goal ticks, and empty columns for what is measured.
+
+    Raises:
+        CalibrationError: the arm cannot take a pose.
+        OSError: the file cannot be written.
+    """
+    positions = np.array([pose.position for pose in poses])
+    solved = Delta(geometry).inverse(positions)
+    for pose, status in zip(poses, np.atleast_1d(np.asarray(solved.status)), strict=True):
+        if status:
+            raise CalibrationError(
+                f"pose {pose.number}: {Status(int(status)).name}; give the geometry a workspace box that it reaches"
+            )
+    rows = [
+        (pose.number, int(pose.held_out))
+        + tuple(f"{value / MILLIMETRE:.3f}" for value in pose.position)
+        + tuple(f"{value:.3f}" for value in np.degrees(angles))
+        + tuple(f"{value:.0f}" for value in encoder.ticks(angles))
+        + ("",) * len(_MEASURED)
+        for pose, angles in zip(poses, solved.angles, strict=True)
+    ]
+    with Path(path).open("w", encoding="utf-8", newline="") as file:
+        file.write(
+            "# Go to each pose and let it rest. Fill in the ticks as read back from the servos, and x, y, z as\n"
+            f"# measured in charger_base. Delete the rows that were not measured.\n{encoder.statement}"
+        )
+        csv.writer(file, lineterminator="\n").writerows([("pose", HELD_OUT, *PLAN_COLUMNS[1:], *_MEASURED), *rows])
+
+
+def read_plan(path: str | Path) -> tuple[Pose, ...]:
+    """Read the poses of a plan; other columns may be empty.
+
+    Raises:
+        OSError: the file cannot be read.
+        CalibrationError: what is wrong with it, with the line.
+    """
+    table = read_table(path)
+    for name in ("pose", HELD_OUT, *_TARGETS):
+        if name not in table.names:
+            raise CalibrationError(f"column '{name}' is missing: give a file that --plan wrote")
+    positions = table.columns(_TARGETS) * MILLIMETRE
+    numbers, held_out = table.column("pose"), table.column(HELD_OUT)
+    if len(set(numbers)) != len(numbers):
+        raise CalibrationError("two rows have the same number in column 'pose'")
+    return tuple(
+        Pose(int(number), bool(kept), (float(x), float(y), float(z)))
+        for number, kept, (x, y, z) in zip(numbers, held_out, positions, strict=True)
+    )

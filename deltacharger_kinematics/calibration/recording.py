@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The file that measured poses are appended to one by one, so that nothing measured is lost and a recording resumes."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from deltacharger_kinematics.calibration.data import Encoder
+from deltacharger_kinematics.calibration.plan import Pose
+from deltacharger_kinematics.calibration.table import (
+    AXES,
+    HELD_OUT,
+    MILLIMETRE,
+    TICKS,
+    CalibrationError,
+    read_table,
+)
+from deltacharger_kinematics.geometry import Vector
+
+COLUMNS = ("pose", HELD_OUT, *TICKS, *(f"{axis}_mm" for axis in AXES))
+
+
+class Recording:
+    """Measured poses in a file that `read_measurements` reads.
+
+    Args:
+        path: of the file; created where there is none, continued where there is one.
+        encoder: that the ticks belong to.
+
+    Attributes:
+        encoder: as given.
+        done: numbers of the poses that it holds.
+
+    Raises:
+        OSError: the file cannot be read or written.
+        CalibrationError: the file is something else, or was recorded with another encoder.
+    """
+
+    def __init__(self, path: str | Path, encoder: Encoder) -> None:
+        self._path = Path(path)
+        self.encoder = encoder
+        self.done: set[int] = set()
+        if not self._path.exists():
+            self._write(f"{encoder.statement}{','.join(COLUMNS)}\n")
+            return
+        content = self._path.read_bytes()
+        table = read_table(self._path)
+        if table.names != COLUMNS or table.decimal_comma:
+            raise CalibrationError(f"{path} is no recording of --measure: give a new file, or one that --measure began")
+        if Encoder(**table.stated) != encoder:
+            raise CalibrationError(f"{path} was recorded with other zero ticks or directions: give a new file")
+        self.done = {int(number) for number in table.column("pose")}
+        if content and not content.endswith(b"\n"):
+            self._write("\n")
+
+    def append(self, pose: Pose, ticks: Vector, position: Vector) -> None:
+        """Add one row and wait until it is on the disk.
+
+        Args:
+            pose: that was measured.
+            ticks: counts of the encoders.
+            position: m in charger_base.
+        """
+        cells = [str(pose.number), str(int(pose.held_out)), *(f"{value:.2f}" for value in ticks)]
+        self._write(",".join([*cells, *(f"{value / MILLIMETRE:.4f}" for value in position)]) + "\n")
+        self.done.add(pose.number)
+
+    def _write(self, text: str) -> None:
+        with self._path.open("a", encoding="utf-8", newline="") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one worker runs: some dockings of a campaign, one after the other. Importing it starts nothing."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from deltacharger_lab.campaigns.docking import dock_once
+from deltacharger_lab.campaigns.settings import CampaignError, scene_of, versions_of
+
+_halt: Any = None  # event of the process that started this worker
+
+Row = dict[str, Any]
+
+
+def run_batch(text: str, numbers: Sequence[int], stop: Callable[[], bool] | None = None) -> list[Row]:
+    """Run the dockings of these numbers and return their rows; fewer where it was told to stop.
+
+    Args:
+        text: settings of the campaign as `Settings.to_json` writes them.
+        numbers: of the dockings.
+        stop: asked before each docking; None = what started this worker.
+
+    Raises:
+        CampaignError: this worker's versions are not those of the campaign.
+    """
+    settings, scene = scene_of(text)
+    ours = versions_of(settings.scene)
+    differing = [
+        f"{name} {ours.get(name)} instead of {value}"
+        for name, value in settings.versions.items()
+        if ours.get(name) != value
+    ]
+    if differing:
+        raise CampaignError(
+            f"a worker would not compute the same: it has {', '.join(differing)}; install the same there"
+        )
+    halted = stop or (lambda: _halt is not None and _halt.is_set())
+    rows = []
+    for number in numbers:
+        if halted():
+            break
+        rows.append(dock_once(scene, settings.seed, number, settings.approach, settings.exact))
+    return rows
+
+
+def begin_worker(halt: Any) -> None:
+    """Prepare a worker process: Ctrl-C is for its parent, whose end is its own.
+
+    Args:
+        halt: event after which no docking is begun.
+    """
+    global _halt
+    _halt = halt
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

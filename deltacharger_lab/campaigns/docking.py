@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One docking of a campaign, from its number to its row of results."""
+
+from __future__ import annotations
+
+import math
+import traceback
+from typing import Any
+
+from deltacharger_docking.codes import Code, DockingError
+from deltacharger_docking.observation import DockGoal, Outcome
+from deltacharger_lab.campaigns import felt as feeling
+from deltacharger_lab.campaigns.draw import AXES, Drawn, draw
+from deltacharger_lab.campaigns.effort import Effort
+from deltacharger_lab.campaigns.felt import Felt
+from deltacharger_lab.campaigns.keys import known_keys
+from deltacharger_lab.campaigns.quick_charger import QuickCharger
+from deltacharger_lab.campaigns.rest import SECONDS, Rest
+from deltacharger_lab.campaigns.scene import CampaignScene
+from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
+from deltacharger_tactile.source import ContactSource
+
+LIMIT = 420.0  # simulated s; docking itself ends after goal_timeout and its way back
+CRASHED = "CRASHED"
+_TEXT_MOST = 2000
+
+RESULTS: dict[str, tuple[type, str]] = {
+    "code": (int, "code of the outcome, 0 = charged; -1 = the docking crashed, see error"),
+    "code_name": (str, "its name"),
+    "message": (str, "what docking said"),
+    "charged": (bool, "whether charge current flowed stably"),
+    "aligned": (bool, "whether the filtered misalignment had come within the tolerance"),
+    "time": (float, "s from the goal to its outcome"),
+    "moves": (int, "lateral corrections"),
+    "contact_current": (float, "A per servo at the outcome, as measured"),
+    "charge_current": (float, "A into the target at the outcome"),
+    "rest_current": (
+        float,
+        f"A per servo, contact current at rest: median over the last of {SECONDS:g} s of charging on",
+    ),
+    "rest_push": (float, "N, truth then: force of the servos on the target along z, magnets apart"),
+    "servo_current_1": (float, "A, size of the first servo's current then, median of what it told"),
+    "servo_current_2": (float, "A, of the second"),
+    "servo_current_3": (float, "A, of the third"),
+    "servo_current_hottest": (float, "A, the largest of the three"),
+    "ended": (str, f"name of the code that ended charging within those {SECONDS:g} s, else empty"),
+    "shorts": (int, "times that live electrodes were shorted"),
+    "energised": (float, "s that electrodes were live"),
+    "energised_unsafe": (float, "s that electrodes were live with negative clearance"),
+    "parted_live": (int, "times that live electrodes left the target"),
+    "contacts": (int, "times that the electrodes met the target"),
+    "peak_force": (float, "N, largest normal force on the electrodes"),
+    "peak_push": (float, "N, largest force of the servos along z, impacts of the platform's mass included"),
+    "servo_push": (float, "N, the same by the torques of motors and gears, without impacts"),
+    "time_above_band": (float, "s in contact with a contact current above the band"),
+    "final_horizontal": (float, "m, truth at the outcome, target in end_effector; NaN = not in contact"),
+    "final_vertical": (float, "m, likewise"),
+    "final_angle": (float, "rad, likewise"),
+    "final_misalignment": (float, "m, distance of the centres of a charged docking; NaN = not charged"),
+    "clearance": (float, "m, truth at the outcome, between the nearest wrong bars; NaN = not in contact"),
+    "felt_horizontal": (float, "m, last estimate"),
+    "felt_vertical": (float, "m, last estimate"),
+    "felt_angle": (float, "rad, last estimate"),
+    "estimates": (int, "estimates of the misalignment up to the outcome"),
+    **{
+        f"{which}_{axis}_{what}": (float, f"{unit}, {about} of the {which} estimate made in contact")
+        for which in ("first", "last")
+        for axis, unit in zip(feeling.AXES, ("m", "m", "rad"), strict=True)
+        for what, about in (("error", "estimate less truth"), ("stddev", "told standard deviation"))
+    },
+    "last_clearance": (float, "m, truth at the last estimate made in contact"),
+    "error": (str, "of a docking that crashed, else empty"),
+}
+"""Columns of what came out, with type, unit and meaning."""
+
+
+def columns(scene: CampaignScene) -> dict[str, tuple[type, str]]:
+    """Return every column of a campaign's results: number and seeds, what was drawn, what came out."""
+    found: dict[str, tuple[type, str]] = {
+        "number": (int, "of the docking, from 0"),
+        "seed": (int, "of its noise and jitter"),
+        "rig_seed": (int, "of its pads"),
+    }
+    for axis in AXES:
+        found[f"goal_{axis}"] = (float, "what the goal said, charger_base, m or rad")
+        found[f"place_{axis}"] = (float, "where the target really stood, charger_base, m or rad")
+    for axis in "xyz":
+        found[f"gravity_{axis}"] = (float, "gravity, charger_base, m/s²")
+    for name in scene.drawn():
+        key = known_keys()[name]
+        found[name] = (key.kind, f"{key.doc}, {key.unit}" if key.unit else key.doc)
+    return found | RESULTS
+
+
+def dock_once(scene: CampaignScene, seed: int, number: int, approach: str, exact: bool = False) -> dict[str, Any]:
+    """Run docking `number` of a campaign and return its row; one that crashes tells so in its row.
+
+    Args:
+        scene: what is drawn from.
+        seed: of the campaign.
+        number: of the docking.
+        approach: "guarded" or "paper".
+        exact: every tick and every tactile frame as the nodes make them, slower.
+    """
+    row: dict[str, Any] = {"number": number, "seed": 0, "rig_seed": 0} | _nothing()
+    try:
+        drawn = draw(scene, seed, number, approach)
+        row |= _what_was_drawn(drawn)
+        row |= run(drawn, exact)
+    except Exception as error:  # whatever it is, the other dockings go on
+        row |= _nothing()
+        row |= {"code": -1, "code_name": CRASHED, "message": f"{type(error).__name__}: {error}"}
+        row["error"] = "".join(traceback.format_exception(error))[-_TEXT_MOST:]
+    return row
+
+
+def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict[str, Any]:
+    """Run one docking to its outcome and return the columns of `RESULTS`."""
+    charger = make_charger(drawn, exact)
+    felt, effort = Felt(charger, drawn.estimator, drawn.seed), Effort(charger)
+    above, top = 0.0, drawn.docking.current_max
+    try:
+        charger.begin(goal or DockGoal(drawn.goal))
+    except DockingError as error:
+        refused = Outcome(False, error.code, str(error), error.retriable)
+        return result(charger, refused, 0.0) | {"estimates": 0, "servo_push": 0.0}
+    while charger.outcome is None:
+        before = charger.now
+        if before > LIMIT:
+            raise TimeoutError(f"no outcome within {LIMIT:g} s; state {charger.machine.status.state.name}")
+        charger.tick()
+        effort.look()
+        if charger.machine.status.contact_current > top and charger.world.misalignment is not None:
+            above += charger.now - before
+    felt.frozen = True
+    row = result(charger, charger.outcome, above) | _felt(felt)
+    if charger.machine.status.charging:
+        row |= Rest(charger).watch()
+    return row | _record(charger) | {"servo_push": effort.most}
+
+
+def make_charger(drawn: Drawn, exact: bool) -> VirtualCharger:
+    """Return the charger of a docking."""
+    if exact:
+        pads = ContactSource(drawn.tactile, drawn.rig_seed, drawn.seed)
+        return VirtualCharger(drawn.world, drawn.docking, drawn.seed, drawn.rig_seed, pads)
+    return QuickCharger(drawn.world, drawn.docking, drawn.tactile, drawn.seed, drawn.rig_seed)
+
+
+def result(charger: VirtualCharger, outcome: Outcome, above: float) -> dict[str, Any]:
+    """Return columns of `RESULTS` for a docking that has come to its `outcome`; those of later are empty."""
+    truth, felt = charger.world.snapshot(), outcome.estimate
+    x, y, angle = truth.misalignment or (math.nan, math.nan, math.nan)
+    return _nothing() | {
+        "code": int(outcome.code),
+        "code_name": outcome.code.name,
+        "message": "" if outcome.success else outcome.message,
+        "charged": outcome.success,
+        "aligned": outcome.aligned,
+        "time": outcome.elapsed,
+        "moves": outcome.alignments,
+        "contact_current": outcome.contact_current,
+        "charge_current": outcome.charge_current,
+        "time_above_band": above,
+        "final_horizontal": x,
+        "final_vertical": y,
+        "final_angle": angle,
+        "final_misalignment": math.hypot(x, y) if outcome.success else math.nan,
+        "clearance": truth.clearance,
+        "felt_horizontal": felt.horizontal if felt is not None else math.nan,
+        "felt_vertical": felt.vertical if felt is not None else math.nan,
+        "felt_angle": felt.angle if felt is not None else math.nan,
+        **_record(charger),
+    }
+
+
+def _record(charger: VirtualCharger) -> dict[str, Any]:
+    """Return what really happened so far."""
+    record = charger.world.record
+    return {
+        "shorts": int(record.energised_shorts),
+        "energised": record.energised,
+        "energised_unsafe": record.energised_unsafe,
+        "parted_live": int(record.parted_live),
+        "contacts": record.contacts,
+        "peak_force": record.peak_force,
+        "peak_push": record.peak_push,
+    }
+
+
+def _felt(felt: Felt) -> dict[str, Any]:
+    """Return the first and the last estimate beside the truth."""
+    row: dict[str, Any] = {"estimates": felt.count}
+    for which, kept in (("first", felt.first), ("last", felt.last)):
+        if kept is None:
+            continue
+        for axis in feeling.AXES:
+            row[f"{which}_{axis}_error"], row[f"{which}_{axis}_stddev"] = kept.error[axis], kept.stddev[axis]
+    if felt.last is not None:
+        row["last_clearance"] = felt.last.clearance
+    return row
+
+
+def _what_was_drawn(drawn: Drawn) -> dict[str, Any]:
+    target, goal = drawn.world.target, drawn.goal
+    told = (*goal.position, goal.roll)
+    row: dict[str, Any] = {"seed": drawn.seed, "rig_seed": drawn.rig_seed, **drawn.values}
+    for axis, value in zip(AXES, told, strict=True):
+        row[f"goal_{axis}"] = value
+        row[f"place_{axis}"] = getattr(target, axis)
+    for axis in "xyz":
+        row[f"gravity_{axis}"] = getattr(drawn.world, f"gravity_{axis}")
+    return row
+
+
+def _nothing() -> dict[str, Any]:
+    """Return the columns of a docking of which nothing is known."""
+    nothing: dict[type, Any] = {int: 0, float: math.nan, bool: False, str: ""}
+    return {name: nothing[kind] for name, (kind, _) in RESULTS.items()} | {"code": int(Code.INTERNAL)}

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One docking of a campaign as drawn: world, pads, docking's parameters and what the goal says of the target."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import random
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from deltacharger_docking.observation import Detection
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_lab.campaigns.felt import EstimatorErrors
+from deltacharger_lab.campaigns.scene import CampaignScene
+from deltacharger_lab.campaigns.spread import Value
+from deltacharger_sim.parameters import ParameterError, TerminalParameters, WorldParameters, from_mapping
+from deltacharger_tactile.parameters import TactileParameters
+
+NOMINAL: Vector = (0.0, 0.0, 0.080)  # m, charger_base; where a target stands from which its offsets count
+_CAMERA: Vector = (0.0, 0.12, -0.12)  # m, charger_base; the usual mount, see deltacharger_vision.mount
+_STRENGTH = 9.81  # m/s²
+_GOAL_STDDEV_LEAST = 1e-6  # rad
+_REDRAWS = 10_000  # of vision's errors that put the goal too far from the target
+AXES = ("x", "y", "z", "roll")
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Everything about one docking.
+
+    Attributes:
+        number: of the docking in its campaign.
+        values: of the scene's keys, by name.
+        world: the simulated world, target included.
+        tactile: the family of pads.
+        docking: parameters of docking.
+        goal: where the goal says that the electrodes are.
+        seed: course of noise and jitter.
+        rig_seed: which device's pads.
+        estimator: what is wrong with each estimate.
+    """
+
+    number: int
+    values: Mapping[str, Value]
+    world: WorldParameters
+    tactile: TactileParameters
+    docking: DockingParameters
+    goal: Detection
+    seed: int
+    rig_seed: int
+    estimator: EstimatorErrors
+
+
+def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
+    """Draw docking `number` of the campaign with this `seed`.
+
+    Each key has a stream of its own, so that a key more or less leaves the others' values as they are, and two
+    campaigns of one seed are pairs, docking by docking.
+
+    Args:
+        scene: what is drawn from.
+        seed: of the campaign.
+        number: of the docking, from 0.
+        approach: "guarded" or "paper".
+
+    Raises:
+        ValueError: what was drawn contradicts itself.
+    """
+
+    def source(what: str) -> random.Random:
+        return random.Random(f"{seed} {number} {what}")
+
+    values = {name: spread.draw(source(name)) for name, spread in scene.spreads.items()}
+    if scene.dockings:
+        values.update(scene.dockings[number % len(scene.dockings)])
+    goal = _goal(values, source("goal"))
+    values |= _derived(values, goal, source)
+    world, tactile, docking = build_parts(values, approach)
+    return Drawn(
+        number=number,
+        values=values,
+        world=world,
+        tactile=tactile,
+        docking=docking,
+        goal=goal,
+        seed=source("seed").getrandbits(31),
+        rig_seed=source("rig").getrandbits(31),
+        estimator=EstimatorErrors(**_nested(values, "estimator")),
+    )
+
+
+def build_parts(
+    values: Mapping[str, Value], approach: str
+) -> tuple[WorldParameters, TactileParameters, DockingParameters]:
+    """Return the parameters of world, pads and docking that these values of the scene's keys make.
+
+    Raises:
+        ValueError: a part refuses them.
+    """
+    place = {axis: float(values.get(f"target.{axis}", 0.0)) + float(values.get(f"shift.{axis}", 0.0)) for axis in AXES}
+    gravity = _gravity(float(values.get("gravity.tilt", 0.0)), float(values.get("gravity.azimuth", 0.0)))
+    content = _nested(values, "world")
+    content.setdefault("target", {}).update(place, z=NOMINAL[2] + place["z"])
+    content.update(_axes(gravity))
+    world = from_mapping(content, WorldParameters, "world")
+    told = gravity if values.get("gravity.known", False) else (0.0, -_STRENGTH, 0.0)
+    given: dict[str, Any] = {"servo_stiffness": world.servo.stiffness, "approach": approach, **_axes(told)}
+    docking = DockingParameters(**given, **_nested(values, "docking"))
+    return world, _replaced(TactileParameters(), _nested(values, "tactile")), docking
+
+
+def _goal(values: Mapping[str, Value], source: random.Random) -> Detection:
+    """Return what camera and hand-eye calibration make of where the target stands."""
+    position = [NOMINAL[index] + float(values.get(f"target.{axis}", 0.0)) for index, axis in enumerate("xyz")]
+    seen, turned = (float(values.get(f"camera.{name}_stddev", 0.0)) for name in ("position", "roll"))
+    place, turn = (float(values.get(f"hand_eye.{name}_stddev", 0.0)) for name in ("position", "rotation"))
+    ax, ay, az = (point - camera for point, camera in zip(position, _CAMERA, strict=True))
+    limit = float(values.get("shift.limit", math.inf))
+    moved = float(values.get("shift.x", 0.0)), float(values.get("shift.y", 0.0))
+    for _ in range(_REDRAWS):
+        noise = [source.gauss(0.0, 1.0) for _ in range(10)]
+        rx, ry, rz = (turn * each for each in noise[6:9])
+        swung = (ry * az - rz * ay, rz * ax - rx * az, rx * ay - ry * ax)  # a small rotation about the camera
+        x, y, z = (
+            position[index] + seen * noise[index] + place * noise[3 + index] + swung[index] for index in range(3)
+        )
+        if max(abs(position[0] + moved[0] - x), abs(position[1] + moved[1] - y)) <= limit:
+            break
+    else:
+        raise ParameterError("shift.limit", limit, "is never kept by these errors of vision; give a larger one")
+    roll = float(values.get("target.roll", 0.0)) + turned * noise[9] + rz
+    stddev = math.hypot(turned, turn)
+    return Detection((x, y, z), roll, stddev if stddev > _GOAL_STDDEV_LEAST else 0.0)
+
+
+def _derived(values: Mapping[str, Value], goal: Detection, source: Callable[[str], random.Random]) -> dict[str, Value]:
+    """Return the values that others draw: a tilt for gravity from anywhere, a roll from the clearance it leaves."""
+    found: dict[str, Value] = {}
+    if "gravity.anywhere" in values:
+        found |= {"gravity.tilt": 0.0, "gravity.azimuth": 0.0}
+    if values.get("gravity.anywhere", False):
+        stream = source("gravity.anywhere direction")
+        x, y, z = (stream.gauss(0.0, 1.0) for _ in range(3))
+        found |= {"gravity.tilt": math.atan2(math.hypot(x, z), -y), "gravity.azimuth": math.atan2(x, z)}
+    if "shift.beyond_zero" in values:
+        offset = goal.position[1] - float(values.get("target.y", 0.0)) - float(values.get("shift.y", 0.0))
+        gap = 0.5 * float(values.get("world.terminal.gap", TerminalParameters().gap))
+        half = 0.5 * float(values.get("world.terminal.length", TerminalParameters().length))
+        size = max(zero_angle(offset, gap, half) + float(values["shift.beyond_zero"]), 0.0)
+        side = source("shift.beyond_zero side").choice((-1.0, 1.0))
+        found["shift.roll"] = side * size - float(values.get("target.roll", 0.0))
+    return found
+
+
+def zero_angle(vertical: float, half_gap: float, half_length: float) -> float:
+    """Return the angle (rad) at which a vertical error (m) leaves no clearance: g (1 + cos a) − h sin a = |y|."""
+    size = math.hypot(half_gap, half_length)
+    return max(math.acos(min((abs(vertical) - half_gap) / size, 1.0)) - math.atan2(half_length, half_gap), 0.0)
+
+
+def _gravity(tilt: float, azimuth: float) -> Vector:
+    """Return gravity (m/s², charger_base) of a robot tilted by `tilt` toward `azimuth` (0 = +z, π/2 = +x)."""
+    level = _STRENGTH * math.sin(tilt)
+    return level * math.sin(azimuth), -_STRENGTH * math.cos(tilt), level * math.cos(azimuth)
+
+
+def _axes(gravity: Vector) -> dict[str, float]:
+    return {f"gravity_{axis}": value for axis, value in zip("xyz", gravity, strict=True)}
+
+
+def _nested(values: Mapping[str, Value], section: str) -> dict[str, Any]:
+    """Return a section's values as nested mappings."""
+    result: dict[str, Any] = {}
+    for name, value in values.items():
+        first, *path = name.split(".")
+        if first != section:
+            continue
+        level = result
+        for part in path[:-1]:
+            level = level.setdefault(part, {})
+        level[path[-1]] = value
+    return result
+
+
+def _replaced(part: Any, content: Mapping[str, Any]) -> Any:
+    """Return a dataclass with nested values replaced."""
+    changes = {
+        name: _replaced(getattr(part, name), value) if isinstance(value, Mapping) else value
+        for name, value in content.items()
+    }
+    return dataclasses.replace(part, **changes)

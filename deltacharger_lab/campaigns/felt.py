@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a campaign makes of the estimates of one docking, and what it keeps of them beside the truth."""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.observation import Reply, Service
+from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
+
+AXES = ("horizontal", "vertical", "angle")
+
+
+@dataclass(frozen=True)
+class EstimatorErrors:
+    """What is wrong with every estimate besides what pads and model do; the keys `estimator.…` of a scene.
+
+    Attributes:
+        position_stddev, angle_stddev: noise (m, rad) of which the standard deviations know nothing.
+        bias_horizontal, bias_vertical, bias_angle: added (m, m, rad).
+        stddev_scale: by which the standard deviations are multiplied, once errors have been drawn from them.
+        tail: degrees of freedom of Student's t from which errors as wide as the standard deviations are drawn, in
+            place of the pads' own; NaN = these stay.
+        paper: whether the paper's classes take the place of the estimate.
+    """
+
+    position_stddev: float = 0.0
+    angle_stddev: float = 0.0
+    bias_horizontal: float = 0.0
+    bias_vertical: float = 0.0
+    bias_angle: float = 0.0
+    stddev_scale: float = 1.0
+    tail: float = math.nan
+    paper: bool = False
+
+
+class Felt:
+    """Stands between the pads' model and docking: spoils each estimate as drawn, and keeps the first and the last.
+
+    Args:
+        charger: whose estimates they are.
+        errors: what is wrong with them.
+        seed: of the docking.
+
+    Attributes:
+        count: estimates so far.
+        first, last: (estimate, its error by axis, true clearance m) of those made in contact.
+        frozen: whether later ones are not kept any more.
+    """
+
+    def __init__(self, charger: VirtualCharger, errors: EstimatorErrors, seed: int) -> None:
+        self._charger = charger
+        self._errors = errors
+        self._noise = random.Random(f"{seed} estimator")
+        self._tail = random.Random(f"{seed} estimator.tail")
+        self.count = 0
+        self.first: Kept | None = None
+        self.last: Kept | None = None
+        self.frozen = False
+        if errors.paper:
+            from deltacharger_lab.campaigns.paper import FOLDER, paper_classes
+
+            charger.model = paper_classes(os.environ.get(FOLDER, ""))
+        charger.answer[Service.ESTIMATE] = self._answer
+
+    def _answer(self, reply: Reply) -> Reply | None:
+        if reply.estimate is None:
+            return reply
+        world = self._charger.world
+        truth = world.misalignment
+        estimate = self._spoil(reply.estimate, truth)
+        if not self.frozen:
+            self.count += 1
+            if truth is not None:
+                self.last = Kept.of(estimate, truth, world.snapshot().clearance)
+                self.first = self.first or self.last
+        return replace(reply, estimate=estimate)
+
+    def _spoil(self, felt: Estimate, truth: tuple[float, float, float] | None) -> Estimate:
+        wrong = self._errors
+        gauss = self._noise.gauss
+        noise = [wrong.position_stddev * gauss(0.0, 1.0), wrong.position_stddev * gauss(0.0, 1.0)]
+        noise += [wrong.angle_stddev * gauss(0.0, 1.0)]
+        told = {axis: getattr(felt, axis) for axis in AXES}
+        if not math.isnan(wrong.tail) and truth is not None:
+            for axis, real in zip(AXES, truth, strict=True):
+                told[axis] = real + getattr(felt, f"{axis}_stddev") * self._student(wrong.tail)
+        moved = {
+            axis: told[axis] + getattr(wrong, f"bias_{axis}") + more for axis, more in zip(AXES, noise, strict=True)
+        }
+        spread = {f"{axis}_stddev": wrong.stddev_scale * getattr(felt, f"{axis}_stddev") for axis in AXES}
+        return replace(felt, **moved, **spread)
+
+    def _student(self, freedom: float) -> float:
+        """Return a draw of Student's t, scaled to variance 1."""
+        chi = self._tail.gammavariate(0.5 * freedom, 2.0)
+        return self._tail.gauss(0.0, 1.0) * math.sqrt((freedom - 2.0) / max(chi, 1e-300))
+
+
+@dataclass(frozen=True)
+class Kept:
+    """An estimate beside the truth when it was made: by axis its error and standard deviation (m, m, rad)."""
+
+    error: Mapping[str, float]
+    stddev: Mapping[str, float]
+    clearance: float
+
+    @classmethod
+    def of(cls, estimate: Estimate, truth: tuple[float, float, float], clearance: float) -> Kept:
+        """Compare an estimate with the pose of the target in end_effector (m, m, rad)."""
+        errors = {axis: getattr(estimate, axis) - real for axis, real in zip(AXES, truth, strict=True)}
+        return cls(errors, {axis: getattr(estimate, f"{axis}_stddev") for axis in AXES}, clearance)

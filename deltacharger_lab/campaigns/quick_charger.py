@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A charger in virtual time that computes only what somebody looks at.
+
+Against `VirtualCharger`, which does what the nodes do at their rates: the world goes on in steps of 10 ms, not 5, and
+of twice that where the arm settles, and again where the electrodes rest on the target; the machine is stepped every
+10 ms only where its script acts on every observation, else up to 80 ms apart, and 130 ms where the arm stands still; a
+standing world takes one step in all that time; lines are told whole; tactile frames are made where they are read. Every
+reading of the servos that a decision rests on is made and fed to the machine as in the real one. What that changes is
+measured in docs/campaigns.md.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from deltacharger_docking.machine import DockingMachine
+from deltacharger_docking.observation import Reply, Service, Waypoint
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_kinematics.statics import TORQUE_CONSTANT
+from deltacharger_lab.campaigns.pads import Pads
+from deltacharger_lab.campaigns.quick_motion import QuickPlanner, WholeFeed
+from deltacharger_lab.campaigns.virtual_charger import TICK, Pending, VirtualCharger, counts
+from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.shared_world import SharedWorld
+from deltacharger_sim.world import World
+from deltacharger_tactile.parameters import CONTACT_THRESHOLD, TactileParameters
+
+MOVING, STANDING = 8, 13  # ticks that one step of the machine may last
+SETTLING = 2  # ticks that one step of the world may last where the platform only comes after its goal
+_READINGS = 0.125  # s before a decision from which on readings of the servos count; the machine's window is 0.12 s
+_STILL = 1e-4  # m/s; what is left of a motion at this speed moves the contact current by less than its noise
+_SAME_PLACE, _SAME_TURN = 5e-4, 4e-3  # m and rad within which the pads feel the same, but for the force
+_SAME_FORCE = 0.2  # relative
+_SURELY = 0.4  # N beside the threshold where no frame's noise decides: four standard deviations
+
+
+class _Unclocked(SharedWorld):
+    """A plant that goes on only where its owner steps the world."""
+
+    def _advance(self) -> World:
+        return self.world
+
+
+class QuickCharger(VirtualCharger):
+    """One docking of a campaign; the same seeds give the same docking to the last bit.
+
+    Args:
+        world: the simulated world; its `step` does not count here.
+        parameters: of docking.
+        tactile: family of the pads.
+        seed: course of noise and jitter.
+        rig_seed: which device's pads.
+    """
+
+    def __init__(
+        self,
+        world: WorldParameters,
+        parameters: DockingParameters,
+        tactile: TactileParameters,
+        seed: int,
+        rig_seed: int,
+    ) -> None:
+        self._pads = Pads(tactile, rig_seed, seed)
+        super().__init__(world, parameters, seed, rig_seed, self._pads)
+        self.plant = _Unclocked(self.world, clock=lambda: 0.0)
+        self._arrived: tuple[Waypoint, ...] = ()  # the line whose end has been commanded
+        self._followed: tuple[Waypoint, ...] = ()  # the line to which the next number belongs
+        self._segment = 0
+        self._most_felt = 0.0  # N on the taxel that felt most
+        self._felt_at: tuple[float, ...] | None = None  # pose (m, m, rad), force (N) and number of the contact
+
+    def _make_machine(self) -> DockingMachine:
+        parameters, geometry = self.parameters, DeltaGeometry()
+        feed = WholeFeed(parameters.servo_damping / parameters.servo_stiffness)
+        return DockingMachine(parameters, geometry, QuickPlanner(parameters, geometry), feed)
+
+    def tick(self) -> None:
+        """Advance as far as nothing has to be decided: 10 to 130 ms."""
+        standing = self._stands()
+        self._pass(self._stride(STANDING if standing else MOVING), standing)
+        self._serve()
+        self._step()
+
+    def _stride(self, most: int) -> int:
+        """Return how many ticks may pass until the machine or a service has something to do."""
+        until = self.machine.idle_until
+        for pending in self._pending:
+            until = min(until, pending.due)
+        left = (until - self.now) / TICK
+        return 1 if left <= 1.0 else math.ceil(min(left, most) - 1e-6)
+
+    def _stands(self) -> bool:
+        """Return whether neither goal, platform nor contactor is on its way anywhere."""
+        if self._energised or self.world.circuit.closed:
+            return False
+        if self._trajectory and self.now - self._started < self._trajectory[-1].time + TICK:
+            return False
+        return self._speed() < _STILL
+
+    def _world_ticks(self) -> int:
+        """Return how many ticks one step of the world may take."""
+        if self._energised or self.world.circuit.closed:
+            return 1
+        settles = bool(self._trajectory) and self._arrived is self._trajectory
+        # On the target the magnets hold the platform sideways; before, where it comes to lie depends on the step.
+        held = 2 if self.world.mechanics.contact_force > 0.0 else 1
+        return held * (SETTLING if settles else 1)
+
+    def _speed(self) -> float:
+        """Return the platform's speed along its fastest axis (m/s)."""
+        x, y, z = self.world.mechanics.velocity
+        speed: float = max(abs(x), abs(y), abs(z))
+        return speed
+
+    def _servos(self) -> None:
+        line, elapsed = self._trajectory, self.now - self._started
+        if line and self._arrived is line:
+            return
+        if line:
+            self._segment = 0 if self._followed is not line else self._segment
+            self._followed = line
+            self._bound, self._goal = self._along(line, elapsed)
+        for index in range(3):
+            self.world.command(index, self._torque, self._goal[index], self._bound[index])
+        if line and self._torque and elapsed >= line[-1].time:
+            self._arrived = line
+
+    def _along(self, line: tuple[Waypoint, ...], elapsed: float) -> tuple[list[float], list[float]]:
+        """Return bounds (A) and goal angles (rad) `elapsed` s after a line was told; calls come in their order."""
+        last = len(line) - 1
+        while self._segment < last and elapsed >= line[self._segment].time:
+            self._segment += 1
+        point = line[self._segment]
+        a, b, c = point.torque_bound
+        bound = [a / TORQUE_CONSTANT, b / TORQUE_CONSTANT, c / TORQUE_CONSTANT]
+        if elapsed >= point.time:
+            return bound, list(point.angles)
+        before, since = (
+            (line[self._segment - 1].angles, line[self._segment - 1].time) if self._segment else (self._from, 0.0)
+        )
+        share = (elapsed - since) / (point.time - since)
+        (a, b, c), (d, e, f) = before, point.angles
+        return bound, [a + share * (d - a), b + share * (e - b), c + share * (f - c)]
+
+    def _pass(self, ticks: int, standing: bool) -> None:
+        """Let `ticks` of 10 ms pass, feeding the machine the readings on which its next decision rests."""
+        machine, world, start = self.machine, self.world, self.now
+        from_then_on = machine.idle_until - _READINGS if machine.reads else math.inf
+        if standing:
+            world.step(ticks * TICK)
+        most = self._world_ticks()
+        stepped = 0
+        for index in range(1, ticks + 1):
+            self.now = start + index * TICK
+            if not standing and (index - stepped == most or index == ticks):
+                world.step((index - stepped) * TICK)
+                self._servos()
+                stepped = index
+            if index < ticks and self.now >= from_then_on:
+                machine.read(self.now, *self._reading())
+
+    def _reading(self) -> tuple[Vector, Vector]:
+        servo = self.world.servo
+        (a, _, i, _, _), (b, _, j, _, _), (c, _, k, _, _) = servo(0), servo(1), servo(2)
+        return (a, b, c), (counts(i), counts(j), counts(k))
+
+    def _feels(self) -> bool:
+        """Return whether some taxel feels 1 N; a contact that has hardly changed since it was felt is not felt anew."""
+        pose, force = self.world.misalignment, self.world.mechanics.contact_force
+        if pose is None or not self._tared:
+            self._felt_at = None
+            return False
+        known = self._felt_at
+        if known is None or not self._is_known(known, pose, force):
+            frame = self._pads.frames(self.world.time, pose, force, 1, 0.0, self.world.mechanics.pad_share)[0]
+            self._most_felt = float(np.nanmax(frame - self._tare))
+            self._felt_at = known = (*pose, force, float(self.world.record.contacts))
+        return self._most_felt * force >= CONTACT_THRESHOLD * known[3]
+
+    def _is_known(self, known: tuple[float, ...], pose: tuple[float, float, float], force: float) -> bool:
+        """Return whether what was felt tells what is: same contact and place, and same force or far from threshold."""
+        x, y, angle, pressed, contact = known
+        if contact != self.world.record.contacts or abs(pose[2] - angle) > _SAME_TURN:
+            return False
+        if abs(pose[0] - x) > _SAME_PLACE or abs(pose[1] - y) > _SAME_PLACE:
+            return False
+        far = abs(self._most_felt * force / pressed - CONTACT_THRESHOLD) > _SURELY
+        return far or abs(force - pressed) < _SAME_FORCE * pressed
+
+    def _reply(self, pending: Pending) -> Reply:
+        if pending.request.service in (Service.TARE, Service.ESTIMATE):
+            count = max(1, round((pending.due - pending.asked) / TICK))
+            world = self.world
+            pressed = world.mechanics.contact_force
+            share = world.mechanics.pad_share
+            raw = self._pads.frames(world.time, world.misalignment, pressed, count, TICK, share)
+            tare = 0.0 if pending.request.service is Service.TARE else self._tare
+            pending.frames = list(raw if pending.request.service is Service.TARE else (raw - tare).clip(min=0.0))
+        return super()._reply(pending)

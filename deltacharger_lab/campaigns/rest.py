@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a charged docking is like at rest: it goes on charging for a while, and the end of that is looked at."""
+
+from __future__ import annotations
+
+import statistics
+from typing import Any
+
+from deltacharger_docking.observation import Observation
+from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
+
+SECONDS = 3.0  # of charging after the outcome, in which docking may still shift its load from servo to servo
+_LAST = 1.0  # s at the end that count
+
+
+class Rest:
+    """Goes on with a docking that charges.
+
+    Args:
+        charger: right after its outcome.
+    """
+
+    def __init__(self, charger: VirtualCharger) -> None:
+        self._charger = charger
+        self._from = charger.now + SECONDS - _LAST
+        self._servos: tuple[list[float], list[float], list[float]] = ([], [], [])
+        self._contact: list[float] = []
+        self._push: list[float] = []
+
+    def watch(self) -> dict[str, Any]:
+        """Let the time pass and return its columns of the results; currents of a charge that ended are unknown."""
+        charger = self._charger
+        distort, charger.distort = charger.distort, self._listen
+        end = charger.now + SECONDS
+        while charger.now < end and charger.machine.status.charging:
+            charger.tick()
+        charger.distort = distort
+        if not charger.machine.status.charging:
+            return {"ended": charger.machine.status.code.name}
+        medians = [statistics.median(map(abs, currents)) for currents in self._servos]
+        return {
+            "rest_current": statistics.median(self._contact),
+            "rest_push": statistics.median(self._push),
+            **{f"servo_current_{index}": value for index, value in enumerate(medians, 1)},
+            "servo_current_hottest": max(medians),
+        }
+
+    def _listen(self, observation: Observation) -> Observation:
+        if observation.time > self._from:
+            for values, current in zip(self._servos, observation.currents, strict=True):
+                values.append(current)
+            self._contact.append(self._charger.machine.status.contact_current)
+            self._push.append(self._charger.world.push())
+        return observation

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs what is missing of a campaign: here, in local processes, or on the workers of a Dask scheduler."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+
+from deltacharger_lab.campaigns.batch import Row, begin_worker, run_batch
+from deltacharger_lab.campaigns.settings import CampaignError
+from deltacharger_lab.campaigns.store import Store
+
+BATCH_MOST = 50  # dockings of a batch, some seconds of work: what a kill -9 may lose of each worker
+_BATCHES = 8  # per worker at least, so that none waits long for the last one
+_AHEAD = 2  # batches per worker that are handed out
+_POLL = 0.2  # s until an interruption is seen
+_TRIES = 3  # times that the rest is begun anew after worker processes died
+
+Report = Callable[[Sequence[Row]], None]
+Record = Callable[[list[Row]], None]
+Stop = Callable[[], bool]
+
+
+def run_missing(
+    store: Store, workers: int, scheduler: str, batch: int, report: Report, stop: Stop, tell: Callable[[str], None]
+) -> None:
+    """Run the dockings that the store lacks and write them, until all are there or `stop` says so.
+
+    Args:
+        store: open.
+        workers: local processes; 1 = this one.
+        scheduler: address of a Dask scheduler; empty = none.
+        batch: dockings written at once, 0 = as suits.
+        report: told the rows of every batch once they are written.
+        stop: whether to end.
+        tell: told what happened to workers.
+
+    Raises:
+        CampaignError: workers died again and again, none is there, or they have other versions.
+    """
+
+    def record(rows: list[Row]) -> None:
+        if rows:
+            store.add(rows)
+            report(rows)
+
+    if scheduler:
+        from deltacharger_lab.campaigns.dask_runner import run_on_dask
+
+        run_on_dask(store, scheduler, batch, record, stop)
+        return
+    if workers == 1:
+        _run_here(store, batch, record, stop)
+    else:
+        _run_again_and_again(store, workers, batch, record, stop, tell)
+
+
+def _run_here(store: Store, batch: int, record: Record, stop: Stop) -> None:
+    text = store.settings.to_json()
+    for numbers in batches(store.missing(), batch, 1):
+        record(run_batch(text, numbers, stop))
+        if stop():
+            return
+
+
+def _run_again_and_again(
+    store: Store, workers: int, batch: int, record: Record, stop: Stop, tell: Callable[[str], None]
+) -> None:
+    """Run in local processes; where one dies, all begin anew with what is not written."""
+    for _ in range(_TRIES):
+        try:
+            _run_local(store, workers, batch, record, stop)
+            return
+        except BrokenProcessPool:
+            if stop():
+                return
+            tell("a worker process died; what it had not written starts again")
+    raise CampaignError(f"worker processes died {_TRIES} times; is there enough memory? The same command goes on")
+
+
+def batches(numbers: Sequence[int], size: int, workers: int) -> list[list[int]]:
+    """Return the numbers in batches: of `size`, or where that is 0 so that every worker gets several."""
+    suited = math.ceil(len(numbers) / (_BATCHES * workers)) if numbers else 1
+    most = size or max(1, min(BATCH_MOST, suited))
+    return [list(numbers[start : start + most]) for start in range(0, len(numbers), most)]
+
+
+def _run_local(store: Store, workers: int, batch: int, record: Record, stop: Stop) -> None:
+    text = store.settings.to_json()
+    left = iter(batches(store.missing(), batch, workers))
+    context = multiprocessing.get_context("spawn")
+    halt = context.Event()
+    with _one_thread_each(), ProcessPoolExecutor(workers, context, begin_worker, (halt,)) as pool:
+        running: set[Future[list[Row]]] = set()
+        try:
+            while True:
+                for numbers in itertools.islice(left, 0 if stop() else _AHEAD * workers - len(running)):
+                    with _without_ctrl_c():
+                        running.add(pool.submit(run_batch, text, numbers))
+                if not running:
+                    return
+                if stop():
+                    halt.set()
+                    running -= {future for future in running if future.cancel()}
+                done, running = wait(running, _POLL, FIRST_COMPLETED)
+                for future in done:
+                    record(future.result())
+        except BaseException:
+            halt.set()
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+@contextlib.contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Let processes that start meanwhile not hear Ctrl-C, which a terminal sends to all; here it comes afterwards."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Let processes that start meanwhile use one thread for linear algebra, unless the user chose otherwise."""
+    names: list[str] = [name for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS") if name not in os.environ]
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name in names:
+            os.environ.pop(name, None)

@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes of campaigns: one YAML file says what is drawn for each docking, at random or from a list."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from deltacharger_lab.campaigns.keys import DERIVED, TAKEN, known_keys
+from deltacharger_lab.campaigns.spread import Key, Spread, Value, read_spread
+from deltacharger_scenes.scene import SceneError, scene_folders
+from deltacharger_scenes.yaml_text import YamlProblem, read_yaml
+from deltacharger_sim.parameters import ParameterError
+
+DEFAULT = "default"
+SECTIONS = ("target", "shift", "camera", "hand_eye", "gravity", "estimator", "world", "tactile", "docking")
+_BASE = "based_on"
+_TOP = ("name", "description", _BASE, "dockings", *SECTIONS)
+_LONGEST = 100_000  # dockings of a list
+_SHAPES = {"choose", "mean", "stddev", "log", "either_sign"}  # of a mapping that is one value
+
+
+@dataclass(frozen=True)
+class CampaignScene:
+    """What each docking of a campaign is drawn from.
+
+    Attributes:
+        name: what it is called.
+        description: one or two sentences for people.
+        spreads: where each key's value comes from; keys without one stay at their default.
+        dockings: values of the first, second, … docking, which go before the spreads; empty = none.
+        content: the file as read, for the record.
+        file: where it was read from.
+    """
+
+    name: str
+    description: str = ""
+    spreads: Mapping[str, Spread] = field(default_factory=dict)
+    dockings: tuple[Mapping[str, Value], ...] = ()
+    content: Mapping[str, Any] = field(default_factory=dict)
+    file: str = ""
+
+    def drawn(self) -> list[str]:
+        """Return the keys that the scene sets, in the order of the results' columns."""
+        given = set(self.spreads).union(*self.dockings)
+        return sorted(given.union(*(DERIVED.get(name, ()) for name in given)))
+
+
+def load_campaign_scene(name_or_file: str) -> CampaignScene:
+    """Read and check a scene: a packaged one by its name, or a YAML file.
+
+    Raises:
+        SceneError: there is none, it is not YAML, or a key or value in it is refused.
+    """
+    path = _find(name_or_file)
+    try:
+        return parse_campaign_scene(read_yaml(path), path.stem, str(path))
+    except YamlProblem as error:
+        raise SceneError(str(path), "", str(error)) from error
+    except ParameterError as error:
+        raise SceneError(str(path), error.key, error.problem) from error
+
+
+def packaged_campaigns() -> dict[str, Path]:
+    """Return the file of every packaged scene of campaigns by name."""
+    found: dict[str, Path] = {}
+    for folder in scene_folders():
+        for path in sorted((folder.parent / "campaigns").glob("*.yaml")):
+            found.setdefault(path.stem, path)
+    return found
+
+
+def _whole(content: Any, name: str, above: tuple[str, ...] = ()) -> Any:
+    """Return a scene's content with that of the packaged scene it is based on, whose keys it may set anew."""
+    if not isinstance(content, Mapping) or _BASE not in content:
+        return content
+    base = content[_BASE]
+    packaged = packaged_campaigns()
+    if base not in packaged or base in (*above, name):
+        raise ParameterError(
+            _BASE, base, f"no other packaged campaign{_nearest(base, packaged)}: {', '.join(packaged)}"
+        )
+    rest = {key: value for key, value in content.items() if key != _BASE}
+    under = {
+        key: each for key, each in _whole(read_yaml(packaged[base]), base, (*above, name)).items() if key != "name"
+    }
+    return _laid_over(under, rest)
+
+
+def _laid_over(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Return two nested mappings as one; a value of either kind that both have is the upper one's, null = none."""
+    merged = dict(under)
+    for key, value in over.items():
+        below = merged.get(key)
+        spread = isinstance(value, Mapping) and set(value) <= _SHAPES
+        both = isinstance(value, Mapping) and isinstance(below, Mapping) and not spread
+        merged[key] = _laid_over(below, value) if both and below is not None else value
+        if value is None:
+            del merged[key]
+    return merged
+
+
+def _find(name_or_file: str) -> Path:
+    path = Path(name_or_file)
+    if path.suffix in (".yaml", ".yml") or len(path.parts) > 1:
+        if not path.is_file():
+            raise SceneError(str(path), "", "there is no such file")
+        return path
+    packaged = packaged_campaigns()
+    if name_or_file not in packaged:
+        near = _nearest(name_or_file, packaged)
+        raise SceneError(
+            name_or_file, "", f"no packaged campaign{near}; there are {', '.join(packaged)}, or give a file"
+        )
+    return packaged[name_or_file]
+
+
+def parse_campaign_scene(content: Any, name: str, file: str = "") -> CampaignScene:
+    """Build a scene from what a YAML file contains.
+
+    Args:
+        content: the mapping.
+        name: taken where the mapping has no `name`.
+        file: for messages.
+
+    Raises:
+        ParameterError: a key or value is refused, or two contradict each other.
+    """
+    content = {} if content is None else _whole(content, name)
+    if not isinstance(content, Mapping):
+        raise ParameterError("(top)", content, "is no mapping of keys to values")
+    for key in content:
+        if key not in _TOP:
+            raise ParameterError(str(key), content[key], f"unknown key{_nearest(key, _TOP)}; known: {', '.join(_TOP)}")
+    for key in ("name", "description"):
+        if not isinstance(content.get(key, ""), str):
+            raise ParameterError(key, content[key], f"{content[key]!r} is not text")
+    spreads = dict(_spreads(content))
+    scene = CampaignScene(
+        name=content.get("name", name),
+        description=" ".join(content.get("description", "").split()),
+        spreads=spreads,
+        dockings=_read_dockings(content.get("dockings"), spreads),
+        content=content,
+        file=file,
+    )
+    _check_contradictions(scene)
+    return scene
+
+
+def _spreads(content: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Spread]]:
+    for section in SECTIONS:
+        if section in content:
+            where = f"{path}.{section}" if path else section
+            for name, key, value in _leaves(content[section], section, where):
+                yield name, read_spread(value, key, f"{path}.{name}" if path else name)
+
+
+def _leaves(value: Any, name: str, where: str) -> Iterator[tuple[str, Key, Any]]:
+    """Yield every key below a section with its value; `where` is its place in the file."""
+    keys = known_keys()
+    if name in keys:
+        yield name, keys[name], value
+        return
+    if name in TAKEN:
+        raise ParameterError(where, value, f"is not set here; {TAKEN[name]}")
+    below = sorted({key[len(name) + 1 :].split(".")[0] for key in (*keys, *TAKEN) if key.startswith(f"{name}.")})
+    if not below:
+        parent, _, last = name.rpartition(".")
+        beside = sorted({key[len(parent) + 1 :].split(".")[0] for key in keys if key.startswith(f"{parent}.")})
+        raise ParameterError(where, value, f"unknown key{_nearest(last, beside)}; known: {', '.join(beside)}")
+    if not isinstance(value, Mapping):
+        raise ParameterError(where, value, f"{value!r} is no mapping of keys to values; known: {', '.join(below)}")
+    for key, item in value.items():
+        yield from _leaves(item, f"{name}.{key}", f"{where}.{key}")
+
+
+def _read_dockings(entries: Any, spreads: Mapping[str, Spread]) -> tuple[Mapping[str, Value], ...]:
+    if entries is None:
+        return ()
+    if not isinstance(entries, list) or not 0 < len(entries) <= _LONGEST:
+        raise ParameterError("dockings", entries, f"is no list of 1 to {_LONGEST} dockings, each a mapping")
+    result = []
+    for index, entry in enumerate(entries):
+        where = f"dockings[{index}]"
+        if not isinstance(entry, Mapping):
+            raise ParameterError(where, entry, f"{entry!r} is no mapping of keys to values")
+        for key in entry:
+            if key not in SECTIONS:
+                raise ParameterError(f"{where}.{key}", entry[key], f"unknown key{_nearest(key, SECTIONS)}")
+        values: dict[str, Value] = {}
+        for name, spread in _spreads(entry, where):
+            if spread.shape != "fixed":
+                raise ParameterError(
+                    f"{where}.{name}", name, "a listed docking has fixed values; ranges stand beside it"
+                )
+            if name in spreads:
+                raise ParameterError(f"{where}.{name}", name, "is given here and for all dockings; keep one of them")
+            values[name] = spread.numbers[0]
+        result.append(values)
+    return tuple(result)
+
+
+def _check_contradictions(scene: CampaignScene) -> None:
+    """Refuse keys that have no effect or that no docking could have together."""
+    from deltacharger_lab.campaigns.draw import build_parts
+
+    _without_effect(scene, "world.magnets.force", ("world.magnets.range", "world.magnets.width", "world.magnets.floor"))
+    if "gravity.anywhere" not in scene.drawn():
+        _without_effect(scene, "gravity.tilt", ("gravity.azimuth", "gravity.known"), unset=True)
+    for name, made in DERIVED.items():
+        for other in made if name in scene.drawn() else ():
+            if other in scene.spreads or any(other in values for values in scene.dockings):
+                raise ParameterError(other, other, f"is what {name} draws; remove one of them")
+    low, high = (scene.spreads.get(f"world.circuit.voltage_{end}") for end in ("min", "max"))
+    if low is not None and high is not None and low.ends[1] >= high.ends[0]:
+        raise ParameterError("world.circuit.voltage_min", low.ends[1], "reaches voltage_max; keep it below")
+    listed: list[Mapping[str, Value]] = [{}, *scene.dockings]
+    for values in listed:
+        for end in (0, 1):
+            corner = {name: spread.ends[end] for name, spread in scene.spreads.items()}
+            try:
+                build_parts({**corner, **values}, "guarded")
+            except ParameterError:
+                raise
+            except ValueError as error:  # of docking's parameters, which name the key themselves
+                raise ParameterError("docking", dict(corner), str(error)) from error
+
+
+def _without_effect(scene: CampaignScene, cause: str, dependent: tuple[str, ...], unset: bool = False) -> None:
+    spread = scene.spreads.get(cause)
+    if any(cause in values for values in scene.dockings):
+        return
+    zero = spread.ends == (0.0, 0.0) and spread.shape != "normal" if spread is not None else unset
+    for name in dependent:
+        if zero and name in scene.spreads:
+            raise ParameterError(name, scene.spreads[name].ends[0], f"has no effect where {cause} is 0; remove one")
+
+
+def _nearest(word: object, known: Any) -> str:
+    near = difflib.get_close_matches(str(word), list(known), 1)
+    return f", did you mean '{near[0]}'?" if near else ""

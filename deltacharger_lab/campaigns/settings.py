@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What decides the results of a campaign, as one record: compared before a campaign goes on, sent to every worker."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import importlib
+import json
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
+
+_COMPUTES = ("core", "kinematics", "sim", "docking", "tactile")  # packages, deltacharger_…
+_HERE = Path(__file__).parent
+_ALSO = (
+    "docking",
+    "draw",
+    "effort",
+    "felt",
+    "pads",
+    "paper",
+    "quick_charger",
+    "quick_motion",
+    "rest",
+    "spread",
+    "virtual_charger",
+)
+
+
+class CampaignError(RuntimeError):
+    """A campaign cannot be run, continued or read. The message says why and what to do."""
+
+
+class CampaignRefused(CampaignError):
+    """What was given does not fit: other settings than those in the folder, no campaign there, no pairs."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything that the rows of a campaign follow from, and how many there shall be.
+
+    Attributes:
+        n: dockings.
+        seed: of the campaign.
+        approach: "guarded" or "paper".
+        exact: whether every tick and frame is computed as the nodes would.
+        scene: content of the scene.
+        scene_name: name of the scene.
+        versions: of what computes.
+    """
+
+    n: int
+    seed: int
+    approach: str
+    exact: bool
+    scene: Mapping[str, Any]
+    scene_name: str
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    def to_json(self) -> str:
+        """Return the record as text that is the same for equal settings."""
+        return json.dumps(asdict(self), sort_keys=True, ensure_ascii=False)
+
+    @staticmethod
+    def from_json(text: str) -> Settings:
+        """Read what `to_json` wrote.
+
+        Raises:
+            ValueError, TypeError, KeyError: it is no such record.
+        """
+        return Settings(**json.loads(text))
+
+    def differences(self, other: Settings) -> list[tuple[str, str, str]]:
+        """Return what differs in `other` from these, each as (what, value here, value there); more dockings may be."""
+        pairs: dict[str, tuple[Any, Any]] = {
+            name: (getattr(self, name), getattr(other, name)) for name in ("seed", "approach", "exact")
+        }
+        if other.n < self.n:
+            pairs["n"] = self.n, other.n
+        pairs["scene"] = self.scene_name, other.scene_name
+        was, shall = flat(self.scene), flat(other.scene)
+        for key in sorted((was.keys() | shall.keys()) - {"name", "description"}):
+            pairs[f"scene's {key}"] = was.get(key, "not given"), shall.get(key, "not given")
+        for key in sorted(self.versions.keys() | other.versions.keys()):
+            pairs[f"version of {key}"] = self.versions.get(key), other.versions.get(key)
+        return [(what, _told(one), _told(two)) for what, (one, two) in pairs.items() if one != two]
+
+
+@functools.lru_cache(maxsize=8)
+def scene_of(text: str) -> tuple[Settings, CampaignScene]:
+    """Return settings and scene of a record; read once per process."""
+    settings = Settings.from_json(text)
+    return settings, parse_campaign_scene(settings.scene, settings.scene_name)
+
+
+@functools.cache
+def versions() -> dict[str, str]:
+    """Return what must be equal on two machines for equal rows: Python, numpy, and the code that computes."""
+    import numpy as np
+
+    try:
+        ours = version("deltacharger")
+    except PackageNotFoundError:  # a colcon workspace
+        ours = "unknown"
+    return {
+        "python": f"{sys.version_info[0]}.{sys.version_info[1]}",
+        "numpy": np.__version__,
+        "deltacharger": ours,
+        "code": _digest(),
+    }
+
+
+def versions_of(content: Mapping[str, Any]) -> dict[str, str]:
+    """Return the versions that the rows of a scene follow from: those of the paper's classes too, where it asks."""
+    from deltacharger_lab.campaigns import paper
+
+    return {**versions(), "paper classes": paper.digest()} if paper.are_wanted(content) else dict(versions())
+
+
+def _digest() -> str:
+    """Return 16 hexadecimal digits that change with the code, and any model, that a docking follows from."""
+    digest = hashlib.sha256()
+    for package in _COMPUTES:
+        root = Path(str(importlib.import_module(f"deltacharger_{package}").__file__)).parent
+        for path in sorted(root.rglob("*")):
+            shell = path.stem.endswith(("_node", "_node_io")) or path.parent.name == "ros"
+            if path.suffix in (".py", ".npz", ".json") and not shell:
+                digest.update(path.relative_to(root).as_posix().encode() + meaning(path))
+    for name in _ALSO:
+        digest.update(meaning(_HERE / f"{name}.py"))
+    return digest.hexdigest()[:16]
+
+
+def meaning(path: Path) -> bytes:
+    """Return what a file says to Python: comments and layout of code change no docking. Of other files, every byte."""
+    content = path.read_bytes()
+    return ast.dump(ast.parse(content)).encode() if path.suffix == ".py" else content
+
+
+def flat(content: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """Return a nested mapping with dotted keys."""
+    found: dict[str, Any] = {}
+    for key, value in content.items():
+        name = f"{path}.{key}" if path else str(key)
+        found |= flat(value, name) if isinstance(value, Mapping) else {name: value}
+    return found
+
+
+def _told(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)

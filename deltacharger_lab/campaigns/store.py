@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of a campaign's results: its settings and Parquet files, one for each batch, each written whole or not."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from deltacharger_lab.campaigns.docking import columns
+from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, Settings, scene_of
+
+SETTINGS = "_campaign.json"
+"""Readers of Parquet folders pass over names that begin with _."""
+_LOCK = "_lock"
+_TEMPORARY = "_unfinished"
+
+
+def require_pyarrow() -> Any:
+    """Return the module pyarrow.
+
+    Raises:
+        CampaignError: it is not installed.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ModuleNotFoundError as error:
+        raise CampaignError("pyarrow is not installed; install deltacharger[campaign]") from error
+    return pyarrow
+
+
+class Store:
+    """Results of one campaign that is being run; a context that holds the folder for this process alone.
+
+    Args:
+        folder: made where it is missing.
+        settings: of the campaign.
+
+    Raises:
+        CampaignError: pyarrow is missing, another process is writing there, or the folder holds something else or a
+            campaign with other settings; the message names what differs.
+    """
+
+    def __init__(self, folder: Path, settings: Settings) -> None:
+        self.folder = folder
+        self.settings = settings
+        self.done: set[int] = set()
+        self._pyarrow = require_pyarrow()
+        self._schema = _schema(self._pyarrow, settings)
+        self._lock: IO[str] | None = None
+
+    def __enter__(self) -> Store:
+        if self.folder.exists() and not self.folder.is_dir():
+            raise CampaignRefused(f"{self.folder} is a file; give a folder, which is made where it is missing")
+        strangers = self.folder.is_dir() and any(self.folder.iterdir()) and not (self.folder / _LOCK).exists()
+        if strangers and not (self.folder / SETTINGS).exists():
+            raise CampaignRefused(f"{self.folder} holds other files and no campaign; give a folder of its own")
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._lock = self._hold()
+        try:
+            self._open()
+        except BaseException:
+            self._lock.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._lock is not None:
+            self._lock.close()  # and with it the lock
+
+    def missing(self) -> list[int]:
+        """Return the numbers that have no row yet."""
+        return [number for number in range(self.settings.n) if number not in self.done]
+
+    def add(self, rows: Sequence[Mapping[str, Any]]) -> int:
+        """Write rows as one file and return how many were new; those that are there already are left out."""
+        fresh = {row["number"]: row for row in rows if row["number"] not in self.done}
+        if not fresh:
+            return 0
+        table = self._pyarrow.Table.from_pylist([fresh[number] for number in sorted(fresh)], schema=self._schema)
+        temporary = self.folder / f"{_TEMPORARY}-{os.getpid()}"
+        with temporary.open("wb") as file:
+            self._pyarrow.parquet.write_table(table, file)
+            _flush(file)
+        temporary.replace(self.folder / f"part-{min(fresh):09d}.parquet")
+        self.done.update(fresh)
+        return len(fresh)
+
+    def _hold(self) -> IO[str]:
+        lock = (self.folder / _LOCK).open("w", encoding="utf-8")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            lock.close()
+            raise CampaignError(
+                f"another process is writing to {self.folder}; wait for it or give another --out"
+            ) from error
+        return lock
+
+    def _open(self) -> None:
+        for left in self.folder.glob(f"{_TEMPORARY}*"):
+            left.unlink()
+        if (self.folder / SETTINGS).exists():
+            differences = read_settings(self.folder).differences(self.settings)
+            if differences:
+                named = "; ".join(f"{what} is {shall}, was {was}" for what, was, shall in differences)
+                raise CampaignRefused(
+                    f"{self.folder} holds a campaign with other settings: {named}. Give the same ones to go on, or "
+                    "another --out"
+                )
+            self.done = {number for part in read_parts(self.folder, ["number"]) for number in part["number"]}
+        temporary = self.folder / f"{_TEMPORARY}-settings"
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(self.settings.to_json())
+            _flush(file)
+        temporary.replace(self.folder / SETTINGS)
+
+
+def read_settings(folder: Path) -> Settings:
+    """Return the settings of a campaign.
+
+    Raises:
+        CampaignError: the folder holds none, or a damaged one.
+    """
+    path = folder / SETTINGS
+    try:
+        return Settings.from_json(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise CampaignRefused(f"{folder} holds no campaign: {SETTINGS} is missing") from error
+    except (ValueError, TypeError, KeyError, OSError) as error:
+        raise CampaignError(f"{path} cannot be read as the settings of a campaign: {error}") from error
+
+
+def read_results(folder: Path, wanted: Sequence[str] = ()) -> dict[str, list[Any]]:
+    """Return the results of a campaign, complete or not: each column's values in the order of the dockings.
+
+    Args:
+        folder: of the campaign.
+        wanted: columns, `number` among them; empty = all.
+
+    Raises:
+        CampaignError: pyarrow is missing, or the folder holds no campaign, a damaged file or a docking twice.
+    """
+    names = list(wanted or columns(scene_of(read_settings(folder).to_json())[1]))
+    result: dict[str, list[Any]] = {name: [] for name in names}
+    for part in read_parts(folder, names):
+        for name in names:
+            result[name] += part[name]
+    numbers = result["number"]
+    if len(set(numbers)) != len(numbers):
+        raise CampaignError(f"{folder} holds a docking twice; were files copied into it?")
+    order = sorted(range(len(numbers)), key=numbers.__getitem__)
+    return {name: [values[index] for index in order] for name, values in result.items()}
+
+
+def read_parts(folder: Path, names: Sequence[str]) -> Iterator[dict[str, list[Any]]]:
+    """Yield the named columns of each file of a campaign.
+
+    Raises:
+        CampaignError: a file is damaged or lacks a column.
+    """
+    pyarrow = require_pyarrow()
+    for path in sorted(folder.glob("part-*.parquet")):
+        try:
+            yield pyarrow.parquet.ParquetFile(path).read(columns=list(names)).select(list(names)).to_pydict()
+        except (pyarrow.ArrowException, KeyError, OSError) as error:
+            raise CampaignError(
+                f"{path} cannot be read: {error}; remove it, and the same command runs it again"
+            ) from error
+
+
+def _schema(pyarrow: Any, settings: Settings) -> Any:
+    kinds = {int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_(), str: pyarrow.string()}
+    scene = scene_of(settings.to_json())[1]
+    return pyarrow.schema(
+        [pyarrow.field(name, kinds[kind], metadata={"doc": about}) for name, (kind, about) in columns(scene).items()]
+    )
+
+
+def _flush(file: IO[Any]) -> None:
+    file.flush()
+    with contextlib.suppress(OSError):  # not every file system can
+        os.fsync(file.fileno())

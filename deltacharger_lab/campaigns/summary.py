@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a campaign's results say on the whole."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from deltacharger_lab.campaigns.docking import CRASHED
+
+Results = Mapping[str, Sequence[Any]]
+
+NUMBERS = {
+    "time": "s",
+    "moves": "",
+    "final_misalignment": "m",
+    "peak_push": "N",
+    "time_above_band": "s",
+}
+"""Numbers of the summary with their units; time, moves and final_misalignment are those of charged dockings."""
+OF_CHARGED = ("time", "moves", "final_misalignment")
+RATES = ("charged", "aligned")
+COLUMNS = ("number", "code_name", "shorts", "energised_unsafe", *RATES, *NUMBERS)
+"""What summaries and comparisons read of the results."""
+_Z = 1.959963984540054  # 95 %, normal distribution
+
+
+def summarise(results: Results) -> dict[str, Any]:
+    """Return the summary of results as `read_results` gives them.
+
+    Returns:
+        n; charged and aligned as shares, with 95 % intervals (Wilson) under charged_interval and aligned_interval;
+        refused, how often by code; crashed; shorts and energised_unsafe (s), sums; and for each of `NUMBERS` median,
+        p95 and max, NaN where there is none.
+    """
+    count = len(results["number"])
+    codes = Counter(name for name in results["code_name"] if name not in ("NONE", CRASHED))
+    summary: dict[str, Any] = {"n": count}
+    for name in RATES:
+        hits = sum(map(bool, results[name]))
+        summary[name] = hits / count if count else math.nan
+        summary[f"{name}_interval"] = list(wilson(hits, count))
+    summary["refused"] = dict(sorted(codes.items()))
+    summary["crashed"] = sum(name == CRASHED for name in results["code_name"])
+    summary["shorts"] = int(sum(results["shorts"]))
+    summary["energised_unsafe"] = float(np.nansum(np.asarray(results["energised_unsafe"], dtype=float)))
+    for name in NUMBERS:
+        values = numbers(results, name)
+        found = values[np.isfinite(values)]
+        quantiles = np.quantile(found, (0.5, 0.95, 1.0)) if len(found) else np.full(3, np.nan)
+        summary[name] = dict(zip(("median", "p95", "max"), map(float, quantiles), strict=True))
+    return summary
+
+
+def numbers(results: Results, name: str) -> np.ndarray:
+    """Return a column as floats (n,), NaN where the number does not count: of a docking not charged, or crashed."""
+    values = np.asarray(results[name], dtype=float)
+    counts = np.asarray(results["charged"], dtype=bool)
+    if name not in OF_CHARGED:
+        counts = np.asarray([code != CRASHED for code in results["code_name"]], dtype=bool)
+    return np.where(counts, values, np.nan) if len(values) else values
+
+
+def wilson(hits: int, count: int) -> tuple[float, float]:
+    """Return the 95 % interval of a share (Wilson 1927), which stays within 0 to 1; NaN without any."""
+    if not count:
+        return math.nan, math.nan
+    share, square = hits / count, _Z * _Z / count
+    centre = (share + 0.5 * square) / (1.0 + square)
+    reach = _Z / (1.0 + square) * math.sqrt(share * (1.0 - share) / count + 0.25 * square / count)
+    low = 0.0 if hits == 0 else max(centre - reach, 0.0)
+    high = 1.0 if hits == count else min(centre + reach, 1.0)
+    return low, high
+
+
+def upper_bound(hits: int, count: int, confidence: float = 0.95) -> float:
+    """Return the exact one-sided upper bound of a share (Clopper and Pearson 1934); without hits about 3 / count."""
+    if not count:
+        return math.nan
+    if hits >= count:
+        return 1.0
+    if not hits:
+        return 1.0 - math.pow(1.0 - confidence, 1.0 / count)
+    from scipy.special import betaincinv
+
+    return float(betaincinv(hits + 1, count - hits, confidence))

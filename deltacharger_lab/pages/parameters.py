@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page docs/parameters.md from the declarations: python -m deltacharger_lab.pages.parameters."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+_OWN = ("use_sim_time", "start_type_description_service")  # every ROS node has them
+_PER_SCENE = ("port", "file")
+_PORT = "set per scene"
+_HEAD = """# Parameters
+
+Every parameter of every node, from their declarations. All are fixed once a node runs, unless said otherwise. A value
+outside its bounds and an unknown name stop the node at start with exit code 2 and the parameter's name.
+"""
+
+
+def table(node: Node) -> str:
+    """Return the parameters of a running node as a section of Markdown."""
+    lines = [f"## {node.get_name()}", "", "| parameter | default | allowed | meaning |", "|---|---|---|---|"]
+    for name in sorted(node._parameters):
+        if name in _OWN or name.startswith("qos_overrides."):
+            continue
+        descriptor = node.describe_parameter(name)
+        default = _PORT if name in _PER_SCENE else _text(node.get_parameter(name).value)
+        lines.append(f"| {name} | {default} | {_allowed(descriptor)} | {descriptor.description} |")
+    return "\n".join([*lines, ""])
+
+
+def document(nodes: Iterable[Node]) -> str:
+    """Return the whole page for running nodes, in the order of their names."""
+    return "\n".join([_HEAD, *(table(node) for node in sorted(nodes, key=lambda node: node.get_name()))])
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, str):
+        return value or "(empty)"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, bool | int):
+        return str(value).lower()
+    return ", ".join(_text(item) for item in value)
+
+
+def _allowed(descriptor: Any) -> str:
+    for bounds in (*descriptor.floating_point_range, *descriptor.integer_range):
+        return f"{bounds.from_value:.6g} … {bounds.to_value:.6g}"
+    return str(descriptor.additional_constraints)
+
+
+@contextmanager
+def every_node(context: Context, namespace: str) -> Iterator[list[Node]]:
+    """Run the nodes of a robot, those of its simulation and those that show it, each once, and return them."""
+    from deltacharger_scenes.composition import Composition
+    from deltacharger_scenes.scene import STANDARD_NODES, parse_scene
+
+    others = ("simulated_camera_node", "electrode_detector_node", "mission_node", "docking_recorder_node")
+    names = [*STANDARD_NODES, *others]
+    defaults = {"docking_recorder_node": {"scene": ""}}  # which a scene would tell
+    scene = parse_scene({"nodes": names, "simulation": {}, "parameters": defaults}, "parameters")
+    with Composition(scene, context, namespace) as composition, ExitStack() as stack:
+        nodes: list[Any] = [running.node for running in composition.nodes]
+        for node in (_camera(context, namespace), _passive_joints(context, namespace), _player(context, namespace)):
+            stack.callback(node.destroy_node)
+            stack.callback(getattr(node, "close", lambda: None))
+            nodes.append(node)
+        yield nodes
+
+
+def _camera(context: Context, namespace: str) -> Any:
+    from deltacharger_vision.cameras.camera_node import CameraNode
+    from deltacharger_vision.cameras.keeper import CameraUnavailable
+
+    def no_camera(*arguments: Any) -> Any:
+        raise CameraUnavailable("its parameters alone are looked at")
+
+    return CameraNode(no_camera, context=context, namespace=namespace, use_global_arguments=False)
+
+
+def _passive_joints(context: Context, namespace: str) -> Any:
+    from deltacharger_records.view.passive_joints_node import PassiveJointsNode
+
+    return PassiveJointsNode(context=context, namespace=namespace, use_global_arguments=False)
+
+
+def _player(context: Context, namespace: str) -> Any:
+    """Return a player in a namespace of its own, as it never plays beside a charger, of a message of every topic."""
+    from deltacharger_records.recording.docking_topics import TOPICS
+    from deltacharger_records.recording.mcap_recording import McapWriter
+    from deltacharger_records.recording.recording_player_node import RecordingPlayerNode
+
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "every_topic.mcap"
+        with McapWriter(path, {f"/{topic.name}": topic.kind for topic in TOPICS}) as writer:
+            for topic in TOPICS:
+                writer.add_message(f"/{topic.name}", topic.kind(), 1, 1)
+        node = RecordingPlayerNode(
+            context=context,
+            namespace=f"{namespace}_player",
+            parameter_overrides=[Parameter("file", value=str(path))],
+            use_global_arguments=False,
+        )
+        node.close()
+    return node
+
+
+def main() -> int:
+    """Print the page."""
+    from deltacharger_core import environment
+
+    environment.prepare()
+    environment.isolate()
+    import rclpy
+
+    context = Context()
+    rclpy.init(context=context, args=[])
+    with every_node(context, "parameter_table") as nodes:
+        sys.stdout.write(document(nodes))
+    rclpy.try_shutdown(context=context)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page docs/topics.md from the nodes and the interface files: python -m deltacharger_lab.pages.topics."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.action.graph import get_action_client_names_and_types_by_node, get_action_server_names_and_types_by_node
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from deltacharger_lab.pages.interface_text import Interface, Part, read
+from deltacharger_lab.pages.parameters import every_node
+
+_EVERY_NODES = ("/parameter_events", "/rosout", "/clock")  # topics that every ROS node has
+_EVERY_NODES_TYPES = ("rcl_interfaces", "type_description_interfaces")  # of services that every ROS node has
+_ROOT = Path(__file__).parents[1]
+_FOLDERS = {"msg": "Messages", "srv": "Services", "action": "Actions"}
+_NOTICED = 10.0  # s for a node to notice that somebody wants what it publishes
+_WHILE_HEARD = "kinematics_node"  # subscribes only then; here the recorder hears it all the time
+_HEAD = """# Topics, services, actions
+
+What each node publishes, subscribes to, serves and calls, from running nodes, and every field of the package's own
+messages, services and actions, from `msg/`, `srv/` and `action/`. Names are relative, so that a namespace makes a
+second charger; those with a leading / are not. What is marked *while looking* is there only while somebody asks for
+the electrodes, *while heard* only while somebody subscribes to what the node publishes. Mock nodes have topics and
+services of the nodes in whose place they stand. A subscriber that asks for reliable delivery hears nothing of a topic
+that is best effort.
+"""
+
+
+@dataclass(frozen=True, order=True)
+class Endpoint:
+    """One end of a topic, service or action: what the node does with it, its name, type and quality of service."""
+
+    verb: str
+    name: str
+    type: str
+    quality: str = ""
+
+
+_VERBS = ("publishes", "subscribes to", "serves", "calls", "serves the action", "calls the action")
+
+
+def endpoints(node: Node) -> set[Endpoint]:
+    """Return what a running node has now, without what every ROS node has."""
+    found = {
+        Endpoint(verb, _relative(node, each.topic_name), _type(each.msg_type), quality(each.qos_profile))
+        for verb, those in (("publishes", node.publishers), ("subscribes to", node.subscriptions))
+        for each in those
+        if each.topic_name not in _EVERY_NODES
+    }
+    found |= {
+        Endpoint("serves", _relative(node, each.service_name), _type(each.srv_type))
+        for each in node.services
+        if not _type(each.srv_type).startswith(_EVERY_NODES_TYPES)
+    }
+    found |= {
+        Endpoint("calls", _relative(node, each.service_name), _type(each.srv_type))
+        for each in node.clients
+        if "/_action/" not in each.service_name
+    }
+    name, namespace = node.get_name(), node.get_namespace()
+    servers = get_action_server_names_and_types_by_node(node, name, namespace)
+    clients = get_action_client_names_and_types_by_node(node, name, namespace)
+    played = {each.topic_name for each in node.publishers}  # who plays an action's topics does not serve it
+    servers = [each for each in servers if f"{each[0]}/_action/feedback" not in played]
+    for verb, actions in (("serves the action", servers), ("calls the action", clients)):
+        found |= {Endpoint(verb, _relative(node, each), kinds[0].replace("/action", "")) for each, kinds in actions}
+    return found
+
+
+def quality(profile: QoSProfile) -> str:
+    """Return a quality of service in words."""
+    words = "best effort" if profile.reliability == ReliabilityPolicy.BEST_EFFORT else "reliable"
+    latched = ", transient local" if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL else ""
+    return f"{words}, depth {profile.depth}{latched}"
+
+
+def document(nodes: Iterable[Node]) -> str:
+    """Return the whole page for running nodes, in the order of their names."""
+    ordered = sorted(nodes, key=lambda node: node.get_name())
+    _wait_until_subscribed(ordered, _WHILE_HEARD)
+    at_rest = {node.get_name(): endpoints(node) for node in ordered}
+    with _looking(ordered):
+        all_of_them = {node.get_name(): endpoints(node) for node in ordered}
+    sections = [_HEAD, _overview(all_of_them)]
+    sections += [_section(name, found, at_rest[name]) for name, found in all_of_them.items()]
+    for folder, title in _FOLDERS.items():
+        sections.append(f"## {title}\n")
+        sections += [_interface(read(path)) for path in sorted((_ROOT / folder).glob(f"*.{folder}"))]
+    return "\n".join(sections)
+
+
+@contextlib.contextmanager
+def _looking(nodes: Iterable[Node]) -> Iterator[None]:
+    """Let the detector look, and wait until the simulated camera has noticed."""
+    by_name: dict[str, Any] = {node.get_name(): node for node in nodes}
+    with by_name["electrode_detector_node"]._camera.watching():
+        _wait_until_subscribed(by_name.values(), "simulated_camera_node")
+        yield
+
+
+def _wait_until_subscribed(nodes: Iterable[Node], name: str) -> None:
+    (node,) = (each for each in nodes if each.get_name() == name)
+    end = time.monotonic() + _NOTICED
+    while not any(each.verb == "subscribes to" for each in endpoints(node)):
+        if time.monotonic() > end:
+            raise TimeoutError(f"{name} did not notice that what it publishes is wanted")
+        time.sleep(0.02)
+
+
+def _overview(found: dict[str, set[Endpoint]]) -> str:
+    lines = ["## Who speaks to whom", "", "| topic | from | to |", "|---|---|---|"]
+    ends = {each.name for those in found.values() for each in those if each.quality}
+    topics = sorted(name for name in ends if "/_action/" not in name)
+    for topic in topics:
+        sources, sinks = (
+            ", ".join(node for node, those in found.items() if any((e.verb, e.name) == (verb, topic) for e in those))
+            for verb in ("publishes", "subscribes to")
+        )
+        lines.append(f"| {topic} | {sources or '–'} | {sinks or '–'} |")
+    return "\n".join([*lines, ""])
+
+
+def _section(name: str, found: set[Endpoint], at_rest: set[Endpoint]) -> str:
+    lines = [f"## {name}", "", "| | name | type | quality of service |", "|---|---|---|---|"]
+    for each in sorted(found, key=lambda each: (_VERBS.index(each.verb), each.name)):
+        remark = "" if each in at_rest else " *while looking*"
+        if name == _WHILE_HEARD and each.verb == "subscribes to":
+            remark = " *while heard*"
+        lines.append(f"| {each.verb} | {each.name} | {_linked(each.type)} | {each.quality}{remark} |")
+    return "\n".join([*lines, ""])
+
+
+def _interface(interface: Interface) -> str:
+    parts = [_part(part) for part in interface.parts]
+    return "\n".join([f"### {interface.name}", "", interface.text, "", *parts])
+
+
+def _part(part: Part) -> str:
+    lines = [f"{part.name}:", ""] if part.name else []
+    if part.fields:
+        lines += ["| field | type | meaning |", "|---|---|---|"]
+        for each in part.fields:
+            default = f" (default {each.default})" if each.default else ""
+            text = each.text.replace("|", "\\|")
+            lines.append(f"| {each.name} | {_linked(each.type)} | {text}{default} |")
+    else:
+        lines.append("nothing" if not part.constants else "constants alone")
+    if part.constants:
+        lines += ["", f"Constants: {', '.join(part.constants)}."]
+    return "\n".join([*lines, ""])
+
+
+def _linked(kind: str) -> str:
+    """Return a type, as a link where it is one of the package's own."""
+    name = kind.removeprefix("deltacharger/").removesuffix("[]")
+    known = any((_ROOT / folder / f"{name}.{folder}").exists() for folder in _FOLDERS)
+    return f"[{name}](#{name.lower()})" if known else kind
+
+
+def _type(kind: Any) -> str:
+    return f"{kind.__module__.split('.')[0]}/{kind.__name__}"
+
+
+def _relative(node: Node, name: str) -> str:
+    return name.removeprefix(f"{node.get_namespace().rstrip('/')}/") if node.get_namespace() != "/" else name
+
+
+def main() -> int:
+    """Print the page."""
+    context = Context()
+    rclpy.init(context=context, args=[])
+    with every_node(context, "topic_table") as nodes:
+        sys.stdout.write(document(nodes))
+    rclpy.try_shutdown(context=context)
+    return 0
+
+
+if __name__ == "__main__":
+    from deltacharger_core import environment
+
+    environment.prepare()
+    environment.isolate()
+    raise SystemExit(main())

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of the docking report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deltacharger_lab.reports.docking import summary
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, grid, picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Rows = dict[str, summary.Columns]
+
+NAMES = (
+    "docking-angle.png",
+    "docking-clearance.png",
+    "docking-load.png",
+    "docking-alignment.png",
+    "docking-errors.png",
+)
+FORMS = {
+    "random": ("guarded, our estimate", BLUE),
+    "paper": ("paper's steps, our estimate", GREEN),
+    "classes": ("guarded, paper's classes", ORANGE),
+    "published": ("paper's steps and classes", PURPLE),
+}
+"""The forms of Algorithm 1 that dock the same scenes."""
+_CODES = {
+    "charged": BLUE,
+    "CRITICAL_ANGLE": ORANGE,
+    "MISALIGNED": PURPLE,
+    "ESTIMATE_UNSURE": GREEN,
+    "UNREACHABLE": "#8c6d46",
+    "other": "#9aa5b1",
+}
+_LARGEST = 6000  # dots of a cloud
+
+
+def draw_all(results: dict[str, Any], rows: Rows, directory: Path) -> tuple[list[str], dict[str, str]]:
+    """Write all pictures whose campaigns are there; return their names, and the reason for each that is missing."""
+    drawn, missing = [], {}
+    draw: tuple[Callable[[dict[str, Any], Rows, Path], None], ...] = (_angle, _clearance, _load, _alignment, _errors)
+    needs = ({"random"}, {"edge"}, {"random"}, {"random"}, {"random"})
+    for name, each, needed in zip(NAMES, draw, needs, strict=True):
+        if not needed <= rows.keys():
+            missing[name] = f"the campaign {', '.join(sorted(needed - rows.keys()))} was not run"
+            continue
+        try:
+            each(results, rows, directory / name)
+        except ModuleNotFoundError as error:
+            missing[name] = f"{error.name} is not installed; install deltacharger[report]"
+        else:
+            drawn.append(name)
+    return drawn, missing
+
+
+def _angle(results: dict[str, Any], rows: Rows, path: Path) -> None:
+    about = (
+        "simulated dockings of `random` by the target's roll; left with 95 % intervals, right guarded with our estimate"
+    )
+    with picture(path, 11.0, 4.8, "Who is charged, who is refused", about) as figure:
+        left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": (1.15, 1.0)})
+        figure.subplots_adjust(left=0.06, right=0.985, top=0.80, bottom=0.12, wspace=0.16)
+        names = [name for name in FORMS if name in rows]
+        for index, name in enumerate(names):
+            label, colour = FORMS[name]
+            bins = results["parts"][name]["bins"]
+            middle = np.array([0.5 * (each["low"] + each["high"]) for each in bins]) + 0.12 * (index - 1.5)
+            share = np.array([100.0 * each["share"] for each in bins])
+            ends = np.array([[100.0 * end for end in each["interval"]] for each in bins])
+            reach = np.abs(np.stack([share - ends[:, 0], ends[:, 1] - share]))
+            left.errorbar(
+                middle, share, reach, fmt="o-", markersize=3.5, linewidth=1.3, elinewidth=0.9, color=colour, label=label
+            )
+        left.axvline(12.07, color=RED, linewidth=1.0, linestyle="--")
+        left.text(12.25, 97.0, "zero clearance\nat 12.07°", color=RED, fontsize=8, va="top")
+        left.set_xlim(0.0, 20.0)
+        left.set_ylim(-3.0, 103.0)
+        left.set_xlabel("|roll|, degrees")
+        left.set_title("charged, %", loc="left")
+        left.legend(frameon=False, fontsize=8, loc="center right")
+        grid(left)
+        _stack(right, rows["random"])
+
+
+def _stack(axes: Axes, rows: summary.Columns) -> None:
+    """Draw the shares of outcomes over whole degrees of |roll|."""
+    edges = np.arange(0.0, 21.0)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    names = np.where(rows["charged"], "charged", rows["code_name"])
+    names = np.where(np.isin(names, list(_CODES)), names, "other")
+    total = np.histogram(rows["degrees"], edges)[0]
+    base = np.zeros(len(middle))
+    for name, colour in _CODES.items():
+        count = np.histogram(rows["degrees"][names == name], edges)[0]
+        share = 100.0 * count / np.maximum(total, 1)
+        if count.any():
+            axes.bar(middle, share, 0.92, base, color=colour, label=f"{name}, {int(count.sum())}", zorder=2)
+        base += share
+    axes.set_xlim(0.0, 20.0)
+    axes.set_ylim(0.0, 100.0)
+    axes.set_xlabel("|roll|, degrees")
+    axes.set_title("how they end, %", loc="left")
+    axes.legend(frameon=True, facecolor="white", edgecolor="none", framealpha=0.85, fontsize=8, loc="lower right")
+
+
+def _clearance(results: dict[str, Any], rows: Rows, path: Path) -> None:
+    about = "each dot one simulated docking at its last estimate; true clearance is judged by exact rectangles"
+    with picture(path, 11.0, 5.2, "Near zero clearance", about) as figure:
+        left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+        figure.subplots_adjust(left=0.06, right=0.985, top=0.81, bottom=0.11, wspace=0.06)
+        spoiled = [name for name in ("tails", "understated", "biased") if name in rows]
+        _cloud(left, [rows[name] for name in ("zero", "edge") if name in rows], "estimates as they are")
+        _cloud(right, [rows[name] for name in spoiled], "estimates spoiled: " + (", ".join(spoiled) or "not run"))
+        left.set_ylabel("believed clearance less 3 σ, mm")
+        left.legend(frameon=True, facecolor="white", edgecolor="none", framealpha=0.85, fontsize=8, loc="upper left")
+
+
+def _cloud(axes: Axes, parts: list[summary.Columns], title: str) -> None:
+    axes.set_title(title, loc="left")
+    axes.axhline(0.3, color=INK, linewidth=1.0, linestyle="--")
+    axes.text(3.95, 0.36, "docking's limit, 0.3 mm", fontsize=8, ha="right", va="bottom", color=INK)
+    axes.axvline(0.0, color=RED, linewidth=1.0, linestyle="--")
+    axes.text(-0.06, -4.8, "wrong bars touch", fontsize=8, ha="right", color=RED)
+    axes.set_xlim(-4.0, 4.0)
+    axes.set_ylim(-5.0, 4.0)
+    axes.set_xlabel("true clearance, mm")
+    grid(axes)
+    if not parts:
+        return
+    names = ("felt_angle", "felt_vertical", "last_angle_stddev", "last_vertical_stddev", "last_clearance", "charged")
+    every = summary.joined(parts, (*names, "energised_unsafe"))
+    x, y = 1000.0 * every["last_clearance"].astype(float), 1000.0 * summary.felt_clearance(every, 3.0)
+    unsafe = every["energised_unsafe"] > 0.0
+    kinds = (
+        (~every["charged"] & ~unsafe, ORANGE, "refused"),
+        (every["charged"] & ~unsafe, BLUE, "charged"),
+    )
+    for chosen, colour, label in kinds:
+        index = np.flatnonzero(chosen & np.isfinite(x) & np.isfinite(y))
+        shown = index[:: max(1, len(index) // _LARGEST)]
+        axes.plot(x[shown], y[shown], ".", markersize=2.2, color=colour, alpha=0.5, label=f"{label}, {len(index)}")
+    axes.plot(
+        x[unsafe],
+        y[unsafe],
+        "X",
+        markersize=8,
+        color=RED,
+        markeredgecolor="white",
+        label=f"live without clearance, {int(unsafe.sum())}",
+    )
+    if unsafe.any():
+        axes.legend(frameon=True, facecolor="white", edgecolor="none", framealpha=0.85, fontsize=8, loc="upper left")
+
+
+def _load(results: dict[str, Any], rows: Rows, path: Path) -> None:
+    charged = rows["random"]["charged"]
+    panels = (
+        ("rest_current", 1.0, "contact current at rest, A", charged, summary.BAND),
+        ("servo_current_hottest", 1.0, "hottest servo while charging, A", charged, (summary.HOTTEST_MOST,)),
+        ("servo_push", 1.0, "largest push of the servos, N", np.full(len(charged), True), (summary.PUSH_MOST,)),
+    )
+    about = "simulated dockings of `random`, gravity from anywhere; red: the targets"
+    with picture(path, 11.0, 3.9, "Load on servos and target", about) as figure:
+        figure.subplots_adjust(left=0.07, right=0.985, top=0.78, bottom=0.14, wspace=0.2)
+        for axes, (name, scale, text, chosen, limits) in zip(figure.subplots(1, 3), panels, strict=True):
+            values = scale * rows["random"][name][chosen].astype(float)
+            values = values[np.isfinite(values)]
+            low, high = min(*values, *limits) if len(values) else 0.0, max(*values, *limits) if len(values) else 1.0
+            margin = 0.04 * (high - low)
+            axes.hist(values, np.linspace(low - margin, high + margin, 61), color=BLUE, zorder=2)
+            for limit in limits:
+                axes.axvline(limit, color=RED, linewidth=1.2, linestyle="--")
+            axes.set_yscale("log")
+            axes.set_ylim(bottom=0.8)
+            axes.set_xlabel(text)
+            grid(axes, both=False)
+        figure.axes[0].set_ylabel("dockings")
+
+
+def _alignment(results: dict[str, Any], rows: Rows, path: Path) -> None:
+    about = "charged simulated dockings of `random`; the other forms on the same seeds"
+    names = [name for name in FORMS if name in rows]
+    with picture(path, 11.0, 4.2, "Moves, time, and where the electrodes rest", about) as figure:
+        moves, seconds, rest = figure.subplots(1, 3)
+        figure.subplots_adjust(left=0.055, right=0.985, top=0.78, bottom=0.13, wspace=0.2)
+        for index, name in enumerate(names):
+            label, colour = FORMS[name]
+            charged = rows[name]["charged"]
+            count = int(charged.sum())
+            share = np.bincount(rows[name]["moves"][charged].astype(int), minlength=16)[:16] / max(count, 1)
+            moves.bar(np.arange(16) + 0.2 * (index - 1.5), 100.0 * share, 0.2, color=colour, label=f"{label}, {count}")
+            _share_below(seconds, rows[name]["time"][charged].astype(float), colour)
+            far = np.maximum(np.abs(rows[name]["final_horizontal"]), np.abs(rows[name]["final_vertical"]))[charged]
+            _share_below(rest, 1000.0 * far.astype(float), colour)
+        moves.set_xlabel("alignment moves")
+        moves.set_ylabel("% of the charged")
+        moves.set_xticks(range(0, 16, 3))
+        moves.set_title("alignment moves", loc="left")
+        seconds.set_title("charged by then, %", loc="left")
+        rest.set_title("within, %", loc="left")
+        figure.legend(*moves.get_legend_handles_labels(), frameon=False, fontsize=8, loc="upper right", ncols=2)
+        seconds.set_xlabel("time to charging, s")
+        seconds.set_xlim(0.0, 150.0)
+        rest.set_xlabel("larger of the two offsets at rest, mm")
+        rest.set_xlim(0.0, 6.0)
+        rest.axvline(2.5, color=RED, linewidth=1.0, linestyle="--")
+        for axes in (moves, seconds, rest):
+            grid(axes)
+
+
+def _share_below(axes: Axes, values: summary.Array, colour: str) -> None:
+    known = np.sort(values[np.isfinite(values)])
+    axes.plot(known, 100.0 * np.arange(1, len(known) + 1) / max(len(known), 1), color=colour, linewidth=1.5)
+    axes.set_ylim(0.0, 101.0)
+
+
+def _errors(results: dict[str, Any], rows: Rows, path: Path) -> None:
+    about = (
+        "(estimate − truth) / σ of simulated dockings of `random`; outside of ±5 at the ends; black: what σ promises"
+    )
+    with picture(path, 11.0, 3.9, "Are the estimates as good as they say?", about) as figure:
+        figure.subplots_adjust(left=0.06, right=0.985, top=0.80, bottom=0.14, wspace=0.08)
+        edges = np.linspace(-5.0, 5.0, 51)
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        normal = np.exp(-0.5 * middle**2) / np.sqrt(2.0 * np.pi)
+        for axes, axis in zip(figure.subplots(1, 3, sharey=True), summary.AXES, strict=True):
+            for which, colour in (("first", ORANGE), ("last", BLUE)):
+                z = rows["random"][f"{which}_{axis}_error"] / rows["random"][f"{which}_{axis}_stddev"]
+                z = np.clip(z[np.isfinite(z)], -4.999, 4.999)
+                rms = results["calibration"]["random"][f"{which}_{axis}"]["rms"]
+                label = f"{which} estimate, rms {rms:.2f}"
+                axes.hist(z, edges, density=True, histtype="step", linewidth=1.5, color=colour, label=label, zorder=2)
+            axes.plot(middle, normal, color=INK, linewidth=1.0)
+            axes.set_yscale("log")
+            axes.set_ylim(1e-4, 12.0)
+            axes.set_xlabel(f"{axis} error / σ")
+            axes.legend(frameon=False, fontsize=8, loc="upper right")
+            grid(axes)
+            axes.tick_params(colors=FAINT)

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measures one scene, started in one way, once."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+from rclpy.context import Context
+
+from deltacharger_lab.reports.footprint import process
+from deltacharger_lab.reports.footprint.client import TOPICS, Watcher
+from deltacharger_lab.reports.footprint.plan import Plan, electrodes
+from deltacharger_lab.reports.footprint.start import COMMAND, ONE, CannotRun, Started, charger, hardware
+from deltacharger_ros.client import ChargerClient
+from deltacharger_ros.outcomes import Outcome
+from deltacharger_scenes.scene import Scene
+
+_READY_WITHIN = 60.0  # s
+_POLL = 0.02  # s
+_MEGA = 1e6  # bytes
+
+
+def measure(scene: Scene, way: str, plan: Plan, context: Context, folder: Path) -> dict[str, Any]:
+    """Return what a scene uses.
+
+    Args:
+        scene: to start.
+        way: of starting.
+        plan: how long.
+        context: a running rclpy context.
+        folder: empty, for ports and logs.
+
+    Raises:
+        CannotRun: it does not start, or a process of it ends.
+    """
+    with contextlib.ExitStack() as stack:
+        ports = stack.enter_context(hardware(scene, folder / "hardware")) if scene.touches_hardware else {}
+        watcher = stack.enter_context(Watcher(stack.enter_context(ChargerClient(context=context))))
+        if not watcher.wait_until_gone():
+            raise CannotRun("a charger answers already in this ROS domain; stop it, or set another ROS_DOMAIN_ID")
+        with charger(scene, way, ports, folder / "charger") as started:
+            found: dict[str, Any] = _wait_until_ready(watcher, scene, started, way)
+            time.sleep(plan.settle_s)
+            found |= _rest(watcher, started, plan.rest_s)
+            found |= _docking(watcher, scene, started, plan) if scene_docks(scene) else _no_docking("")
+            after = _use(started)
+            found["pss_mb"], found["rss_mb"] = after.pss / _MEGA, after.rss / _MEGA
+            libraries = process.mapped(started.pids)
+        found["libraries"] = sorted(libraries | started.libraries)
+        found["modules"] = len(started.modules)
+        return found
+
+
+def scene_docks(scene: Scene) -> bool:
+    """Return whether a scene takes a Dock goal."""
+    return "docking_node" in scene.nodes
+
+
+def _wait_until_ready(watcher: Watcher, scene: Scene, started: Started, way: str) -> dict[str, float]:
+    """Return how long (s) the start took: until it said so itself, if it says it, and for a client in this process."""
+    seen: dict[str, float] = {} if way == ONE else {"says_ready_s": math.nan}
+    while len(seen) < 2:
+        started.check()
+        elapsed = time.monotonic() - started.began
+        if watcher.is_ready(scene):
+            seen.setdefault("ready_s", elapsed)
+        if way == ONE and started.is_ready(COMMAND):
+            seen.setdefault("says_ready_s", elapsed)
+        if elapsed > _READY_WITHIN:
+            name = list(started.processes)[-1]
+            raise CannotRun(f"not ready within {_READY_WITHIN:.0f} s; {name} said: {started.last_words(name)}")
+        time.sleep(_POLL)
+    return seen
+
+
+def _rest(watcher: Watcher, started: Started, seconds: float) -> dict[str, Any]:
+    before, begin, counting = _use(started), time.monotonic(), watcher.count()
+    time.sleep(seconds)
+    after = _use(started)
+    return {
+        "processes": after.processes,
+        "threads": after.threads,
+        "rest_percent": 100.0 * (after.cpu - before.cpu) / (time.monotonic() - begin),
+        **_named("rest", counting.rates()),
+    }
+
+
+def _docking(watcher: Watcher, scene: Scene, started: Started, plan: Plan) -> dict[str, Any]:
+    before, begin, counting = _use(started), time.monotonic(), watcher.count()
+    outcome = watcher.dock(electrodes(scene), plan.docking_limit_s)
+    if not isinstance(outcome, Outcome):
+        return _no_docking(outcome)
+    if not outcome.success:
+        return _no_docking(f"{outcome.error_name}: {outcome.error_message}")
+    after, elapsed = _use(started), time.monotonic() - begin
+    return {
+        "docking_percent": 100.0 * (after.cpu - before.cpu) / elapsed,
+        "docking_s": elapsed,
+        "docking_problem": "",
+        **_named("docking", counting.rates()),
+    }
+
+
+def _no_docking(problem: str) -> dict[str, Any]:
+    return {
+        "docking_percent": math.nan,
+        "docking_s": math.nan,
+        "docking_problem": problem,
+        **_named("docking", dict.fromkeys(TOPICS, math.nan)),
+    }
+
+
+def _named(when: str, rates: dict[str, float]) -> dict[str, float]:
+    return {f"{when}_{name}_hz": value for name, value in rates.items()}
+
+
+def _use(started: Started) -> process.Usage:
+    started.check()
+    try:
+        return process.usage(started.pids)
+    except OSError as error:
+        started.check()
+        raise CannotRun(f"a process ended while it was measured ({error})") from error

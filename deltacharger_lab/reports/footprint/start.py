@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Starts a scene as people start it, in processes that nothing else shares, and ends it again."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from deltacharger_lab.reports.footprint.process import imported
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.scene import Scene
+
+ONE, SEPARATE = "one process", "separate processes"
+WAYS = (ONE, SEPARATE)
+_PORTS_WITHIN = 30.0  # s until emulated hardware has its ports
+_END_WITHIN = 15.0  # s that a process may take to make itself safe
+_HARDWARE = "simulated hardware"
+COMMAND = "deltacharger up"
+
+# A process tells at its end every module that it has imported, whoever did it and from wherever.
+_TELL = "import atexit, sys; atexit.register(lambda: open({file!r}, 'w').write('\\n'.join(sys.modules)))\n"
+_CLI = "from deltacharger_bringup.cli.main import main; sys.exit(main())"
+_NODE = "from {module} import main; sys.exit(main())"
+
+
+class CannotRun(Exception):
+    """A scene does not run here; the message says why."""
+
+
+@dataclass
+class Started:
+    """A scene's processes.
+
+    Attributes:
+        began: when the first was started, s, monotonic.
+        processes: by name, in the order of starting.
+        modules: names of all that they had imported; known once they have ended.
+        folder: with what each of them said.
+    """
+
+    folder: Path
+    began: float = 0.0
+    processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+    modules: set[str] = field(default_factory=set)
+
+    @property
+    def pids(self) -> list[int]:
+        """The processes' numbers."""
+        return [process.pid for process in self.processes.values()]
+
+    def start(self, name: str, code: str, *words: str) -> None:
+        """Start a process that runs `code` with a command line."""
+        code = _TELL.format(file=str(self._told(name))) + code
+        with (self.folder / f"{name}.log").open("wb") as log:
+            command = [sys.executable, "-c", code, *words]
+            self.processes[name] = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+
+    def check(self) -> None:
+        """Raise CannotRun where a process has ended."""
+        for name, process in self.processes.items():
+            if process.poll() is not None:
+                raise CannotRun(f"{name} ended with {process.returncode}: {self.last_words(name)}")
+
+    def last_words(self, name: str) -> str:
+        """Return the last line that a process wrote."""
+        return next((line for line in reversed(self._lines(name)) if line), "it said nothing")
+
+    def is_ready(self, name: str) -> bool:
+        """Return whether a process has said that it is ready."""
+        return "ready" in self._lines(name)
+
+    def end(self) -> None:
+        """End all, those first that command, and take what they tell."""
+        for name, process in reversed(self.processes.items()):
+            if process.poll() is None:
+                process.terminate()
+                try:
+                    process.wait(_END_WITHIN)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+                    process.wait()
+            with contextlib.suppress(OSError):  # a process that was killed tells nothing
+                self.modules |= set(self._told(name).read_text("utf-8").split("\n"))
+
+    @property
+    def libraries(self) -> set[str]:
+        """Heavy libraries among the modules."""
+        return imported(self.modules)
+
+    def _lines(self, name: str) -> list[str]:
+        text = (self.folder / f"{name}.log").read_text("utf-8", "replace")
+        return [line.strip() for line in text.split("\n")]
+
+    def _told(self, name: str) -> Path:
+        return self.folder / f"{name}.modules"
+
+
+@contextlib.contextmanager
+def hardware(scene: Scene, folder: Path) -> Iterator[dict[str, str]]:
+    """Serve emulated hardware for a scene on ports of its own, and return them; they cost the scene nothing.
+
+    Raises:
+        CannotRun: it does not start.
+    """
+    folder.mkdir()
+    started = Started(folder)
+    try:
+        yield _simulate(started, "simulated", folder)
+    finally:
+        started.end()
+
+
+def _simulate(started: Started, scene: str, folder: Path) -> dict[str, str]:
+    """Start `deltacharger simulate`, wait for its ports, and return them."""
+    started.start(_HARDWARE, _CLI, "simulate", "--scene", scene, "--directory", str(folder))
+    deadline = time.monotonic() + _PORTS_WITHIN
+    while not started.is_ready(_HARDWARE):
+        started.check()
+        if time.monotonic() > deadline:
+            raise CannotRun(f"no emulated ports within {_PORTS_WITHIN:.0f} s")
+        time.sleep(0.01)
+    return {name: str(folder / name) for name in ("servo", "board")}
+
+
+@contextlib.contextmanager
+def charger(scene: Scene, way: str, ports: dict[str, str], folder: Path) -> Iterator[Started]:
+    """Start a scene.
+
+    Args:
+        scene: what to start.
+        way: `ONE`, by `deltacharger up`, or `SEPARATE`, each node and the simulated hardware, as launch does.
+        ports: emulated ones of a scene on hardware; empty for another.
+        folder: for logs, made here.
+
+    Raises:
+        CannotRun: it does not start.
+    """
+    folder.mkdir()
+    started = Started(folder, began=time.monotonic())
+    try:
+        if way == ONE:
+            used = sorted({NODES[name].port for name in scene.nodes} & set(ports))
+            words = [word for name in used for word in (f"--{name}-port", ports[name])]
+            started.start(COMMAND, _CLI, "up", "--scene", scene.file, *words)
+        else:
+            _start_nodes(started, scene, ports)
+        yield started
+    finally:
+        started.end()
+
+
+def _start_nodes(started: Started, scene: Scene, ports: dict[str, str]) -> None:
+    if scene.simulation is not None:
+        ports = _simulate(started, scene.file, started.folder)
+    for name in scene.start_order():
+        file = started.folder / f"{name}.yaml"
+        file.write_text(json.dumps({"/**": {"ros__parameters": scene.node_parameters(name, ports)}}), "utf-8")
+        words = ("--ros-args", "--params-file", str(file)) if scene.node_parameters(name, ports) else ()
+        started.start(name, _NODE.format(module=NODES[name].module), *words)

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pictures of the kinematics report; each is drawn from the report's own figures."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deltacharger_lab.reports.kinematics.workspace import Slices, draw_condition, draw_force
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, grid, picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ERROR_TIME, EDGE, SPEED = "kinematics-error-time.png", "kinematics-edge.png", "kinematics-speed.png"
+CONDITION, FORCE = "kinematics-condition.png", "kinematics-force.png"
+NAMES = (ERROR_TIME, EDGE, SPEED, CONDITION, FORCE)
+_COLOURS = {"ours": BLUE, "form": ORANGE, "peer": PURPLE}
+_MARKERS = {"ours": "oD^*", "form": "vPXs<>", "peer": "hpds^"}
+_FLOOR = 1e-17  # rad; an error of zero is drawn here
+_PANELS = {"interior": "workspace box", "boundary": "edge of reach", "fold": "one limb folded"}
+
+
+def draw_all(results: dict[str, Any], slices: Slices, directory: Path) -> tuple[list[str], dict[str, str]]:
+    """Write every picture that can be written and return their names, and for the missing ones the reason."""
+    jobs: dict[str, Callable[[Path], None]] = {
+        ERROR_TIME: lambda path: _error_time(results, path),
+        EDGE: lambda path: _edge(results, path),
+        SPEED: lambda path: _speed(results, path),
+        CONDITION: lambda path: draw_condition(slices, path),
+        FORCE: lambda path: draw_force(slices, path),
+    }
+    written: list[str] = []
+    missing: dict[str, str] = {}
+    for name, job in jobs.items():
+        try:
+            job(directory / name)
+            written.append(name)
+        except ImportError as error:
+            missing[name] = f"{error}; install deltacharger[report]"
+    return written, missing
+
+
+def _error_time(results: dict[str, Any], path: Path) -> None:
+    about = "largest angle error against 60 digits; filled: in an array of 10 000, hollow: one call at a time"
+    with picture(path, 13.0, 5.6, "Inverse kinematics: error against run time", about) as figure:
+        panels = figure.subplots(1, len(_PANELS), sharey=True, sharex=True)
+        figure.subplots_adjust(left=0.065, right=0.815, top=0.80, bottom=0.11, wspace=0.06)
+        for axes, (name, title) in zip(panels, _PANELS.items(), strict=True):
+            _scatter(axes, results["inverse"], name)
+            axes.set_title(title, pad=6)
+            axes.set_xlabel("µs per pose")
+            axes.set_xscale("log")
+            axes.set_yscale("log")
+            grid(axes)
+        panels[0].set_ylabel("largest error, rad")
+        panels[0].set_ylim(1e-17, 10.0)
+        markers = _markers(results["inverse"])
+        handles = [_handle(row, markers[row["name"]]) for row in results["inverse"]]
+        figure.legend(
+            handles=handles, loc="center left", bbox_to_anchor=(0.825, 0.46), frameon=False, fontsize=8.5,
+            labelspacing=0.75,
+        )  # fmt: skip
+
+
+def _scatter(axes: Axes, rows: list[dict[str, Any]], name: str) -> None:
+    markers = _markers(rows)
+    for row in rows:
+        error = row["sets"][name]["max"]
+        if not np.isfinite(error):
+            continue
+        marker, colour = markers[row["name"]], _COLOURS[row["family"]]
+        level = max(error, _FLOOR)
+        cost = row["times"][name]
+        times = [(cost["array_us"], colour), (cost["one_us"], "white")]
+        known = [time for time, _ in times if time is not None]
+        axes.plot(known, [level] * len(known), color=colour, linewidth=0.8, alpha=0.5, zorder=2)
+        for time, face in times:
+            if time is not None:
+                size = 11 if marker == "*" else 7
+                axes.plot(
+                    time, level, marker=marker, markersize=size, color=colour, markerfacecolor=face, alpha=0.9,
+                    linestyle="none", zorder=4 if row["family"] == "ours" else 3,
+                )  # fmt: skip
+
+
+def _markers(rows: list[dict[str, Any]]) -> dict[str, str]:
+    """Return the marker of each row's name: the next one of its family."""
+    left = {family: itertools.cycle(markers) for family, markers in _MARKERS.items()}
+    return {row["name"]: next(left[row["family"]]) for row in rows}
+
+
+def _handle(row: dict[str, Any], marker: str) -> Any:
+    from matplotlib.lines import Line2D
+
+    return Line2D(
+        [], [], marker=marker, color=_COLOURS[row["family"]], linestyle="none", markersize=7, label=row["name"]
+    )
+
+
+def _edge(results: dict[str, Any], path: Path) -> None:
+    decades, markers = results["edge"]["decades"], _markers(results["inverse"])
+    about = "largest angle error of points whose exact distance to the edge lies within a factor of ten"
+    with picture(path, 13.0, 5.2, "Inverse kinematics toward the edge of reach", about) as figure:
+        axes = figure.add_axes((0.065, 0.12, 0.73, 0.69))
+        for row in results["inverse"]:
+            curve = [np.nan if each is None else max(each, _FLOOR) for each in results["edge"]["curves"][row["name"]]]
+            axes.plot(
+                decades, curve, marker=markers[row["name"]], markersize=5, linewidth=1.3, color=_COLOURS[row["family"]],
+                alpha=0.85, label=row["name"], zorder=4 if row["family"] == "ours" else 3,
+            )  # fmt: skip
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_ylim(1e-17, 1e-3)
+        axes.set_xlabel("distance to the edge of reach, m (lower end of the decade)")
+        axes.set_ylabel("largest error, rad")
+        grid(axes)
+        figure.legend(loc="center left", bbox_to_anchor=(0.81, 0.45), frameon=False, fontsize=8.5, labelspacing=0.75)
+
+
+def _speed(results: dict[str, Any], path: Path) -> None:
+    about = "one process, process time; full solves give angles, status and margin"
+    with picture(path, 13.0, 4.8, "Poses per second by the size of the array", about) as figure:
+        axes = figure.add_axes((0.065, 0.13, 0.62, 0.66))
+        colours = (BLUE, PURPLE, RED, ORANGE, GREEN, FAINT)
+        for (name, row), colour, marker in zip(results["speed"].items(), colours, "oDsv^P", strict=False):
+            axes.plot(
+                [int(size) for size in row], list(row.values()), marker=marker, markersize=5, linewidth=1.5,
+                color=colour, label=name, linestyle="dashed" if colour == RED else "solid",
+            )  # fmt: skip
+        axes.axhline(3e6, color=INK, linewidth=0.8, linestyle=(0, (4, 3)))
+        axes.annotate("wanted: 3 million", (1.0, 3e6), xytext=(2, 3), textcoords="offset points", fontsize=8, color=INK)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlabel("points in one call")
+        axes.set_ylabel("poses per second")
+        grid(axes)
+        figure.legend(loc="center left", bbox_to_anchor=(0.70, 0.45), frameon=False, fontsize=9, labelspacing=0.9)

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measures the kinematics and writes the report: figures as JSON, a page with tables, pictures."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import math
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deltacharger_kinematics import DeltaGeometry
+from deltacharger_lab.reports.kinematics import measure, speed
+from deltacharger_lab.reports.kinematics.extremes import run_cases
+from deltacharger_lab.reports.kinematics.geometries import measure_robots
+from deltacharger_lab.reports.kinematics.measure import Plan, Sample
+from deltacharger_lab.reports.kinematics.page import write_page
+from deltacharger_lab.reports.kinematics.peers import load, versions
+from deltacharger_lab.reports.kinematics.pictures import draw_all
+from deltacharger_lab.reports.kinematics.reference import DIGITS, ExactDelta
+from deltacharger_lab.reports.kinematics.sets import interior
+from deltacharger_lab.reports.kinematics.solvers import OURS, PRECISE, SCALAR, Solver, forward_solvers, inverse_solvers
+from deltacharger_lab.reports.kinematics.timing import Stopwatch
+from deltacharger_lab.reports.kinematics.workspace import slice_workspace
+from deltacharger_lab.reports.machine import processor
+from deltacharger_ros.outcomes import json_ready
+
+PAGE, FIGURES = "kinematics.md", "kinematics.json"
+DEFAULT_POINTS, QUICK_POINTS = 5_000, 200
+
+
+def full_plan(points: int, seed: int) -> Plan:
+    """Return what the report measures by default."""
+    sizes = (1, 10, 100, 1_000, 10_000, 100_000, 1_000_000)
+    return Plan(points, min(points, 1_000), 100_000, seed, sizes, Stopwatch(), 400)
+
+
+def quick_plan(points: int, seed: int) -> Plan:
+    """Return what a quick look and the tests measure."""
+    return Plan(points, min(points, 60), 10_000, seed, (1, 100, 10_000), Stopwatch(3, 0.004), 60)
+
+
+def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
+    """Measure, write page, figures and pictures into `directory` and return the figures.
+
+    Raises:
+        ImportError: mpmath is missing.
+        OSError: a file cannot be written.
+    """
+    started = time.monotonic()
+    geometry = DeltaGeometry()
+    exact = ExactDelta(geometry)  # first, so that a missing mpmath is told before anything takes time
+    peers, absent = load(geometry)
+    inverse, forward = inverse_solvers(geometry, peers), forward_solvers(geometry, peers)
+    results: dict[str, Any] = {
+        "machine": _machine(),
+        "versions": versions(),
+        "command": command,
+        "date": datetime.date.today().isoformat(),
+        "digits": DIGITS,
+        "seed": plan.seed,
+        "points": plan.points,
+        "peers": {peer.name: peer.setup for peer in peers},
+        "absent": absent,
+    }
+    progress("drawing the sets, solving them to 60 digits")
+    samples = measure.inverse_samples(exact, plan)
+    results["sets"] = measure.describe([each.points for each in samples], plan, plan.peer_points)
+    _measure_errors(results, inverse, forward, samples, exact, plan, progress)
+    _measure_speed(results, inverse, forward, samples, geometry, plan, progress)
+    progress("extreme inputs and robots")
+    results["extremes"], results["robots"] = run_cases(plan), measure_robots(plan)
+    progress("pictures")
+    slices = slice_workspace(geometry, plan.grid)
+    results["workspace"] = slices.box
+    results["targets"] = targets(results)
+    results["pictures"], results["missing_pictures"] = draw_all(results, slices, directory)
+    results["elapsed_s"] = time.monotonic() - started
+    (directory / FIGURES).write_text(json.dumps(json_ready(results), indent=1, ensure_ascii=False) + "\n", "utf-8")
+    write_page(results, directory / PAGE)
+    return results
+
+
+def _measure_errors(
+    results: dict[str, Any],
+    inverse: Sequence[Solver],
+    forward: Sequence[Solver],
+    samples: Sequence[Sample],
+    exact: ExactDelta,
+    plan: Plan,
+    progress: Callable[[str], None],
+) -> None:
+    geometry = exact.geometry
+    by_name = {sample.points.name: sample for sample in samples}
+    progress("errors of inverse kinematics")
+    errors = measure.inverse_accuracy(inverse, samples, geometry, plan)
+    results["inverse"] = [{"name": each.name, "family": each.family, "sets": errors[each.name]} for each in inverse]
+    curves = measure.edge_curve(inverse, by_name["boundary"], geometry, plan)
+    results["edge"] = {"decades": [10.0**each for each in measure.DECADES], "curves": curves}
+    progress("decisions at the edge of reach")
+    drawn, decisions = measure.reach_decisions(inverse, exact, by_name["boundary"], plan)
+    results["reach"] = {"sets": measure.describe(drawn, plan, plan.peer_points), "solvers": decisions}
+    progress("errors of forward kinematics")
+    there = [by_name[name] for name in ("interior", "wide", "near type 2")]
+    positions = measure.forward_accuracy(forward, exact, there, plan)
+    results["forward"] = [{"name": each.name, "family": each.family, "sets": positions[each.name]} for each in forward]
+    results["round_trip"] = measure.round_trips(geometry, plan)
+
+
+def _measure_speed(
+    results: dict[str, Any],
+    inverse: Sequence[Solver],
+    forward: Sequence[Solver],
+    samples: Sequence[Sample],
+    geometry: DeltaGeometry,
+    plan: Plan,
+    progress: Callable[[str], None],
+) -> None:
+    progress("run times")
+    box, edge, fold = samples[:3]
+    triples = interior(geometry, plan.generator(10), speed.BATCH).points
+    costs = speed.solver_costs(inverse, triples, plan)
+    for row in results["inverse"]:
+        row |= costs[row["name"]]
+        row["times"] = {box.points.name: costs[row["name"]]}
+    for sample in (edge, fold):  # where the solve takes another path, or more steps
+        costs = speed.solver_costs(inverse, sample.points.points, plan)
+        for row in results["inverse"]:
+            row["times"][sample.points.name] = costs[row["name"]]
+    angles = box.exact.angles.high
+    costs = speed.solver_costs(forward, angles, plan)
+    for row in results["forward"]:
+        row |= costs[row["name"]]
+    results["ratios"] = speed.ratios(inverse, triples, plan)
+    results["speed"] = speed.throughput(geometry, triples, edge.points.points, plan)
+    results["functions"] = speed.function_costs(geometry, triples, plan)
+
+
+def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return each target with what was measured and whether it is met."""
+    rows = {row["name"]: row for row in results["inverse"]}
+    sets = [each["name"] for each in results["sets"]]
+    plain = [rows[name]["sets"] for name in OURS if name != PRECISE]
+    outside = [each["name"] for each in results["reach"]["sets"][:-1]]
+    inside = results["reach"]["sets"][-1]["name"]
+    decisions = [results["reach"]["solvers"][name] for name in OURS]
+    largest_size = max(results["speed"]["Delta.inverse"], key=int)
+    peer, ratio = fastest_peer(results, "one")
+    array_peer, array_ratio = fastest_peer(results, "array")
+    return [
+        _below("interior, largest error", max(row["interior"]["max"] for row in plain), 8e-16, "rad"),
+        _below("boundary, largest error", max(row["boundary"]["max"] for row in plain), 4e-16, "rad"),
+        _below(
+            "every set, largest error with precise=True",
+            max(rows[PRECISE]["sets"][name]["max"] for name in sets),
+            4e-16,
+            "rad",
+        ),
+        _below("points outside called reachable", sum(row[name] for row in decisions for name in outside), 0, ""),
+        _below("points inside called unreachable", sum(row[inside] for row in decisions), 0, ""),
+        _below("FK of IK, largest distance", results["round_trip"]["Delta.inverse"]["max"], 5e-16, "m"),
+        _below("one point, ScalarDelta.inverse", rows[SCALAR]["one_us"], 5.0, "µs"),
+        _above(f"one point, {peer} against ScalarDelta", ratio, 25.0, "times"),
+        _above(f"array, {array_peer} against Delta.inverse", array_ratio, 25.0, "times"),
+        _above("array, full solve", results["speed"]["Delta.inverse"][largest_size], 3e6, "poses/s"),
+    ]
+
+
+def fastest_peer(results: dict[str, Any], kind: str) -> tuple[str, float]:
+    """Return the general solver nearest to ours, for single calls ("one") or arrays, and its ratio; NaN if none."""
+    ratios = {name: row[kind] for name, row in results["ratios"].items() if row[kind] is not None}
+    name = min(ratios, key=lambda each: ratios[each], default="")
+    return (name, ratios[name]) if name else ("a general solver", math.nan)
+
+
+def _below(name: str, value: float, limit: float, unit: str) -> dict[str, Any]:
+    return _target(name, f"≤ {limit:g}", value, unit, value <= limit)
+
+
+def _above(name: str, value: float, limit: float, unit: str) -> dict[str, Any]:
+    return _target(name, f"≥ {limit:g}", value, unit, value >= limit)
+
+
+def _target(name: str, wanted: str, value: float, unit: str, met: bool) -> dict[str, Any]:
+    judged = None if math.isnan(value) else bool(met)
+    return {"name": name, "wanted": wanted, "measured": float(value), "unit": unit, "met": judged}
+
+
+def _machine() -> dict[str, Any]:
+    return {
+        "processor": processor(),
+        "cores": os.cpu_count(),
+        "system": platform.system(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+    }

@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Seeded sets of points on which the forms of the report are measured.
+
+Points near the edge of reach are placed by geometry and then moved by a few units in the last place until their exact
+distance to the edge, in 60 digits, is the one wanted: 1e-17 m can only be hit that way.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_kinematics import Delta, DeltaGeometry
+from deltacharger_kinematics.geometry import LIMB_DIRECTIONS
+from deltacharger_lab.reports.kinematics.reference import ExactDelta
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+_STEPS = np.array(list(itertools.product(range(-4, 5), repeat=3)), dtype=np.float64)  # units in the last place tried
+_CLEAR = 0.02  # of the shorter link; how far inside reach the limbs lie that a set does not aim at
+_DEFAULT_SPAN = 0.28  # m; arm + rod of the default robot, for which distances to the edge are stated
+_ROUND = 512  # points moved at a time, to bound memory
+_ATTEMPTS = 400
+
+
+@dataclass(frozen=True)
+class PointSet:
+    """Points (n, 3) m in charger_base.
+
+    Attributes:
+        name: as the tables call it.
+        about: how it was drawn.
+        points: the doubles that count as exact.
+        edge: exact distance (n,) m to the edge of reach of the nearest limb, negative outside; None = not asked for.
+    """
+
+    name: str
+    about: str
+    points: Array
+    edge: Array | None = None
+
+
+def plain_edge(geometry: DeltaGeometry, points: Array) -> Array:
+    """Return how far inside reach points (n, 3) lie for each limb (n, 3), m, in plain doubles."""
+    edges = []
+    for index in range(3):
+        limb = geometry.limb(index)
+        u = points[:, 0] * limb.cosine + points[:, 1] * limb.sine - limb.difference
+        v = points[:, 1] * limb.cosine - points[:, 0] * limb.sine - limb.tangential_offset
+        across = np.hypot(u, points[:, 2] + limb.motor_height)
+        nearest, farthest = np.hypot(across - limb.arm, v), np.hypot(across + limb.arm, v)
+        edges.append(np.minimum(limb.rod - nearest, farthest - limb.rod))
+    return np.stack(edges, axis=-1)
+
+
+def interior(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -> PointSet:
+    """Return points of the workspace box, evenly spread."""
+    points = rng.uniform(geometry.workspace_min, geometry.workspace_max, (count, 3))
+    return PointSet("interior", "evenly over the workspace box", points)
+
+
+def wide(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -> PointSet:
+    """Return points of the whole volume that all three limbs reach, behind the motors too."""
+    span = abs(geometry.radius_difference) + geometry.arm + geometry.rod
+    low, high = np.array([-span, -span, -geometry.z_offset - span]), np.array([span, span, span - geometry.z_offset])
+
+    def draw(size: int) -> Array:
+        points = rng.uniform(low, high, (size, 3))
+        inside: Mask = plain_edge(geometry, points).min(-1) > 1e-9
+        return np.asarray(points[inside], dtype=np.float64)
+
+    return PointSet("wide", "evenly over all that the three limbs reach, in front and behind", _collect(draw, count))
+
+
+def assembled(geometry: DeltaGeometry, rng: np.random.Generator, count: int, delta: Delta | None = None) -> PointSet:
+    """Return points that random arm angles lead to; works for geometries whose reach is a thin shell."""
+    solver = delta or Delta(geometry)
+
+    def draw(size: int) -> Array:
+        found = solver.forward(rng.uniform(-math.pi, math.pi, (size, 3))).position
+        found = found[np.isfinite(found).all(-1)]
+        inside: Mask = plain_edge(geometry, found).min(-1) > 0.0
+        return np.asarray(found[inside], dtype=np.float64)
+
+    return PointSet("assembled", "where random arm angles lead", _collect(draw, count))
+
+
+def near_type_2(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -> PointSet:
+    """Return points with |det| of the unit rod vectors from 1e-12 to 1e-2, found by bisection between its signs."""
+    delta = Delta(geometry)
+
+    def draw(size: int) -> Array:
+        ends = wide(geometry, rng, 2 * size).points.reshape(2, size, 3)
+        signs = [np.sign(delta.jacobian(end).determinant) for end in ends]
+        start, end = (each[signs[0] * signs[1] < 0.0] for each in ends)
+        side = np.sign(delta.jacobian(start).determinant)
+        low, high = np.zeros(len(start)), np.ones(len(start))
+        wanted = 10.0 ** rng.uniform(-12.0, -2.0, len(start))
+        for _ in range(70):
+            middle = 0.5 * (low + high)
+            value = delta.jacobian(start + middle[:, None] * (end - start)).determinant
+            before = value * side > wanted
+            low, high = np.where(before, middle, low), np.where(before, high, middle)
+        points = start + low[:, None] * (end - start)
+        value = np.abs(delta.jacobian(points).determinant)
+        near: Mask = (value < 0.02) & (plain_edge(geometry, points).min(-1) > 1e-6)
+        return np.asarray(points[near], dtype=np.float64)
+
+    return PointSet(
+        "near type 2", "rods nearly in a plane, determinant of their directions 1e-12 to 1e-2", _collect(draw, count)
+    )
+
+
+def boundary(exact: ExactDelta, rng: np.random.Generator, count: int) -> PointSet:
+    """Return points 1e-17 to 1e-3 m inside the edge of reach: one limb nearly stretched or nearly folded."""
+    points, edge = _near_edge(exact, rng, count, (-17.0, -3.0), inside=True, place=_anywhere)
+    return PointSet("boundary", "1e-17 to 1e-3 m inside the edge of reach, stretched or folded", points, edge)
+
+
+def fold(exact: ExactDelta, rng: np.random.Generator, count: int) -> PointSet:
+    """Return points with one limb nearly folded, a third with w, a third with u and a third with both near zero."""
+    parts = [
+        _near_edge(exact, rng, (count + shift) // 3, (-17.0, -3.0), inside=True, place=place)
+        for shift, place in enumerate((_folded_w, _folded_u, _folded_both))
+    ]
+    points, edge = np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
+    order = rng.permutation(len(points))  # so that the first few are a fair sample
+    about = "one limb nearly folded while w, u or both pass through 0, down to 1e-17 m"
+    return PointSet("fold", about, points[order], edge[order])
+
+
+def outside(exact: ExactDelta, rng: np.random.Generator, count: int, low: float, high: float) -> PointSet:
+    """Return points out of reach by 10^low to 10^high m."""
+    points, edge = _near_edge(exact, rng, count, (low, high), inside=False, place=_anywhere)
+    return PointSet(f"outside 1e{low:.0f} to 1e{high:.0f} m", "out of reach of one limb by this much", points, edge)
+
+
+Placement = tuple[Array, Array, Array]  # distance from the motor axis, its angle, sideways; of the limb aimed at
+Place = Callable[[Array, Array, np.random.Generator, Array], Placement]  # of arms, rods, distances to the edge
+
+
+def _anywhere(arm: Array, rod: Array, rng: np.random.Generator, edge: Array) -> Placement:
+    """Draw a platform joint `edge` m inside reach: on the shell of a torus about the circle of the elbow."""
+    size = len(edge)
+    around = rng.uniform(-math.pi, math.pi, size)
+    folded = rng.random(size) < 0.5
+    beyond = folded & (rod * np.cos(around) > arm)  # the rod reaches back over the motor axis
+    radius = np.where(beyond, rod + edge, rod - edge)
+    across = np.where(beyond, -arm, arm) + radius * np.cos(around)
+    across = np.where(folded == (beyond | (np.cos(around) < 0.0)), across, -1.0)
+    return across, rng.uniform(-math.pi, math.pi, size), radius * np.sin(around)
+
+
+def _folded(arm: Array, rod: Array, rng: np.random.Generator, edge: Array) -> tuple[Array, Array]:
+    around = rng.uniform(-math.pi, math.pi, len(edge))
+    beyond = np.cos(around) > arm / rod
+    radius = np.where(beyond, rod + edge, rod - edge)
+    across = np.where(beyond, radius * np.cos(around) - arm, arm - radius * np.abs(np.cos(around)))
+    return across, radius * np.sin(around)
+
+
+def _small(rng: np.random.Generator, size: int, low: float, high: float) -> Array:
+    return np.asarray(10.0 ** rng.uniform(low, high, size) * rng.choice((-1.0, 1.0), size), dtype=np.float64)
+
+
+def _folded_w(arm: Array, rod: Array, rng: np.random.Generator, edge: Array) -> Placement:
+    across, side = _folded(arm, rod, rng, edge)
+    ratio = np.clip(_small(rng, len(edge), -17.0, -3.0) / np.maximum(across, 1e-9), -1.0, 1.0)
+    return across, np.where(rng.random(len(edge)) < 0.5, np.arcsin(ratio), math.pi - np.arcsin(ratio)), side
+
+
+def _folded_u(arm: Array, rod: Array, rng: np.random.Generator, edge: Array) -> Placement:
+    across, angle, side = _folded_w(arm, rod, rng, edge)
+    return across, angle + rng.choice((-0.5, 0.5), len(edge)) * math.pi, side
+
+
+def _folded_both(arm: Array, rod: Array, rng: np.random.Generator, edge: Array) -> Placement:
+    across = np.abs(_small(rng, len(edge), -12.0, -3.0)) + edge
+    beyond = rng.random(len(edge)) < 0.5
+    radius, along = np.where(beyond, rod + edge, rod - edge), np.where(beyond, arm + across, arm - across)
+    side = np.sqrt(np.maximum(radius * radius - along * along, 0.0)) * rng.choice((-1.0, 1.0), len(edge))
+    return across, rng.uniform(-math.pi, math.pi, len(edge)), side
+
+
+def _near_edge(
+    exact: ExactDelta,
+    rng: np.random.Generator,
+    count: int,
+    decades: tuple[float, float],
+    *,
+    inside: bool,
+    place: Place,
+) -> tuple[Array, Array]:
+    """Return points (n, 3) and their exact signed distance (n,) to the edge of reach."""
+    geometry = exact.geometry
+    low, high = (10.0**decade * (geometry.arm + geometry.rod) / _DEFAULT_SPAN for decade in decades)
+    arms, rods = (np.array([getattr(geometry.limb(index), name) for index in range(3)]) for name in ("arm", "rod"))
+    clear = _CLEAR * min(arms.min(), rods.min())
+    points, edges = [np.empty((0, 3))], [np.empty(0)]
+    missing = count
+    for _ in range(_ATTEMPTS):
+        wanted = np.exp(rng.uniform(math.log(low), math.log(high), 32 * max(missing, 8))) * (1.0 if inside else -1.0)
+        limbs = rng.integers(0, 3, len(wanted))
+        placed = _in_base(geometry, limbs, place(arms[limbs], rods[limbs], rng, wanted))
+        others = np.where(np.arange(3) == limbs[:, None], np.inf, plain_edge(geometry, placed)).min(-1)
+        keep = np.flatnonzero(np.isfinite(placed).all(-1) & (others > clear))[:missing]
+        for chosen in _rounds(keep):
+            moved = _settle(exact, placed[chosen], limbs[chosen], wanted[chosen])
+            distance = exact.edge(moved).min(-1)
+            right = (distance > 0.0) if inside else (distance < 0.0)
+            right &= (np.abs(distance) >= low / 2) & (np.abs(distance) <= 2 * high)
+            points.append(moved[right])
+            edges.append(distance[right])
+            missing -= int(right.sum())
+        if missing <= 0:
+            break
+    return np.concatenate(points), np.concatenate(edges)
+
+
+def _rounds(indices: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
+    for start in range(0, len(indices), _ROUND):
+        yield indices[start : start + _ROUND]
+
+
+def _in_base(geometry: DeltaGeometry, limbs: NDArray[np.int64], placement: Placement) -> Array:
+    """Turn distance, angle and sideways offset of the limb aimed at into points (n, 3); NaN where there is none."""
+    across, angle, side = placement
+    across = np.where(across >= 0.0, across, np.nan)
+    each = [geometry.limb(index) for index in range(3)]
+    radial = across * np.cos(angle) + np.array([limb.difference for limb in each])[limbs]
+    side = side + np.array([limb.tangential_offset for limb in each])[limbs]
+    height = across * np.sin(angle) - np.array([limb.motor_height for limb in each])[limbs]
+    cosine, sine = np.array(LIMB_DIRECTIONS)[limbs].T
+    return np.stack([radial * cosine - side * sine, radial * sine + side * cosine, height], axis=-1)
+
+
+def _settle(exact: ExactDelta, points: Array, limbs: NDArray[np.int64], wanted: Array) -> Array:
+    """Move points by units in the last place until their exact distance to the edge is `wanted` as nearly as can be."""
+    geometry = exact.geometry
+    rows = np.arange(len(points))
+    distance = exact.edge(points)[rows, limbs]
+    slopes = np.empty_like(points)
+    step = 3e-7 * (geometry.arm + geometry.rod)
+    for axis in range(3):
+        shift = np.zeros(3)
+        shift[axis] = step
+        ahead, behind = plain_edge(geometry, points + shift), plain_edge(geometry, points - shift)
+        slopes[:, axis] = (ahead - behind)[rows, limbs] / (2.0 * step)
+    unit = np.spacing(np.abs(points))
+    moves = _STEPS[None] * unit[:, None, :]
+    best = np.abs(distance[:, None] + (moves * slopes[:, None, :]).sum(-1) - wanted[:, None]).argmin(-1)
+    return np.asarray(points + moves[rows, best], dtype=np.float64)
+
+
+def _collect(draw: Callable[[int], Array], count: int) -> Array:
+    """Call `draw` until `count` points are there, or as many as a bounded number of calls finds."""
+    found = [np.empty((0, 3))]
+    for _ in range(_ATTEMPTS):
+        missing = count - sum(map(len, found))
+        if missing <= 0:
+            break
+        found.append(draw(max(4 * missing, 64))[:missing])
+    return np.concatenate(found)

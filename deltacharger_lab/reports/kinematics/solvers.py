@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every solver of the report under one face: ours, the closed forms and the peers."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_kinematics import Delta, DeltaGeometry
+from deltacharger_kinematics.geometry import LIMB_DIRECTIONS
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_lab.reports.kinematics.forms import (
+    FORWARD_FORMS,
+    INVERSE_FORMS,
+    forward_array,
+    forward_one,
+    inverse_array,
+    inverse_one,
+)
+from deltacharger_lab.reports.kinematics.peers import Peer
+
+Array = NDArray[np.float64]
+Family = Literal["ours", "form", "peer"]
+ARRAY, PRECISE, POINT, SCALAR = "Delta.inverse, array", "Delta.inverse, precise", "Delta.inverse, point", "ScalarDelta"
+OURS = (ARRAY, PRECISE, POINT, SCALAR)
+_CLOSED = 1e-9  # m; a peer's answer whose rods miss their length by more is no answer
+_BELIEVED = 1e-12  # m; rods closer to their length than this are what a user would take for "reachable"
+
+
+@dataclass(frozen=True)
+class Solver:
+    """A way from triples (points or angles) to triples.
+
+    Attributes:
+        name: as the tables call it.
+        family: ours, a closed form or a peer.
+        array: (n, 3) to (n, 3) in one call; None = it has no such call.
+        one: a single triple; None = arrays only.
+        takes: what `one` is called with: three floats, one tuple, or one array.
+    """
+
+    name: str
+    family: Family
+    array: Callable[[Array], Array] | None = None
+    one: Callable[..., Any] | None = None
+    takes: Literal["floats", "tuple", "array"] = "floats"
+
+    def arguments(self, triples: Array) -> list[tuple[Any, ...]]:
+        """Return the arguments with which `one` solves each of the triples (n, 3)."""
+        if self.takes == "array":
+            return [(triple,) for triple in triples]
+        rows = [tuple(row) for row in triples.tolist()]
+        return rows if self.takes == "floats" else [(row,) for row in rows]
+
+    def solve(self, triples: Array) -> Array:
+        """Return the answers (n, 3), by the array call where there is one."""
+        if self.array is not None:
+            return self.array(triples)
+        assert self.one is not None
+        return np.array([self.one(*each) for each in self.arguments(triples)], dtype=np.float64).reshape(-1, 3)
+
+
+def inverse_solvers(geometry: DeltaGeometry, peers: Sequence[Peer]) -> list[Solver]:
+    """Return everything that solves points to angles."""
+    delta, scalar = Delta(geometry), ScalarDelta(geometry)
+    ours = [
+        Solver(ARRAY, "ours", lambda points: delta.inverse(points).angles),
+        Solver(
+            PRECISE,
+            "ours",
+            lambda points: delta.inverse(points, precise=True).angles,
+            lambda point: delta.inverse(point, precise=True).angles,
+            "tuple",
+        ),
+        Solver(POINT, "ours", None, lambda point: delta.inverse(point).angles, "tuple"),
+        Solver(SCALAR, "ours", None, scalar.inverse),
+    ]
+    forms = [
+        Solver(
+            name,
+            "form",
+            functools.partial(inverse_array, form, geometry),
+            functools.partial(inverse_one, form, geometry),
+        )
+        for name, form in INVERSE_FORMS.items()
+    ]
+    others = [
+        Solver(peer.name, "peer", peer.inverse_array, peer.inverse, "array")
+        for peer in peers
+        if peer.inverse is not None
+    ]
+    return ours + forms + others
+
+
+def forward_solvers(geometry: DeltaGeometry, peers: Sequence[Peer]) -> list[Solver]:
+    """Return everything that solves angles to points."""
+    delta, scalar = Delta(geometry), ScalarDelta(geometry)
+    ours = [
+        Solver("Delta.forward, array", "ours", lambda angles: delta.forward(angles).position),
+        Solver("Delta.forward, point", "ours", None, lambda angles: delta.forward(angles).position, "tuple"),
+        Solver(SCALAR, "ours", None, scalar.forward),
+    ]
+    forms = [
+        Solver(
+            name,
+            "form",
+            functools.partial(forward_array, form, geometry),
+            functools.partial(forward_one, form, geometry),
+        )
+        for name, form in FORWARD_FORMS.items()
+    ]
+    others = [Solver(peer.name, "peer", None, peer.forward, "array") for peer in peers if peer.forward is not None]
+    return ours + forms + others
+
+
+def rod_errors(geometry: DeltaGeometry, points: Array, angles: Array) -> Array:
+    """Return by how much each rod (n, 3) misses its length, m, in plain doubles."""
+    misses = []
+    for index, (cosine, sine) in enumerate(LIMB_DIRECTIONS):
+        radius = geometry.radius_difference + geometry.arm * np.cos(angles[:, index])
+        height = geometry.arm * np.sin(angles[:, index]) - geometry.z_offset
+        elbow = np.stack([radius * cosine, radius * sine, height], axis=-1)
+        misses.append(np.abs(np.linalg.norm(points - elbow, axis=-1) - geometry.rod))
+    return np.stack(misses, axis=-1)
+
+
+def answers(solver: Solver, geometry: DeltaGeometry, points: Array) -> Array:
+    """Return the angles (n, 3) that a solver stands by: a peer's only where its rods close."""
+    angles = solver.solve(points)
+    if solver.family != "peer":
+        return angles
+    with np.errstate(invalid="ignore"):
+        closed = rod_errors(geometry, points, angles) <= _CLOSED
+    return np.where(closed, angles, np.nan)
+
+
+def calls_reachable(solver: Solver, geometry: DeltaGeometry, points: Array) -> NDArray[np.bool_]:
+    """Return for which points (n,) a solver has an answer that a user would believe."""
+    angles = solver.solve(points)
+    if solver.family != "peer":
+        return np.asarray(np.isfinite(angles).all(-1))
+    with np.errstate(invalid="ignore"):
+        return np.asarray((rod_errors(geometry, points, angles) <= _BELIEVED).all(-1))

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What solvers cost: one point at a time, in arrays, and by the size of the array."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_kinematics import Delta, DeltaGeometry
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_lab.reports.kinematics.forms import INVERSE_FORMS, inverse_array
+from deltacharger_lab.reports.kinematics.measure import Plan
+from deltacharger_lab.reports.kinematics.solvers import ARRAY, SCALAR, Solver
+from deltacharger_lab.reports.kinematics.timing import Cost
+
+Array = NDArray[np.float64]
+BATCH = 10_000
+_SINGLES = 200  # points that one timing of single calls goes through
+_SLOW_LIMIT = 100_000  # larger arrays are timed only where a point costs little
+NEAR_EDGE = "Delta.inverse, all points near the edge"
+
+
+def solver_costs(solvers: Sequence[Solver], triples: Array, plan: Plan) -> dict[str, dict[str, float | None]]:
+    """Return µs per triple for each solver: in an array of BATCH, and one call at a time; None = no such call."""
+    batch = _tiled(triples, BATCH)
+    found: dict[str, dict[str, float | None]] = {}
+    for solver in solvers:
+        row = found[solver.name] = {"array_us": None, "array_best_us": None, "one_us": None, "one_best_us": None}
+        if solver.array is not None:
+            cost = plan.stopwatch.time(_array_call(solver, batch))
+            row["array_us"], row["array_best_us"] = _per_triple(cost, BATCH)
+        if solver.one is not None:
+            singles = triples[: _SINGLES if solver.family != "peer" else _SINGLES // 4]
+            cost = plan.stopwatch.time(_single_calls(solver, singles))
+            row["one_us"], row["one_best_us"] = _per_triple(cost, len(singles))
+    return found
+
+
+def ratios(solvers: Sequence[Solver], triples: Array, plan: Plan) -> dict[str, dict[str, float | None]]:
+    """Return how many times as long as ours each peer takes, one call at a time and in arrays; None = no such call.
+
+    Both are timed in turns, so that a slower or faster spell of the machine meets them alike.
+    """
+    by_name = {solver.name: solver for solver in solvers}
+    batch, singles = _tiled(triples, BATCH), triples[: _SINGLES // 4]
+    found: dict[str, dict[str, float | None]] = {}
+    for solver in solvers:
+        if solver.family != "peer":
+            continue
+        row: dict[str, float | None] = {"one": None, "array": None}
+        if solver.one is not None:
+            row["one"] = plan.stopwatch.ratio(_single_calls(solver, singles), _single_calls(by_name[SCALAR], singles))
+        if solver.array is not None:
+            row["array"] = plan.stopwatch.ratio(_array_call(solver, batch), _array_call(by_name[ARRAY], batch))
+        found[solver.name] = row
+    return found
+
+
+def throughput(geometry: DeltaGeometry, interior: Array, near_edge: Array, plan: Plan) -> dict[str, dict[str, float]]:
+    """Return poses per second by the size of the array, for the full solve with status and margin and for parts."""
+    delta, plain = Delta(geometry), INVERSE_FORMS["single atan2"]
+    calls: dict[str, tuple[Callable[[Array], object], Array, int]] = {
+        "Delta.inverse": (delta.inverse, interior, max(plan.sizes)),
+        "Delta.inverse, precise": (lambda p: delta.inverse(p, precise=True), interior, _SLOW_LIMIT),
+        NEAR_EDGE: (delta.inverse, near_edge, _SLOW_LIMIT),
+        "single atan2 in numpy, angles only": (lambda p: inverse_array(plain, geometry, p), interior, max(plan.sizes)),
+        "Delta.forward": (delta.forward, delta.inverse(interior).angles, _SLOW_LIMIT),
+        "Delta.jacobian": (delta.jacobian, interior, _SLOW_LIMIT),
+    }
+    found: dict[str, dict[str, float]] = {}
+    for name, (call, points, largest) in calls.items():
+        row = found[name] = {}
+        for size in plan.sizes:
+            if size <= largest:
+                batch = _tiled(points, size)
+                row[str(size)] = size / plan.stopwatch.time(lambda call=call, batch=batch: call(batch)).median  # type: ignore[misc]
+    return found
+
+
+def function_costs(geometry: DeltaGeometry, interior: Array, plan: Plan) -> dict[str, dict[str, float]]:
+    """Return µs per point of the library's functions: plain floats, Delta with one point, Delta with an array."""
+    delta, scalar = Delta(geometry), ScalarDelta(geometry)
+    batch = _tiled(interior, BATCH)
+    angles = delta.inverse(batch).angles
+    x, y, z = point = tuple(interior[0].tolist())
+    arms = tuple(angles[0].tolist())
+    push = (1.0, 2.0, 20.0)
+    cases: dict[str, tuple[Callable[[], object], Callable[[], object], Callable[[], object]]] = {
+        "inverse": (lambda: scalar.inverse(*point), lambda: delta.inverse(point), lambda: delta.inverse(batch)),
+        "forward": (lambda: scalar.forward(*arms), lambda: delta.forward(arms), lambda: delta.forward(angles)),
+        "jacobian": (lambda: scalar.jacobian(*point), lambda: delta.jacobian(point), lambda: delta.jacobian(batch)),
+        "torque": (
+            lambda: scalar.torque(x, y, z, push),
+            lambda: delta.torque(point, push),
+            lambda: delta.torque(batch, push),
+        ),
+    }
+    found = {}
+    for name, (plain, one, array) in cases.items():
+        found[name] = {
+            "scalar_us": 1e6 * plan.stopwatch.time(plain).median,
+            "point_us": 1e6 * plan.stopwatch.time(one).median,
+            "array_us": 1e6 * plan.stopwatch.time(array).median / BATCH,
+        }
+    return found
+
+
+def _tiled(points: Array, size: int) -> Array:
+    """Return `size` points, contiguous, repeating the given ones where they are fewer."""
+    return np.ascontiguousarray(np.resize(points, (size, 3)))
+
+
+def _array_call(solver: Solver, batch: Array) -> Callable[[], object]:
+    call = solver.array
+    assert call is not None
+    return lambda: call(batch)
+
+
+def _single_calls(solver: Solver, triples: Array) -> Callable[[], object]:
+    call, arguments = solver.one, solver.arguments(triples)
+    assert call is not None
+
+    def run() -> None:
+        for each in arguments:
+            call(*each)
+
+    return run
+
+
+def _per_triple(cost: Cost, count: int) -> tuple[float, float]:
+    return 1e6 * cost.median / count, 1e6 * cost.best / count

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Slices through the workspace: condition number, and force along z per ampere of the most loaded servo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_kinematics import Delta, DeltaGeometry, Status
+from deltacharger_kinematics.statics import TORQUE_CONSTANT
+from deltacharger_lab.reports.kinematics.sets import plain_edge
+from deltacharger_records.plotting import INK, picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+_LIMITS = Status.JOINT_LIMIT | Status.SWING_LIMIT
+_BEYOND = "#dfe3e8"  # out of reach, or only on the other assembly
+_MARGIN = 0.140  # m around the workspace box
+
+
+@dataclass(frozen=True)
+class Slice:
+    """One plane of points (rows, columns).
+
+    Attributes:
+        title: which plane.
+        across: name of the horizontal axis.
+        up: name of the vertical axis.
+        horizontal: coordinates of the columns, m.
+        vertical: coordinates of the rows, m.
+        edge: distance to the edge of reach, m, negative outside.
+        condition: number of the Jacobian; NaN where the platform cannot be on this assembly.
+        force: newtons along z per ampere of the most loaded servo; NaN likewise.
+        allowed: 1 within joint and swing limits, else 0.
+        box: of the workspace in this plane: left, lower, width, height, m.
+    """
+
+    title: str
+    across: str
+    up: str
+    horizontal: Array
+    vertical: Array
+    edge: Array
+    condition: Array
+    force: Array
+    allowed: Array
+    box: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Slices:
+    """The planes of both pictures and what the workspace box holds in numbers."""
+
+    planes: list[Slice]
+    box: dict[str, float]
+
+
+def slice_workspace(geometry: DeltaGeometry, pixels: int) -> Slices:
+    """Return x–z at y = 0 and x–y at the lower, middle and upper z of the workspace box."""
+    delta = Delta(geometry)
+    low, high = np.array(geometry.workspace_min), np.array(geometry.workspace_max)
+    planes = [_slice(delta, 1, 0.0, pixels)]
+    for z in (low[2], 0.5 * (low[2] + high[2]), high[2]):
+        planes.append(_slice(delta, 2, float(z), pixels))
+    axes = [np.linspace(start, end, 25) for start, end in zip(low, high, strict=True)]
+    box = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
+    condition, force = _condition(delta, box), _force(delta, box)
+    return Slices(
+        planes,
+        {
+            "count": len(box),
+            "condition_median": float(np.median(condition)),
+            "condition_max": float(condition.max()),
+            "force_min": float(force.min()),
+            "force_median": float(np.median(force)),
+            "force_max": float(force.max()),
+            "reachable": float(np.isfinite(condition).mean()),
+        },
+    )
+
+
+def _slice(delta: Delta, fixed: int, value: float, pixels: int) -> Slice:
+    geometry = delta.geometry
+    across, up = 0, 2 if fixed == 1 else 1
+    low, high = np.array(geometry.workspace_min), np.array(geometry.workspace_max)
+    horizontal = np.linspace(low[across] - _MARGIN, high[across] + _MARGIN, pixels)
+    rows = round(pixels * (high[up] - low[up] + 2 * _MARGIN) / (high[across] - low[across] + 2 * _MARGIN))
+    vertical = np.linspace(low[up] - _MARGIN, high[up] + _MARGIN, rows)
+    points = np.empty((rows, pixels, 3))
+    points[..., across], points[..., up] = np.meshgrid(horizontal, vertical)
+    points[..., fixed] = value
+    flat = points.reshape(-1, 3)
+    status = np.asarray(delta.inverse(flat).status)
+    here = (status & np.uint32(Status.WRONG_ASSEMBLY)) == 0
+    allowed = here & ((status & np.uint32(_LIMITS)) == 0) & (plain_edge(geometry, flat).min(-1) >= 0.0)
+    shape = (rows, pixels)
+    return Slice(
+        f"{'xyz'[fixed]} = {1e3 * value:.0f} mm",
+        "xyz"[across],
+        "xyz"[up],
+        horizontal,
+        vertical,
+        plain_edge(geometry, flat).min(-1).reshape(shape),
+        np.where(here, _condition(delta, flat), np.nan).reshape(shape),
+        np.where(here, _force(delta, flat), np.nan).reshape(shape),
+        allowed.astype(np.float64).reshape(shape),
+        (low[across], low[up], high[across] - low[across], high[up] - low[up]),
+    )
+
+
+def _condition(delta: Delta, points: Array) -> Array:
+    solved = delta.jacobian(points)
+    finite = np.isfinite(solved.matrix).all((-2, -1))
+    return np.where(finite, solved.condition, np.nan)
+
+
+def _force(delta: Delta, points: Array) -> Array:
+    torque = np.asarray(delta.torque(points, (0.0, 0.0, 1.0)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(TORQUE_CONSTANT / np.abs(torque).max(-1))
+
+
+def draw_condition(slices: Slices, path: Path) -> None:
+    """Draw the condition number of the Jacobian."""
+    box = slices.box
+    about = f"in the workspace box (white) median {box['condition_median']:.2f}, largest {box['condition_max']:.2f}"
+    levels = [1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0]
+    with picture(path, 13.0, 4.6, "Condition number of the Jacobian", about) as figure:
+        _draw(figure, slices, [plane.condition for plane in slices.planes], levels, "condition number", "viridis_r")
+
+
+def draw_force(slices: Slices, path: Path) -> None:
+    """Draw the force along z per ampere of the most loaded servo."""
+    box = slices.box
+    about = (
+        "newtons along +z per ampere of the most loaded servo, without friction and weight; in the workspace box "
+        f"(white) {box['force_min']:.1f} to {box['force_max']:.1f}, median {box['force_median']:.1f} N/A"
+    )
+    levels = [5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 50.0, 60.0, 80.0, 100.0]
+    with picture(path, 13.0, 4.6, "Force along z", about) as figure:
+        _draw(figure, slices, [plane.force for plane in slices.planes], levels, "N per A", "viridis")
+
+
+def _draw(figure: Any, slices: Slices, fields: list[Array], levels: list[float], label: str, colours: str) -> None:
+    from matplotlib.colors import BoundaryNorm
+
+    norm = BoundaryNorm(levels, 256, extend="max" if levels[0] == 1.0 else "both")  # no condition number is below 1
+    panels = figure.subplots(1, len(slices.planes))
+    figure.subplots_adjust(left=0.048, right=0.905, top=0.80, bottom=0.155, wspace=0.27)
+    for axes, plane, field in zip(panels, slices.planes, fields, strict=True):
+        _panel(axes, plane, field, norm, colours)
+    bar_axes = figure.add_axes((0.922, 0.19, 0.012, 0.575))
+    from matplotlib.cm import ScalarMappable
+
+    bar = figure.colorbar(ScalarMappable(norm, colours), cax=bar_axes, ticks=levels)
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(length=2, labelsize=8)
+    bar.set_label(label)
+    _legend(figure)
+
+
+def _panel(axes: Axes, plane: Slice, field: Array, norm: Any, colours: str) -> None:
+    from matplotlib.patches import Rectangle
+
+    across, up = 1e3 * plane.horizontal, 1e3 * plane.vertical
+    axes.set_facecolor(_BEYOND)
+    reached = np.where(plane.edge >= 0.0, field, np.nan)
+    axes.pcolormesh(across, up, reached, cmap=colours, norm=norm, shading="nearest", rasterized=True)
+    axes.contour(across, up, plane.edge, levels=[0.0], colors=[INK], linewidths=1.4)
+    for colour, line in (("white", 2.6), (INK, 1.2)):
+        axes.contour(across, up, plane.allowed, levels=[0.5], colors=[colour], linewidths=line, linestyles="dashed")
+    left, lower, width, height = (1e3 * value for value in plane.box)
+    for colour, line in ((INK, 3.0), ("white", 1.6)):
+        axes.add_patch(Rectangle((left, lower), width, height, fill=False, edgecolor=colour, linewidth=line))
+    axes.set_aspect("equal")
+    axes.set_title(plane.title, pad=5)
+    axes.set_xlabel(f"{plane.across}, mm", labelpad=2)
+    axes.set_ylabel(f"{plane.up}, mm", labelpad=1)
+    axes.tick_params(length=3)
+
+
+def _legend(figure: Any) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    figure.legend(
+        handles=[
+            Line2D([], [], color=INK, linewidth=1.4, label="edge of reach"),
+            Line2D([], [], color=INK, linewidth=1.2, linestyle="dashed", label="joint and swing limits"),
+            Patch(facecolor="white", edgecolor=INK, linewidth=0.8, label="workspace box"),
+            Patch(facecolor=_BEYOND, label="out of reach, or rods turned over"),
+        ],
+        loc="lower center", bbox_to_anchor=(0.48, 0.01), ncols=4, frameon=False, fontsize=8.5,
+    )  # fmt: skip

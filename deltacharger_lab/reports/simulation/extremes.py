@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes at the edge of what can be asked of the world, each with the law that it must keep."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.statics import TORQUE_CONSTANT
+from deltacharger_lab.reports.simulation.scenes import DELTA, Arm, Model, world
+from deltacharger_sim.parameters import (
+    ContactParameters,
+    MagnetParameters,
+    ServoParameters,
+    TargetParameters,
+    WorldParameters,
+)
+from deltacharger_sim.world import World
+
+STEPS = (0.001, 0.005, 0.01, 0.1)
+_FREE = TargetParameters(present=False)
+_NO_PULL = MagnetParameters(force=0.0)
+_CORNER = (0.055, 0.055, 0.1)
+_TILT = math.radians(30.0)
+_CALM = 1e-4  # m/s that may be left when a scene has come to rest
+
+Verdict = tuple[bool, str]
+"""Whether the law holds, and the figure that shows it."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One extreme.
+
+    Attributes:
+        name: of it.
+        law: that it must keep.
+        parameters: of its world.
+        play: what is done to the arm; returns whether the law holds, and the figure that shows it.
+    """
+
+    name: str
+    law: str
+    parameters: WorldParameters
+    play: Callable[[Arm], Verdict]
+
+
+def judge(index: int, name: str, step: float) -> dict[str, Any]:
+    """Play SCENES[index] with a model and return scene, law, model, step, ok and about."""
+    scene = SCENES[index]
+    arm = Arm(Model(name).world(scene.parameters, min(step, 0.001) if name != "light" else step), step)
+    ok, about = scene.play(arm)
+    mechanics = arm.world.mechanics
+    numbers = (*mechanics.position, *mechanics.velocity, *mechanics.torques, mechanics.contact_force)
+    finite = all(map(math.isfinite, numbers)) and max(map(abs, mechanics.position)) < 0.3
+    return {"scene": scene.name, "law": scene.law, "model": name, "step": step, "ok": ok and finite, "about": about}
+
+
+def _carries(point: Vector, lead: bool = True) -> Callable[[Arm], Verdict]:
+    """At rest the servos carry the weight, exactly, and the led arm is where it was sent."""
+
+    def play(arm: Arm) -> Verdict:
+        arm.go(point, 3.0, lead=lead)
+        mechanics = arm.world.mechanics
+        held = DELTA.holding_torque(*mechanics.position, arm.gravity)
+        off = max(abs(a - b) for a, b in zip(held, mechanics.torques, strict=True))
+        away = math.dist(mechanics.position, point)
+        return off < 1e-4 and (away < 1e-5 or not lead), f"{off:.1e} N·m off, {1000.0 * away:.3g} mm from its goal"
+
+    return play
+
+
+def _mirrored(arm: Arm) -> Verdict:
+    """The sag under the reversed gravity is the mirror image of the light model's under the usual one."""
+    usual = Arm(World(replace(arm.world.parameters, gravity_y=-9.81)), arm.step)
+    for each in (arm, usual):
+        each.go((0.0, 0.0, 0.08), 3.0, lead=False)
+    sag, mirrored = (1000.0 * each.world.mechanics.position[1] for each in (arm, usual))
+    return abs(sag + mirrored) < 0.01, f"{sag:+.4f} mm of sag; {abs(sag + mirrored):.1e} mm from the mirror image"
+
+
+def _impact(arm: Arm) -> Verdict:
+    arm.go((0.0, 0.0, 0.07), 1.0)
+    arm.aim((0.0, 0.0, 0.1))
+    peak = 0.0
+    for _ in range(max(1, round(2.0 / arm.step))):
+        arm.run(arm.step)
+        peak = max(peak, arm.world.mechanics.contact_force)
+    speed = max(map(abs, arm.world.mechanics.velocity))
+    most = 3.0 * arm.world.parameters.servo.stall_torque / 0.038 + 60.0
+    settled = arm.world.mechanics.contact_force
+    return (
+        speed < _CALM and 60.0 < settled < most,
+        f"peak {peak:.0f} N, settles at {settled:.1f} N, {speed:.0e} m/s left",
+    )
+
+
+def _slides(lowest: float, highest: float) -> Callable[[Arm], Verdict]:
+    """Pushed sideways by 20 mm of command, the platform follows by a share of it between two bounds."""
+
+    def play(arm: Arm) -> Verdict:
+        arm.go((0.0, 0.0, 0.07), 1.0)
+        arm.go((0.0, 0.0, 0.0865), 1.0)
+        arm.go((0.02, 0.0, 0.0865), 2.0)
+        moved = arm.world.mechanics.position[0] / 0.02
+        speed = max(map(abs, arm.world.mechanics.velocity))
+        return lowest <= moved <= highest and speed < _CALM, f"{100.0 * moved:.2f} % of the way, {speed:.0e} m/s left"
+
+    return play
+
+
+def _no_side(arm: Arm) -> Verdict:
+    """Pushed sideways without friction, the arm rests where its servos press along z alone."""
+    arm.go((0.0, 0.0, 0.07), 1.0)
+    arm.go((0.0, 0.0, 0.0865), 1.0)
+    arm.go((0.02, 0.0, 0.0865), 2.5)
+    mechanics = arm.world.mechanics
+    side = math.hypot(*DELTA.force(*mechanics.position, mechanics.torques)[:2])
+    return (
+        side < 1e-2 and mechanics.contact_force > 0.0,
+        f"{side:.0e} N sideways at x = {1e3 * mechanics.position[0]:.2f} mm",
+    )
+
+
+def _corner(arm: Arm) -> Verdict:
+    x, y, z = _CORNER
+    arm.go((x, y, z - 0.01), 1.5)
+    arm.go((x, y, z + 0.005), 2.5)
+    mechanics = arm.world.mechanics
+    force = DELTA.force(*mechanics.position, mechanics.torques)[2]
+    off = abs(force - mechanics.contact_force)
+    return off < 1e-2 and mechanics.contact_force > 5.0, f"{mechanics.contact_force:.2f} N; servos say {off:.1e} N else"
+
+
+def _edges(arm: Arm) -> Verdict:
+    """Commands to corners of the joints' range and beyond, past nearly singular poses: it ends within its stops."""
+    geometry = arm.world.geometry
+    low, high, nearest = geometry.joint_min, geometry.joint_max, 1.0
+    for goals in ((3.0, 3.0, 3.0), (low, high, high), (-3.0, -3.0, 3.0), (high, low, low), (low, low, low)):
+        for index, goal in enumerate(goals):
+            arm.world.command(index, True, goal, 4.1)
+        for _ in range(max(1, round(1.0 / max(arm.step, 0.01)))):
+            arm.run(max(arm.step, 0.01))
+            solved = DELTA.solve_forward(*arm.world.mechanics.angles)
+            nearest = min(nearest, abs(solved[2]) if solved else nearest)
+    beyond = max(max(angle - high, low - angle) for angle in arm.world.mechanics.angles)
+    about = f"{max(beyond, 0.0):.1e} rad beyond a stop; rods' determinant down to {nearest:.2g} on the way"
+    return beyond < 0.01, about
+
+
+def _one_limp(arm: Arm) -> Verdict:
+    arm.go((0.0, 0.0, 0.07), 1.0)
+    arm.go((0.0, 0.0, 0.0865), 1.0)
+    arm.world.command(1, False, 0.0, 0.0)
+    arm.run(2.0)
+    mechanics = arm.world.mechanics
+    speed = max(map(abs, mechanics.velocity))
+    ok = mechanics.torques[1] == 0.0 or abs(mechanics.torques[1]) < 1e-9
+    return (
+        ok and speed < _CALM and mechanics.contact_force > 0.0,
+        f"{mechanics.contact_force:.1f} N, {speed:.0e} m/s left",
+    )
+
+
+def _not_a_number(arm: Arm) -> Verdict:
+    arm.go((0.0, 0.0, 0.05), 2.0)
+    before = arm.world.mechanics.position
+    for index in range(3):
+        arm.world.command(index, True, math.nan, 4.1)
+    arm.run(0.5)
+    for index in range(3):
+        arm.world.command(index, True, math.inf, 4.1)
+    arm.run(0.5)
+    moved = math.dist(before, arm.world.mechanics.position)
+    return moved < 1e-5, f"moves by {moved:.1e} m"
+
+
+def _no_bound(arm: Arm) -> Verdict:
+    arm.go((0.0, 0.0, 0.05), 1.0)
+    for index in range(3):
+        arm.world.command(index, True, 0.3, math.nan)
+    arm.run(0.5)
+    torque = max(map(abs, arm.world.mechanics.torques)) / TORQUE_CONSTANT
+    return torque < 1e-9, f"{torque:.1e} A"
+
+
+def _snaps(arm: Arm) -> Verdict:
+    arm.go((0.0, 0.0, 0.079), 2.0)
+    arm.go((0.0, 0.0, 0.081), 2.0)
+    mechanics = arm.world.mechanics
+    speed = max(map(abs, mechanics.velocity))
+    ok = mechanics.contact_force > 250.0 and speed < _CALM
+    return ok, f"{mechanics.contact_force:.1f} N, {speed:.0e} m/s left"
+
+
+_SLIPPERY = ServoParameters(friction=0.0)
+SCENES = (
+    Scene(
+        "base tilted by 30°",
+        "at rest the servos carry the weight",
+        WorldParameters(
+            servo=_SLIPPERY, target=_FREE, gravity_y=-9.81 * math.cos(_TILT), gravity_z=-9.81 * math.sin(_TILT)
+        ),
+        _carries((0.02, 0.01, 0.08)),
+    ),
+    Scene(
+        "no gravity",
+        "at rest no torque",
+        WorldParameters(servo=_SLIPPERY, target=_FREE, gravity_y=0.0),
+        _carries((0.02, 0.01, 0.08)),
+    ),
+    Scene(
+        "gravity reversed",
+        "sags the other way by as much",
+        WorldParameters(servo=_SLIPPERY, target=_FREE, gravity_y=9.81),
+        _mirrored,
+    ),
+    Scene("20 mm beyond the target at full speed", "comes to rest", world(), _impact),
+    Scene("the same on 1e9 N/m", "comes to rest", world(1e9), _impact),
+    Scene("the same on 1e3 N/m", "comes to rest", world(1e3), _impact),
+    Scene(
+        "no friction anywhere, pushed sideways",
+        "rests without lateral force",
+        WorldParameters(servo=_SLIPPERY, contact=ContactParameters(friction=0.0), gravity_y=0.0),
+        _no_side,
+    ),
+    Scene(
+        "friction of 10, pushed sideways",
+        "holds",
+        WorldParameters(contact=ContactParameters(friction=10.0)),
+        _slides(-0.001, 0.02),
+    ),
+    Scene(
+        "contact at a corner of the workspace",
+        "servos and contact press alike",
+        WorldParameters(
+            servo=_SLIPPERY,
+            magnets=_NO_PULL,
+            gravity_y=0.0,
+            contact=ContactParameters(friction=0.0),
+            target=TargetParameters(x=_CORNER[0], y=_CORNER[1], z=_CORNER[2]),
+        ),
+        _corner,
+    ),
+    Scene(
+        "all joints to and beyond their limits, nearly singular",
+        "ends at the stops",
+        WorldParameters(target=_FREE),
+        _edges,
+    ),
+    Scene("one servo without power while docked", "stays docked", world(), _one_limp),
+    Scene("goals that are NaN and infinite", "nothing moves", world(), _not_a_number),
+    Scene("current bound NaN", "no current", world(), _no_bound),
+    Scene(
+        "magnets of 300 N that reach 0.2 mm",
+        "snaps and rests",
+        WorldParameters(magnets=MagnetParameters(force=300.0, range=0.0002), target=TargetParameters(z=0.08)),
+        _snaps,
+    ),
+)

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stability map: contact stiffness × step × servo stiffness, and the module in which the package keeps it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from deltacharger_lab.reports.simulation.plan import Plan
+from deltacharger_lab.reports.simulation.scenes import Arm, Model, docking, rms, settled_exactly, world
+
+DIVERGED, FORCE_OFF, PATH_OFF, PROVEN = "d", "f", "p", "+"
+FORCE_LIMIT, PATH_LIMIT = 0.5, 0.3  # % and mm rms that a proven point may be off
+MODULE = "stability_map.py"
+_FAR = 0.3  # m from the origin that no arm reaches
+
+
+def column(name: str, servo: float, contact: float, steps: tuple[float, ...], finest: float) -> list[dict[str, Any]]:
+    """Return the points of a servo and contact stiffness, judged against the model itself in steps of `finest` s."""
+    model, parameters = Model(name), world(contact, servo, friction=0.0, gravity_y=0.0)
+    exact = docking(model, parameters, finest)
+    force = settled_exactly(parameters, 0.086)
+    points = []
+    for step in steps:
+        found = exact if step == finest else docking(model, parameters, step)
+        rough = roughly(name, servo, contact, step)
+        off = 100.0 * abs(found["force"] / force - 1.0)
+        path = 1000.0 * rms(found["trace"], exact["trace"])
+        point = {"model": name, "servo": servo, "contact": contact, "step": step, "force_percent": off}
+        point |= {"path_mm": path, "speed": found["speed"], **rough}
+        points.append({**point, "cell": _cell(point)})
+    return points
+
+
+def _cell(point: dict[str, Any]) -> str:
+    if not point["bounded"] or not math.isfinite(point["force_percent"]) or not point["speed"] < 1e-4:
+        return DIVERGED
+    if not point["force_percent"] <= FORCE_LIMIT:
+        return FORCE_OFF
+    return PROVEN if point["path_mm"] <= PATH_LIMIT else PATH_OFF
+
+
+def roughly(name: str, servo: float, contact: float, step: float) -> dict[str, Any]:
+    """Treat the arm roughly: full speed against the target, sideways, limp, torn off.
+
+    Returns:
+        bounded (whether every number stayed finite and near), imbalance (N at worst).
+    """
+    arm = Arm(Model(name).world(world(contact, servo), step), step)
+    mechanics = arm.world.mechanics
+    bounded, imbalance = True, 0.0
+    stages: tuple[tuple[tuple[float, float, float] | None, float], ...] = (
+        ((0.0, 0.0, 0.05), 0.5),
+        ((0.0, 0.0, 0.11), 0.4),
+        ((0.03, 0.02, 0.09), 0.3),
+        (None, 0.2),
+        ((0.03, 0.02, 0.03), 0.6),
+    )
+    for point, seconds in stages:
+        if point is None:
+            arm.release()
+        else:
+            arm.aim(point)
+        for _ in range(max(1, round(seconds / max(step, 0.005)))):
+            arm.run(max(step, 0.005))
+            numbers = (*mechanics.position, *mechanics.velocity, *mechanics.torques, mechanics.contact_force)
+            bounded = bounded and all(map(math.isfinite, numbers)) and max(map(abs, mechanics.position)) < _FAR
+            imbalance = max(imbalance, mechanics.imbalance)
+        if not bounded:
+            break
+    return {"bounded": bounded, "imbalance": imbalance}
+
+
+def source(points: list[dict[str, Any]], plan: Plan, command: str) -> str:
+    """Return the text of `deltacharger_sim/stability_map.py` for the light model's points."""
+    cells = {(point["servo"], point["contact"], point["step"]): point["cell"] for point in points}
+    rows = []
+    for servo in plan.map_servos:
+        found = ["".join(cells[servo, contact, step] for step in plan.map_steps) for contact in plan.map_contacts]
+        rows.append("    (" + ", ".join(f'"{text}"' for text in found) + "),")
+    quotes = '"' * 3
+    lines = (
+        f"{quotes}Where the light model has been shown to be right; written by `{command}`, never by hand.",
+        "",
+        f"A cell is {PROVEN!r} where nothing diverged, the settled force is within {FORCE_LIMIT} % of a bisection and "
+        "the path within",
+        f"{PATH_LIMIT} mm rms of that of the finest step; {PATH_OFF!r} where the path is not, {FORCE_OFF!r} where the "
+        f"force is not, {DIVERGED!r} where it",
+        "diverged.",
+        quotes,
+        "",
+        "from __future__ import annotations",
+        "",
+        f'PROVEN = "{PROVEN}"',
+        f"STEPS = {_numbers(plan.map_steps)}  # s",
+        f"CONTACT_STIFFNESSES = {_numbers(plan.map_contacts)}  # N/m",
+        f"SERVO_STIFFNESSES = {_numbers(plan.map_servos)}  # N·m/rad",
+        "# For each servo stiffness, for each contact stiffness: a character for each step.",
+        "CELLS = (",
+        *rows,
+        ")",
+    )
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(values: tuple[float, ...]) -> str:
+    texts = [f"{value:.0e}".replace("e+0", "e") if value >= 1e3 else f"{float(value)!r}" for value in values]
+    return "(" + ", ".join(texts) + ")"

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of the simulation's report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deltacharger_lab.reports.simulation.energy import PARTS
+from deltacharger_lab.reports.simulation.map import DIVERGED
+from deltacharger_lab.reports.simulation.plan import MUJOCO, MUJOCO_FAST
+from deltacharger_lab.reports.simulation.scenes import LIGHT
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, grid, picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+NAMES = ("simulation-error-time.png", "simulation-map.png", "simulation-energy.png", "simulation-docking.png")
+_COLOURS = {LIGHT: BLUE, MUJOCO: ORANGE, MUJOCO_FAST: GREEN}
+_FLOOR = 1e-7  # % of force error, drawn for what is smaller
+_DIVERGED_AT = 30.0  # mm, where a diverged run is drawn
+
+
+def draw_all(results: dict[str, Any], directory: Path) -> tuple[list[str], dict[str, str]]:
+    """Write all pictures and return their names, and the reason for each that is missing."""
+    drawn, missing = [], {}
+    draw: tuple[Callable[[dict[str, Any], Path], None], ...] = (_error_time, _map, _energy, _docking)
+    for name, each in zip(NAMES, draw, strict=True):
+        try:
+            each(results, directory / name)
+        except ModuleNotFoundError as error:
+            missing[name] = f"{error.name} is not installed; install deltacharger[report]"
+        else:
+            drawn.append(name)
+    return drawn, missing
+
+
+def _error_time(results: dict[str, Any], path: Path) -> None:
+    about = "1.2 s of docking with friction against MuJoCo in steps of 0.05 ms; each point is a step, in ms"
+    if results["absent"]:
+        about = "1.2 s of docking with friction against the light model's finest step; each point is a step, in ms"
+    with picture(path, 10.0, 5.0, "Error against run time", about) as figure:
+        left, right = figure.subplots(1, 2)
+        figure.subplots_adjust(left=0.08, right=0.98, top=0.80, bottom=0.12, wspace=0.22)
+        for axes, key, text in ((left, "rms_mm", "path, mm rms"), (right, "force_percent", "settled force, %")):
+            for name in results["models"]:
+                _curve(axes, results, name, key)
+            axes.set_xscale("log")
+            axes.set_yscale("log")
+            axes.set_xlabel("processor time per simulated second, ms")
+            axes.set_ylabel(text)
+            axes.set_title(text, loc="left")
+            grid(axes)
+        left.set_ylim(5e-4, 60.0)
+        left.axhline(0.15, color=RED, linewidth=1.0, linestyle="--")
+        left.axvline(2.0, color=RED, linewidth=1.0, linestyle="--")
+        left.text(2.2, 5e-3, "targets: 0.15 mm,\n500 × real time", color=RED, fontsize=8, va="top", ha="left")
+        right.axhline(0.5, color=RED, linewidth=1.0, linestyle="--")
+        right.text(0.98, 0.7, "target: 0.5 %", color=RED, fontsize=8, ha="right", transform=right.get_yaxis_transform())
+        right.plot([], [], "x", color=FAINT, label="diverged or restless")
+        right.legend(frameon=False, loc=(0.02, 0.26), fontsize=8)
+
+
+def _curve(axes: Axes, results: dict[str, Any], name: str, key: str) -> None:
+    times = {row["step"]: 1000.0 / row["moving"] for row in results["times"] if row["model"] == name}
+    points: list[tuple[float, dict[str, Any]]] = []
+    lost: list[tuple[float, dict[str, Any]]] = []
+    for row in results["errors"]:
+        if row["model"] == name:
+            good = row[key] == row[key] and row["speed"] < 1e-3
+            (points if good else lost).append((times[row["step"]], row))
+    x = [time for time, _ in points]
+    y = [max(abs(row[key]), _FLOOR) for _, row in points]
+    axes.plot(x, y, "o-", color=_COLOURS[name], markersize=4, linewidth=1.4, label=name)
+    for time, (_, row), value in zip(x, points, y, strict=True):
+        axes.annotate(f"{1000.0 * row['step']:g}", (time, value), (3, 4), textcoords="offset points", fontsize=7)
+    top = _DIVERGED_AT if key == "rms_mm" else 100.0
+    axes.plot([time for time, _ in lost], [top] * len(lost), "x", color=_COLOURS[name], markersize=6)
+
+
+def _map(results: dict[str, Any], path: Path) -> None:
+    names = [name for name in results["models"] if any(point["model"] == name for point in results["map"])]
+    about = "path error in mm rms at 15 N·m/rad; crosses: diverged or does not come to rest"
+    with picture(path, 3.6 * len(names) + 0.8, 4.6, "Stability map", about) as figure:
+        from matplotlib.colors import LogNorm
+
+        rows = figure.subplots(1, len(names), squeeze=False)[0]
+        figure.subplots_adjust(left=0.7 / (3.6 * len(names) + 0.8), right=0.98, top=0.78, bottom=0.16, wspace=0.12)
+        for index, (axes, name) in enumerate(zip(rows, names, strict=True)):
+            points = [point for point in results["map"] if point["model"] == name and point["servo"] == 15.0]
+            steps = sorted({point["step"] for point in points})
+            contacts = sorted({point["contact"] for point in points})
+            values = [[float("nan")] * len(steps) for _ in contacts]
+            for point in points:
+                column, row = steps.index(point["step"]), contacts.index(point["contact"])
+                if point["cell"] == DIVERGED:
+                    axes.plot(column, row, "x", color=RED, markersize=7)
+                    continue
+                values[row][column] = max(point["path_mm"], 1e-3)
+                colour = "white" if point["path_mm"] < 0.03 else INK
+                axes.text(column, row, f"{point['path_mm']:.2g}", ha="center", va="center", fontsize=6, color=colour)
+            axes.imshow(values, origin="lower", aspect="auto", cmap="viridis", norm=LogNorm(1e-3, 1.0))
+            axes.set_xticks(range(len(steps)), [f"{1000.0 * step:g}" for step in steps], fontsize=7)
+            axes.set_yticks(
+                range(len(contacts)), [f"{k:.0e}".replace("e+0", "e") for k in contacts] if not index else []
+            )
+            axes.set_xlabel("step, ms")
+            axes.set_title(name, loc="left")
+        rows[0].set_ylabel("contact stiffness, N/m per electrode")
+
+
+def _energy(results: dict[str, Any], path: Path) -> None:
+    step = 0.005
+    rows = [row for row in results["energy"] if row["step"] == step]
+    about = f"steps of {1000.0 * step:g} ms; left: above what is left at the end; right: what took it away"
+    with picture(path, 11.0, 4.6, "Energy of a charger that nobody drives", about) as figure:
+        left, right = figure.subplots(1, 2)
+        figure.subplots_adjust(left=0.06, right=0.98, top=0.80, bottom=0.13, wspace=0.55)
+        for row, colour in zip(rows, (BLUE, ORANGE, GREEN, PURPLE), strict=True):
+            times, values = zip(*row["course"], strict=True)
+            start = values[0]
+            left.plot(times, [value / start for value in values], color=colour, linewidth=1.4, label=row["scene"])
+        left.set_xlabel("time, s")
+        left.set_ylabel("share of the energy to lose")
+        left.legend(frameon=False, fontsize=8)
+        grid(left)
+        for part, colour in zip(PARTS, (PURPLE, BLUE, GREEN, FAINT), strict=True):
+            total = [sum(row["lost"].values()) for row in rows]
+            before = [
+                sum(row["lost"][other] for other in PARTS[: PARTS.index(part)]) / whole
+                for row, whole in zip(rows, total, strict=True)
+            ]
+            share = [100.0 * row["lost"][part] / whole for row, whole in zip(rows, total, strict=True)]
+            right.barh(range(len(rows)), share, left=[100.0 * each for each in before], color=colour, label=part)
+        right.set_yticks(range(len(rows)), [row["scene"].replace(", ", ",\n") for row in rows], fontsize=8)
+        right.invert_yaxis()
+        right.set_xlabel("% of the energy lost")
+        right.legend(
+            frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.02, 1.0), ncols=4, columnspacing=0.9
+        )
+
+
+def _docking(results: dict[str, Any], path: Path) -> None:
+    about = "approach, snap, push, pull off; commands every 0.1 s"
+    with picture(path, 10.0, 5.2, "One docking by every model", about) as figure:
+        top, bottom = figure.subplots(2, 1, sharex=True)
+        figure.subplots_adjust(left=0.08, right=0.98, top=0.84, bottom=0.10, hspace=0.12)
+        styles = {(LIGHT, 0.001): (BLUE, "-", 1.8), (LIGHT, 0.01): (GREEN, "--", 1.4), (LIGHT, 0.1): (PURPLE, ":", 1.4)}
+        for each in results["traces"]:
+            colour, line, width = styles.get((each["model"], each["step"]), (ORANGE, "-", 1.0))
+            time, z, force = zip(*each["course"], strict=True)
+            label = f"{each['model']}, {1000.0 * each['step']:g} ms"
+            top.plot(time, [1000.0 * value for value in z], line, color=colour, linewidth=width, label=label)
+            bottom.plot(time, force, line, color=colour, linewidth=width)
+        top.axhline(80.0, color=FAINT, linewidth=0.8)
+        top.set_ylabel("z, mm")
+        bottom.set_ylabel("contact force, N")
+        bottom.set_xlabel("time, s")
+        top.legend(frameon=False, fontsize=8, loc="lower right")
+        for axes in (top, bottom):
+            grid(axes)

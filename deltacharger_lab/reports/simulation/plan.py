@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much the simulation's report measures."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+
+from deltacharger_lab.reports.simulation.scenes import LIGHT
+
+MUJOCO = "MuJoCo discrete"
+MUJOCO_FAST = "MuJoCo implicitfast"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One report.
+
+    Attributes:
+        reference_step: of the tiny-step reference, s.
+        steps: of the models that are compared, s.
+        order_steps: from which the order of convergence is fitted, s.
+        map_steps: of the stability map, s.
+        map_contacts: its contact stiffnesses, N/m.
+        map_servos: its servo stiffnesses, N·m/rad.
+        repeats: of every timing, at least; the fastest counts.
+        timing_s: of processor time that a timing is repeated for.
+        dockings: whole dockings for each model and part, by their seeds.
+        docking_steps: of their worlds, s.
+        parts: how many of the parts that a scene may leave out dock, the first of them.
+        quick: whether it is for a first look.
+    """
+
+    reference_step: float
+    steps: tuple[float, ...]
+    order_steps: tuple[float, ...]
+    map_steps: tuple[float, ...]
+    map_contacts: tuple[float, ...]
+    map_servos: tuple[float, ...]
+    repeats: int
+    timing_s: float
+    dockings: tuple[int, ...]
+    docking_steps: tuple[float, ...]
+    parts: int
+    quick: bool
+
+
+def full_plan() -> Plan:
+    """Return the report that is committed."""
+    return Plan(
+        reference_step=5e-5,
+        steps=(1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1),
+        order_steps=(5e-4, 1e-3, 2e-3, 5e-3, 1e-2),
+        map_steps=(1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1),
+        map_contacts=(1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9),
+        map_servos=(2.5, 5.0, 10.0, 15.0, 20.0),
+        repeats=5,
+        timing_s=0.5,
+        dockings=(1, 2, 3, 4),
+        docking_steps=(1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1),
+        parts=100,
+        quick=False,
+    )
+
+
+def quick_plan() -> Plan:
+    """Return a report for a first look."""
+    return Plan(
+        reference_step=2e-4,
+        steps=(1e-3, 5e-3, 1e-2, 1e-1),
+        order_steps=(1e-3, 2e-3, 5e-3, 1e-2),
+        map_steps=(1e-3, 1e-2, 1e-1),
+        map_contacts=(1e3, 1e5, 1e9),
+        map_servos=(15.0,),
+        repeats=2,
+        timing_s=0.2,
+        dockings=(1,),
+        docking_steps=(1e-2,),
+        parts=2,
+        quick=True,
+    )
+
+
+def absent() -> dict[str, str]:
+    """Return what is not installed and which rows and pictures go without it."""
+    if importlib.util.find_spec("mujoco") is None:
+        return {"mujoco": "install deltacharger[sim]; the light model with tiny steps is then its own reference"}
+    return {}
+
+
+def models() -> tuple[str, ...]:
+    """Return the names of the models that can be measured here, the light one first."""
+    if absent():
+        return (LIGHT,)
+    from deltacharger_sim.mujoco_model import integrators
+
+    return (LIGHT, *(name for name in (MUJOCO, MUJOCO_FAST) if name.split()[-1] in integrators()))

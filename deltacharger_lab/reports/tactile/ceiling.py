@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one docking can tell at best, and what passes that: more dockings, a lower threshold, a hole in the electrode.
+
+Each row of the section is a function of (rig, seed, plan) that returns accuracies by target; `ROWS` lists them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from deltacharger_lab.reports.tactile import plan as tactile_plan
+from deltacharger_lab.reports.tactile.measure import accuracy, fitted, paper_set
+from deltacharger_lab.reports.tactile.plan import TARGETS, Plan
+from deltacharger_tactile.classifiers import fusion, labels, splits
+from deltacharger_tactile.classifiers.classifier import Classifier
+from deltacharger_tactile.classifiers.labels import Examples
+from deltacharger_tactile.dataset import Dataset
+from deltacharger_tactile.estimator import THRESHOLD
+from deltacharger_tactile.generator import generate_paper
+from deltacharger_tactile.parameters import CONTACT_THRESHOLD, TactileParameters
+
+Row = dict[str, Any]
+HOLE = 2.2e-3
+"""Diameter of the hole, m, in the middle of each ridge."""
+FUSED = (1, 2, 3, 5)
+"""Dockings at one commanded pose whose probabilities are multiplied."""
+CEILING = "ceiling of one docking"
+
+
+def ceiling(rig: int, seed: int, plan: Plan) -> list[Row]:
+    """Judge what much data of the same rig teaches, best of the models that learn from it in time."""
+    many = [paper_set(rig, 1000 + 100 * seed + index) for index in range(plan.ceiling_sets)]
+    fresh = paper_set(rig, 900 + seed)
+    row: Row = {"name": CEILING, "about": f"the same rig, {plan.ceiling_sets} times the paper's data, best model"}
+    for target in TARGETS:
+        parts = [labels.examples(data, target) for data in many]
+        rows = Examples(
+            *(np.concatenate([getattr(each, name) for each in parts]) for name in Examples.__dataclass_fields__)
+        )
+        judged = labels.examples(fresh, target)
+        names = [name for name in ("lda", "pose", "forest") if name in plan.names]
+        row[target] = max(accuracy(fitted(name, target, rows, seed), judged) for name in names)
+    return [row]
+
+
+def several_dockings(rig: int, seed: int, plan: Plan) -> list[Row]:
+    """Judge the product of the probabilities of several dockings at one commanded pose."""
+    name = tactile_plan.default(plan)
+    known, fresh = paper_set(rig, seed), [paper_set(rig, 800 + 10 * seed + index) for index in range(2)]
+    rows: list[Row] = [
+        {"name": f"{count} docking{'s' if count > 1 else ''}, {tactile_plan.title(name)}", "about": "fused"}
+        for count in FUSED
+    ]
+    for target in TARGETS:
+        model = _learnt(name, target, known, seed, tactile_plan.threshold(name))
+        for row, count in zip(rows, FUSED, strict=True):
+            row[target] = float(np.mean([_fused(model, labels.examples(data, target), count, seed) for data in fresh]))
+    return rows
+
+
+def thresholds(rig: int, seed: int, plan: Plan) -> list[Row]:
+    """Judge the same model with readings from 0.25 N and from the paper's 1 N on."""
+    known, fresh = paper_set(rig, seed), paper_set(rig, 700 + seed)
+    return [
+        _row(f"LDA, readings from {cut:g} N on", "lda", known, fresh, seed, cut)
+        for cut in (CONTACT_THRESHOLD, THRESHOLD)
+    ]
+
+
+def hole(rig: int, seed: int, plan: Plan) -> list[Row]:
+    """Judge with a hole in the electrodes, the paper's idea, and without."""
+    base = TactileParameters()
+    drilled = dataclasses.replace(base, contact=dataclasses.replace(base.contact, hole=HOLE))
+    found = []
+    for text, family in (("no hole", base), (f"hole of {1e3 * HOLE:g} mm", drilled)):
+        known, fresh = (
+            generate_paper(family, rigs=(rig,), seed=number, threshold=0.0) for number in (seed, 600 + seed)
+        )
+        for name in ("lda", "cnn"):
+            if name in plan.names:
+                cut = tactile_plan.threshold(name)
+                found.append(_row(f"{tactile_plan.title(name)}, {text}", name, known, fresh, seed, cut))
+    return found
+
+
+ROWS: tuple[Callable[[int, int, Plan], list[Row]], ...] = (ceiling, several_dockings, thresholds, hole)
+"""What the section is made of."""
+
+
+def _row(text: str, name: str, known: Dataset, fresh: Dataset, seed: int, cut: float) -> Row:
+    row: Row = {"name": text, "about": ""}
+    for target in TARGETS:
+        row[target] = accuracy(_learnt(name, target, known, seed, cut), labels.examples(fresh, target))
+    return row
+
+
+def _learnt(name: str, target: str, known: Dataset, seed: int, cut: float) -> Classifier:
+    rows = labels.examples(known, target)
+    learns, _ = splits.by_docking(rows, seed)
+    return Classifier(name, target, cut).fit(rows.frames[learns], rows.labels[learns], seed)
+
+
+def _fused(model: Classifier, rows: Examples, count: int, seed: int) -> float:
+    chosen = fusion.groups(rows, count, seed)
+    shares = model.predict_proba(rows.frames).reshape(len(rows), -1)
+    right = fusion.together(shares[chosen]).argmax(axis=1) == rows.labels[chosen[0]]
+    return float(np.mean(right))

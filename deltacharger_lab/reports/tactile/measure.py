@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trains and judges every model on one rig: accuracy, learning time, shifts, reliability, confusion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_lab.reports.tactile import plan as tactile_plan
+from deltacharger_lab.reports.tactile.plan import SETS, Plan
+from deltacharger_lab.reports.tactile.shifts import NONE, SHIFTS, dock_again
+from deltacharger_tactile.classifiers import labels, reliability, splits
+from deltacharger_tactile.classifiers.classifier import Classifier
+from deltacharger_tactile.classifiers.familiarity import WINDOW
+from deltacharger_tactile.classifiers.judgement import evaluate
+from deltacharger_tactile.classifiers.labels import Examples
+from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_POSITION, Dataset
+from deltacharger_tactile.generator import generate_paper
+
+Array = NDArray[np.float64]
+
+BINS = 10
+"""Of the predicted probability in the reliability diagrams."""
+WINDOWS = (WINDOW, 2 * WINDOW)
+"""Dockings that the drift check judges together."""
+
+
+def paper_set(rig: int, seed: int, rows: int = 1) -> Dataset:
+    """Return the paper's protocol on one rig; every model drops what is below its own threshold."""
+    return generate_paper(rigs=(rig,), seed=seed, threshold=0.0, rows=rows)
+
+
+def fitted(name: str, target: str, rows: Examples, seed: int) -> Classifier:
+    """Return a model that has learnt from examples."""
+    return Classifier(name, target, tactile_plan.threshold(name)).fit(rows.frames, rows.labels, seed)
+
+
+def accuracy(model: Classifier, rows: Examples) -> float:
+    """Return the share of examples that a model names right."""
+    return float(np.mean(model.predict(rows.frames) == rows.labels))
+
+
+def judge_rig(rig: int, seed: int, part: str, plan: Plan, keep: str) -> dict[str, list[dict[str, Any]]]:
+    """Train every model on one data set of one rig, and judge it.
+
+    Args:
+        rig: seed of the device.
+        seed: of the dockings.
+        part: of `SETS`.
+        plan: what is measured.
+        keep: folder for the models; '' = keep none.
+    """
+    _one_thread()
+    known = paper_set(rig, seed)
+    found: dict[str, list[dict[str, Any]]] = {"accuracy": [], "shifts": [], "diagrams": []}
+    models = {}
+    for target in SETS[part]:
+        rows = labels.examples(known, target)
+        turns = splits.thirds(rows, seed)[: 1 if plan.quick else 3]
+        for name in plan.names:
+            where = {"rig": rig, "seed": seed, "target": target, "model": name}
+            for turn, (learns, checks) in enumerate(turns):
+                model = fitted(name, target, rows.part(learns), seed)
+                right = accuracy(model, rows.part(checks))
+                found["accuracy"].append({**where, "accuracy": right, "n": len(checks), "fit_s": model.fit_time})
+                if turn:
+                    continue
+                if keep:
+                    model.save(Path(keep) / f"{name}-{target}.npz")
+                if name in plan.judged:
+                    _calibrate(model, rows, learns, checks)
+                    models[name, target] = model
+    _judge_shifts(found, models, known, part, (rig, seed), plan)
+    return found
+
+
+def _calibrate(model: Classifier, rows: Examples, learns: NDArray[np.int64], checks: NDArray[np.int64]) -> None:
+    held, seen = rows.part(checks), rows.part(learns)
+    frames, familiar = np.nan_to_num(held.frames), np.nan_to_num(seen.frames)
+    shares = model.predict_proba(held.frames)
+    model.reliability = reliability.learn(shares, held.labels, frames, model.threshold, familiar)
+
+
+def _judge_shifts(
+    found: dict[str, list[dict[str, Any]]],
+    models: dict[tuple[str, str], Classifier],
+    known: Dataset,
+    part: str,
+    device: tuple[int, int],
+    plan: Plan,
+) -> None:
+    subset = known.subset == (SUBSET_ANGLE if part == "angle" else SUBSET_POSITION)
+    for shift in SHIFTS:
+        fresh = dock_again(known, shift, *device, subset)
+        windows: dict[float, list[float]] = {}  # they depend on no more than what counts as nothing
+        for (name, target), model in models.items():
+            rows = labels.examples(fresh, target)
+            if model.threshold not in windows:
+                windows[model.threshold] = [_windows(model, rows, size, plan.windows) for size in WINDOWS]
+            where = {"rig": device[0], "seed": device[1], "target": target, "model": name}
+            told = evaluate(model, rows)
+            found["shifts"].append({**where, "shift": shift.name, **told, "windows": windows[model.threshold]})
+            if shift is NONE:
+                found["diagrams"].append({**where, **_diagram(model, rows)})
+
+
+def _windows(model: Classifier, rows: Examples, size: int, count: int) -> float:
+    """Return the share of windows of `size` dockings, drawn from the examples, that look unlike training."""
+    assert model.reliability is not None
+    random = np.random.default_rng(size)
+    chosen = (random.choice(len(rows), size, replace=False) for _ in range(count))
+    told = [model.reliability.drifted_together(rows.frames[rows_], model.threshold) for rows_ in chosen]
+    return float(np.mean(told))
+
+
+def _diagram(model: Classifier, rows: Examples) -> dict[str, Any]:
+    """Return counts of the winning class's probability and how often it was right, and the confusion matrix."""
+    shares = model.predict_proba(rows.frames)
+    winner, sure = shares.argmax(axis=1), shares.max(axis=1)
+    bins = np.minimum((BINS * sure).astype(int), BINS - 1)
+    count = labels.classes(model.target)
+    matrix = np.zeros((count, count), dtype=int)
+    np.add.at(matrix, (rows.labels, winner), 1)
+    return {
+        "count": np.bincount(bins, minlength=BINS).tolist(),
+        "sure": np.bincount(bins, sure, BINS).tolist(),
+        "right": np.bincount(bins, winner == rows.labels, BINS).tolist(),
+        "matrix": matrix.tolist(),
+    }
+
+
+def _one_thread() -> None:
+    try:
+        import torch
+    except ImportError:
+        return
+    torch.set_num_threads(1)

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The same models under four ways to split data of which each docking has several rows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from deltacharger_lab.reports.tactile.measure import accuracy, fitted
+from deltacharger_tactile.classifiers import labels, splits
+from deltacharger_tactile.generator import generate_paper
+
+ROWS = 3
+"""Rows of each docking in this comparison; the paper has one."""
+BY_DOCKING, BY_FRAME, RIG_OUT, SESSION_OUT = (
+    "by docking",
+    "random by frame",
+    "leave one rig out",
+    "leave one session out",
+)
+SPLITS = (BY_DOCKING, BY_FRAME, RIG_OUT, SESSION_OUT)
+_SHARE = 0.67
+_DOCKINGS = 0.34  # of the dockings of a rig, so that all splits together end in time
+
+
+def compare(name: str, target: str, rigs: tuple[int, ...], seed: int) -> list[dict[str, Any]]:
+    """Return the accuracy of one model under every split; data of all rigs together, some of their dockings.
+
+    Args:
+        name: of the model.
+        target: what it tells.
+        rigs: seeds of the devices.
+        seed: of dockings and splits.
+    """
+    every = labels.examples(generate_paper(rigs=rigs, seed=seed, threshold=0.0, rows=ROWS), target)
+    rows = every.part(splits.by_docking(every, seed, _DOCKINGS)[0])
+    parts = {
+        BY_DOCKING: [splits.by_docking(rows, seed, _SHARE)],
+        BY_FRAME: [splits.by_frame(rows, seed, _SHARE)],
+        RIG_OUT: splits.leave_one_out(rows, "rigs"),
+        SESSION_OUT: splits.leave_one_out(rows, "sessions")[:: len(rigs)],
+    }
+    found = []
+    for split, pairs in parts.items():
+        right = [accuracy(fitted(name, target, rows.part(learns), seed), rows.part(judges)) for learns, judges in pairs]
+        found.append({"model": name, "target": target, "split": split, "accuracy": float(np.mean(right))})
+    return found

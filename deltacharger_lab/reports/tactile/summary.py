@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From single measurements to what the page says: means, intervals, verdicts, targets."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from deltacharger_lab.reports.tactile import plan as tactile_plan
+from deltacharger_lab.reports.tactile.plan import TARGETS, Plan
+from deltacharger_lab.reports.tactile.shifts import NONE
+from deltacharger_tactile.classifiers.reliability import NOMINAL
+
+HOLDS, FIRES, NEITHER = "coverage holds", "drift check fires", "NEITHER"
+POINTS = 0.015
+"""By which coverage may miss its nominal value."""
+FALSE_ALARMS = 0.01
+_OFTEN = 0.5  # share of frames or windows from which the drift check counts as firing
+
+Row = dict[str, Any]
+
+
+def accuracies(rows: Iterable[Row], names: Iterable[str]) -> dict[str, dict[str, Row]]:
+    """Return mean accuracy with the half width of its 95 % interval (t over rigs; NaN of one), by model and target."""
+    rows = list(rows)
+    found: dict[str, dict[str, Row]] = {}
+    for name in names:
+        found[name] = {}
+        for target in TARGETS:
+            chosen = [row for row in rows if row["model"] == name and row["target"] == target]
+            by_rig = defaultdict(list)
+            for row in chosen:
+                by_rig[row["rig"]].append(row["accuracy"])
+            means = [float(np.mean(each)) for each in by_rig.values()]
+            fit = float(np.median([row["fit_s"] for row in chosen]))
+            found[name][target] = {"mean": float(np.mean(means)), "half": _half(means), "fit_s": fit}
+    return found
+
+
+def _half(values: list[float]) -> float:
+    if len(values) < 2:
+        return math.nan
+    from scipy.stats import t
+
+    return float(t.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / math.sqrt(len(values)))
+
+
+def shifts(rows: Iterable[Row]) -> list[Row]:
+    """Return means over rigs and seeds by model, target and shift, with the verdict."""
+    groups: dict[tuple[str, str, str], list[Row]] = defaultdict(list)
+    for row in rows:
+        groups[row["model"], row["target"], row["shift"]].append(row)
+    found = []
+    for (model, target, shift), members in groups.items():
+        means = {
+            key: float(np.mean([row[key] for row in members]))
+            for key in ("accuracy", "coverage", "act_rate", "drift_rate")
+        }
+        windows = np.mean([row["windows"] for row in members], axis=0).tolist()
+        error = _coverage_error(members)
+        holds = means["coverage"] >= NOMINAL - POINTS - error
+        fires = max(means["drift_rate"], windows[-1]) > _OFTEN
+        verdict = HOLDS if holds else FIRES if fires else NEITHER
+        where = {"model": model, "target": target, "shift": shift}
+        found.append({**where, **means, "windows": windows, "error": error, "verdict": verdict})
+    return found
+
+
+def _coverage_error(members: list[Row]) -> float:
+    """Two standard errors of the mean coverage; of few rigs and seeds from the binomial, calibration included."""
+    if len(members) >= 3:
+        return 2.0 * float(np.std([row["coverage"] for row in members], ddof=1)) / math.sqrt(len(members))
+    frames = members[0]["n"]
+    return 2.0 * math.sqrt(NOMINAL * (1.0 - NOMINAL) * (1.0 + 3.0) / frames / len(members))
+
+
+def diagrams(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:
+    """Return the sums over rigs and seeds, by model and target."""
+    found: dict[str, dict[str, Row]] = defaultdict(dict)
+    for row in rows:
+        sums = found[row["model"]].setdefault(row["target"], {})
+        for key in ("count", "sure", "right", "matrix"):
+            sums[key] = (np.array(row[key]) + np.array(sums.get(key, 0))).tolist()
+    return dict(found)
+
+
+def by_model(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:
+    """Return rows by model and target."""
+    found: dict[str, dict[str, Row]] = defaultdict(dict)
+    for row in rows:
+        found[row["model"]][row["target"]] = row
+    return dict(found)
+
+
+def mean_rows(rows: Iterable[Row]) -> list[Row]:
+    """Return rows of the same name as one, with the mean of each target."""
+    groups: dict[str, list[Row]] = defaultdict(list)
+    for row in rows:
+        groups[row["name"]].append(row)
+    return [
+        {**members[0], **{target: float(np.mean([row[target] for row in members])) for target in TARGETS}}
+        for members in groups.values()
+    ]
+
+
+def targets(results: Row, plan: Plan) -> list[Row]:
+    """Return each target with what was measured and whether it is met."""
+    name = tactile_plan.default(plan)
+    who = tactile_plan.title(name)
+    accuracy = results["accuracy"][name]
+    calm = [row for row in results["shifts"] if row["model"] == name and row["shift"] == NONE.name]
+    others = [row for row in results["shifts"] if row["model"] == name and row["shift"] != NONE.name]
+    three = [row[target] for row in results["ceiling"] if row["name"].startswith("3 dockings") for target in TARGETS]
+    worst = max((row["coverage"] for row in calm), key=lambda value: abs(value - NOMINAL), default=math.nan)
+    alarms = max((max(row["drift_rate"], *row["windows"]) for row in calm), default=math.nan)
+    slow = max(results["times"][name][target]["p99_ms"] for target in TARGETS)
+    unseen = [row for row in others if row["verdict"] == NEITHER]
+    percent = "%"
+    return [
+        _above(f"{who}, angle", 100 * accuracy["angle"]["mean"], 98.0, percent),
+        _above(f"{who}, vertical", 100 * accuracy["vertical"]["mean"], 98.5, percent),
+        _above(f"{who}, horizontal", 100 * accuracy["horizontal"]["mean"], 92.0, percent),
+        _above(f"{who}, three dockings, each target", 100 * min(three, default=math.nan), 99.0, percent),
+        _below(f"{who}, coverage off 95 %, no shift, worst target", 100 * abs(worst - NOMINAL), 100 * POINTS, "points"),
+        _below(f"{who}, false drift alarms, frames and windows", 100 * alarms, 100 * FALSE_ALARMS, percent),
+        _below(
+            f"{who}, shifts neither covered nor noticed", len(unseen) if others else math.nan, 0, f"of {len(others)}"
+        ),
+        _below(f"{who}, one prediction, p99", slow, 1.0, "ms"),
+        _below("paper-size data set of one rig", results["generation_s"], 1.0, "s"),
+        _below("whole comparison", results["elapsed_s"] / 60.0, 15.0, "min"),
+    ]
+
+
+def _below(name: str, value: float, limit: float, unit: str) -> Row:
+    return _target(name, f"≤ {limit:g}", value, unit, value <= limit + 1e-9)
+
+
+def _above(name: str, value: float, limit: float, unit: str) -> Row:
+    return _target(name, f"≥ {limit:g}", value, unit, value >= limit - 1e-9)
+
+
+def _target(name: str, wanted: str, value: float, unit: str, met: bool) -> Row:
+    judged = None if math.isnan(value) else bool(met)
+    return {"name": name, "wanted": wanted, "measured": float(value), "unit": unit, "met": judged}

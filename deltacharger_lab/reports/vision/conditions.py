@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the vision report looks at: rows of images of one kind, and what the detector is told of the camera."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from deltacharger_lab.reports.vision import views
+from deltacharger_lab.reports.vision.views import APPROACH, DOCK, View
+from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.rendering.camera import OAK_D
+
+RANGES = (0.15, 0.17, 0.20, 0.25, 0.30, 0.40, 0.50, 0.60, 0.70, 0.80, 0.90, 1.00)
+"""m."""
+BAND = (0.15, 0.80)
+"""Ranges that the targets speak of, m."""
+SIZES = ((320, 200), (640, 400), (1280, 800))
+ANYWHERE = (0.2, 0.8)
+RAYS, MUJOCO = "ray-caster", "MuJoCo"
+BY_RANGE, DEFECTS, HIDDEN, ALARMS = "range", "defects", "hidden", "alarms"
+INTRINSICS, LENS, SIZE, RENDERERS = "intrinsics", "lens", "size", "renderers"
+HALF_HIDDEN = "50 % of one bar hidden"
+CLUTTER, CLUTTER_FLAT = "clutter, no electrodes", "clutter, no electrodes, no depth"
+ALONE = "no depth at all"
+
+Draw = Callable[[np.random.Generator], View]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One row of a table.
+
+    Attributes:
+        name: of the row.
+        group: the table.
+        draw: draws a view.
+        weight: images, in parts of what a row usually has.
+        real: whether there are electrodes.
+        takes: the camera that takes the image.
+        told: what the detector is told of it.
+        color_only: whether depth is unknown.
+        renderer: RAYS or MUJOCO.
+        stream: rows of one stream share their views.
+        away: m, where the row is of one range.
+    """
+
+    name: str
+    group: str
+    draw: Draw
+    weight: float = 1.0
+    real: bool = True
+    takes: Intrinsics = OAK_D
+    told: Intrinsics = OAK_D
+    color_only: bool = False
+    renderer: str = RAYS
+    stream: int = 0
+    away: float = math.nan
+
+
+def _by_range() -> list[Condition]:
+    return [
+        Condition(
+            f"{away:.2f} m",
+            BY_RANGE,
+            partial(views.plain, nearest=away, farthest=away),
+            4 / 3,
+            stream=1 + number,
+            away=away,
+        )
+        for number, away in enumerate(RANGES)
+    ]
+
+
+def _anywhere(random: np.random.Generator, **changes: Any) -> View:
+    return views.plain(random, *ANYWHERE).changed(**changes)
+
+
+def _defect(name: str, **changes: Any) -> Condition:
+    return Condition(name, DEFECTS, partial(_anywhere, **changes))
+
+
+def _defects() -> list[Condition]:
+    return [
+        _defect("nothing special"),
+        *(_defect(f"exposure × {value:g}", camera={"exposure": value}) for value in (0.1, 0.2, 0.5, 1.5, 2.5, 4.0)),
+        *(_defect(f"highlight {value:g}", scene={"highlight": value}) for value in (2.0, 4.0, 8.0)),
+        _defect("light uneven by ± 50 %", scene={"unevenness": 0.5}),
+        *(
+            _defect(f"holes: {100 * metal:.0f} % of metal, {100 * else_:.0f} % else",
+                    camera={"hole_metal": metal, "hole_matte": else_})
+            for metal, else_ in ((0.6, 0.2), (0.9, 0.5))
+        ),
+        *(_defect(f"disparity noise {value:g} px", camera={"disparity_noise": value}) for value in (0.4, 0.8)),
+        *(_defect(f"defocus {value:g} px", camera={"defocus": value}) for value in (1.0, 1.5, 2.5)),
+        *(
+            _defect(f"motion {value:g} px", camera={"motion_x": 0.75 * value, "motion_y": 0.66 * value})
+            for value in (2.0, 4.0, 8.0)
+        ),
+        Condition("clutter around", DEFECTS, partial(views.in_clutter, nearest=0.2, farthest=0.8)),
+        Condition("drawn room, decoys", DEFECTS, partial(views.in_room, nearest=0.2, farthest=0.8)),
+        Condition(ALONE, DEFECTS, partial(views.plain, nearest=0.15, farthest=0.6), color_only=True),
+    ]  # fmt: skip
+
+
+def _hidden() -> list[Condition]:
+    return [
+        Condition("25 % of one bar hidden", HIDDEN, partial(views.covered, share=0.25)),
+        Condition(HALF_HIDDEN, HIDDEN, partial(views.covered, share=0.5), 2.0),
+        Condition("75 % of one bar hidden", HIDDEN, partial(views.covered, share=0.75)),
+        Condition("15 % of both bars hidden", HIDDEN, partial(views.covered, share=0.15, both=True)),
+        Condition("30 % of both bars hidden", HIDDEN, partial(views.covered, share=0.3, both=True)),
+    ]
+
+
+def _alarms() -> list[Condition]:
+    thousand = 20 / 3
+    return [
+        Condition(CLUTTER, ALARMS, views.without, thousand, real=False),
+        Condition(CLUTTER_FLAT, ALARMS, views.without, thousand, real=False, color_only=True),
+        Condition("drawn rooms, decoys alone", ALARMS, views.decoys, 2.0, real=False),
+        Condition("bars 0.75 and 1.3 times the size", ALARMS, views.other_size, real=False),
+    ]
+
+
+def _intrinsics() -> list[Condition]:
+    near = partial(views.plain, nearest=DOCK[0], farthest=DOCK[1])
+    found = [Condition("exact", INTRINSICS, near)]
+    for percent in (-2, -1, 1, 2):
+        factor = 1 + percent / 100
+        told = dataclasses.replace(OAK_D, fx=OAK_D.fx * factor, fy=OAK_D.fy * factor)
+        found.append(Condition(f"focal length {percent:+d} %", INTRINSICS, near, told=told))
+    for axis in "xy":
+        for shift in (-5, 5):
+            told = dataclasses.replace(OAK_D, **{f"c{axis}": getattr(OAK_D, f"c{axis}") + shift})
+            found.append(Condition(f"principal point {axis} {shift:+d} px", INTRINSICS, near, told=told))
+    return found
+
+
+LENSES = {
+    "OAK-D's": (6.5, -3.1, 0.0004, -0.0003, 0.9, 6.7, -2.4, 0.6),
+    "barrel, k1 = −0.1": (-0.1, 0.01, 0.0, 0.0, 0.0),
+    "barrel, k1 = −0.3": (-0.30, 0.12, 0.001, -0.0005, -0.02),
+}
+"""Distortion by name: rational_polynomial like that of an OAK-D (assumed), plumb_bob mild and strong."""
+
+
+def _lenses() -> list[Condition]:
+    found = []
+    for name, distortion in LENSES.items():
+        lens = dataclasses.replace(OAK_D, distortion=distortion)
+        draw = partial(views.plain, nearest=DOCK[0], farthest=DOCK[1], intrinsics=lens)
+        found.append(Condition(f"{name}, known", LENS, draw, takes=lens, told=lens))
+        found.append(Condition(f"{name}, ignored", LENS, draw, takes=lens))
+    return found
+
+
+def _sizes() -> list[Condition]:
+    found = []
+    for size in SIZES:
+        camera = OAK_D.scaled(*size)
+        draw = partial(views.plain, nearest=BAND[0], farthest=BAND[1])
+        found.append(Condition(f"{size[0]} × {size[1]} px", SIZE, draw, takes=camera, told=camera))
+    return found
+
+
+def _renderers() -> list[Condition]:
+    draws: dict[str, Draw] = {
+        "docking": partial(views.plain, nearest=DOCK[0], farthest=DOCK[1]),
+        "approaching": partial(views.plain, nearest=APPROACH[0], farthest=APPROACH[1]),
+        "exposure × 0.2": partial(_anywhere, camera={"exposure": 0.2}),
+        "highlight 4": partial(_anywhere, scene={"highlight": 4.0}),
+        "clutter around": partial(views.in_clutter, nearest=0.2, farthest=0.8),
+        "drawn room, decoys": partial(views.in_room, nearest=0.2, farthest=0.8),
+        "half of one bar hidden": partial(views.covered, share=0.5),
+    }
+    return [
+        Condition(f"{name}, {renderer}", RENDERERS, draw, 0.5, renderer=renderer)
+        for name, draw in draws.items()
+        for renderer in (RAYS, MUJOCO)
+    ]
+
+
+CONDITIONS: dict[str, Condition] = {
+    f"{condition.group}: {condition.name}": condition
+    for part in (_by_range, _defects, _hidden, _alarms, _intrinsics, _lenses, _sizes, _renderers)
+    for condition in part()
+}
+"""By group and name."""
+
+
+def members(group: str) -> list[Condition]:
+    """Return the rows of a table."""
+    return [condition for condition in CONDITIONS.values() if condition.group == group]
+
+
+def key(condition: Condition) -> str:
+    """Return the key of a condition in CONDITIONS and in the figures."""
+    return f"{condition.group}: {condition.name}"

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Images of the vision report with what was detected drawn into them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deltacharger_lab.reports.vision.conditions import (
+    ALARMS,
+    BY_RANGE,
+    CLUTTER,
+    CONDITIONS,
+    DEFECTS,
+    HIDDEN,
+    MUJOCO,
+    RAYS,
+    RENDERERS,
+)
+from deltacharger_lab.reports.vision.measure import Photographer, Sample, errors
+from deltacharger_lab.reports.vision.plan import Plan
+from deltacharger_records.plotting import BLUE, INK, RED, picture
+from deltacharger_vision.detector.annotate import annotated
+from deltacharger_vision.detector.detector import ElectrodeDetector
+from deltacharger_vision.projection import project
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_HARD = (
+    f"{BY_RANGE}: 0.15 m",
+    f"{BY_RANGE}: 1.00 m",
+    f"{DEFECTS}: exposure × 0.1",
+    f"{DEFECTS}: exposure × 4",
+    f"{DEFECTS}: highlight 8",
+    f"{DEFECTS}: holes: 90 % of metal, 50 % else",
+    f"{DEFECTS}: defocus 2.5 px",
+    f"{DEFECTS}: motion 8 px",
+    f"{HIDDEN}: 75 % of one bar hidden",
+    f"{HIDDEN}: 15 % of both bars hidden",
+    f"{DEFECTS}: drawn room, decoys",
+    f"{ALARMS}: {CLUTTER}",
+)
+_COLUMNS = 4
+_AROUND = 2.4  # what is shown, in lengths of the bars
+_ASPECT = 1.6
+
+
+def renderers(plan: Plan, path: Path) -> None:
+    """Write one scene as each renderer that works here draws it, with the detection."""
+    names = (f"{RENDERERS}: drawn room, decoys, {renderer}" for renderer in (RAYS, MUJOCO))
+    shown = [CONDITIONS[name] for name in names if CONDITIONS[name] in plan.conditions()]
+    width, height = 0.3 + 5.6 * len(shown), 1.2 + 3.5
+    about = "simulated images; the same scene and the same defects; green: what was detected"
+    detector, photographer = ElectrodeDetector(), Photographer()
+    try:
+        with picture(path, width, height, "Both renderers" if len(shown) > 1 else shown[0].renderer, about) as figure:
+            panels = figure.subplots(1, len(shown), squeeze=False)[0]
+            figure.subplots_adjust(left=0.01, right=0.99, top=1.0 - 1.1 / height, bottom=0.02, wspace=0.03)
+            for axes, condition in zip(panels, shown, strict=True):
+                sample = photographer.take(condition, plan.first_seed)
+                axes.imshow(annotated(sample.image, detector.detect(sample.image)), interpolation="antialiased")
+                axes.set_title(condition.renderer, loc="left", pad=4)
+                axes.axis("off")
+    finally:
+        photographer.close()
+
+
+def hard(images: dict[str, list[list[float]]], path: Path) -> None:
+    """Write the worst of the measured images (N, FIELDS) of many kinds, the part around the terminal."""
+    names = [name for name in _HARD if name in images]
+    lines = -(-len(names) // _COLUMNS)
+    width, height = 12.4, 0.95 + 2.15 * lines
+    about = (
+        "simulated images: of each row one that was missed, or the one with the largest error; blue: what was detected"
+    )
+    detector, photographer = ElectrodeDetector(), Photographer()
+    with picture(path, width, height, "Hard images", about) as figure:
+        panels = figure.subplots(lines, _COLUMNS, squeeze=False)
+        figure.subplots_adjust(left=0.015, right=0.985, top=1.0 - 1.1 / height, bottom=0.015, wspace=0.05, hspace=0.16)
+        for axes in panels.flat:
+            axes.axis("off")
+        for axes, name in zip(panels.flat, names, strict=False):
+            _one(axes, name, photographer.take(CONDITIONS[name], worst(images[name], CONDITIONS[name].real)), detector)
+
+
+def worst(images: list[list[float]], real: bool) -> int:
+    """Return the seed of a wrong detection, else of a missed terminal, else of the largest error in (N, FIELDS)."""
+    table = np.array(images, dtype=float)
+    error = np.nan_to_num(np.hypot(table[:, 3], table[:, 4]))
+    missed = (table[:, 1] == 0.0) if real else np.zeros(len(table))
+    return int(table[np.argmax(error + 1e3 * missed + 1e6 * table[:, 2]), 0])
+
+
+def _one(axes: Axes, name: str, sample: Sample, detector: ElectrodeDetector) -> None:
+    condition, image = CONDITIONS[name], sample.image
+    found = detector.detect(image)
+    axes.imshow(image.color, interpolation="nearest")
+    text, colour = "nothing found", INK
+    if found is not None:
+        for bar in found.bars:
+            axes.plot(*np.vstack([bar, bar[:1]]).T, color=BLUE, linewidth=1.3)
+        _, wrong, across, away, *_ = errors(found, sample.view.pose, condition.real)
+        text, colour = ("wrong", RED) if wrong else (f"off by {np.hypot(across, away):.2f} mm", BLUE)
+    axes.set_title(condition.name, loc="left", pad=3, fontsize=9.0)
+    axes.text(0.985, 0.03, text, transform=axes.transAxes, ha="right", va="bottom", fontsize=9.0, color=colour,
+              bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5, "alpha": 0.85})  # fmt: skip
+    if condition.real:
+        _around(axes, sample)
+
+
+def _around(axes: Axes, sample: Sample) -> None:
+    """Show the part of the image around the terminal."""
+    of, pose, terminal = sample.image.intrinsics, sample.view.pose, sample.view.scene.terminal
+    x, y = project(pose[:3, 3], of)
+    half = min(
+        0.5 * _AROUND * of.fx * terminal.bar_length / pose[2, 3], 0.5 * (of.width - 1), 0.5 * _ASPECT * (of.height - 1)
+    )
+    x = float(np.clip(x, half - 0.5, of.width - 0.5 - half))
+    y = float(np.clip(y, half / _ASPECT - 0.5, of.height - 0.5 - half / _ASPECT))
+    axes.set_xlim(x - half, x + half)
+    axes.set_ylim(y + half / _ASPECT, y - half / _ASPECT)

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the detector makes of images of one kind, image by image; and how long it takes."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_lab.reports.vision.conditions import CONDITIONS, MUJOCO, Condition
+from deltacharger_lab.reports.vision.views import View
+from deltacharger_vision.detector.detection import Detection
+from deltacharger_vision.detector.detector import ElectrodeDetector
+from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.rendering.camera import SimulatedCamera
+from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
+from deltacharger_vision.rendering.parameters import CameraParameters
+
+Array = NDArray[np.float64]
+
+WRONG_POSITION, WRONG_ROLL = 0.010, math.radians(5.0)
+"""A detection that is farther off, m or rad, is wrong."""
+FIELDS = ("seed", "found", "wrong", "xy_mm", "z_mm", "roll_deg", "nees", "tilt_deg")
+"""Of one image: found and wrong are 0 or 1, errors NaN where nothing right was found, the tilt where it is not told."""
+_WARM_UP = 5
+_RUNS = 3  # of one detection; other work of the machine only ever adds to the least
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One image.
+
+    Attributes:
+        view: what was before the camera.
+        image: the image, with what the detector is told of the camera.
+    """
+
+    view: View
+    image: RgbdImage
+
+
+class Photographer:
+    """Takes the images of conditions, each camera made once; `close` releases them."""
+
+    def __init__(self) -> None:
+        self._cameras: dict[tuple[Intrinsics, CameraParameters, str], SimulatedCamera | MujocoCamera] = {}
+
+    def take(self, condition: Condition, seed: int) -> Sample:
+        """Return the image of a seed: views by stream, so that rows compare; noise of its own."""
+        view = condition.draw(np.random.default_rng([seed, condition.stream]))
+        known = (condition.takes, view.camera, condition.renderer)
+        if known not in self._cameras:
+            self._cameras[known] = (MujocoCamera if condition.renderer == MUJOCO else SimulatedCamera)(*known[:2])
+        random = np.random.default_rng([seed, condition.stream, 1])
+        image = self._cameras[known].render(view.scene, view.pose, random, condition.color_only)
+        return Sample(view, RgbdImage(image.color, image.depth, condition.told))
+
+    def close(self) -> None:
+        """Release the cameras."""
+        for camera in self._cameras.values():
+            if isinstance(camera, MujocoCamera):
+                camera.close()
+        self._cameras.clear()
+
+
+def judge(name: str, seeds: Sequence[int]) -> tuple[str, list[list[float]]]:
+    """Return a condition's name and a row of FIELDS for each seed."""
+    one_thread()
+    condition, detector, photographer = CONDITIONS[name], ElectrodeDetector(), Photographer()
+    try:
+        rows = []
+        for seed in seeds:
+            sample = photographer.take(condition, seed)
+            found = detector.detect(sample.image)
+            rows.append([float(seed), *errors(found, sample.view.pose, condition.real)])
+    finally:
+        photographer.close()
+    return name, rows
+
+
+def errors(found: Detection | None, pose: Array, real: bool = True) -> list[float]:
+    """Return FIELDS but the seed, of a detection where the terminal is at (4, 4) `pose`, or is none."""
+    nothing = [math.nan] * 5
+    if found is None:
+        return [0.0, 0.0, *nothing]
+    error = found.position - pose[:3, 3]
+    roll = math.remainder(found.roll - math.atan2(pose[1, 0], pose[0, 0]), math.pi)
+    if not real or np.linalg.norm(error) > WRONG_POSITION or abs(roll) > WRONG_ROLL:
+        return [1.0, 1.0, *nothing]
+    nees = float(error @ np.linalg.solve(found.covariance[:3, :3], error))
+    told = bool(np.all(np.isfinite(found.normal)))
+    tilt = math.acos(min(1.0, float(-found.normal @ pose[:3, 2]))) if told else math.nan
+    across, away, turned = 1e3 * float(np.hypot(*error[:2])), 1e3 * abs(float(error[2])), math.degrees(abs(roll))
+    return [1.0, 0.0, across, away, turned, nees, math.degrees(tilt)]
+
+
+def times(names: Sequence[str], seeds: Sequence[int]) -> dict[str, dict[str, float]]:
+    """Return processor time of one detection and of one image, ms, by condition: median, mean and 95 %.
+
+    Images are made first, so that each part runs alone; the first detections do not count. A detection's time is the
+    least of three runs.
+    """
+    one_thread()
+    detector, photographer, found = ElectrodeDetector(), Photographer(), {}
+    try:
+        for name in names:
+            condition = CONDITIONS[name]
+            photographer.take(condition, seeds[0])
+            drawn = [_timed(photographer.take, condition, seed) for seed in seeds]
+            for _, sample in drawn[:_WARM_UP]:
+                detector.detect(sample.image)
+            taken = np.array(
+                [min(_timed(detector.detect, sample.image)[0] for _ in range(_RUNS)) for _, sample in drawn]
+            )
+            images = np.array([each for each, _ in drawn])
+            found[name] = {
+                "median_ms": float(np.median(taken)),
+                "mean_ms": float(np.mean(taken)),
+                "p95_ms": float(np.percentile(taken, 95)),
+                "image_ms": float(np.median(images)),
+            }
+    finally:
+        photographer.close()
+    return found
+
+
+def _timed(job: Callable[..., Any], *arguments: Any) -> tuple[float, Any]:
+    started = time.process_time()
+    result = job(*arguments)
+    return 1e3 * (time.process_time() - started), result
+
+
+def one_thread() -> None:
+    """Keep OpenCV to one core."""
+    import cv2
+
+    cv2.setNumThreads(1)

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the vision report measures: how many images of each row, which seeds, and what cannot be measured here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+from deltacharger_lab.reports.tactile.pool import Task
+from deltacharger_lab.reports.vision import conditions
+from deltacharger_lab.reports.vision.conditions import CONDITIONS, Condition, key
+from deltacharger_lab.reports.vision.measure import judge, times
+from deltacharger_lab.reports.vision.mount import LEVELS
+from deltacharger_lab.reports.vision.mount import judge as judge_mount
+
+FULL, QUICK = 150, 15
+"""Images of a usual row."""
+FEWEST, MOST = 2, 1000
+FIRST_SEED = 20_000
+"""Tuning saw seeds below 1000."""
+_SEEDS_APART = 10_000
+_CHUNK = 25  # images of one task
+_TIMED = {False: 40, True: 8}
+_SIZE_WEIGHT = {"320 × 200 px": 0.6, "1280 × 800 px": 3.0}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is measured.
+
+    Attributes:
+        images: of a usual row.
+        seed: shifts the seeds of all images.
+        quick: whether this is the short plan.
+        absent: by what is not installed, the reason and what is left out.
+    """
+
+    images: int
+    seed: int
+    quick: bool
+    absent: dict[str, str]
+
+    @property
+    def first_seed(self) -> int:
+        """Seed of the first image of every row."""
+        return FIRST_SEED + _SEEDS_APART * self.seed
+
+    def conditions(self) -> list[Condition]:
+        """Return the rows that can be measured here."""
+        return [
+            each for each in CONDITIONS.values() if not (each.renderer == conditions.MUJOCO and "mujoco" in self.absent)
+        ]
+
+    def count(self, weight: float) -> int:
+        """Return the images of a row."""
+        return max(2, round(self.images * weight))
+
+    def seeds(self, count: int) -> range:
+        """Return the seeds of a row."""
+        return range(self.first_seed, self.first_seed + count)
+
+    def tasks(self) -> list[Task]:
+        """Return all work but the run times, which must be alone."""
+        found = []
+        for each in self.conditions():
+            cost = 4.0 if each.renderer == conditions.MUJOCO else _SIZE_WEIGHT.get(each.name, 1.0)
+            for part in _chunks(self.seeds(self.count(each.weight))):
+                found.append(Task("images", judge, (key(each), part), cost * len(part)))
+        for level in LEVELS:
+            for part in _chunks(self.seeds(self.count(4 / 3))):
+                found.append(Task("mount", judge_mount, (level, part), float(len(part))))
+        return found
+
+    def timing(self) -> Task:
+        """Return the measurement of run times."""
+        timed = (conditions.BY_RANGE, conditions.SIZE, conditions.HIDDEN)
+        names = [key(each) for each in self.conditions() if each.group in timed]
+        names += [f"{conditions.DEFECTS}: {conditions.ALONE}"]
+        names += [f"{conditions.ALARMS}: {name}" for name in (conditions.CLUTTER, conditions.CLUTTER_FLAT)]
+        names += [
+            key(each) for each in self.conditions() if each.group == conditions.RENDERERS and "docking" in each.name
+        ]
+        return Task("run times", times, (names, self.seeds(_TIMED[self.quick])))
+
+
+def plan(images: int | None, seed: int, quick: bool) -> Plan:
+    """Return what is measured on this machine."""
+    return Plan(images or (QUICK if quick else FULL), seed, quick, absent())
+
+
+def absent() -> dict[str, str]:
+    """Return for each library that is missing or does not work what is left out, and what to install."""
+    from deltacharger_vision.errors import RendererError
+    from deltacharger_vision.rendering.camera import OAK_D
+    from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
+
+    found = {}
+    if find_spec("cv2") is None:
+        found["opencv"] = "the detector needs it; install deltacharger[vision]"
+    try:
+        MujocoCamera(OAK_D.scaled(64, 40)).close()
+    except RendererError as error:
+        found["mujoco"] = f"its rows are left out: {error}"
+    return found
+
+
+def _chunks(seeds: range) -> list[tuple[int, ...]]:
+    return [tuple(seeds[start : start + _CHUNK]) for start in range(0, len(seeds), _CHUNK)]

@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the scripts of a mission share: the latest observation, this tick's requests, and what they ask of others."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Generator
+from dataclasses import replace
+from typing import TypeVar
+
+from deltacharger_docking.codes import Busy, Code, DockingError, ElectrodesNotFound, PhaseTimeout, Rejected, Unreachable
+from deltacharger_mission.dialogue import Command, End, Goal, Observation, Reply, Request, Stage, Status, Task
+from deltacharger_mission.parameters import MissionParameters
+from deltacharger_mission.places import Place
+
+T = TypeVar("T")
+# As in docking: a generator that yields once per tick and finds the world renewed in its context when it goes on.
+Script = Generator[None, None, T]
+
+_BELIEVED = 0.5  # m from the goal; what the navigator says from farther away is older than the arrival
+_ANSWER = 2.0  # s beyond its time to look in which the detector may answer
+_UNDOCK_PAUSE = 1.0  # s between two attempts
+_STATE_DELAY = 2.0  # s by which docking_state may come after a result
+_REMEDIES = {
+    Task.DRIVE: "no navigator serves navigate_to_pose: start and activate Nav2, or set navigation to none",
+    Task.DETECT: "no node serves detect_electrodes: start electrode_detector_node and its camera",
+    Task.DOCK: "no node serves dock: start docking_node",
+    Task.UNDOCK: "no node serves undock: start docking_node",
+}
+
+
+class NotServed(Rejected):
+    """A node that a mission needs is not there. Example: Nav2 has not been activated yet."""
+
+    retriable = True
+
+
+class NavigationFailed(Unreachable):
+    """The navigator gave up. Example: the way is blocked. `electrodes` is None: no other place is suggested."""
+
+    retriable = True
+
+
+class DockFailed(DockingError):
+    """Docking or undocking ended without success.
+
+    Attributes:
+        reply: what it said, with its own code.
+    """
+
+    def __init__(self, reply: Reply) -> None:
+        self.reply = reply
+        super().__init__(reply.message)
+
+
+class MissionContext:
+    """State shared by the scripts; the machine fills it before and empties it after each tick.
+
+    Attributes:
+        touched: a Dock goal was sent and no undocking has succeeded since: the robot must not be driven.
+        left: the robot was driven, so that it has to return.
+    """
+
+    def __init__(self, parameters: MissionParameters) -> None:
+        self.parameters = parameters
+        self.status = Status()
+        self.observation = Observation(0.0)
+        self.touched = self.left = False
+        self.deadline = math.inf
+        self._numbers = itertools.count(1)
+        self._requests: list[Request] = []
+        self._cancels: list[int] = []
+        self._open: set[int] = set()
+        self._replies: dict[int, Reply] = {}
+
+    @property
+    def time(self) -> float:
+        """Now (s, the clock of the observations)."""
+        return self.observation.time
+
+    def begin(self, request_id: str, observation: Observation) -> None:
+        """Forget the last mission; where the robot stands is not known again before it drives."""
+        self.observation = observation
+        self.status = Status(request_id=request_id)
+        self.touched = self.left = False
+        self.deadline = math.inf
+        self._open.clear()
+        self._replies.clear()
+
+    def observe(self, observation: Observation) -> None:
+        """Take the observation of this tick."""
+        self.observation = observation
+        for reply in observation.replies:
+            if reply.number in self._open:
+                self._open.discard(reply.number)
+                self._replies[reply.number] = reply
+
+    def command(self) -> Command:
+        """Return and forget what was asked for in this tick."""
+        command = Command(tuple(self._requests), tuple(self._cancels))
+        self._requests, self._cancels = [], []
+        return command
+
+    def enter(self, stage: Stage, limit: float) -> None:
+        """Begin a stage that may last `limit` seconds."""
+        self.status.stage = stage
+        self.deadline = self.time + limit
+
+    def drop(self) -> None:
+        """Call off all that is under way."""
+        unsent = {request.number for request in self._requests}
+        self._requests = []
+        self._cancels.extend(sorted(self._open - unsent))
+        self._open -= unsent
+
+    def call_off(self) -> Script[None]:
+        """Call off all that is under way and wait for its end, for so long."""
+        self.deadline = math.inf
+        self.drop()
+        end = self.time + self.parameters.cancel_timeout
+        while self._open and self.time <= end:
+            yield
+        self._open.clear()
+        self._replies.clear()
+
+    def wait(self, seconds: float) -> Script[None]:
+        """Let `seconds` pass."""
+        end = self.time + seconds
+        while self.time < end:
+            yield
+
+    def send(self, task: Task, **details: Place | Goal | bool | float | None) -> int:
+        """Send a request, its details by the names of `Request`, and return its number."""
+        request = replace(Request(next(self._numbers), task), **details)  # type: ignore[arg-type]
+        self._requests.append(request)
+        self._open.add(request.number)
+        return request.number
+
+    def answer(self, number: int) -> Script[Reply]:
+        """Wait for a reply; the stage's limit ends the wait."""
+        while number not in self._replies:
+            yield
+        return self._replies.pop(number)
+
+    def all_there(self, tasks: list[Task]) -> Script[None]:
+        """Wait until everybody needed answers and docking_node has nothing to do.
+
+        Raises:
+            NotServed: somebody is not there within wait_timeout.
+            Busy: the charger is docked or at work already.
+        """
+        end = self.time + self.parameters.wait_timeout
+        while True:
+            missing = [task for task in tasks if task not in self.observation.served]
+            docking = self.observation.docking
+            if not missing and docking is not None:
+                break
+            if self.time > end:
+                raise NotServed(_REMEDIES[missing[0]] if missing else "docking_state is not heard: start docking_node")
+            yield
+        if not docking.free:
+            raise Busy(f"the charger is at work ({docking.state.name}) or docked: undock it, then send the goal again")
+
+    def look(self) -> Script[Reply]:
+        """Let the camera look once, for look_timeout.
+
+        Raises:
+            ElectrodesNotFound: nobody answers, so that other views would not help.
+        """
+        number = self.send(Task.DETECT, timeout=self.parameters.look_timeout)
+        end = self.time + self.parameters.look_timeout + _ANSWER
+        while number not in self._replies:
+            if self.time > end:
+                raise ElectrodesNotFound("detect_electrodes does not answer: look at electrode_detector_node's log")
+            yield
+        reply = self._replies.pop(number)
+        if reply.end is End.LOST:
+            raise ElectrodesNotFound("detect_electrodes went away: look at electrode_detector_node's log")
+        return reply
+
+    def dock(self, goal: Goal) -> Script[Reply]:
+        """Dock and charge until docking ends its goal; the stage turns to CHARGE when it says that current flows."""
+        self.enter(Stage.DOCK, self.parameters.dock_timeout)
+        number = self.send(Task.DOCK, goal=goal)
+        self.touched = True
+        while number not in self._replies:
+            docking = self.observation.docking
+            if self.status.stage is Stage.DOCK and docking is not None and docking.charging:
+                self.enter(Stage.CHARGE, self.parameters.charge_timeout)
+            yield
+        return self._replies.pop(number)
+
+    def undock(self) -> Script[None]:
+        """Undock, trying more than once: a robot that cannot is stranded. It must not be driven before.
+
+        Raises:
+            DockFailed, PhaseTimeout: it did not succeed.
+        """
+        for left in reversed(range(self.parameters.undock_attempts)):
+            self.enter(Stage.UNDOCK, self.parameters.undock_timeout)
+            reply = yield from self.answer(self.send(Task.UNDOCK))
+            if reply.end is End.DONE:
+                self.touched = False
+                return
+            if not left:
+                raise dock_failure(reply, "; the robot stays where it is, because it may still hold the target")
+            yield from self.wait(_UNDOCK_PAUSE)
+
+    def drive(self, place: Place, precise: bool = False) -> Script[None]:
+        """Let the navigator drive there and remember where it arrived; never while anything ties robot and target.
+
+        Raises:
+            Busy: docking_node is not free.
+            DockingError: the navigator did not arrive.
+        """
+        end = self.time + _STATE_DELAY
+        while self.touched or self.observation.docking is None or not self.observation.docking.free:
+            if self.time > end:
+                raise Busy("docking_state says that the charger is docked or at work, so the robot was not driven")
+            yield
+        self.left = True
+        self.status.place = None
+        reply = yield from self.answer(self.send(Task.DRIVE, place=place, precise=precise))
+        if reply.end is not End.DONE:
+            raise _drive_failure(reply, place)
+        told = reply.place
+        known = told is not None and told.frame == place.frame and told.distance(place) <= _BELIEVED
+        self.status.place = told if known else place
+
+
+def dock_failure(reply: Reply, consequence: str = "") -> DockingError:
+    """Return the error of docking or undocking that did not succeed."""
+    if reply.end is End.LOST:
+        return PhaseTimeout("docking_node went away; start it again and look at its log" + consequence)
+    return DockFailed(replace(reply, message=reply.message + consequence))
+
+
+def _drive_failure(reply: Reply, place: Place) -> DockingError:
+    where = f"({place.x:.2f}, {place.y:.2f}) of {place.frame}"
+    if reply.end is End.REFUSED:
+        return Rejected(f"the navigator refused to drive to {where}: is it active, and does it know this frame?")
+    if reply.end is End.LOST:
+        return PhaseTimeout("the navigator went away while it drove; look at its log and localise the robot")
+    said = f": {reply.message}" if reply.message else ""
+    if reply.end is End.CANCELED:
+        return NavigationFailed(f"somebody else cancelled the drive to {where}{said}")
+    return NavigationFailed(f"the navigator did not reach {where}{said}; clear the way or correct the place")
+
+
+def code_of(error: DockingError) -> Code:
+    """Return the code to report: of docking's own error where there is one."""
+    if isinstance(error, DockFailed):
+        return error.reply.code or Code.INTERNAL
+    return error.code

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The mission state machine: the paper's strategy of operation.
+
+Wait until all that is needed answers, drive to the target, look for its electrodes, stand again where they are out of
+reach, dock, charge, undock, return. `step` takes an observation and returns a command; it reads no clock, opens no port
+and never blocks. Whatever ends the errand, the way out is the same: call off what is under way, undock, return.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+
+from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, ElectrodesNotFound, PhaseTimeout, Rejected
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_mission.context import DockFailed, MissionContext, Script, code_of, dock_failure
+from deltacharger_mission.dialogue import Command, End, Goal, Observation, Outcome, Stage, Status, Task
+from deltacharger_mission.parameters import MissionParameters
+from deltacharger_mission.places import DOCK_DISTANCE, Mount, Place, views
+
+_FUTILE = 0.005  # m, and
+_FUTILE_TURN = 0.02  # rad, of correction that are nothing to a mobile base: what is out of reach then stays so
+_LOOK_PAUSE = 0.5  # s between two looks of one who stands still
+
+
+class MissionMachine:
+    """Serves one goal at a time; `status` and `outcome` tell the shell how it stands.
+
+    Args:
+        parameters: what it decides by.
+        mount: of the arm on the robot.
+        home: where the base returns to; None = nobody drives, the charger stands still and the target comes to it.
+    """
+
+    def __init__(self, parameters: MissionParameters, mount: Mount, home: Place | None) -> None:
+        self.parameters = parameters
+        self._mount = mount
+        self._home = home
+        self._context = MissionContext(parameters)
+        self._script: Generator[None, None, None] | None = None
+        self._cancel = self._interruptible = self._charged = False
+        self._started = 0.0
+        self.outcome: Outcome | None = None
+
+    @property
+    def status(self) -> Status:
+        """Present state, for feedback and diagnostics."""
+        return self._context.status
+
+    @property
+    def busy(self) -> bool:
+        """Whether a goal is being served."""
+        return self._script is not None
+
+    def start(self, goal: Goal, observation: Observation) -> None:
+        """Begin a mission.
+
+        Raises:
+            Rejected: the goal cannot be served; nothing moved.
+        """
+        if self.busy:
+            raise Busy("another mission is under way; cancel it or wait for its result")
+        for name in ("stop_energy", "stop_after"):
+            value = getattr(goal, name)
+            if not math.isfinite(value) or value < 0.0:
+                raise Rejected(f"{name} is {value}: give a finite number ≥ 0 (0 = none)")
+        if self._home is not None and goal.electrodes is None:
+            raise Rejected("the target has no frame_id: give the navigator's, such as map")
+        self._context.begin(goal.request_id, observation)
+        self._started = observation.time
+        self._cancel = self._charged = False
+        self.outcome = None
+        self._script = self._mission(goal)
+
+    def cancel(self) -> None:
+        """Let the goal end with CANCELED: undocked and returned; on the way back already, where the robot stands."""
+        self._cancel = True
+
+    def step(self, observation: Observation) -> Command:
+        """Advance by one tick and return what to do."""
+        self._context.observe(observation)
+        if self._script is not None:
+            self.status.elapsed = observation.time - self._started
+            self._advance()
+        return self._context.command()
+
+    def emergency(self) -> Command:
+        """Return the command that calls everything off, and forget the goal: for a shell that must end."""
+        self._script = None
+        self._context.drop()
+        return self._context.command()
+
+    def _advance(self) -> None:
+        assert self._script is not None
+        problem = self._problem()
+        try:
+            if problem is None:
+                next(self._script)
+            else:
+                self._script.throw(problem)
+        except StopIteration:
+            self._script = None
+
+    def _problem(self) -> DockingError | None:
+        """Return what must interrupt the script now."""
+        time, stage = self._context.time, self.status.stage
+        if self._cancel and (self._interruptible or stage is Stage.RETURN):
+            self._cancel = False
+            return Canceled("cancelled by the client")
+        if self._interruptible and time > self._started + self.parameters.mission_timeout:
+            return PhaseTimeout("the mission took longer than mission_timeout")
+        if time > self._context.deadline:
+            return PhaseTimeout(f"{stage.name} took longer than {stage.name.lower()}_timeout")
+        return None
+
+    def _mission(self, goal: Goal) -> Generator[None, None, None]:
+        """Run the errand; whatever ends it, take the way out and keep the first error."""
+        first: DockingError | None = None
+        message, returned = "", False
+        self._interruptible = True
+        try:
+            message = yield from self._errand(goal)
+        except DockingError as error:
+            first, message = error, str(error)
+        finally:
+            self._interruptible = False
+        self._note(first)
+        try:
+            yield from self._context.call_off()
+            if self._context.touched:
+                yield from self._context.undock()
+            if self._cancel:
+                self._cancel = False
+                first = first or Canceled("cancelled by the client")
+            returned = yield from self._return()
+        except DockingError as error:
+            message = f"{message}; then {error}"
+            first = first or error
+            yield from self._context.call_off()
+        self._note(first)
+        self.outcome = self._outcome(first, message, returned)
+
+    def _note(self, error: DockingError | None) -> None:
+        self.status.code, self.status.message = (Code.NONE, "") if error is None else (code_of(error), str(error))
+
+    def _outcome(self, first: DockingError | None, message: str, returned: bool) -> Outcome:
+        elapsed = self._context.time - self._started
+        if first is None:
+            return Outcome(True, Code.NONE, message, returned=returned, elapsed=elapsed)
+        retriable = first.reply.retriable if isinstance(first, DockFailed) else first.retriable
+        # A target that has been charged needs no second mission, whatever became of the charger.
+        return Outcome(False, code_of(first), message, retriable and not self._charged, returned, elapsed)
+
+    def _errand(self, goal: Goal) -> Script[str]:
+        """Do what was asked, and return in words how it ended."""
+        context, parameters = self._context, self.parameters
+        context.enter(Stage.WAIT, math.inf)
+        yield  # so that WAIT is told, too
+        yield from context.all_there([task for task in Task if task is not Task.DRIVE or self._home is not None])
+        electrodes = goal.electrodes if self._home is not None else None
+        distance = parameters.view_distance
+        if electrodes is not None:
+            context.enter(Stage.DRIVE, parameters.drive_timeout)
+            yield from context.drive(self._mount.before(electrodes, distance))
+        while True:
+            seen = yield from self._search(electrodes, distance)
+            electrodes, distance = self._placed(seen, electrodes), DOCK_DISTANCE
+            if self._gains(electrodes, parameters.stand_tolerance, parameters.stand_turn_tolerance):
+                yield from self._stand(electrodes)
+                continue
+            reply = yield from context.dock(goal)
+            if reply.end is End.DONE:
+                self._charged = True
+                return f"charged: {reply.message}" if reply.message else "charged"
+            if reply.code is not Code.UNREACHABLE or reply.suggested is None:
+                raise dock_failure(reply)
+            x, y, z = reply.suggested
+            electrodes = self._placed((x, y, z + DOCK_DISTANCE), electrodes)
+            if not self._gains(electrodes, _FUTILE, _FUTILE_TURN):  # merely too high or too low, or the last stand
+                raise dock_failure(reply)
+            yield from context.undock()
+            yield from self._stand(electrodes)
+
+    def _search(self, electrodes: Place | None, distance: float) -> Script[Vector]:
+        """Look for the electrodes from place to place, and return where they are (m, charger_base)."""
+        context, parameters = self._context, self.parameters
+        # One who stands still looks again until time is up: the target may still be coming.
+        end = context.time + parameters.search_timeout
+        context.enter(Stage.SEARCH, math.inf if electrodes is None else parameters.search_timeout)
+        places = [None] if electrodes is None else list(views(electrodes, distance, self._mount, parameters))
+        message = ""
+        for index, place in enumerate(places):
+            if index and place is not None:  # the first view is from where the robot stands
+                yield from context.drive(place, precise=True)
+            while True:
+                self.status.views += 1
+                reply = yield from context.look()
+                if reply.electrodes is not None:
+                    return reply.electrodes
+                message = reply.message
+                if electrodes is not None or context.time >= end:
+                    break
+                yield from context.wait(_LOOK_PAUSE)
+        raise ElectrodesNotFound(
+            f"no electrodes were found, {self.status.views} looks; the last said: {message}. Does the target stand "
+            "where it was said to stand, and facing that way?"
+        )
+
+    def _placed(self, point: Vector, electrodes: Place | None) -> Place | None:
+        """Return where electrodes at `point` (m, charger_base) are on the ground; their facing stays as it was told."""
+        here = self.status.place
+        return None if electrodes is None or here is None else self._mount.seen_from(here, point, electrodes.yaw)
+
+    def _gains(self, electrodes: Place | None, distance: float, turn: float) -> bool:
+        """Return whether the robot may stand again, and would then stand otherwise by more than m or rad."""
+        here = self.status.place
+        if electrodes is None or here is None or self.status.stands >= self.parameters.stands_max:
+            return False
+        right = self._mount.before(electrodes, DOCK_DISTANCE)
+        return here.distance(right) > distance or here.turn(right) > turn
+
+    def _stand(self, electrodes: Place | None) -> Script[None]:
+        """Stand so that the electrodes are where docking wants them."""
+        assert electrodes is not None
+        self._context.enter(Stage.DRIVE, self.parameters.drive_timeout)
+        self.status.stands += 1
+        yield from self._context.drive(self._mount.before(electrodes, DOCK_DISTANCE), precise=True)
+
+    def _return(self) -> Script[bool]:
+        """Drive home where the robot left; return whether it stands at its base."""
+        if self._home is None:
+            return True
+        if not self._context.left:
+            return False
+        self._context.enter(Stage.RETURN, self.parameters.return_timeout)
+        yield from self._context.drive(self._home)
+        return True

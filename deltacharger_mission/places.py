@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the base stands: poses on the ground, what the mount of the arm makes of them, and the views of a search."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_mission.parameters import MissionParameters
+
+DOCK_DISTANCE = 0.080  # m; z of the electrodes in charger_base where the robot stands right, as docking suggests it
+_LEVEL = 0.5  # horizontal share of charger_base's z axis below which it has no heading worth the name
+
+
+@dataclass(frozen=True)
+class Place:
+    """A pose on the ground: x, y (m) and yaw (rad about the vertical, from x toward y) in `frame`."""
+
+    x: float
+    y: float
+    yaw: float
+    frame: str = "map"
+
+    def at(self, x: float, y: float, yaw: float = 0.0) -> Place:
+        """Return the place that has these coordinates (m, rad) in this one."""
+        cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
+        return replace(
+            self, x=self.x + cosine * x - sine * y, y=self.y + sine * x + cosine * y, yaw=wrapped(self.yaw + yaw)
+        )
+
+    def distance(self, other: Place) -> float:
+        """Return how far away another place of the same frame is (m)."""
+        return math.hypot(other.x - self.x, other.y - self.y)
+
+    def turn(self, other: Place) -> float:
+        """Return the angle (rad, ≥ 0) between both headings."""
+        return abs(wrapped(other.yaw - self.yaw))
+
+
+def wrapped(angle: float) -> float:
+    """Return the angle (rad) in (−π, π]."""
+    return math.pi - (math.pi - angle) % (2.0 * math.pi)
+
+
+class Mount:
+    """charger_base in the robot's base frame (REP-103: x forward, y left, z up).
+
+    Args:
+        pose: x, y, z (m), then the quaternion x, y, z, w (any length) of charger_base in the base frame.
+
+    Attributes:
+        heading: direction of charger_base's z axis on the ground, rad in the base frame.
+
+    Raises:
+        ValueError: the numbers are no pose, or charger_base's z axis stands too steep to face anything.
+    """
+
+    def __init__(self, pose: Sequence[float]) -> None:
+        length = math.sqrt(sum(value * value for value in pose[3:])) if len(pose) == 7 else math.nan
+        if not (all(map(math.isfinite, pose)) and length > 0.0):
+            raise ValueError("base_pose needs 7 finite numbers: x y z, then a quaternion x y z w that is not zero")
+        self._position = (pose[0], pose[1], pose[2])
+        x, y, z, w = (value / length for value in pose[3:])
+        self._rotation = (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+            (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+            (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+        )
+        forward = (self._rotation[0][2], self._rotation[1][2])
+        if math.hypot(*forward) < _LEVEL:
+            raise ValueError("base_pose points charger_base's z axis up or down; the target stands beside the robot")
+        self.heading = math.atan2(forward[1], forward[0])
+
+    def in_base(self, point: Vector) -> Vector:
+        """Return a point of charger_base (m) in the base frame."""
+        x, y, z = (
+            origin + sum(factor * value for factor, value in zip(row, point, strict=True))
+            for origin, row in zip(self._position, self._rotation, strict=True)
+        )
+        return x, y, z
+
+    def seen_from(self, base: Place, point: Vector, facing: float) -> Place:
+        """Return electrodes at `point` (m, charger_base) of a robot at `base`; they face `facing` (rad, its frame)."""
+        x, y, _ = self.in_base(point)
+        return replace(base.at(x, y), yaw=facing)
+
+    def before(self, electrodes: Place, distance: float) -> Place:
+        """Return where the base stands so that the electrodes face charger_base from `distance` (m along its z)."""
+        yaw = wrapped(electrodes.yaw + math.pi - self.heading)
+        x, y, _ = self.in_base((0.0, 0.0, distance))
+        return replace(electrodes, yaw=yaw).at(-x, -y)
+
+
+def views(electrodes: Place, distance: float, mount: Mount, parameters: MissionParameters) -> Iterator[Place]:
+    """Yield the places from which to look for electrodes that should be at `electrodes`.
+
+    The first faces them from `distance` (m); then turns to either side, wider each time; then the same from farther and
+    farther back. None is nearer than the first. There are (search_steps + 1) · (2 · search_turns + 1) of them.
+    """
+    for step in range(parameters.search_steps + 1):
+        place = mount.before(electrodes, distance + step * parameters.search_step)
+        yield place
+        for turn in range(1, parameters.search_turns + 1):
+            yield place.at(0.0, 0.0, turn * parameters.search_turn)
+            yield place.at(0.0, 0.0, -turn * parameters.search_turn)

@@ -1,0 +1,320 @@
+# SPDX-License-Identifier: Apache-2.0
+"""mission_node: the action charge_robot, the paper's strategy of operation, over the mission state machine.
+
+Calls the actions dock, undock and navigate_to_pose (Nav2) and the service detect_electrodes; subscribes to
+docking_state; publishes /diagnostics. One thread steps the machine. It drives nothing by itself: while it is away, the
+navigator goes on to the goal that it has, and docking_node watches over charging.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
+
+from deltacharger.action import ChargeRobot
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+
+from deltacharger_docking.codes import Busy, Code, DockingError, Rejected
+from deltacharger_docking.ros.messages import duration
+from deltacharger_mission.dialogue import Outcome, Stage
+from deltacharger_mission.machine import MissionMachine
+from deltacharger_mission.parameters import MissionParameters
+from deltacharger_mission.places import Mount, Place
+from deltacharger_mission.ros import messages as io
+from deltacharger_ros import node_support
+
+GoalHandle = ServerGoalHandle[Any, Any, Any]
+
+NAVIGATION = ("nav2", "none")
+_TICK = 0.05  # s
+_FEEDBACK = 1.0  # s between feedbacks without a change
+_DIAGNOSTICS = 1.0  # s
+_CLOSING = 3.0  # s for what is under way to hear that it is called off, and for the contactor to be seen open
+_WAITING_MAX = 2  # goals that wait for one mission, each in a thread of the executor
+
+
+def declare_parameters(node: Node) -> MissionParameters:
+    """Declare every field of `MissionParameters` and return the given values.
+
+    Raises:
+        StartupError: a value is refused.
+    """
+    values = {
+        item.name: node_support.declare(
+            node,
+            item.name,
+            item.default,
+            item.metadata["description"],
+            item.metadata["low"],
+            item.metadata["high"],
+        )
+        for item in fields(MissionParameters)
+    }
+    return MissionParameters(**values)
+
+
+def load_navigation(name: str) -> Any:
+    """Return Nav2's action NavigateToPose, None where nobody drives.
+
+    Raises:
+        StartupError: it is not installed.
+    """
+    if name == "none":
+        return None
+    try:
+        from nav2_msgs.action import NavigateToPose
+    except ImportError as error:
+        raise node_support.StartupError(
+            f"driving needs the package nav2_msgs, which comes with Nav2 ({error}): source its installation, build the "
+            "stand-in of this repository by `make navigation`, or set the parameter navigation to 'none'"
+        ) from error
+    return NavigateToPose
+
+
+class _Mission:
+    """The mission being served: the goals that wait for its end, and events for their threads."""
+
+    def __init__(self, handle: GoalHandle) -> None:
+        self.handles = [handle]
+        self.request_id = handle.request.request_id
+        self.done = threading.Event()
+        self.outcome: Outcome | None = None
+        self.result: Any = None
+        self.wishes = 0  # to cancel that the machine was told of
+        self.shown: Stage | None = None
+        self.shown_at = -math.inf
+
+
+class MissionNode(Node):
+    """Serves charge_robot; see the module for what it calls, docs/mission.md for the parameters."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        self._closed = True  # nothing to call off before the node is complete
+        super().__init__("mission_node", **kwargs)
+        self._settings = declare_parameters(self)
+        navigation = node_support.declare(
+            self, "navigation", "none", "who drives: nav2, or none: the target comes to the charger", choices=NAVIGATION
+        )
+        map_frame = node_support.declare(self, "map_frame", "map", "the navigator's frame in which home is given")
+        trees = (
+            node_support.declare(self, "behavior_tree", "", "file of the navigator's tree; empty = its own"),
+            node_support.declare(self, "precise_behavior_tree", "", "the same for small moves near the target"),
+        )
+        pose = node_support.declare(
+            self,
+            "base_pose",
+            [0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5],
+            "charger_base in the robot's base frame, as docking_node's: x, y, z in m, then the quaternion x, y, z, w",
+        )
+        node_support.reject_unknown(self)
+        try:
+            mount = Mount(pose)
+        except ValueError as error:
+            raise node_support.StartupError(f"mission_node: parameter 'base_pose': {error}") from error
+        navigate_to_pose = load_navigation(navigation)
+        settings = self._settings
+        self._electrodes = (settings.electrodes_x, settings.electrodes_y, settings.electrodes_yaw)
+        self._drives = navigate_to_pose is not None
+        home = Place(settings.home_x, settings.home_y, settings.home_yaw, map_frame) if self._drives else None
+        self._machine = MissionMachine(settings, mount, home)
+        self._others = io.Others(self, navigate_to_pose, trees)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._lock = threading.RLock()
+        self._mission: _Mission | None = None
+        self._diagnosed = -math.inf
+        self._stopping = threading.Event()
+        self._server: ActionServer[Any, Any, Any] = ActionServer(
+            self,
+            ChargeRobot,
+            "charge_robot",
+            execute_callback=self._execute,
+            goal_callback=lambda request: GoalResponse.ACCEPT,  # only a result can carry a code and a reason
+            cancel_callback=lambda handle: CancelResponse.ACCEPT,
+            callback_group=ReentrantCallbackGroup(),
+        )
+        self._closed = False
+        self._thread = threading.Thread(target=self._loop, name="mission loop", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Call docking and driving off, see charging end, and end the goal. Safe to call twice.
+
+        docking_node opens, undocks and takes the arm home by itself once its goal is called off; the base stops where
+        it is, and is not sent home by a process that could not watch over it.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self._stopping.set()
+        self._thread.join(2.0)
+        with self._lock:
+            self._carry_out(self._machine.emergency())
+        end = time.monotonic() + _CLOSING
+        while self._others.is_at_work and time.monotonic() < end:
+            self._others.observe()
+            time.sleep(_TICK)
+        self._end(
+            Outcome(
+                code=Code.CANCELED,
+                message="mission_node was shut down; the robot stands where it is, undock before you drive it",
+                retriable=True,
+            )
+        )
+
+    def destroy_node(self) -> None:
+        """Close, then release the ROS side."""
+        self.close()
+        self._server.destroy()
+        self._others.destroy()
+        super().destroy_node()
+
+    def _loop(self) -> None:
+        while not self._stopping.wait(_TICK):
+            try:
+                with self._lock:
+                    self._carry_out(self._machine.step(self._others.observe()))
+                    self._report()
+            except Exception as error:  # a defect must call everything off and end the goal, not the thread
+                self.get_logger().error(f"the mission met a defect: {type(error).__name__}: {error}")
+                with self._lock:
+                    self._carry_out(self._machine.emergency())
+                    self._end(Outcome(message=f"internal error: {error}; the robot stands where it is, see the log"))
+
+    def _carry_out(self, command: Any) -> None:
+        for request in command.requests:
+            self._others.carry_out(request)
+        for number in command.cancels:
+            self._others.cancel(number)
+
+    def _report(self) -> None:
+        """Hand a finished mission over, tell feedback where the stage changed, diagnose now and then."""
+        mission = self._mission
+        if mission is not None:
+            wishes = sum(handle.is_cancel_requested for handle in mission.handles)
+            if wishes > mission.wishes:
+                mission.wishes = wishes
+                self._machine.cancel()
+            self._feed_back(mission)
+        outcome, self._machine.outcome = self._machine.outcome, None
+        if outcome is not None:
+            self._end(outcome)
+        if time.monotonic() - self._diagnosed > _DIAGNOSTICS:
+            self._diagnosed = time.monotonic()
+            self._diagnose()
+
+    def _end(self, outcome: Outcome) -> None:
+        mission, self._mission = self._mission, None
+        if mission is not None:
+            mission.outcome, mission.result = outcome, self._others.dock_result
+            mission.done.set()
+
+    def _feed_back(self, mission: _Mission) -> None:
+        status, now = self._machine.status, time.monotonic()
+        if status.stage is mission.shown and now - mission.shown_at < _FEEDBACK:
+            return
+        mission.shown, mission.shown_at = status.stage, now
+        message = ChargeRobot.Feedback(stage=int(status.stage), elapsed=duration(status.elapsed))
+        for handle in mission.handles:
+            with contextlib.suppress(RuntimeError):  # the client may have gone meanwhile
+                handle.publish_feedback(message)
+
+    def _diagnose(self) -> None:
+        status = self._machine.status
+        level, text = DiagnosticStatus.OK, status.stage.name if self._machine.busy else "IDLE"
+        if status.code:
+            level, text = DiagnosticStatus.WARN, f"{status.code.name}: {status.message}"
+        where = status.place
+        entries = {
+            "stage": status.stage.name if self._machine.busy else "IDLE",
+            "request_id": status.request_id,
+            "elapsed_s": round(status.elapsed, 1),
+            "views": status.views,
+            "stands": status.stands,
+            "place": "unknown" if where is None else f"{where.x:.3f} {where.y:.3f} {where.yaw:.3f} {where.frame}",
+            "drives": self._drives,
+        }
+        message = DiagnosticArray()
+        message.header.stamp = self.get_clock().now().to_msg()
+        values = [KeyValue(key=key, value=str(value)) for key, value in entries.items()]
+        name = self.get_fully_qualified_name()
+        message.status = [DiagnosticStatus(level=level, name=name, message=text, hardware_id="", values=values)]
+        self._diagnostics.publish(message)
+
+    def _execute(self, handle: GoalHandle) -> ChargeRobot.Result:
+        """Begin a mission, or join the one of the same request_id; wait for its end in this callback's own thread."""
+        try:
+            mission = self._begin(handle)
+        except DockingError as error:
+            handle.abort()
+            return _result(Outcome(code=error.code, message=str(error), retriable=error.retriable), io.unknown_dock())
+        except Exception as error:  # rclpy would answer with an empty result, which looks like code 0
+            self.get_logger().error(f"a goal met a defect: {type(error).__name__}: {error}")
+            handle.abort()
+            return _result(Outcome(message=f"internal error: {error}; see the log"), io.unknown_dock())
+        while not mission.done.wait(1.0):
+            if self._mission is not mission and not mission.done.is_set():  # nobody serves it: do not wait for ever
+                handle.abort()
+                return _result(Outcome(message="the goal was lost; see the log"), io.unknown_dock())
+        assert mission.outcome is not None
+        if mission.outcome.success:
+            handle.succeed()
+        elif mission.outcome.code is Code.CANCELED and handle.is_cancel_requested:
+            handle.canceled()
+        else:
+            handle.abort()
+        return _result(mission.outcome, mission.result)
+
+    def _begin(self, handle: GoalHandle) -> _Mission:
+        with self._lock:
+            if self._closed:
+                raise Rejected("mission_node is shutting down")
+            running = self._mission
+            if running is not None:
+                same = handle.request.request_id and handle.request.request_id == running.request_id
+                if same and len(running.handles) < _WAITING_MAX:
+                    running.handles.append(handle)
+                    running.shown = None  # tells the newcomer the stage, too
+                    return running
+                raise Busy(f"another mission is under way (request_id '{running.request_id}'): cancel it, or wait")
+            goal = io.goal(handle.request, self._electrodes if self._drives else None)
+            self._machine.start(goal, self._others.observe())
+            self._others.dock_result = io.unknown_dock()
+            self._mission = _Mission(handle)
+            return self._mission
+
+
+def _result(outcome: Outcome, dock: Any) -> ChargeRobot.Result:
+    """Return a mission's result; what concerns the docking is that of the last one."""
+    return ChargeRobot.Result(
+        success=outcome.success,
+        error_code=int(outcome.code),
+        error_message="" if outcome.success else outcome.message,
+        retriable=outcome.retriable,
+        aligned=dock.aligned,
+        alignments=dock.alignments,
+        misalignment=dock.misalignment,
+        contact_current=dock.contact_current,
+        contact_force=dock.contact_force,
+        charge_current=dock.charge_current,
+        energy=dock.energy,
+        elapsed=duration(outcome.elapsed),
+        suggested_base_pose=dock.suggested_base_pose,
+        returned=outcome.returned,
+    )
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run mission_node until SIGINT or SIGTERM; 0 after a signal, 2 where it cannot start as configured."""
+    return node_support.run(MissionNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A client that moves the arm of a running charger itself, beside docking_node: for measuring, not for docking.
+
+It subscribes to servo_state and docking_state, publishes on joint_trajectory, and calls set_torque. While docking_node
+serves a goal, or has docked, the arm is left alone.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from deltacharger.msg import DockingState, ServoState
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter_client import AsyncParameterClient
+from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory
+
+from deltacharger_docking.codes import Unreachable
+from deltacharger_docking.motion import Planner
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.ros.messages import trajectory
+from deltacharger_kinematics import DeltaGeometry
+from deltacharger_kinematics.calibration.data import TICK, Encoder
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_ros import qos
+from deltacharger_ros.node_support import Spinner
+
+SPEED = 0.06  # m/s, peak; a person stands beside
+STILL = 2.5 * TICK  # rad; what an angle may vary while the arm counts as still
+_WINDOW = 0.5  # s over which it must be still, and over which its angles are averaged
+_FEWEST = 10  # messages in that window
+_SILENCE = 1.0  # s without servo_state
+_STANDSTILL = 5.0  # s after the end of a motion
+_ANSWER = 5.0  # s for a service
+_POLL = 0.02  # s
+
+
+class ArmError(RuntimeError):
+    """The arm cannot be moved, or not any more; the message says why and what to do."""
+
+
+class ArmClient:
+    """Moves the platform from pose to pose and tells the arm's angles at rest.
+
+    Args:
+        context: a running rclpy context.
+        geometry: by which positions become angles.
+        namespace: of the charger.
+        stop: ends every wait with ArmError when set.
+    """
+
+    def __init__(
+        self, context: Context, geometry: DeltaGeometry, namespace: str = "", stop: threading.Event | None = None
+    ) -> None:
+        self._stop = stop or threading.Event()
+        self._planner = Planner(DockingParameters(), geometry)
+        self._kinematics = ScalarDelta(geometry)
+        self._commanded: Vector | None = None
+        self._switched_on = False
+        self._lock = threading.Lock()
+        self._state: ServoState | None = None
+        self._angles: deque[tuple[float, tuple[float, ...]]] = deque()
+        self._heard = -math.inf
+        self._docking: DockingState | None = None
+        self.node = Node(
+            f"arm_client_{uuid.uuid4().hex[:8]}",
+            context=context,
+            namespace=namespace,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self.node.create_subscription(ServoState, "servo_state", self._on_servo_state, qos.LATEST)
+        self.node.create_subscription(DockingState, "docking_state", self._on_docking_state, qos.STATE)
+        self._publisher = self.node.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
+        self._torque: Any = self.node.create_client(SetBool, "set_torque")
+        self._parameters = AsyncParameterClient(self.node, "servo_node")
+        self._spinner: Spinner | None = Spinner(self.node, 2)
+
+    def __enter__(self) -> ArmClient:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the arm, switch off the torque that this client switched on, and leave the graph. Safe to call twice.
+
+        Where docking_node has begun to serve a goal meanwhile, arm and torque are its own and stay as they are.
+        """
+        if self._spinner is None:
+            return
+        try:
+            if self._switched_on and not self._is_taken():
+                self._publish(())
+                self._call_torque(False)
+        finally:
+            self._spinner.close()
+            self._spinner = None
+
+    def wait_until_ready(self, timeout: float) -> None:
+        """Wait until servo_node is heard and serves, and docking_node has told its state where there is one.
+
+        Raises:
+            ArmError: it is not there in time.
+        """
+
+        def ready() -> bool:
+            told = self._docking is not None or not self.node.count_publishers("docking_state")
+            heard = self._publisher.get_subscription_count() > 0 and self._torque.service_is_ready()
+            return told and heard and len(self._window()) >= _FEWEST
+
+        if not self._wait(ready, timeout):
+            raise ArmError("no servo_node answers: start the charger with `deltacharger up`, in this ROS domain")
+
+    def encoder(self) -> Encoder | None:
+        """Return how servo_node's parameters place the encoders; None where it does not tell."""
+        if not self._parameters.wait_for_services(timeout_sec=_ANSWER):
+            return None
+        future = self._parameters.get_parameters(["zero_ticks", "direction"])
+        reply = future.result() if self._wait(future.done, _ANSWER) else None
+        if reply is None:
+            return None
+        values = [tuple(value.integer_array_value) for value in reply.values]
+        if [len(value) for value in values] != [3, 3]:
+            return None
+        return Encoder(values[0], values[1])
+
+    def start(self) -> None:
+        """Switch the torque on, holding the present position.
+
+        Raises:
+            ArmError: another program moves the arm, or the servos refuse.
+        """
+        self._check_free()
+        if any(self._servo_state().torque_enabled):
+            raise ArmError(
+                "the torque is on already, so another program moves the arm: end it, or `deltacharger undock`"
+            )
+        self._switched_on = True
+        problem = self._call_torque(True)
+        if problem:
+            raise ArmError(f"the servos were not enabled: {problem}")
+        if not self._wait(lambda: all(self._servo_state().torque_enabled), _ANSWER):
+            raise ArmError("the servos did not switch their torque on; look at the diagnostics of servo_node")
+        self.rest()
+        self._commanded = self.position()
+
+    def move(self, goal: Vector) -> None:
+        """Go to `goal` (m, charger_base) on a straight line and wait until the arm stands still.
+
+        Raises:
+            ArmError: the way leads out of reach, the arm does not come to rest, or it may not be moved any more.
+        """
+        self.check()
+        try:
+            waypoints = self._planner.line(self._commanded or self.position(), goal, SPEED)
+        except Unreachable as error:
+            raise ArmError(str(error)) from error
+        self._publish(waypoints)
+        self._commanded = goal
+        moving_until = time.monotonic() + waypoints[-1].time
+        self._wait(lambda: time.monotonic() >= moving_until, math.inf, self.check)
+        self._wait(lambda: time.monotonic() >= moving_until + _WINDOW, math.inf, self.check)
+        self.rest()
+
+    def rest(self) -> None:
+        """Wait until no angle has moved by more than `STILL` in the last half second.
+
+        Raises:
+            ArmError: it does not come to rest, or may not be moved any more.
+        """
+        if not self._wait(self._is_still, _STANDSTILL, self.check):
+            raise ArmError("the arm does not come to rest; is something pushing it, or its stiffness set too high?")
+
+    def go_home(self) -> None:
+        """Go where docking rests the arm; errors as in `move`."""
+        self.move(DockingParameters().home)
+
+    def check(self) -> None:
+        """Raise ArmError where the arm may not be moved any more."""
+        self._check_free()
+        state = self._servo_state()
+        if time.monotonic() - self._heard > _SILENCE:
+            raise ArmError("servo_state has stopped; look at servo_node and its cable")
+        if any(state.hardware_error):
+            raise ArmError(f"a servo reports hardware error {list(state.hardware_error)}; see `reboot_servos`")
+        if self._commanded is not None and not all(state.torque_enabled):
+            raise ArmError("the servos lost their torque; look at the diagnostics of servo_node")
+
+    def angles(self) -> Vector:
+        """Return the arm angles (rad), averaged over the last half second; meant for an arm that has come to `rest`."""
+        first, second, third = np.mean(self._window(), axis=0)
+        return float(first), float(second), float(third)
+
+    def position(self) -> Vector:
+        """Return the platform's position (m) by the geometry; NaN where the angles have none."""
+        return self._kinematics.forward(*self.angles())
+
+    def _is_still(self) -> bool:
+        angles = self._window()
+        return len(angles) >= _FEWEST and float(np.ptp(angles, axis=0).max()) <= STILL
+
+    def _is_taken(self) -> bool:
+        docking = self._docking
+        return docking is not None and (docking.state != DockingState.STATE_IDLE or docking.docked or docking.charging)
+
+    def _check_free(self) -> None:
+        if self._stop.is_set():
+            raise ArmError("interrupted")
+        if self._is_taken():
+            raise ArmError(
+                "docking_node is at work or docked, and the arm is its own: let it end, or `deltacharger undock`"
+            )
+
+    def _servo_state(self) -> ServoState:
+        if self._state is None:
+            raise ArmError("no servo_state was heard; is servo_node running?")
+        return self._state
+
+    def _on_servo_state(self, message: ServoState) -> None:
+        now = time.monotonic()
+        with self._lock:
+            self._state = message
+            if len(message.position) == 3 and all(message.valid):
+                self._heard = now
+                self._angles.append((now, tuple(message.position)))
+            while self._angles and now - self._angles[0][0] > _WINDOW:
+                self._angles.popleft()
+
+    def _on_docking_state(self, message: DockingState) -> None:
+        self._docking = message
+
+    def _window(self) -> np.ndarray:
+        with self._lock:
+            return np.array([angles for _, angles in self._angles])
+
+    def _publish(self, waypoints: Any) -> None:
+        self._publisher.publish(trajectory(waypoints, self.node.get_clock().now().to_msg()))
+
+    def _call_torque(self, on: bool) -> str:
+        """Return '' where servo_node switched the torque, else why not."""
+        future = self._torque.call_async(SetBool.Request(data=on))
+        end = time.monotonic() + _ANSWER
+        while not future.done():  # not `_wait`: the torque goes off even where everything is to stop
+            if time.monotonic() > end:
+                return "servo_node does not answer set_torque"
+            time.sleep(_POLL)
+        reply = future.result()
+        return "" if reply.success else str(reply.message)
+
+    def _wait(self, condition: Callable[[], bool], timeout: float, check: Callable[[], None] | None = None) -> bool:
+        end = time.monotonic() + timeout
+        while not condition():
+            if check is not None:
+                check()
+            if time.monotonic() > end or self._stop.wait(_POLL):
+                return False
+        return True

@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A running charger as a recording sees it: what docking_node is set to, whether the arm is free, and driving it.
+
+It subscribes to what docking_node does, publishes joint_trajectory, and calls set_torque and tare; nothing else, so the
+contactor stays open. While docking_node serves a goal, or has docked, the arm is left alone.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from deltacharger.msg import DockingState
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.time import Time
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from deltacharger_docking.observation import Command, Observation, Outcome, Request, Service
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.ros import messages as io
+from deltacharger_docking.ros.inputs import Inputs
+from deltacharger_docking.ros.services import Services
+from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_records.datasets.arm_client import ArmError
+from deltacharger_records.datasets.keeper import TOPICS, Tape
+from deltacharger_records.datasets.machine import RecordingMachine
+from deltacharger_records.recording.mcap_recording import listen
+from deltacharger_ros import qos
+from deltacharger_ros.node_support import Spinner
+
+_TICK = 0.02  # s; pace where servo_state does not come
+_ANSWER = 5.0  # s for a service
+_SETTLED = 2.0  # s that the names of other nodes may take to become known
+_LATE = 3.0  # s after the other nodes that docking_node may be found
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"
+_POLL = 0.02  # s
+_TERMINALS = "/dev/pts/"
+
+
+class RecordingCharger:
+    """Drives a charger through sessions of a RecordingMachine.
+
+    Args:
+        context: a running rclpy context.
+        namespace: of the charger.
+        stop: ends a session, and every wait, when set; the arm is taken back first.
+
+    Attributes:
+        tape: on which all topics of `names` come.
+        names: full name of each topic by its relative one.
+    """
+
+    def __init__(self, context: Context, namespace: str = "", stop: threading.Event | None = None) -> None:
+        self._stop = stop or threading.Event()
+        self._docking: DockingState | None = None
+        self._machine: RecordingMachine | None = None
+        self._driving = False
+        self.node = Node(
+            f"recording_{uuid.uuid4().hex[:8]}",
+            context=context,
+            namespace=namespace,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        group = ReentrantCallbackGroup()
+        self.names = {topic.name: self.node.resolve_topic_name(topic.name) for topic in TOPICS}
+        self.tape = Tape(self.names["docking_state"])
+        self._inputs = Inputs(self.node)
+        self._calls = Services(self.node, group, self._age)
+        self.node.create_subscription(DockingState, "docking_state", self._on_docking_state, qos.STATE)
+        listen(self.node, TOPICS, self.tape.take, None)
+        self._publisher = self.node.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
+        self._torque: Any = self.node.create_client(SetBool, "set_torque", callback_group=group)
+        self._tare: Any = self.node.create_client(Trigger, "tare", callback_group=group)
+        self._spinner: Spinner | None = Spinner(self.node)
+
+    def __enter__(self) -> RecordingCharger:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the arm where a session did not end it, switch its torque off, and leave the graph. Safe to call twice.
+
+        Where docking_node has begun to serve a goal meanwhile, arm and torque are its own and stay as they are.
+        """
+        if self._spinner is None:
+            return
+        try:
+            if self._driving and not self._is_taken():
+                self._switch_off()
+        finally:
+            self._spinner.close()
+            self._spinner = None
+
+    @property
+    def name(self) -> str:
+        """Name of the node that drives the arm."""
+        return str(self.node.get_name())
+
+    @property
+    def is_driving(self) -> bool:
+        """Whether the torque may be on by this program's doing."""
+        return self._driving
+
+    @property
+    def has_docking_node(self) -> bool:
+        """Whether somebody publishes docking_state."""
+        return bool(self.node.count_publishers("docking_state"))
+
+    def now(self) -> int:
+        """The ROS clock, ns."""
+        return int(self.node.get_clock().now().nanoseconds)
+
+    def wait_until_ready(self, timeout: float) -> None:
+        """Wait until the charger is heard and serves, and docking_node has told its state where there is one.
+
+        Raises:
+            ArmError: something of it is not there in time; names what.
+        """
+        needs: dict[str, Callable[[], bool]] = {
+            "servo_node": lambda: self._torque.service_is_ready() and math.isfinite(self._observe().servo_age),
+            "tactile_node": lambda: self._tare.service_is_ready() and math.isfinite(self._observe().tactile_age),
+            "a subscriber of joint_trajectory": lambda: self._publisher.get_subscription_count() > 0,
+            "docking_state": lambda: self._docking is not None or not self.has_docking_node,
+        }
+        if not self._wait(lambda: all(is_there() for is_there in needs.values()), timeout):
+            if self._stop.is_set():
+                raise ArmError("interrupted")
+            missing = ", ".join(name for name, is_there in needs.items() if not is_there())
+            raise ArmError(
+                f"no charger answers (missing: {missing}): start one with `deltacharger up`, in this ROS domain"
+            )
+        self._wait(lambda: self._docking is not None, _LATE)
+
+    def settings(self) -> tuple[DockingParameters, DeltaGeometry]:
+        """Return what docking_node is set to; the defaults where there is none. Once it is ready.
+
+        Raises:
+            ArmError: it is set to what this version does not know.
+        """
+        if not self.has_docking_node:
+            return DockingParameters(), DeltaGeometry()
+        docking = self._ask("docking_node", [item.name for item in fields(DockingParameters)])
+        lengths = self._ask("docking_node", [item.name for item in fields(DeltaGeometry) if item.name != "limbs"])
+        file = self._ask("docking_node", ["geometry_file"])
+        if not docking or not lengths or file is None:
+            raise ArmError("docking_node does not tell its parameters; is it of this version? look at its log")
+        try:
+            base = load_geometry(Path(file["geometry_file"]).expanduser()) if file.get("geometry_file") else None
+            return DockingParameters(**docking), (base or DeltaGeometry()).with_values(**lengths)
+        except (OSError, ValueError, TypeError) as error:
+            raise ArmError(f"docking_node's parameters cannot be followed here: {error}") from error
+
+    def simulated(self) -> bool | None:
+        """Whether the charger is simulated: its ports are pseudo-terminals, or its nodes mocks without any.
+
+        None where it cannot be told: the ports are not on this computer, or their nodes do not tell.
+        """
+        found: list[bool | None] = []
+        for name in ("servo_node", "tactile_node"):
+            told = self._ask(name, ["port"])
+            if told is None:
+                found.append(None)
+            elif not told:
+                found.append(True)
+            else:
+                path = os.path.realpath(str(told["port"]))
+                found.append(path.startswith(_TERMINALS) if os.path.exists(path) else None)
+        return True if True in found else None if None in found else False
+
+    def claim(self, previous: str) -> bool:
+        """Refuse an arm that somebody moves; return whether its torque is on already, left so by `previous`.
+
+        That torque is this program's to switch off.
+
+        Args:
+            previous: name of the node that was killed while it drove the arm; '' = none.
+
+        Raises:
+            ArmError: docking_node is at work or docked, another program moves the arm, or its torque is on.
+        """
+        self._check_free()
+        topic = self.node.resolve_topic_name("joint_trajectory")
+
+        def others() -> set[str]:
+            return {info.node_name for info in self.node.get_publishers_info_by_topic(topic)}
+
+        self._wait(lambda: _UNKNOWN not in others(), _SETTLED)
+        # A name that stays unknown is that of a program which has died; those alive tell theirs.
+        unwanted = others() - {"docking_node", self.name, previous, _UNKNOWN}
+        if unwanted:
+            raise ArmError(f"another program moves the arm ({', '.join(sorted(unwanted))}): let it end")
+        if not self._observe().torque_enabled:
+            return False
+        if not previous:
+            raise ArmError("the torque is on already, so another program moves the arm: end it")
+        self._driving = True
+        return True
+
+    def run(self, machine: RecordingMachine, start: Callable[[Observation], None]) -> Outcome:
+        """Run a session to its end.
+
+        Args:
+            machine: whose `start_session` is called by `start`.
+            start: begins the session.
+
+        Returns:
+            How it ended; the arm is home and its torque off, as far as the charger still lets it.
+
+        Raises:
+            ArmError: docking_node took the arm over meanwhile.
+        """
+        self._machine = machine
+        self._check_free()
+        start(self._observe())
+        while machine.outcome is None:
+            self._inputs.wait(_TICK)
+            if self._is_taken():
+                machine.emergency()  # its command is not carried out: the arm is docking_node's
+                self._machine, self._driving = None, False
+                self._check_free()
+            if self._stop.is_set():
+                machine.cancel()
+            observation = self._observe()
+            self._carry_out(machine.step(observation), observation)
+        outcome, machine.outcome = machine.outcome, None
+        self._driving = not self._wait_for_torque_off()
+        return outcome
+
+    def _observe(self) -> Observation:
+        replies, _ = self._calls.take()
+        return self._inputs.observation(replies)
+
+    def _carry_out(self, command: Command, observation: Observation) -> None:
+        if command.trajectory is not None:
+            # Not the instant of sending: planning a line takes milliseconds, and times count from the observation.
+            now = self.node.get_clock().now() - Duration(seconds=time.monotonic() - observation.time)
+            self._publisher.publish(io.trajectory(command.trajectory, now.to_msg()))
+        for request in command.requests:
+            self._driving = self._driving or request.service is Service.TORQUE_ON
+            self._calls.call(request)
+
+    def _switch_off(self) -> None:
+        """Stop the arm where it is and switch its torque off, unless electrodes are live: that would draw an arc."""
+        observation = self._observe()
+        if self._machine is not None:
+            self._carry_out(self._machine.emergency(), observation)
+        if not observation.contactor_closed:
+            self._calls.call(Request(0, Service.TORQUE_OFF))
+            self._driving = not self._wait_for_torque_off()
+
+    def _wait_for_torque_off(self) -> bool:
+        return self._wait(lambda: not self._observe().torque_enabled, _ANSWER, patient=True)
+
+    def _ask(self, name: str, parameters: Sequence[str]) -> dict[str, Any] | None:
+        """Return those of a node's parameters that it has; None where it does not answer."""
+        client = AsyncParameterClient(self.node, name)
+        if not self._wait(client.services_are_ready, _ANSWER):
+            return None
+        future = client.get_parameters(list(parameters))
+        reply = future.result() if self._wait(future.done, _ANSWER) else None
+        if reply is None:
+            return None
+        values = {key: parameter_value_to_python(value) for key, value in zip(parameters, reply.values, strict=False)}
+        return {
+            key: value if isinstance(value, str | float | int | bool) else tuple(value)
+            for key, value in values.items()
+            if value is not None
+        }
+
+    def _is_taken(self) -> bool:
+        docking = self._docking
+        return docking is not None and (docking.state != DockingState.STATE_IDLE or docking.docked or docking.charging)
+
+    def _check_free(self) -> None:
+        if self._is_taken():
+            raise ArmError(
+                "docking_node is at work or docked, and the arm is its own: let it end, or `deltacharger undock`"
+            )
+
+    def _on_docking_state(self, message: DockingState) -> None:
+        self._docking = message
+
+    def _age(self, stamp: Any) -> float:
+        return float((self.node.get_clock().now() - Time.from_msg(stamp)).nanoseconds) * 1e-9
+
+    def _wait(self, condition: Callable[[], bool], timeout: float, patient: bool = False) -> bool:
+        """Wait for `condition`; unless `patient`, no longer than until `stop` is set."""
+        end = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > end or (self._stop.is_set() and not patient):
+                return False
+            time.sleep(_POLL)
+        return True

@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded dockings: a folder that every docking reaches whole or not at all, and the data set made from it.
+
+Beside F.npz lies F.recording: recording.json says what is recorded, and each docking-*.mcap holds one docking, its raw
+messages and what its rows are made of. F.npz is composed from them and can be composed again at any time.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import io
+import json
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from deltacharger_records.datasets.dataset import Docking, Settings, dataset
+from deltacharger_records.datasets.plan import Part
+from deltacharger_records.recording.files import forget_unfinished, make_folder, whole
+from deltacharger_records.recording.mcap_recording import McapFile, McapWriter, Raw, RecordingError
+from deltacharger_tactile.dataset import Dataset
+
+_JOURNAL_VERSION = 1
+_HEADER, _DRIVER = "recording.json", "driver"
+_RECORD, _FRAMES = "docking", "frames.npy"
+
+
+class Mismatch(RecordingError):
+    """What is asked for differs from what the recording holds."""
+
+
+class Journal:
+    """The folder beside a data set. One process at a time has it open.
+
+    Args:
+        out: of the data set, F.npz.
+
+    Attributes:
+        dockings: all that it holds, by attempt.
+        parts: those of which it holds dockings, by name, in the order of their beginning.
+        settings: what they share; None before the first docking.
+
+    Raises:
+        Mismatch: it is open in another process, or F.npz is there and was not made from a recording.
+        RecordingError: something in it is damaged, or mcap is not installed.
+    """
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+        self.folder = out.with_suffix(".recording")
+        self.dockings: list[Docking] = []
+        self.parts: dict[str, Part] = {}
+        self.settings: Settings | None = None
+        if out.exists() and not self.folder.is_dir():
+            raise Mismatch(f"{out} is there and has no {self.folder.name} beside it: give another --out")
+        make_folder(self.folder)
+        self._lock = os.open(self.folder, os.O_RDONLY)
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            forget_unfinished(self.folder)
+            self._read()
+        except BlockingIOError as error:
+            os.close(self._lock)
+            raise Mismatch(f"another process records into {self.folder}: let it end, or give another --out") from error
+        except BaseException:
+            os.close(self._lock)
+            raise
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not any(self.folder.iterdir()):
+            self.folder.rmdir()
+        os.close(self._lock)
+
+    def check(self, part: Part, settings: Settings) -> None:
+        """Refuse arguments that differ from those the recording was begun with.
+
+        Raises:
+            Mismatch: names what differs.
+        """
+        pairs: list[tuple[Any, Any]] = [(self.settings, settings), (self.parts.get(part.name), part)]
+        differing = [
+            f"{_flag(item.name)} {_shown(getattr(held, item.name))} and not {_shown(asked)}"
+            for held, wanted in pairs
+            if held is not None
+            for item in fields(wanted)
+            if (asked := getattr(wanted, item.name)) != getattr(held, item.name) and asked is not None
+        ]
+        if differing:
+            raise Mismatch(f"{self.folder} was recorded with {', '.join(differing)}: give the same, or another --out")
+
+    def done(self, part: Part) -> set[int]:
+        """Return the numbers of a part's dockings that it holds."""
+        return {docking.number for docking in self.dockings if docking.part == part.name}
+
+    @property
+    def next_attempt(self) -> int:
+        """Number for the next docking."""
+        return 1 + max((docking.attempt for docking in self.dockings), default=-1)
+
+    @property
+    def next_session(self) -> int:
+        """Number for the next session."""
+        return 1 + max((docking.session for docking in self.dockings), default=-1)
+
+    def _begin(self, part: Part, settings: Settings) -> None:
+        """Write down what is recorded from now on."""
+        self.settings, self.parts[part.name] = settings, part
+        content = {
+            "version": _JOURNAL_VERSION,
+            "settings": asdict(settings),
+            "parts": [each.as_dict() for each in self.parts.values()],
+        }
+        with whole(self.folder / _HEADER) as path:
+            path.write_text(json.dumps(content, indent=1), encoding="utf-8")
+
+    def store(
+        self, docking: Docking, part: Part, settings: Settings, kinds: Mapping[str, Any], messages: Iterable[Raw]
+    ) -> None:
+        """Write a docking; when this returns, it is on the disk.
+
+        Args:
+            docking: to write.
+            part: of which it is one.
+            settings: as `check` took them.
+            kinds: message class of each topic.
+            messages: of the whole docking.
+
+        Raises:
+            OSError: the disk does not take it; nothing of it is kept.
+        """
+        if part.name not in self.parts:
+            self._begin(part, settings)
+        with McapWriter(self.folder / f"docking-{docking.attempt:06}.mcap", kinds) as writer:
+            for message in messages:
+                writer.add(message)
+            values = {key: json.dumps(value) for key, value in vars(docking).items() if key != "frames"}
+            writer.tell(_RECORD, values)
+            array = io.BytesIO()
+            np.save(array, docking.frames, allow_pickle=False)
+            writer.attach(_FRAMES, "application/x-npy", array.getvalue())
+        self.dockings.append(docking)
+
+    def compose(self) -> Dataset | None:
+        """Write F.npz from all dockings and return what stands in it; None where there are none."""
+        if not self.dockings or self.settings is None:
+            return None
+        data = dataset(self.dockings, self.parts, self.settings)
+        with whole(self.out) as path:
+            data.save(path)
+        return data
+
+    def driver(self) -> str:
+        """Return the name of the node that drove the arm for this recording and did not end it; '' = none."""
+        path = self.folder / _DRIVER
+        return path.read_text(encoding="utf-8") if path.is_file() else ""
+
+    def set_driver(self, name: str) -> None:
+        """Write down which node drives the arm; '' = none any more."""
+        path = self.folder / _DRIVER
+        if not name:
+            path.unlink(missing_ok=True)
+            return
+        with whole(path) as beside:
+            beside.write_text(name, encoding="utf-8")
+
+    def _read(self) -> None:
+        path = self.folder / _HEADER
+        if not path.is_file():
+            return
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+            if content["version"] != _JOURNAL_VERSION:
+                raise RecordingError(f"{path} is of version {content['version']}: give another --out")
+            settings = Settings(**content["settings"])
+            parts = {part.name: part for part in map(Part.from_dict, content["parts"])}
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise RecordingError(f"{path} is damaged ({error}): restore it, or give another --out") from error
+        for file in sorted(self.folder.glob("docking-*.mcap")):
+            self.dockings.append(_docking(file))
+        names = {docking.part for docking in self.dockings}
+        if names - set(parts):
+            raise RecordingError(f"{path} knows nothing of {', '.join(sorted(names - set(parts)))}: restore it")
+        self.parts = {name: part for name, part in parts.items() if name in names}
+        self.settings = settings if self.parts else None
+
+
+def _flag(name: str) -> str:
+    return "a charger that is" if name == "simulated" else f"--{name.replace('_', '-')}"
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return "simulated" if value else "real"
+    return " ".join(f"{each:g}" for each in value) if isinstance(value, tuple) else str(value)
+
+
+def _docking(path: Path) -> Docking:
+    """Read one docking.
+
+    Raises:
+        RecordingError: it is damaged.
+    """
+    file = McapFile(path)
+    try:
+        values = {key: json.loads(text) for key, text in file.metadata[_RECORD].items()}
+        frames = np.load(io.BytesIO(file.attachments[_FRAMES]), allow_pickle=False)
+        if frames.ndim != 4 or frames.shape[1:] != (2, 10, 10):
+            raise ValueError(f"frames of shape {frames.shape}")
+        return Docking(frames=frames, **values)
+    except (ValueError, KeyError, TypeError) as error:
+        raise RecordingError(f"{path} holds no docking ({error}): remove it, and it is recorded again") from error

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keeps one record per docking: from shortly before its goal until the arm is home again. No ROS but its messages."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from rclpy.serialization import deserialize_message
+
+from deltacharger_docking.codes import Code
+from deltacharger_records.recording.docking_topics import ALWAYS, DECISION, STATE
+from deltacharger_records.recording.folder import RecordFolder
+from deltacharger_records.recording.gate import Gate
+from deltacharger_records.recording.mcap_recording import McapStream, Raw
+from deltacharger_records.recording.session import Seen, Session
+from deltacharger_ros.outcomes import Outcome
+
+ABOUT, RESULT, PARAMETERS, END = "deltacharger", "result", "docking_parameters", "end"
+"""Names of the metadata in a record: what recorded it, how each goal ended, what docking decides by, how all ended."""
+
+_FLUSH = 1.0  # s between what a killed recorder loses
+_PRUNE = 10.0  # s between looks at the folder's size while recording
+
+
+@dataclass
+class _File:
+    """A record being written."""
+
+    path: Path
+    stream: BinaryIO
+    mcap: McapStream
+
+
+class DockingRecorder:
+    """Takes every message of the recorded topics and writes those of a docking to a file of its own.
+
+    Times are s, monotonic; what is written bears the times of the messages.
+
+    Args:
+        folder: where records go.
+        gate: which messages are kept; built by `gate_for`.
+        topics: full name by relative one.
+        kinds: message class by full name.
+        about: what is told about every record: version, scene, namespace.
+
+    Attributes:
+        problem: why the docking under way is not recorded any more; '' = it is.
+    """
+
+    def __init__(
+        self,
+        folder: RecordFolder,
+        gate: Gate[Raw],
+        topics: Mapping[str, str],
+        kinds: Mapping[str, Any],
+        about: Mapping[str, str],
+    ) -> None:
+        self.problem = ""
+        self._folder = folder
+        self._gate = gate
+        self._state, self._decision = topics[STATE], topics[DECISION]
+        self._kinds = kinds
+        self._about = about
+        self._session = Session()
+        self._file: _File | None = None
+        self._code = 0  # the last one that docking_state told in this record
+        self._results: list[Outcome] = []
+        self._flushed = self._pruned = 0.0
+
+    @property
+    def path(self) -> Path | None:
+        """The file being written, None where there is none."""
+        return self._file.path if self._file is not None else None
+
+    def take(self, now: float, message: Raw) -> None:
+        """Take one message."""
+        if message.topic == self._state:
+            self._see(now, message)
+        elif message.topic == self._decision:
+            decision = deserialize_message(message.data, self._kinds[self._decision])
+            if self._session.is_news(decision.kind):
+                self._gate.stir(now)
+        self._write(self._gate.offer(now, message))
+
+    def take_result(self, outcome: Outcome) -> None:
+        """Take how a goal of this docking ended."""
+        if self._session.under_way:
+            self._results.append(outcome)
+            self._tell(RESULT, {"action": outcome.action, "json": json.dumps(outcome.as_dict())})
+
+    def take_parameters(self, values: Mapping[str, Any]) -> None:
+        """Take what docking decides by."""
+        self._tell(PARAMETERS, {name: json.dumps(value) for name, value in sorted(values.items())})
+
+    def tick(self, now: float, alive: bool) -> None:
+        """Flush, keep the folder bounded, and end a record that is complete.
+
+        Args:
+            now: s.
+            alive: whether anybody publishes docking_state.
+        """
+        self._session.hear(now, alive)
+        if self._session.is_over(now):
+            self._end()
+        if self._file is None:
+            return
+        try:
+            if now - self._flushed >= _FLUSH:
+                self._flushed = now
+                self._file.mcap.flush()
+            if now - self._pruned >= _PRUNE:
+                self._pruned = now
+                self._folder.prune()
+        except OSError as error:
+            self.fail(error)
+
+    def close(self) -> None:
+        """End the record under way, if there is one."""
+        if self._session.under_way:
+            self._end()
+
+    def _see(self, now: float, message: Raw) -> None:
+        said = deserialize_message(message.data, self._kinds[self._state])
+        seen = Seen(said.state, said.docked, said.charging, said.error_code, said.error_message, said.request_id)
+        if self._session.begins(seen):
+            self.close()
+            self._begin(now, message, seen)
+        self._session.see(now, seen)
+        self._code = seen.code or self._code
+        self._gate.stir(now)
+        if seen.quiet:
+            self._gate.rest(now)
+        else:
+            self._gate.wake()
+
+    def _begin(self, now: float, message: Raw, seen: Seen) -> None:
+        self._session.begin()
+        self._code, self._results, self.problem = 0, [], ""
+        self._flushed = self._pruned = now
+        held = self._gate.open()
+        try:
+            path, stream = self._folder.create(message.received * 1e-9, seen.request_id)
+            self._file = _File(path, stream, McapStream(stream, self._kinds))
+        except OSError as error:
+            self.fail(error)
+        self._tell(ABOUT, {**self._about, "request_id": seen.request_id, "began": str(message.received)})
+        self._write(held)
+
+    def _end(self) -> None:
+        """Complete the record and give it its name."""
+        self._write(self._gate.close())
+        file, last = self._file, self._session.last
+        if file is not None and last is not None:
+            ending = self._ending()
+            dropped = json.dumps(dict(self._gate.dropped))
+            self._tell(END, {"ending": ending, "state": str(last.state), "message": last.message, "dropped": dropped})
+            try:
+                file.mcap.finish()
+                os.fsync(file.stream.fileno())
+                if last.at_home and not (self._code or self._session.went_out):  # undocked where nothing was docked
+                    file.path.unlink(missing_ok=True)
+                else:
+                    self._folder.finish(file.path, ending)
+                file.stream.close()
+                self._folder.prune()
+            except OSError as error:
+                self.fail(error)
+        self._file = None
+        self._session.end()
+
+    def _ending(self) -> str:
+        """Return by which word the record is named: a code's name, OK, or UNFINISHED where nobody said how it ended."""
+        if self._code:
+            return Code(self._code).name if self._code in list(Code) else str(self._code)
+        first = next((each for each in self._results if each.action == "dock"), None) or next(iter(self._results), None)
+        if first is not None:
+            return "OK" if first.success else first.error_name
+        return "OK" if self._session.arrived else "UNFINISHED"
+
+    def _write(self, messages: Iterable[Raw]) -> None:
+        if self._file is None:
+            return
+        try:
+            for message in messages:
+                self._file.mcap.add(message)
+        except OSError as error:
+            self.fail(error)
+
+    def _tell(self, name: str, values: Mapping[str, str]) -> None:
+        if self._file is None:
+            return
+        try:
+            self._file.mcap.flush()
+            self._file.mcap.tell(name, values)
+        except OSError as error:
+            self.fail(error)
+
+    def fail(self, error: Exception) -> None:
+        """Record no more of this docking; what is on the disk stays, and the next docking is recorded again."""
+        self.problem = f"recording ended: {error}"
+        file, self._file = self._file, None
+        if file is not None:
+            with contextlib.suppress(Exception):
+                file.mcap.flush()
+            with contextlib.suppress(OSError):
+                file.stream.close()
+
+
+def gate_for(topics: Mapping[str, str], before: float, rate: float, folder_bytes: int) -> Gate[Raw]:
+    """Return the gate of a recorder.
+
+    Args:
+        topics: full name by relative one.
+        before: s before an event that are kept.
+        rate: messages of each topic per second that are kept while charging.
+        folder_bytes: what the folder may hold; half of it is the most that one record takes.
+    """
+    return Gate(before, rate, folder_bytes // 2, [topics[name] for name in ALWAYS])

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docking_recorder_node: one MCAP file per docking in a bounded folder.
+
+Subscribes to what a record holds (docking_topics), undecoded; asks dock and undock for the results of the goals that
+others sent, and docking_node for its parameters; publishes /diagnostics. It commands nothing: a full disk, an
+unwritable folder or its own end never touches docking. One thread reads the topics and writes.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from deltacharger.action import Dock, Undock
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+
+from deltacharger_core import environment
+from deltacharger_records.recording.docking_recorder import DockingRecorder, gate_for
+from deltacharger_records.recording.docking_topics import ACTIONS, STATE, TOPICS
+from deltacharger_records.recording.folder import RecordFolder
+from deltacharger_records.recording.mcap_recording import Raw, RecordingError, require_mcap, schema_text
+from deltacharger_ros import node_support
+from deltacharger_ros.client import to_outcome
+from deltacharger_ros.polled_topics import PolledTopics
+
+_POLL = 0.02  # s between looks at the topics
+_TICK = 0.2  # s between looks at the clock
+_DIAGNOSTICS = 1.0  # s
+_GOALS_MAX = 100  # goals whose results were asked for
+_ID = slice(4, 20)  # of the goal in a feedback's CDR, behind its head
+
+
+class DockingRecorderNode(Node):
+    """Records dockings; docs/records.md says what is in a file."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        self._closed = True
+        super().__init__("docking_recorder_node", **kwargs)
+        self._folder_path = Path(self._declare("folder", "~/deltacharger_records", "where records go")).expanduser()
+        files = self._declare("max_files", 200, "records in the folder, the oldest are removed", 1, 100_000)
+        megabytes = self._declare("max_megabytes", 500, "1e6 bytes that the records take in all", 10, 1_000_000)
+        before = self._declare("before", 2.0, "s kept from before the goal, and from before an event", 0.0, 30.0)
+        rate = self._declare("charging_rate", 1.0, "messages of each topic per second kept while charging", 0.01, 100.0)
+        scene = self._declare("scene", "", "told in each record")
+        node_support.reject_unknown(self)
+        environment.prepare()
+        try:
+            require_mcap()
+            for topic in TOPICS:
+                schema_text(topic.kind)  # what a record cannot be written without is told now, not at the first docking
+        except RecordingError as error:
+            raise node_support.StartupError(f"docking_recorder_node: {error}") from error
+        topics = {topic.name: self.resolve_topic_name(topic.name) for topic in TOPICS}
+        self._recorder = DockingRecorder(
+            RecordFolder(self._folder_path, files, megabytes * 10**6),
+            gate_for(topics, before, rate, megabytes * 10**6),
+            topics,
+            {topics[topic.name]: topic.kind for topic in TOPICS},
+            {"version": _version(), "scene": scene, "namespace": self.get_namespace()},
+        )
+        self._state = topics[STATE]
+        self._feedback = {topics[f"{action}/_action/feedback"]: action for action in ACTIONS}
+        self._asked: deque[bytes] = deque(maxlen=_GOALS_MAX)
+        self._told: deque[Callable[[], None]] = deque()
+        self._stopping = threading.Event()
+        group = ReentrantCallbackGroup()
+        self._results: dict[str, Any] = {
+            action: self.create_client(kind.Impl.GetResultService, f"{action}/_action/get_result", callback_group=group)
+            for action, kind in zip(ACTIONS, (Dock, Undock), strict=True)
+        }
+        self._names: Any = self.create_client(ListParameters, "docking_node/list_parameters", callback_group=group)
+        self._values: Any = self.create_client(GetParameters, "docking_node/get_parameters", callback_group=group)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._topics = PolledTopics(self, TOPICS)
+        self._closed = False
+        self._thread = threading.Thread(target=self._loop, name="docking recorder", daemon=True)
+        self._thread.start()
+
+    def _declare(self, name: str, default: Any, text: str, low: float | None = None, high: float | None = None) -> Any:
+        return node_support.declare(self, name, default, text, low, high)
+
+    def close(self) -> None:
+        """Write what has come, and complete the record under way. Safe to call twice."""
+        if self._closed:
+            return
+        self._closed = True
+        self._stopping.set()
+        self._thread.join(10.0)
+
+    def destroy_node(self) -> None:
+        """Close, then release the ROS side."""
+        self.close()
+        super().destroy_node()
+
+    def _take(self, message: Raw) -> None:
+        self._recorder.take(time.monotonic() - (time.time_ns() - message.received) * 1e-9, message)
+        action = self._feedback.get(message.topic)
+        if action is not None:
+            self._ask_result(action, message.data[_ID])
+
+    def _ask_result(self, action: str, goal: bytes) -> None:
+        """Ask once how a goal that somebody sent ends; the answer comes when it has."""
+        if goal in self._asked:
+            return
+        self._asked.append(goal)
+        client = self._results[action]
+
+        def on_result(done: Any) -> None:
+            answer = done.result() if done.exception() is None else None
+            if answer is not None and answer.status:
+                self._told.append(lambda: self._recorder.take_result(to_outcome(action, answer.result)))
+
+        request = client.srv_type.Request()
+        request.goal_id.uuid = list(goal)
+        client.call_async(request).add_done_callback(on_result)
+
+    def _ask_parameters(self) -> None:
+        """Ask docking_node what it decides by; no answer is no reason to record less."""
+
+        def on_names(done: Any) -> None:
+            if done.exception() is None and done.result() is not None:
+                names = list(done.result().result.names)
+                values = self._values.call_async(GetParameters.Request(names=names))
+                values.add_done_callback(lambda found: on_values(names, found))
+
+        def on_values(names: list[str], done: Any) -> None:
+            if done.exception() is None and done.result() is not None:
+                found = [parameter_value_to_python(value) for value in done.result().values]
+                known = {name: _plain(value) for name, value in zip(names, found, strict=False)}
+                self._told.append(lambda: self._recorder.take_parameters(known))
+
+        if self._names.service_is_ready():
+            self._names.call_async(ListParameters.Request()).add_done_callback(on_names)
+
+    def _loop(self) -> None:
+        ticked = diagnosed = 0.0
+        recorded: Path | None = None
+        while True:
+            last = self._stopping.is_set()
+            try:
+                self._work()
+                if last:
+                    self._recorder.close()
+                    return
+                now = time.monotonic()
+                if now - ticked >= _TICK:
+                    ticked = now
+                    self._recorder.tick(now, self.count_publishers(self._state) > 0)
+                if self._recorder.path not in (None, recorded):
+                    self._ask_parameters()
+                recorded = self._recorder.path
+                if now - diagnosed >= _DIAGNOSTICS:
+                    diagnosed = now
+                    self._diagnose()
+            except Exception as error:  # whatever it is, docking must not hear of it
+                if last:
+                    return
+                self._recorder.fail(error)
+                self.get_logger().error(f"recording met a defect: {type(error).__name__}: {error}")
+            self._stopping.wait(_POLL)
+
+    def _work(self) -> None:
+        for message in self._topics.take():
+            self._take(message)
+        while self._told:
+            self._told.popleft()()
+
+    def _diagnose(self) -> None:
+        recorder = self._recorder
+        level, text = DiagnosticStatus.OK, "waiting for a docking"
+        if recorder.path is not None:
+            text = f"recording {recorder.path.name}"
+        if recorder.problem:
+            level, text = DiagnosticStatus.ERROR, recorder.problem
+        values = [KeyValue(key="folder", value=str(self._folder_path))]
+        message = DiagnosticArray()
+        message.header.stamp = self.get_clock().now().to_msg()
+        name = self.get_fully_qualified_name()
+        message.status = [DiagnosticStatus(level=level, name=name, message=text, hardware_id="", values=values)]
+        self._diagnostics.publish(message)
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if hasattr(value, "__iter__") and not isinstance(value, str) else value
+
+
+def _version() -> str:
+    try:
+        return version("deltacharger")
+    except PackageNotFoundError:  # a colcon workspace
+        return "unknown"
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run docking_recorder_node until SIGINT or SIGTERM; 0 after a signal, 2 where it cannot start as configured."""
+    return node_support.run(DockingRecorderNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

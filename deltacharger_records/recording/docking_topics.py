@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a record of a docking holds: topics, their messages and their quality of service."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from action_msgs.msg import GoalStatusArray
+from deltacharger.action import Dock, Undock
+from deltacharger.msg import (
+    ChargerPower,
+    DockingDecision,
+    DockingState,
+    ElectrodeDetection,
+    Misalignment,
+    ServoState,
+    TactileFrame,
+)
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from trajectory_msgs.msg import JointTrajectory
+
+from deltacharger_records.recording.mcap_recording import Topic, type_name
+
+_DEPTH = 500  # a disk that hangs for seconds loses nothing
+_EVERY = QoSProfile(depth=_DEPTH)
+_LATCHED = QoSProfile(depth=_DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_SENSOR = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+STATE = "docking_state"
+DECISION = "docking_decision"
+ACTIONS = ("dock", "undock")
+
+TOPICS: tuple[Topic, ...] = (
+    Topic(STATE, DockingState, _LATCHED),
+    Topic(DECISION, DockingDecision, _EVERY),
+    Topic("servo_state", ServoState, _EVERY),
+    Topic("tactile_frame", TactileFrame, _SENSOR),
+    Topic("charger_power", ChargerPower, _EVERY),
+    Topic("misalignment", Misalignment, _EVERY),
+    Topic("electrode_detection", ElectrodeDetection, _EVERY),
+    Topic("joint_trajectory", JointTrajectory, _EVERY),
+    Topic("contact_wrench", WrenchStamped, _EVERY),
+    Topic("end_effector_pose", PoseStamped, _EVERY),
+    Topic("dock/_action/feedback", Dock.Impl.FeedbackMessage, _EVERY),
+    Topic("dock/_action/status", GoalStatusArray, _LATCHED),
+    Topic("undock/_action/feedback", Undock.Impl.FeedbackMessage, _EVERY),
+    Topic("undock/_action/status", GoalStatusArray, _LATCHED),
+)
+"""In a record, each under its full name."""
+
+ALWAYS = (STATE, DECISION, "electrode_detection", "dock/_action/status", "undock/_action/status")
+"""Topics of which every message is kept, however long charging lasts."""
+
+KINDS: dict[str, Any] = {type_name(topic.kind): topic.kind for topic in TOPICS}
+"""Message class by type name."""

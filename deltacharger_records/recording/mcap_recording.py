@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS topics as MCAP files, as they came over the wire: `ros2 bag` and Foxglove read them.
+
+Messages are kept as the bytes that arrived (CDR), so that nothing is lost or rounded between topic and file, and with
+the text of their .msg files, so that a reader needs none of them. Needs the package mcap, `deltacharger[record]`.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, NamedTuple
+
+from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.subscription import MessageInfo
+
+from deltacharger_records.recording.files import whole
+
+_SEPARATOR = "=" * 80
+_CHUNK = 2**20  # bytes
+_END_CHUNK = "_Writer__finalize_chunk"
+_FIELD = re.compile(r"^\s*([A-Za-z]\w*(?:/\w+)?)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")
+_PLAIN = {"bool", "byte", "char", "string", "wstring", "float32", "float64"} | {
+    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
+
+
+class RecordingError(RuntimeError):
+    """A recording cannot be written or read; the message says why and what to do."""
+
+
+class Raw(NamedTuple):
+    """A message as it came.
+
+    Attributes:
+        topic: its name as the topic's owner and reader know it.
+        received: when, ns since 1970.
+        published: when by its publisher, ns since 1970.
+        data: CDR.
+    """
+
+    topic: str
+    received: int
+    published: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic that is recorded: relative name, message class and quality of service."""
+
+    name: str
+    kind: Any
+    qos: Any
+
+
+def listen(node: Node, topics: Sequence[Topic], take: Callable[[Raw], None], group: CallbackGroup | None) -> None:
+    """Call `take` with every message of `topics` from now on, undecoded, from the node's executor.
+
+    Args:
+        node: subscribes.
+        topics: names relative to the node's namespace.
+        take: must be quick.
+        group: of the callbacks; None = the node's own.
+    """
+
+    def taker(topic: str) -> Callable[[Any, MessageInfo], None]:
+        def on_message(data: Any, info: MessageInfo) -> None:
+            take(Raw(topic, time.time_ns(), int(info["source_timestamp"]), bytes(data)))
+
+        return on_message
+
+    for topic in topics:
+        full = node.resolve_topic_name(topic.name)
+        node.create_subscription(topic.kind, topic.name, taker(full), topic.qos, callback_group=group, raw=True)
+
+
+class McapStream:
+    """Write MCAP to a stream that the caller opens and closes.
+
+    Args:
+        stream: to write to.
+        kinds: message class of each topic, by its full name.
+
+    Raises:
+        RecordingError: mcap is not installed, or the .msg files of a message are not.
+        OSError: the file cannot be written.
+    """
+
+    def __init__(self, stream: BinaryIO, kinds: Mapping[str, Any]) -> None:
+        self._stream = stream
+        self._channels: dict[str, int] = {}
+        kind = _mcap().writer.Writer
+        # The writer ends a chunk by its size alone; without that method every message becomes a chunk of its own.
+        self._writer = kind(stream, chunk_size=_CHUNK if hasattr(kind, _END_CHUNK) else 1)
+        self._writer.start(profile="ros2", library="deltacharger")
+        for topic, message in kinds.items():
+            schema = self._writer.register_schema(type_name(message), "ros2msg", schema_text(message).encode())
+            self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
+
+    def add(self, message: Raw) -> None:
+        """Append a message; KeyError for a topic that was not named at the start."""
+        self._writer.add_message(self._channels[message.topic], message.received, message.data, message.published)
+
+    def add_message(self, topic: str, message: Any, received: int, published: int) -> None:
+        """Append a message object; times in ns since 1970."""
+        self.add(Raw(topic, received, published, serialize_message(message)))
+
+    def tell(self, name: str, values: Mapping[str, str]) -> None:
+        """Append a record of plain text values, shown by `ros2 bag` and Foxglove."""
+        self._writer.add_metadata(name, dict(values))
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Append a file."""
+        now = time.time_ns()
+        self._writer.add_attachment(now, now, name, media_type, data)
+
+    def flush(self) -> None:
+        """Hand what was written to the operating system, so that it outlives this process."""
+        getattr(self._writer, _END_CHUNK, lambda: None)()
+        self._stream.flush()
+
+    def finish(self) -> None:
+        """Write the index; nothing can be added any more."""
+        self._writer.finish()
+        self._stream.flush()
+
+
+class McapWriter(McapStream):
+    """Write one MCAP file; it has its name only once it is complete and on the disk.
+
+    A `with` block left by an exception leaves no file.
+
+    Args:
+        path: of the file; one that is there is replaced at the end.
+        kinds: message class of each topic, by its full name.
+
+    Raises:
+        RecordingError: mcap is not installed, or the .msg files of a message are not.
+        OSError: the file cannot be written.
+    """
+
+    def __init__(self, path: Path, kinds: Mapping[str, Any]) -> None:
+        self._exit = ExitStack()
+        with ExitStack() as undo:
+            super().__init__(undo.enter_context(undo.enter_context(whole(path)).open("wb")), kinds)
+            self._exit = undo.pop_all()
+
+    def __enter__(self) -> McapWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self.finish()
+        except BaseException as problem:
+            self._exit.__exit__(type(problem), problem, problem.__traceback__)
+            raise
+        self._exit.__exit__(kind, error, trace)
+
+
+class McapFile:
+    """What stands in an MCAP file.
+
+    Raises:
+        RecordingError: mcap is not installed, or the file is no whole MCAP file.
+        OSError: it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        mcap = _mcap()
+        self._path, self._mcap = path, mcap
+        with path.open("rb") as stream:
+            try:
+                reader = self._reader(stream)
+                self.metadata = {each.name: dict(each.metadata) for each in reader.iter_metadata()}
+                self.attachments = {each.name: each.data for each in reader.iter_attachments()}
+            except Exception as error:  # a damaged file raises what zlib, struct or mcap raise
+                raise RecordingError(f"{path} is damaged or no MCAP file: {error}") from error
+
+    def messages(self, kinds: Mapping[str, Any], *topics: str) -> Iterator[tuple[Raw, Any]]:
+        """Yield each message, raw and decoded, in the order of their arrival.
+
+        Args:
+            kinds: message class by type name, such as deltacharger/msg/TactileFrame.
+            topics: full names; none = all.
+
+        Raises:
+            RecordingError: the file is damaged, or the class of a message is not among `kinds`.
+        """
+        with self._path.open("rb") as stream:
+            try:
+                for schema, channel, message in self._reader(stream).iter_messages(topics or None):
+                    if schema is None or schema.name not in kinds:
+                        raise RecordingError(f"{self._path}: topic {channel.topic} has a type that is not known here")
+                    raw = Raw(channel.topic, message.log_time, message.publish_time, message.data)
+                    yield raw, deserialize_message(message.data, kinds[schema.name])
+            except self._mcap.exceptions.McapError as error:
+                raise RecordingError(f"{self._path} is damaged: {error}") from error
+
+    def _reader(self, stream: Any) -> Any:
+        return self._mcap.reader.make_reader(stream, validate_crcs=True)
+
+
+def require_mcap() -> None:
+    """Raise RecordingError where the package mcap is missing, before anything moves."""
+    _mcap()
+
+
+def type_name(kind: Any) -> str:
+    """Return the full name of a message class, such as std_msgs/msg/Header."""
+    package, interface, *_ = kind.__module__.split(".")
+    return f"{package}/{interface}/{kind.__name__}"
+
+
+def schema_text(kind: Any) -> str:
+    """Return the text of a message's .msg file, followed by those of all it consists of, as `ros2 bag` writes it.
+
+    Raises:
+        RecordingError: a .msg file is not installed.
+    """
+    package, _, name = type_name(kind).split("/")
+    top = f"{package}/{name}"
+    texts, waiting = {top: _definition(package, name)}, [top]
+    while waiting:
+        own = waiting.pop(0)
+        for part in _parts(texts[own], own.split("/")[0]):
+            if part not in texts:
+                texts[part] = _definition(*part.split("/"))
+                waiting.append(part)
+    first = texts.pop(top)
+    return "".join([first, *(f"\n{_SEPARATOR}\nMSG: {part}\n{text}" for part, text in texts.items())])
+
+
+def _parts(text: str, package: str) -> Iterator[str]:
+    """Yield the messages (package/Name) that the fields of a definition consist of."""
+    for line in text.splitlines():
+        found = _FIELD.match(line.partition("#")[0])
+        if found is None or found[1] in _PLAIN:
+            continue
+        yield found[1] if "/" in found[1] else f"{package}/{found[1]}"
+
+
+def _definition(package: str, name: str) -> str:
+    action, _, part = name.partition("_Feedback")
+    if part == "Message" and action:
+        return f"unique_identifier_msgs/UUID goal_id\n{package}/{action}_Feedback feedback\n"
+    try:
+        share = Path(get_package_share_directory(package))
+        if action != name:  # the third part of an .action file
+            return (share / "action" / f"{action}.action").read_text(encoding="utf-8").split("\n---\n")[2]
+        return (share / "msg" / f"{name}.msg").read_text(encoding="utf-8")
+    except (PackageNotFoundError, OSError) as error:
+        raise RecordingError(f"the definition of {package}/msg/{name} is not installed: {error}") from error
+
+
+def _mcap() -> Any:
+    try:
+        import mcap.exceptions
+        import mcap.reader
+        import mcap.writer
+    except ImportError as error:
+        raise RecordingError(
+            f"{error.name} is not installed; install deltacharger[record], or `pip install mcap`"
+        ) from error
+    return mcap

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""recording_player_node: a recorded docking on the topics on which it happened.
+
+Publishes every topic that the recording holds (docking_topics) under its relative name, and /diagnostics (1 Hz, and at
+the end). Stamps are moved so that every message is as old as it was when it came.
+Parameters: file, charger, delay, rate, loop.
+
+It plays what a charger said, its commands to the arm among them, so it never plays beside a charger: it looks for one
+before it begins, and where somebody else publishes what it publishes, it stops and says so. At the end it stays,
+silent, and the last docking_state with it.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from deltacharger_core import environment
+from deltacharger_records.recording.docking_topics import STATE, TOPICS
+from deltacharger_records.recording.mcap_recording import RecordingError, Topic
+from deltacharger_records.replay.file import CUT_SHORT, Recording, decoded, messages, survey
+from deltacharger_ros import node_support, qos
+
+_COMMANDS = "joint_trajectory"
+_NEWEST = ("servo_state", "charger_power", _COMMANDS)
+_OF_A_CHARGER = ("servo_state", "tactile_frame", "charger_power", STATE)
+_LOOK = 0.2  # s between looks for a charger, while it plays
+_LEAST_GAP = 0.01  # s between two passes
+_DIAGNOSTICS = 1.0  # s
+
+
+class RecordingPlayerNode(Node):
+    """Plays a recording; see the module's docstring for its interface.
+
+    Attributes:
+        passes: how often it came to the end.
+        problem: why it stopped before the end, '' = it did not.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        self._closed = True
+        super().__init__("recording_player_node", **kwargs)
+        file = self._declare("file", "", "record of a docking, or MCAP file of `ros2 bag record`, that is played")
+        charger = self._declare("charger", "", "namespace that is played of a recording of several; '' = the only one")
+        text = (
+            "s before it begins: meanwhile it looks for a charger, which may take 3 s to be seen, and readers find it"
+        )
+        self._delay: float = self._declare("delay", 3.5, text, 0.0, 600.0)
+        self._rate: float = self._declare("rate", 1.0, "times as fast as it was", 0.01, 100.0)
+        self._loop: bool = self._declare("loop", False, "begin again at the end")
+        node_support.reject_unknown(self)
+        environment.prepare()
+        self._recording = _survey(file, charger)
+        self.passes, self.problem = 0, ""
+        self._count = 0  # messages that were played
+        self._place = 0  # ns since 1970 of the message that was played last
+        self._others_seen = 0.0
+        self._played = {
+            topic.name: self.create_publisher(topic.kind, topic.name, quality(topic))
+            for topic in TOPICS
+            if topic.name in self._recording.counts
+        }
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._say_what_is_there()
+        self._stopping = threading.Event()
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="recording player", daemon=True)
+        self.create_timer(_DIAGNOSTICS, self._diagnose)
+        self._thread.start()
+
+    def _declare(self, name: str, default: Any, text: str, low: float | None = None, high: float | None = None) -> Any:
+        return node_support.declare(self, name, default, text, low, high)
+
+    def close(self) -> None:
+        """Stop playing. Safe to call twice."""
+        if not self._closed:
+            self._closed = True
+            self._stopping.set()
+            self._thread.join(5.0)
+
+    def destroy_node(self) -> None:
+        """Close, then release the ROS side."""
+        self.close()
+        super().destroy_node()
+
+    def _say_what_is_there(self) -> None:
+        recording = self._recording
+        whose = f" of {recording.namespace}" if recording.namespace != "/" else ""
+        self.get_logger().info(f"plays {recording.path}{whose}: {self._length():.1f} s of {', '.join(self._played)}")
+        for name, why in recording.unreadable.items():
+            self.get_logger().warning(f"{name} is not played: {why}")
+        if recording.damage:
+            self.get_logger().warning(f"{recording.path}: {recording.damage}; played as far as it goes")
+
+    def _length(self) -> float:
+        return 1e-9 * (self._recording.last - self._recording.first)
+
+    def _run(self) -> None:
+        try:
+            while (self.passes or self._wait(time.monotonic() + self._delay, True)) and self._play():
+                self.passes += 1
+                if not self._loop:
+                    break
+                self._stopping.wait(_LEAST_GAP)
+        except (OSError, RecordingError) as error:  # the file has changed meanwhile
+            self.problem = str(error)
+        if self._stopping.is_set():
+            return
+        if self.problem:
+            self.get_logger().error(self.problem)
+        else:
+            self.get_logger().info(f"{self._recording.path} is over")
+        self._diagnose()
+
+    def _play(self) -> bool:
+        """Publish the recording once; return whether it came to the end."""
+        started = time.monotonic()
+        for name, received, data in messages(self._recording.path, self._recording.namespace):
+            due = started + 1e-9 * (received - self._recording.first) / self._rate
+            if not self._wait(due, name == _COMMANDS):
+                return False
+            message = decoded(name, data)
+            late = round(1e9 * (time.monotonic() - due))
+            shift = self.get_clock().now().nanoseconds - late - received
+            for stamp in _stamps(message):
+                moved = max(0, stamp.sec * 10**9 + stamp.nanosec + shift)
+                stamp.sec, stamp.nanosec = divmod(moved, 10**9)
+            if self.context.ok():
+                self._played[name].publish(message)
+            self._place = received
+            self._count += 1
+        return True
+
+    def _wait(self, due: float, is_command: bool) -> bool:
+        """Wait until `due`; return whether to go on. A command is never given without a look for who would follow."""
+        while not self._stopping.is_set():
+            now = time.monotonic()
+            if now - self._others_seen >= _LOOK or (is_command and now >= due):
+                self._others_seen = now
+                self.problem = self._charger_here()
+            if self.problem:
+                return False
+            if now >= due:
+                return True
+            self._stopping.wait(min(due - now, _LOOK))
+        return False
+
+    def _charger_here(self) -> str:
+        """Return what to tell where a charger runs on the same names, or ''."""
+        for name in _OF_A_CHARGER:
+            if self.count_publishers(name) > (name in self._played):
+                return (
+                    f"a charger runs here, somebody else publishes {self.resolve_topic_name(name)}: the recording is "
+                    "not played on; play it in another ROS_DOMAIN_ID or namespace"
+                )
+        return ""
+
+    def _diagnose(self) -> None:
+        if not self.context.ok():
+            return
+        recording, length = self._recording, self._length()
+        place = max(0.0, 1e-9 * (self._place - recording.first))
+        level, text = DiagnosticStatus.OK, f"at {place:.1f} of {length:.1f} s" if self._count else "about to begin"
+        if self.problem:
+            level, text = DiagnosticStatus.ERROR, self.problem
+        elif self.passes and not self._loop:
+            text = f"the recording is over; {length:.1f} s were played"
+        if recording.damage and not self.problem:
+            level, text = DiagnosticStatus.WARN, f"{text}; {recording.damage}"
+        told = {"file": recording.path, "passes": self.passes, "rate": self._rate, "messages": self._count}
+        status = DiagnosticStatus(level=level, name=self.get_fully_qualified_name(), message=text)
+        status.hardware_id = str(recording.path)
+        status.values = [KeyValue(key=key, value=str(value)) for key, value in told.items()]
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+
+def quality(topic: Topic) -> QoSProfile:
+    """Return the quality of service with which a recorded topic is published, as the charger does."""
+    if topic.name in _NEWEST:
+        return qos.LATEST
+    if topic.qos.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+        return qos.STATE
+    if topic.qos.reliability == ReliabilityPolicy.BEST_EFFORT:
+        return qos.SENSOR
+    return QoSProfile(depth=qos.DEFAULT_DEPTH)
+
+
+def _survey(file: str, charger: str) -> Recording:
+    """Return what the file holds.
+
+    Raises:
+        StartupError: nothing can be played; says what to do.
+    """
+    who = "recording_player_node: parameter 'file'"
+    if not file:
+        raise node_support.StartupError(
+            f"{who} is empty: name a record, `deltacharger up --scene replay --recording FILE`"
+        )
+    path = Path(file).expanduser()
+    try:
+        recording = survey(path, charger or None)
+    except FileNotFoundError as error:
+        raise node_support.StartupError(f"{who}: {path}: there is no such file") from error
+    except (OSError, RecordingError) as error:
+        text = str(error).replace("name one with --namespace", "name one by the parameter 'charger'")
+        raise node_support.StartupError(f"{who}: {text}") from error
+    if recording.damage not in ("", CUT_SHORT):
+        raise node_support.StartupError(
+            f"{who}: {path}: {recording.damage}; `deltacharger replay {path}` tells what can still be read"
+        )
+    return recording
+
+
+def _stamps(value: Any) -> Iterator[Time]:
+    """Yield the stamps in a message, but for those that are not set."""
+    if isinstance(value, Time):
+        if value.sec or value.nanosec:
+            yield value
+    elif isinstance(value, list):
+        if value and hasattr(value[0], "get_fields_and_field_types"):
+            for each in value:
+                yield from _stamps(each)
+    elif hasattr(value, "get_fields_and_field_types"):
+        for name in value.get_fields_and_field_types():
+            yield from _stamps(getattr(value, name))
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run recording_player_node until SIGINT or SIGTERM; 0 after a signal, 2 where it cannot start as configured."""
+    return node_support.run(RecordingPlayerNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The RGB-D images of a recording: messages decoded, colour and depth matched by their stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deltacharger_vision.cameras.camera_info import from_camera_info
+from deltacharger_vision.cameras.camera_node_io import decoded, stamp_ns
+from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
+from deltacharger_vision.cameras.recording import COLOR, DEPTH, INFO, CameraRecording
+from deltacharger_vision.cameras.ros_images import color_array, depth_array
+from deltacharger_vision.errors import CameraInfoError
+from deltacharger_vision.images import Intrinsics, RgbdImage
+
+TOLERANCE = 15_000_000
+"""ns between the stamps of colour and depth: under half the time between two images at 30 Hz."""
+
+
+@dataclass(frozen=True)
+class RecordedImage:
+    """One image as it was recorded.
+
+    Attributes:
+        stamp: of the colour, ns.
+        color: sensor_msgs/Image.
+        depth: sensor_msgs/Image, or None.
+    """
+
+    stamp: int
+    color: Any
+    depth: Any
+
+    @property
+    def name(self) -> str:
+        """The stamp in s."""
+        return f"{self.stamp // 10**9}.{self.stamp % 10**9:09}"
+
+    def read(self, intrinsics: Intrinsics) -> RgbdImage:
+        """Return it checked and converted, without depth where it has none.
+
+        Raises:
+            ImageError: it is no RGB-D image.
+        """
+        pixels = color_array(*_fields(self.color))
+        metres = np.full(pixels.shape[:2], np.nan) if self.depth is None else depth_array(*_fields(self.depth))
+        return RgbdImage.make(pixels, metres, intrinsics)
+
+
+def recorded_images(recording: CameraRecording) -> Iterator[RecordedImage]:
+    """Yield the colour images in order, each with the depth that was taken with it; those without any are left out.
+
+    Where the recording has no depth at all, every colour image comes without.
+
+    Raises:
+        CameraRecordingError: the recording is damaged from here on.
+    """
+    matcher: StampMatcher[Any, Any] = StampMatcher(TOLERANCE)
+    for each in recording.messages(COLOR, DEPTH):
+        message = decoded(recording, each)
+        stamp = stamp_ns(message)
+        if not recording.topics.depth:
+            yield RecordedImage(stamp, message, None)
+            continue
+        pair = (matcher.add_color if each.kind == COLOR else matcher.add_depth)(stamp, message)
+        if pair is not None:
+            yield RecordedImage(*pair)
+
+
+def recorded_intrinsics(recording: CameraRecording) -> Intrinsics | None:
+    """Return the intrinsics by the recording's first camera_info, or None where it has none.
+
+    Raises:
+        CameraInfoError: they cannot be used.
+        CameraRecordingError: the recording is damaged.
+    """
+    first = next(recording.messages(INFO), None) if recording.topics.info else None
+    if first is None:
+        return None
+    info = decoded(recording, first)
+    source = f"{recording.path}: {recording.topics.info}"
+    if info.binning_x > 1 or info.binning_y > 1 or info.roi.x_offset or info.roi.y_offset:
+        raise CameraInfoError(source, "binning or a region of interest is set; record whole images, unbinned")
+    return from_camera_info(info.width, info.height, info.k, info.d, info.distortion_model, source)
+
+
+def _fields(message: Any) -> tuple[str, int, int, int, Any, bool]:
+    return message.encoding, message.height, message.width, message.step, message.data, bool(message.is_bigendian)

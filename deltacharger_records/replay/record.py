@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One recorded docking as plain data: phases, decisions, measurements, curves and how it ended."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_records.recording.docking_recorder import ABOUT, END, PARAMETERS, RESULT
+from deltacharger_records.replay.file import Recording, counts_missing, read
+from deltacharger_records.replay.run_builder import RunBuilder
+from deltacharger_records.replay.run_record import Run
+from deltacharger_ros.client import CODES, PHASES
+from deltacharger_ros.outcomes import Outcome
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A state from when until when (s since the goal), in lower case."""
+
+    state: str
+    start: float
+    end: float
+
+
+@dataclass
+class Replay:
+    """What a recording tells; times are s since the docking began.
+
+    Attributes:
+        recording: the file, its metadata and what is wrong with it.
+        run: curves, measurements, decisions.
+        phases: in order.
+        code: the error that docking_state told last; 0 = none.
+        message: its words.
+        charged: s that it was charging; NaN = never.
+        failed_at: when the error was told (s); NaN = never.
+        request_id: of the goal.
+        began: ns since 1970.
+        end: of the recording (s).
+    """
+
+    recording: Recording
+    run: Run = field(default_factory=Run)
+    phases: list[Phase] = field(default_factory=list)
+    code: int = 0
+    message: str = ""
+    charged: float = math.nan
+    failed_at: float = math.nan
+    request_id: str = ""
+    began: int = 0
+    end: float = 0.0
+
+    @property
+    def result(self) -> Outcome | None:
+        """How the docking ended as its client was told; None where that was not recorded."""
+        return self.result_of("dock")
+
+    def result_of(self, action: str) -> Outcome | None:
+        """Return the first result of "dock" or "undock"."""
+        for values in self.recording.told(RESULT):
+            if values.get("action") == action:
+                return _outcome(json.loads(values["json"]))
+        return None
+
+    @property
+    def parameters(self) -> DockingParameters:
+        """What docking decided by; the defaults where that was not recorded."""
+        told = (self.recording.told(PARAMETERS) or [{}])[-1]
+        known = {name: json.loads(told[name]) for name in DockingParameters.__dataclass_fields__ if name in told}
+        return DockingParameters(**known)
+
+    @property
+    def about(self) -> dict[str, str]:
+        """What recorded it: version, scene, namespace, request_id, began (ns since 1970)."""
+        return (self.recording.told(ABOUT) or [{}])[0]
+
+    @property
+    def last_phase(self) -> str:
+        """In which phase the recording ends."""
+        return self.phases[-1].state if self.phases else ""
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the file goes to the end of the docking."""
+        return not self.recording.damage and (bool(self.recording.told(END)) or self.last_phase == "idle")
+
+    def outcome(self) -> dict[str, Any]:
+        """Return success (None = unknown), code, name and message of the docking."""
+        result = self.result or self.result_of("undock")
+        if result is not None:
+            return _named(result.success, result.error_code, result.error_message)
+        if self.code:
+            return _named(not math.isnan(self.charged), self.code, self.message)
+        if not math.isnan(self.charged):
+            return _named(True, 0, "")
+        return {"success": None, "code": None, "name": "UNKNOWN", "message": "nobody told how it ended"}
+
+    def afterwards(self) -> dict[str, Any] | None:
+        """Return the error that ended charging after the docking had succeeded, None where there was none."""
+        if not self.code or not self.outcome()["success"]:
+            return None
+        return _named(False, self.code, self.message)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as one JSON object, without the story."""
+        felt = self.run.touches
+        return {
+            "file": str(self.recording.path),
+            "request_id": self.request_id,
+            "outcome": self.outcome(),
+            "afterwards": self.afterwards(),
+            "duration": self.end,
+            "complete": self.is_complete,
+            "about": self.about,
+            "phases": [vars(phase) for phase in self.phases],
+            "decisions": [vars(each) for each in self.run.decisions],
+            "measurements": [{k: v for k, v in vars(touch).items() if k != "frames"} for touch in felt],
+            "dropped": {
+                "damage": self.recording.damage,
+                "missing": dict(counts_missing(self.recording)),
+                "thinned": json.loads((self.recording.told(END) or [{}])[-1].get("dropped", "{}")),
+            },
+        }
+
+
+def replay(path: Path, namespace: str | None = None) -> Replay:
+    """Read a recording.
+
+    Raises:
+        RecordingError: it is no recording of a docking.
+        OSError: it cannot be read.
+    """
+    reader = _Reader()
+    found = Replay(read(path, reader.take, namespace), reader.build.run)
+    reader.complete(found)
+    return found
+
+
+class _Reader:
+    """Turns messages into a run; the clock begins with the first state that is not idle."""
+
+    def __init__(self) -> None:
+        self.build = RunBuilder(Run())
+        self._first = self._last = 0
+        self._states: list[tuple[int, Any]] = []
+        self._takers: dict[str, Callable[[float, Any], None]] = {
+            "servo_state": self.build.servo_state,
+            "docking_state": self.build.docking_state,
+            "docking_decision": self.build.decision,
+            "tactile_frame": self.build.tactile_frame,
+            "misalignment": self.build.misalignment,
+            "charger_power": self.build.power,
+            "dock/_action/feedback": lambda time, message: self.build.dock_feedback(time, message.feedback),
+        }
+
+    def take(self, name: str, time: int, message: Any) -> None:
+        self._first = self._first or time
+        self._last = max(self._last, time)
+        if name == "docking_state":
+            self._states.append((time, message))
+        taker = self._takers.get(name)
+        if taker is not None:
+            taker((time - self._first) * 1e-9, message)
+
+    def complete(self, found: Replay) -> None:
+        """Shift all times so that the docking begins at 0, and add what follows from the states."""
+        told = int(found.about.get("began", 0))  # without it, the end of the docking before could look like a beginning
+        active = [time for time, state in self._states if time >= told and (state.state or state.docked)]
+        found.began = active[0] if active else self._states[0][0]
+        found.run.shift((found.began - self._first) * 1e-9)
+        _forget_earlier(found.run)
+        while len(self._states) > 1 and self._states[1][0] < found.began:  # of the docking before this one
+            del self._states[0]
+        found.end = (self._last - found.began) * 1e-9
+        for (start, state), (end, _) in itertools.pairwise([*self._states, (self._last, None)]):
+            name = PHASES.get(state.state, f"state {state.state}")
+            begin, until = (start - found.began) * 1e-9, (end - found.began) * 1e-9
+            if state.charging:
+                found.charged = until - begin + (0.0 if math.isnan(found.charged) else found.charged)
+            if found.phases and found.phases[-1].state == name:
+                begin = found.phases.pop().start
+            found.phases.append(Phase(name, begin, until))
+            if state.error_code and start >= found.began:
+                if not found.code:
+                    found.failed_at = (start - found.began) * 1e-9
+                found.code, found.message = state.error_code, state.error_message
+            if start >= found.began:
+                found.request_id = found.request_id or state.request_id
+
+
+def _forget_earlier(run: Run) -> None:
+    """Leave out what was decided and felt in the docking before this one, whose end stands in the seconds before."""
+    accepted = [each.time for each in run.decisions if each.kind == "accepted" and each.time <= 0.0]
+    begin = max(accepted, default=0.0)
+    run.decisions = [each for each in run.decisions if each.time >= begin]
+    run.touches = [touch for touch in run.touches if touch.time >= begin]
+
+
+def _outcome(plain: dict[str, Any]) -> Outcome:
+    names = [name for name in Outcome.__dataclass_fields__ if name != "details"]
+    details = {name: value for name, value in plain.items() if name not in names}
+    return Outcome(**{name: plain[name] for name in names}, details=details)
+
+
+def _named(success: bool, code: int, message: str) -> dict[str, Any]:
+    return {"success": success, "code": code, "name": CODES.get(code, f"CODE_{code}"), "message": message}

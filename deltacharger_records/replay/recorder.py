@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder: listens to a charger's topics during a docking and keeps what the picture shows."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+from deltacharger.msg import ChargerPower, DockingState, Misalignment, ServoState, TactileFrame
+from rclpy.context import Context
+from rclpy.node import Node
+from sensor_msgs.msg import Image
+
+from deltacharger_records.replay.run_builder import RunBuilder
+from deltacharger_records.replay.run_record import Run
+from deltacharger_ros import qos
+from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.outcomes import Outcome, Progress
+
+
+class Recorder:
+    """Fill a `Run` from servo_state, docking_state, tactile_frame, misalignment, charger_power, the detector's
+    annotated image and action feedback.
+
+    Args:
+        context: a running rclpy context.
+        namespace: of the charger.
+
+    Attributes:
+        run: what was recorded so far; time 0 is when the recorder began.
+    """
+
+    def __init__(self, context: Context, namespace: str = "") -> None:
+        self.run = Run()
+        self._build = RunBuilder(self.run)
+        self._lock = threading.Lock()
+        self._began = time.monotonic()
+        self._done = False
+        node = Node(
+            f"charger_recorder_{uuid.uuid4().hex[:8]}",
+            context=context,
+            namespace=namespace,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        build = self._build
+        node.create_subscription(ServoState, "servo_state", self._taker(build.servo_state), qos.LATEST)
+        node.create_subscription(DockingState, "docking_state", self._taker(build.docking_state), qos.STATE)
+        node.create_subscription(TactileFrame, "tactile_frame", self._taker(build.tactile_frame), qos.SENSOR)
+        node.create_subscription(Misalignment, "misalignment", self._taker(build.misalignment), qos.DEFAULT_DEPTH)
+        node.create_subscription(ChargerPower, "charger_power", self._taker(build.power), qos.LATEST)
+        node.create_subscription(Image, "electrode_detection/image", self._on_image, qos.SENSOR)
+        self._spinner: Spinner | None = Spinner(node, 2)
+
+    def close(self) -> None:
+        """Stop listening. Safe to call twice."""
+        if self._spinner is not None:
+            self._spinner.close()
+            self._spinner = None
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def force(self) -> float:
+        """Return the newest contact force along z on the target (N); NaN = not measured."""
+        with self._lock:
+            return self.run.motion.last("force")
+
+    def on_progress(self, progress: Progress) -> None:
+        """Take one feedback message of the action."""
+        now = self._now()
+        with self._lock:
+            self.run.contact.add(now, progress.contact_current)
+            if not self._done:
+                self._build.enter(now, progress.phase)
+            if not math.isnan(progress.horizontal):
+                self.run.decided.add(now, progress.horizontal, progress.vertical, progress.angle)
+
+    def finish(self, outcome: Outcome) -> None:
+        """Note how it ended and record no more."""
+        with self._lock:
+            self.run.outcome = outcome
+            self._done = True
+
+    def _now(self) -> float:
+        return time.monotonic() - self._began
+
+    def _taker(self, take: Callable[[float, Any], None]) -> Callable[[Any], None]:
+        """Return a callback that hands messages to `take` until the end."""
+
+        def on_message(message: Any) -> None:
+            if not self._done:
+                now = self._now()
+                with self._lock:
+                    take(now, message)
+
+        return on_message
+
+    def _on_image(self, message: Image) -> None:
+        from deltacharger_vision.cameras.ros_images import color_array
+
+        seen = color_array(message.encoding, message.height, message.width, message.step, message.data)
+        with self._lock:
+            self.run.seen = seen

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a charger's messages to a `Run`, live or out of a record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from deltacharger.msg import ChargerPower, DockingDecision, DockingState, Misalignment, ServoState, TactileFrame
+
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
+from deltacharger_records.replay.run_record import Decided, Run, Touch
+from deltacharger_ros.client import PHASES
+
+_MEASURED = (
+    *("horizontal_m", "vertical_m", "angle_rad"),
+    *("horizontal_stddev_m", "vertical_stddev_m", "angle_stddev_rad"),
+)
+_CONTACT = 1.0  # N on one taxel: what the package calls contact
+
+
+class RunBuilder:
+    """Fills a `Run`; times are s since whatever the caller counts from.
+
+    The contact force is computed here from servo_state (the arm's weight removed), without kinematics_node.
+
+    Args:
+        run: to fill.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+        self._delta = ScalarDelta()
+        self._felt: tuple[float, ...] = ()
+
+    def enter(self, time: float, phase: str) -> None:
+        """Take the present phase."""
+        if not self.run.phases or self.run.phases[-1][1] != phase:
+            self.run.phases.append((time, phase))
+
+    def servo_state(self, time: float, message: ServoState) -> None:
+        """Take where the arm is and what it carries."""
+        if len(message.position) != 3:
+            return
+        position = self._delta.forward(*message.position)
+        force = current = math.nan
+        if math.isfinite(position[2]) and len(message.current) == 3:
+            held = self._delta.holding_torque(*position, GRAVITY)
+            spare = [TORQUE_CONSTANT * current - hold for current, hold in zip(message.current, held, strict=True)]
+            force = self._delta.force(*position, (spare[0], spare[1], spare[2]))[2]
+            lever = self._delta.jacobian(*position)[6:9]  # dz/dangle of each servo
+            current = force * sum(lever) / 3.0 / TORQUE_CONSTANT
+        self.run.motion.add(time, position[2], force, current)
+
+    def docking_state(self, time: float, message: DockingState) -> None:
+        """Take the state."""
+        self.enter(time, PHASES.get(message.state, f"state {message.state}"))
+
+    def tactile_frame(self, time: float, message: TactileFrame) -> None:
+        """Take what the pads feel, where they feel anything."""
+        if not message.tared or message.rows * message.columns != len(message.left):
+            return
+        shape = (message.rows, message.columns)
+        left = np.array(message.left, dtype=np.float64).reshape(shape)
+        right = np.array(message.right, dtype=np.float64).reshape(shape)
+        if np.isnan(left).all() or np.isnan(right).all() or max(np.nanmax(left), np.nanmax(right)) < _CONTACT:
+            return
+        self.run.frames = (left, right)
+
+    def misalignment(self, time: float, message: Misalignment) -> None:
+        """Take a continuous estimate."""
+        values = (message.horizontal, message.vertical, message.angle) if message.contact else (math.nan,) * 3
+        self.run.felt.add(time, *values)
+
+    def power(self, time: float, message: ChargerPower) -> None:
+        """Take what flows."""
+        self.run.power.add(time, message.charge_current, float(message.contactor_closed))
+
+    def decision(self, time: float, message: DockingDecision) -> None:
+        """Take a decision; measurements and verdicts are among them."""
+        values = dict(zip(message.names, message.values, strict=False))
+        state = PHASES.get(message.state, f"state {message.state}")
+        self.run.decisions.append(Decided(time, state, message.kind, message.text, values))
+        if message.kind == "measured":
+            self._touch(time, [values.get(name, math.nan) for name in _MEASURED], message.text == "sure")
+        elif message.kind == "verdict" and self.run.touches:
+            self.run.touches[-1].verdict = message.text
+            self.run.touches[-1].clearance = values.get("clearance_m", math.nan)
+
+    def dock_feedback(self, time: float, feedback: Any) -> None:
+        """Take a Dock.Feedback; a new estimate in it is what docking acted on."""
+        self.run.contact.add(time, feedback.contact_current)
+        felt = feedback.misalignment
+        values = (felt.horizontal, felt.vertical, felt.angle)
+        if math.isnan(felt.angle) or values == self._felt:
+            return
+        self._felt = values
+        self.run.decided.add(time, *values)
+        if not self.run.decisions:  # recorded without docking_decision
+            stddevs = (felt.horizontal_stddev, felt.vertical_stddev, felt.angle_stddev)
+            self._touch(time, [*values, *stddevs], felt.sure and felt.in_range)
+
+    def _touch(self, time: float, values: Sequence[float], sure: bool) -> None:
+        x, y, angle, x_stddev, y_stddev, angle_stddev = values
+        self.run.touches.append(Touch(time, x, y, angle, x_stddev, y_stddev, angle_stddev, sure, self.run.frames))

@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded docking in words: what happened in its order, and why it ended as it did."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from deltacharger_docking.clearance import Estimate, clearance, clearance_stddev
+from deltacharger_docking.codes import Code
+from deltacharger_docking.remedies import REMEDIES
+from deltacharger_records.replay.record import Replay
+from deltacharger_records.replay.run_record import Decided, Touch
+
+_UNITS: dict[str, tuple[float, str, int]] = {
+    "m": (1e3, "mm", 1),
+    "rad": (180.0 / math.pi, "°", 1),
+    "A": (1.0, "A", 2),
+    "N": (1.0, "N", 1),
+    "s": (1.0, "s", 2),
+    "V": (1.0, "V", 1),
+    "J": (1.0, "J", 0),
+    "ohm": (1.0, "Ω", 0),
+}
+_STDDEV = "_stddev"
+_LATE = 0.2  # s that a message of a decision may come after its phase
+_WORDS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
+
+
+def quantity(value: float, unit: str, digits: int | None = None) -> str:
+    """Return an SI value with its unit as people read it: 0.0059 m is '5.9 mm'; 'unknown' for NaN."""
+    if not math.isfinite(value):
+        return "unknown" if math.isnan(value) else "infinite"
+    scale, name, usual = _UNITS[unit]
+    kept = usual if digits is None else digits
+    text = f"{round(scale * value, kept) + 0.0:.{kept}f}".replace("-", "−")  # + 0.0: no minus before a zero
+    return f"{text}{'' if name == '°' else ' '}{name}"
+
+
+def numbers(values: Mapping[str, float]) -> str:
+    """Return the numbers of a decision, each with its name and unit, a standard deviation behind its value."""
+    parts = []
+    for name, value in values.items():
+        base, _, unit = name.rpartition("_")
+        if base.endswith(_STDDEV):
+            continue
+        if unit not in _UNITS:
+            parts.append(f"{name.replace('_', ' ')} {value:.3g}")
+            continue
+        text = f"{_label(base)} {quantity(value, unit)}"
+        spread = values.get(f"{base}{_STDDEV}_{unit}")
+        parts.append(text if spread is None else f"{text} ± {quantity(spread, unit)}")
+    return ", ".join(parts)
+
+
+def _label(base: str) -> str:
+    return re.sub(r" (\d) sigma$", r" at \1σ", base.replace("_", " "))
+
+
+def story(replay: Replay) -> list[str]:
+    """Return what happened, a line for each phase and for each decision in it."""
+    events: list[tuple[float, int, str]] = []
+    for phase in replay.phases:
+        length = f"for {quantity(phase.end - phase.start, 's', 1)}"
+        events.append(
+            (phase.start, 1, f"{quantity(phase.start, 's', 2):>9}  {phase.state.replace('_', ' ')}, {length}")
+        )
+    for decision in replay.run.decisions:
+        time = _within(replay, decision)
+        events.append((time, 0, f"{quantity(time, 's', 2):>9}    {_told(decision)}"))
+    return [line for _, _, line in sorted(events, key=lambda event: event[:2])]
+
+
+def _within(replay: Replay, decision: Decided) -> float:
+    """Return when a decision was made, not later than its phase's end: its message may come after the next state's."""
+    ends = [phase.end for phase in replay.phases if phase.state == decision.phase and phase.start <= decision.time]
+    return min(decision.time, ends[-1]) if ends and decision.time - ends[-1] < _LATE else decision.time
+
+
+def _told(decision: Decided) -> str:
+    shown = {name: value for name, value in decision.values.items() if name != "code" and not math.isnan(value)}
+    text = f"{decision.kind}: {decision.text}"
+    return f"{text} ({numbers(shown)})" if shown else text
+
+
+def why(replay: Replay) -> str:
+    """Return one paragraph: what ended it, by which numbers, and what to do."""
+    outcome, after = replay.outcome(), replay.afterwards()
+    if outcome["success"] is None:
+        return _unknown(replay)
+    if outcome["success"]:
+        return (
+            _charged(replay) + (f" {_because(replay, after)}" if after is not None else f" {_later(replay)}").rstrip()
+        )
+    return _because(replay, outcome)
+
+
+def _unknown(replay: Replay) -> str:
+    damage = replay.recording.damage or "nobody told how it ended"
+    motion, power = replay.run.motion, replay.run.power
+    closed = power.last("closed")
+    contactor = "" if math.isnan(closed) else f", the contactor {'closed' if closed else 'open'}"
+    where = quantity(motion.last("z"), "m")
+    return (
+        f"The recording ends in {replay.last_phase.upper()} after {quantity(replay.end, 's', 1)} without an outcome: "
+        f"{damage}. The arm was last seen at z {where}{contactor}. Look at the log of docking_node, and at the next "
+        "record."
+    )
+
+
+def _charged(replay: Replay) -> str:
+    result, touches = replay.result, replay.run.touches
+    details = result.details if result is not None else {}
+    took = f" in {quantity(result.elapsed, 's', 1)}" if result is not None else ""
+    charging = not math.isnan(replay.charged)
+    parts = [f"{'Docked and charging' if charging else 'Docked'}{took}"]
+    if details.get("contact_current") is not None:
+        force = quantity(details["contact_force"], "N") if details.get("contact_force") is not None else "unknown"
+        parts.append(
+            f"the electrodes rest with {quantity(details['contact_current'], 'A')} of contact current, {force}"
+        )
+    judged = [touch for touch in touches if not math.isnan(touch.clearance)]
+    if judged:
+        last = judged[-1]
+        parts.append(
+            f"the target lies {quantity(last.horizontal, 'm')}, {quantity(last.vertical, 'm')} and "
+            f"{quantity(last.angle, 'rad')} off, which leaves {quantity(last.clearance, 'm')} of clearance"
+        )
+    return "; ".join(parts) + "."
+
+
+def _later(replay: Replay) -> str:
+    if math.isnan(replay.charged):
+        return ""
+    current = replay.run.power.arrays()["current"]
+    highest = (
+        f" at up to {quantity(float(current[current == current].max()), 'A')}" if (current == current).any() else ""
+    )
+    end = "The recording ends while it goes on." if replay.last_phase == "charging" else "Then it was undocked."
+    return f"It charged for {_duration(replay.charged)}{highest}. {end}"
+
+
+def _because(replay: Replay, ended: Mapping[str, Any]) -> str:
+    """Return why it ended by an error, with the numbers that this error is about, and the remedy."""
+    code, message = int(ended["code"]), str(ended["message"])
+    when = replay.failed_at if not math.isnan(replay.failed_at) else replay.end
+    phase = _phase_before(replay, when).upper().replace("_", " ")
+    charging = not math.isnan(replay.charged)
+    if code == Code.CANCELED:
+        text = f"The client took the goal back in {phase} after {quantity(when, 's', 1)}."
+    elif code in (Code.CRITICAL_ANGLE, Code.MISALIGNED, Code.ESTIMATE_UNSURE) and not charging:
+        text = f"Charging was refused: {_TELLERS[Code(code)](replay, message)}."
+    else:
+        what = f"Charging was ended after {_duration(replay.charged)}" if charging else f"Docking ended in {phase}"
+        text = f"{what} by {_name(code)}: {message}."
+    remedy = REMEDIES.get(Code(code), "") if code in list(Code) else ""
+    if remedy and remedy.lower() not in text.lower():
+        text += f" {remedy[0].upper()}{remedy[1:]}."
+    return f"{text} {_way_back(replay)}".rstrip()
+
+
+def _tilted(replay: Replay, message: str) -> str:
+    known = [touch for touch in replay.run.touches if math.isfinite(touch.angle)]
+    touches = [touch for touch in known if touch.sure] or known
+    if not touches:
+        return f"before anything was touched, {message}"
+    estimate, parameters = _mean(touches), replay.parameters
+    gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
+    left = clearance(estimate.angle, 0.0, gap, length)
+    worst = left - 3.0 * clearance_stddev(estimate, gap, length)
+    needed = quantity(parameters.clearance_min, "m")
+    times = f" in {_WORDS.get(len(touches), len(touches))} dockings" if len(touches) > 1 else ""
+    felt = f"{quantity(estimate.angle, 'rad')} ± {quantity(estimate.angle_stddev, 'rad')}"
+    text = f"the angle was measured as {felt}{times}; even without a vertical error the clearance would be "
+    if left < parameters.clearance_min:
+        return text + f"{quantity(left, 'm')}, {needed} are needed"
+    if worst < parameters.clearance_min:
+        return (
+            text + f"{quantity(left, 'm')}, {quantity(worst, 'm')} less three standard deviations, {needed} are needed"
+        )
+    return f"the angle was measured as {felt}{times}; {message}"
+
+
+def _off(replay: Replay, message: str) -> str:
+    judged = [touch for touch in replay.run.touches if not math.isnan(touch.clearance)]
+    if not judged:
+        return message
+    last, needed = judged[-1], quantity(replay.parameters.clearance_min, "m")
+    return (
+        f"{message}; the last measurement found {quantity(last.vertical, 'm')} ± {quantity(last.vertical_stddev, 'm')} "
+        f"vertically and {quantity(last.angle, 'rad')} ± {quantity(last.angle_stddev, 'rad')}, which leaves "
+        f"{quantity(last.clearance, 'm')} of clearance, and {needed} are needed at three standard deviations"
+    )
+
+
+def _unsure(replay: Replay, message: str) -> str:
+    unsure = sum(not touch.sure for touch in replay.run.touches)
+    return f"{message}; {unsure} of {len(replay.run.touches)} measurements were unsure"
+
+
+_TELLERS: dict[Code, Callable[[Replay, str], str]] = {
+    Code.CRITICAL_ANGLE: _tilted,
+    Code.MISALIGNED: _off,
+    Code.ESTIMATE_UNSURE: _unsure,
+}
+
+
+def _mean(touches: list[Touch]) -> Estimate:
+    """Return the mean angle of several dockings, with the largest of their standard deviations."""
+    angle = sum(touch.angle for touch in touches) / len(touches)
+    return Estimate(
+        angle,
+        max(touch.angle_stddev for touch in touches),
+        0.0,
+        max(touch.vertical_stddev for touch in touches),
+        0.0,
+        max(touch.horizontal_stddev for touch in touches),
+    )
+
+
+def _way_back(replay: Replay) -> str:
+    if replay.last_phase == "idle":
+        home = any(each.kind == "retracted" for each in replay.run.decisions)
+        start = quantity(replay.phases[-1].start, "s", 1)
+        return f"The arm was {'home' if home else 'at rest'} again at {start}."
+    return f"The recording ends in {replay.last_phase.upper()}: {replay.recording.damage or 'that was not waited for'}."
+
+
+def _phase_before(replay: Replay, time: float) -> str:
+    """Return the phase in which an error came; the way back begins with it."""
+    earlier = [phase.state for phase in replay.phases if phase.start < time and phase.state != "retract"]
+    return earlier[-1] if earlier else "idle"
+
+
+def _name(code: int) -> str:
+    return Code(code).name if code in list(Code) else str(code)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120.0:
+        return quantity(seconds, "s", 1)
+    minutes = seconds / 60.0
+    return f"{minutes:.0f} min" if minutes < 120.0 else f"{minutes / 60.0:.1f} h"

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A charger's messages as what the live view shows: what is taken how often, and which plain values it becomes."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from sensor_msgs.msg import Image
+
+from deltacharger_docking.contact_current import ContactCurrent
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_records.recording.docking_topics import DECISION, STATE
+from deltacharger_records.recording.docking_topics import TOPICS as RECORDED
+from deltacharger_records.recording.mcap_recording import Topic
+from deltacharger_records.view.log import ViewLog
+from deltacharger_records.view.pictures import pad_picture
+from deltacharger_ros import qos
+from deltacharger_ros.client import CODES, PHASES
+
+SERVOS, PADS, POWER, FELT, SEEN = (
+    "servo_state", "tactile_frame", "charger_power", "misalignment", "electrode_detection",
+)  # fmt: skip
+FEEDBACK = "dock/_action/feedback"
+DETECTION_IMAGE, COLOR_IMAGE = "electrode_detection/image", "color/image_raw"
+
+RATES = {SERVOS: 30.0, PADS: 30.0, FELT: 30.0, FEEDBACK: 30.0, DETECTION_IMAGE: 5.0, COLOR_IMAGE: 5.0}
+"""Hz at which a topic is shown at most; of the others every message is."""
+ALWAYS_THERE = (SERVOS, PADS, POWER, STATE)
+"""What a charger publishes as long as it runs; the others come while it docks."""
+_SHOWN = (SERVOS, PADS, POWER, FELT, SEEN, STATE, DECISION, FEEDBACK)
+TOPICS: tuple[Topic, ...] = (
+    *(topic for topic in RECORDED if topic.name in _SHOWN),
+    Topic(DETECTION_IMAGE, Image, qos.SENSOR),
+    Topic(COLOR_IMAGE, Image, qos.SENSOR),
+)
+"""What the view shows, as on the wire."""
+
+_BACKWARD = 1_000_000_000  # ns; a clock that went back further begins anew
+_ENERGY_STEP = 0.2  # s between two charger_power at most, as docking_node counts
+_UNITS = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "°"), "A": (1.0, "A"), "N": (1.0, "N"), "s": (1.0, "s"),
+          "V": (1.0, "V"), "J": (1.0, "J"), "ohm": (1.0, "Ω")}  # fmt: skip
+
+
+class ViewFeed:
+    """Takes messages and fills a `ViewLog`.
+
+    Args:
+        log: is filled.
+        geometry: of the arm.
+
+    Attributes:
+        counts: messages that came, by relative topic.
+        refused: what is wrong with the first message of a topic that could not be shown.
+    """
+
+    def __init__(self, log: ViewLog, geometry: DeltaGeometry) -> None:
+        self.counts: Counter[str] = Counter()
+        self.refused: dict[str, str] = {}
+        self._log = log
+        self._delta = ScalarDelta(geometry)
+        self._contact = ContactCurrent(self._delta, DockingParameters())
+        self._due: dict[str, int] = {}
+        self._phase = ""
+        self._energy = 0.0
+        self._power_at = math.nan
+        self._takers: dict[str, Callable[[Any, float], None]] = {
+            SERVOS: self._on_servos,
+            PADS: self._on_pads,
+            POWER: self._on_power,
+            FELT: self._on_misalignment,
+            SEEN: self._on_detection,
+            STATE: self._on_state,
+            DECISION: self._on_decision,
+            FEEDBACK: self._on_feedback,
+            DETECTION_IMAGE: lambda message, now: self._on_image("detection", message),
+            COLOR_IMAGE: lambda message, now: self._on_image("color", message),
+        }
+
+    def take(self, topic: str, received: int, decode: Callable[[], Any]) -> None:
+        """Take a message.
+
+        Args:
+            topic: relative name.
+            received: when, ns since 1970.
+            decode: returns the message; called only where it is shown.
+        """
+        self.counts[topic] += 1
+        if not self._is_due(topic, received):
+            return
+        self._log.at(received)
+        try:
+            self._takers[topic](decode(), 1e-9 * received)
+        except ValueError as error:  # somebody else's message; the others are shown all the same
+            if topic not in self.refused:
+                self.refused[topic] = str(error)
+                self._log.line(f"{topic} cannot be shown: {error}", level="WARN")
+
+    def _is_due(self, topic: str, received: int) -> bool:
+        rate = RATES.get(topic)
+        if rate is None:
+            return True
+        due = self._due.get(topic, 0)
+        if due - _BACKWARD < received < due:
+            return False
+        period = round(1e9 / rate)
+        self._due[topic] = due + period if received < due + period else received + period
+        return True
+
+    def _on_servos(self, message: Any, now: float) -> None:
+        if len(message.position) != 3 or len(message.current) != 3:
+            return
+        position = self._delta.forward(*message.position)
+        if not math.isfinite(sum(position)):
+            return
+        self._log.arm(message.position, position)
+        angles, currents = tuple(message.position), tuple(message.current)
+        self._contact.update(now, angles, currents)
+        self._log.contact(self._contact.value, currents)
+
+    def _on_pads(self, message: Any, now: float) -> None:
+        rows, columns = message.rows, message.columns
+        if not len(message.left) == len(message.right) == rows * columns:
+            return
+        sums = tuple(sum(force for force in pad if force == force) for pad in (message.left, message.right))
+        left, right = (pad_picture(pad, rows, columns) for pad in (message.left, message.right))
+        self._log.pads(left, right, (sums[0], sums[1]))
+
+    def _on_power(self, message: Any, now: float) -> None:
+        power = message.charge_current * message.target_voltage
+        passed = now - self._power_at
+        if message.contactor_closed and math.isfinite(power) and passed > 0.0:
+            self._energy += power * min(passed, _ENERGY_STEP)
+        self._power_at = now
+        self._log.power(message.charge_current, message.target_voltage, message.battery_voltage, self._energy)
+        self._log.state("contactor", "closed" if message.contactor_closed else "open")
+
+    def _on_misalignment(self, message: Any, now: float) -> None:
+        names = ("horizontal", "vertical", "angle")
+        felt = {name: (getattr(message, name), getattr(message, f"{name}_stddev")) for name in names}
+        self._log.misalignment(felt if message.contact else dict.fromkeys(names, (math.nan, math.nan)))
+
+    def _on_detection(self, message: Any, now: float) -> None:
+        place = message.pose.pose.position
+        self._log.target("seen", (place.x, place.y, place.z), message.roll)
+
+    def _on_state(self, message: Any, now: float) -> None:
+        phase = PHASES.get(message.state, f"state {message.state}")
+        if self._phase in ("", "idle") and phase != "idle" and not message.docked:
+            self._energy = 0.0
+        self._phase = phase
+        failure = ""
+        if message.error_code:
+            failure = f"{message.error_code} {CODES.get(message.error_code, '')}: {message.error_message}"
+        if self._log.state("docking", phase) or failure:
+            self._log.line(failure or phase.replace("_", " "), level="ERROR" if failure else "INFO")
+        self._log.state("docked", "docked" if message.docked else "no")
+        self._log.status(status_page(message, phase, failure))
+
+    def _on_decision(self, message: Any, now: float) -> None:
+        values = dict(zip(message.names, message.values, strict=False))
+        self._log.line(f"{message.kind}: {message.text}{told(values)}", message.kind)
+        if message.kind == "zero":  # from here on docking_node counts from the same zero
+            self._contact.tare()
+        place = [values.get(f"{axis}_m", math.nan) for axis in "xyz"]
+        if message.kind in ("accepted", "located") and math.isfinite(sum(place)):
+            name = "given" if message.kind == "accepted" else "seen"
+            self._log.target(name, place, values.get("roll_rad", 0.0))
+
+    def _on_feedback(self, message: Any, now: float) -> None:
+        self._log.reported(message.feedback.contact_current)
+        if not self.counts[FELT]:  # misalignment_node publishes only where it is told to; docking_node asks it
+            self._on_misalignment(message.feedback.misalignment, now)
+
+    def _on_image(self, name: str, message: Any) -> None:
+        from deltacharger_vision.cameras.ros_images import color_array
+
+        fields = (message.encoding, message.height, message.width, message.step, message.data)
+        pixels = color_array(*fields, bool(message.is_bigendian))
+        self._log.picture(name, (pixels >> 8).astype("uint8") if pixels.dtype == "uint16" else pixels)
+
+
+def told(values: dict[str, float]) -> str:
+    """Return the numbers of a decision for people: lengths in mm, angles in degrees; '' without any."""
+    words = []
+    for name, value in values.items():
+        stem, _, unit = name.rpartition("_")
+        factor, shown = _UNITS.get(unit, (1.0, "")) if stem else (1.0, "")
+        label = stem if shown else name
+        words.append(f"{label.replace('_', ' ')} {factor * value:.4g}{'' if shown in ('', '°') else ' '}{shown}")
+    return f" ({', '.join(words)})" if words else ""
+
+
+def status_page(message: Any, phase: str, failure: str) -> str:
+    """Return docking_state as a page of Markdown."""
+    lines = [f"# {phase.replace('_', ' ')}", ""]
+    lines.append(
+        f"{'**docked**' if message.docked else 'not docked'}, {'**charging**' if message.charging else 'not charging'}"
+    )
+    if message.request_id:
+        lines += ["", f"request `{message.request_id}`"]
+    if failure:
+        lines += ["", f"last failure: {failure}"]
+    return "\n".join(lines)

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""passive_joints_node: the joints of the URDF that no servo turns, for RViz and other readers of tf.
+
+A display tool, started by launch/view.launch.py; nothing of the charger needs it.
+
+Subscribes: servo_state.
+Publishes: joint_states with the platform's three sliding joints and the left rods' turning ones, by forward kinematics,
+with the stamp of the servo_state and at most `rate` times a second; nothing while a servo is not valid.
+Parameters: rate, geometry_file or the arm's single dimensions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from deltacharger.msg import ServoState
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from deltacharger_kinematics.kinematics_node import declare_geometry
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_records.view.mechanism import passive_joints
+from deltacharger_ros import node_support, qos
+
+
+class PassiveJointsNode(Node):
+    """Passive joints of the arm; see the module's docstring for its interface."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("passive_joints_node", **kwargs)
+        rate = node_support.declare(self, "rate", 30.0, "of joint_states at most (Hz)", 0.1, 200.0)
+        self._delta = ScalarDelta(declare_geometry(self))
+        node_support.reject_unknown(self)
+        self._period = 1.0 / rate
+        self._last = -math.inf
+        self._joints = self.create_publisher(JointState, "joint_states", qos.DEFAULT_DEPTH)
+        self.create_subscription(ServoState, "servo_state", self._on_servo_state, qos.LATEST)
+
+    def _on_servo_state(self, message: ServoState) -> None:
+        if len(message.position) != 3 or len(message.valid) != 3 or not all(message.valid):
+            return
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        if 0.0 <= stamp - self._last < self._period:  # a clock set back must not silence it
+            return
+        values = passive_joints(self._delta, message.position)
+        if not values:
+            return
+        self._last = stamp
+        joints = JointState(name=list(values), position=list(values.values()))
+        joints.header.stamp = message.header.stamp
+        self._joints.publish(joints)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM; the executable."""
+    return node_support.run(PassiveJointsNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,355 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A client of the charger's actions: what a fleet manager does, without its fleet.
+
+The client owns a small node with an executor of its own, so that it works beside any program::
+
+    with ChargerClient() as charger:
+        charger.wait_until_ready(5.0)
+        outcome = charger.dock(DockRequest(Pose(0.0, 0.0, 0.080)), on_progress=print)
+        print(outcome.success, outcome.error_message)
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+import rclpy
+from builtin_interfaces.msg import Duration
+from deltacharger.action import Dock, Undock
+from rclpy.action.client import ActionClient
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
+
+_CODE_NAMES = """
+    NONE REJECTED CANCELED TIMEOUT ELECTRODES_NOT_FOUND DETECTION_STALE UNREACHABLE NO_CONTACT OVERCURRENT SERVO_FAULT
+    STUCK NO_TACTILE_CONTACT TACTILE_STALE CRITICAL_ANGLE ESTIMATE_UNSURE MISALIGNED NO_CHARGE_CURRENT SHORT_CIRCUIT
+    POWER_STALE REVERSE_POLARITY VOLTAGE_OUT_OF_RANGE REVERSE_CURRENT CONTACTOR_WELDED INTERNAL
+"""
+_STATE_NAMES = "IDLE LOCATE APPROACH BACK_OFF CONTACT MEASURE ALIGN ENERGISE CHARGING RETRACT"
+
+CODES: dict[int, str] = {getattr(Dock.Result, name): name for name in _CODE_NAMES.split()}
+"""Names of the result codes."""
+
+PHASES: dict[int, str] = {getattr(Dock.Feedback, f"STATE_{name}"): name.lower() for name in _STATE_NAMES.split()}
+"""Names of the states, lower case."""
+
+_INPUTS = ("servo_state", "tactile_frame", "charger_power")
+_LOST_AFTER = 5.0  # s without an action server in the graph before a running goal counts as lost
+_CANCEL_GRACE = 60.0  # s that a cancelled goal may take to make itself safe and retract
+_LAST_ANSWER = 0.5  # s for a goal's response once it is to be cancelled; one taken unseen would dock on its own
+_POLL = 0.1  # s between looks at deadline, cancel wish and server while a goal runs
+
+ProgressCallback = Callable[[Progress], None]
+
+
+class ClientError(RuntimeError):
+    """The charger did not answer: it is not there, went away, or missed the deadline."""
+
+
+class ChargerClient:
+    """Send Dock and Undock goals and wait for their results.
+
+    Args:
+        namespace: of the charger; empty for a charger without one.
+        context: a running rclpy context; None starts one of the client's own.
+        name: of the client's node; the default is unique in practice.
+    """
+
+    def __init__(self, namespace: str = "", context: Context | None = None, name: str | None = None) -> None:
+        self._owned: Context | None = None
+        if context is None:
+            context = self._owned = Context()
+            rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node(
+            name or f"charger_client_{uuid.uuid4().hex[:8]}",
+            context=context,
+            namespace=namespace,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+        )
+        self._dock: ActionClient[Any, Any, Any] = ActionClient(self.node, Dock, "dock")
+        self._undock: ActionClient[Any, Any, Any] = ActionClient(self.node, Undock, "undock")
+        self._spinner: Spinner | None = Spinner(self.node, 2)
+
+    def close(self) -> None:
+        """Leave the graph; a goal that still runs goes on without this client. Calling it twice does no harm."""
+        if self._spinner is not None:
+            self._spinner.close(self._dock, self._undock)
+            self._spinner = None
+        if self._owned is not None:
+            rclpy.try_shutdown(context=self._owned)
+            self._owned = None
+
+    def __enter__(self) -> ChargerClient:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def answers(self) -> bool:
+        """Whether both actions answer now."""
+        return bool(self._dock.server_is_ready() and self._undock.server_is_ready())
+
+    def is_ready(self) -> bool:
+        """Whether both actions answer now and somebody publishes what they work on."""
+        return self.answers() and all(self.node.count_publishers(topic) for topic in _INPUTS)
+
+    def finds_electrodes(self) -> bool:
+        """Whether a node serves detect_electrodes now."""
+        return self.node.count_services("detect_electrodes") > 0
+
+    def wait_until_ready(self, timeout: float, stop: threading.Event | None = None) -> bool:
+        """Wait until `is_ready`.
+
+        Args:
+            timeout: s; discovery alone takes up to 3 s.
+            stop: ends the wait early when set.
+
+        Returns:
+            Whether it is ready.
+        """
+        return _wait(self.is_ready, timeout, stop)
+
+    def wait_until_it_answers(self, timeout: float, stop: threading.Event | None = None) -> bool:
+        """Wait until `answers`; arguments and result as in `wait_until_ready`."""
+        return _wait(self.answers, timeout, stop)
+
+    def dock(
+        self,
+        request: DockRequest,
+        on_progress: ProgressCallback | None = None,
+        cancel: threading.Event | None = None,
+        deadline: float = math.inf,
+        give_up: threading.Event | None = None,
+    ) -> Outcome:
+        """Send a Dock goal and wait for its result.
+
+        Args:
+            request: the goal.
+            on_progress: called for each feedback message, from the client's own thread.
+            cancel: when set, the goal is cancelled and its result awaited.
+            deadline: s after which the goal is cancelled too; the outcome then says CANCELED or what came first.
+            give_up: when set, the result is no longer awaited.
+
+        Raises:
+            ClientError: the charger does not answer, vanishes while the goal runs, or was given up.
+        """
+        goal = Dock.Goal()
+        if request.electrodes is not None:
+            fill_pose(goal.electrodes, request.electrodes)
+        goal.critical_angle = float(request.critical_angle)
+        goal.start_charging = request.start_charging
+        goal.hold = request.hold
+        goal.stop_energy = float(request.stop_energy)
+        goal.stop_after = to_duration(request.stop_after)
+        goal.request_id = request.request_id
+        return self._execute("dock", self._dock, goal, on_progress, cancel, deadline, give_up)
+
+    def undock(
+        self,
+        request_id: str = "",
+        on_progress: ProgressCallback | None = None,
+        cancel: threading.Event | None = None,
+        deadline: float = math.inf,
+    ) -> Outcome:
+        """Send an Undock goal and wait for its result; arguments and errors as in `dock`."""
+        return self._execute("undock", self._undock, Undock.Goal(request_id=request_id), on_progress, cancel, deadline)
+
+    def _execute(
+        self,
+        action: str,
+        client: ActionClient[Any, Any, Any],
+        goal: Any,
+        on_progress: ProgressCallback | None,
+        cancel: threading.Event | None,
+        deadline: float,
+        give_up: threading.Event | None = None,
+    ) -> Outcome:
+        if not client.server_is_ready() and not self.wait_until_it_answers(_LOST_AFTER, cancel):
+            raise ClientError(f"no charger answers the action '{action}': start one with `deltacharger up`")
+        started = time.monotonic()
+
+        def on_feedback(message: Any) -> None:
+            if on_progress is not None:
+                on_progress(_progress(message.feedback, time.monotonic() - started))
+
+        running = _Goal(client, goal, on_feedback)
+        stop = cancel or threading.Event()
+        lost_since = canceled_at = math.inf
+        while not running.finished.wait(_POLL):
+            now = time.monotonic()
+            if give_up is not None and give_up.is_set():
+                raise ClientError(f"gave up waiting for the end of '{action}'")
+            if stop.is_set() or now - started > deadline:
+                canceled_at = min(canceled_at, now)
+                running.cancel()
+            if not running.answered and (now - canceled_at > _LAST_ANSWER or now - started > _LOST_AFTER):
+                raise ClientError(f"the charger did not answer the goal '{action}' in {now - started:.1f} s")
+            if now - canceled_at > _CANCEL_GRACE:
+                raise ClientError(f"the charger did not end '{action}' within {_CANCEL_GRACE:.0f} s of the cancel")
+            if client.server_is_ready():
+                lost_since = math.inf
+                continue
+            lost_since = min(lost_since, now)
+            if now - lost_since > _LOST_AFTER:
+                raise ClientError(
+                    f"the charger went away while it served '{action}': look at the log of docking_node; "
+                    "the board opens the contactor by itself"
+                )
+        if running.error is not None:
+            raise ClientError(f"the charger did not take the goal '{action}': {running.error}")
+        if running.result is None:
+            raise ClientError(f"the charger rejected the goal '{action}' without a reason")
+        return to_outcome(action, running.result)
+
+
+def _wait(condition: Callable[[], bool], timeout: float, stop: threading.Event | None) -> bool:
+    deadline = time.monotonic() + timeout
+    pause = stop or threading.Event()
+    while not condition():
+        if time.monotonic() >= deadline or pause.is_set():
+            return False
+        pause.wait(0.05)
+    return True
+
+
+class _Goal:
+    """One goal on its way; every step runs in callbacks, `finished` is set at the end of any of them."""
+
+    def __init__(self, client: ActionClient[Any, Any, Any], goal: Any, on_feedback: Callable[[Any], None]) -> None:
+        self.finished = threading.Event()
+        self.result: Any = None
+        self.error: BaseException | None = None
+        self._handle: Any = None
+        self._cancel_wanted = self._cancel_sent = False
+        client.send_goal_async(goal, feedback_callback=on_feedback).add_done_callback(self._on_response)
+
+    @property
+    def answered(self) -> bool:
+        """Whether the server has taken the goal, or the exchange is over."""
+        return self._handle is not None or self.finished.is_set()
+
+    def cancel(self) -> None:
+        """Ask for cancellation, once, as soon as the goal is known to the server."""
+        self._cancel_wanted = True
+        if self._handle is not None and not self._cancel_sent:
+            self._cancel_sent = True
+            self._handle.cancel_goal_async()
+
+    def _on_response(self, future: Any) -> None:
+        handle = self._value(future)
+        if handle is None:
+            return
+        if not handle.accepted:
+            self.finished.set()
+            return
+        handle.get_result_async().add_done_callback(self._on_result)
+        self._handle = handle
+        if self._cancel_wanted:
+            self.cancel()
+
+    def _on_result(self, future: Any) -> None:
+        reply = self._value(future)
+        if reply is not None:
+            self.result = reply.result
+            self.finished.set()
+
+    def _value(self, future: Any) -> Any:
+        self.error = future.exception()
+        if self.error is not None:
+            self.finished.set()
+            return None
+        return future.result()
+
+
+def fill_pose(message: Any, pose: Pose) -> None:
+    """Write `pose` into a geometry_msgs/PoseStamped; its stamp stays 0, which no age check applies to."""
+    message.header.frame_id = pose.frame_id
+    message.pose.position.x = float(pose.x)
+    message.pose.position.y = float(pose.y)
+    message.pose.position.z = float(pose.z)
+    message.pose.orientation.z = math.sin(0.5 * pose.roll)
+    message.pose.orientation.w = math.cos(0.5 * pose.roll)
+
+
+def to_duration(seconds: float) -> Duration:
+    """Return `seconds` (0 or more) as a message."""
+    whole = math.floor(seconds)
+    return Duration(sec=int(whole), nanosec=min(round((seconds - whole) * 1e9), 999_999_999))
+
+
+def from_duration(message: Any) -> float:
+    """Return a Duration message in seconds."""
+    return float(message.sec) + 1e-9 * float(message.nanosec)
+
+
+def _progress(feedback: Any, elapsed: float) -> Progress:
+    misalignment = getattr(feedback, "misalignment", None)
+    return Progress(
+        time=elapsed,
+        phase=PHASES.get(feedback.state, f"state {feedback.state}"),
+        z=feedback.z,
+        contact_current=getattr(feedback, "contact_current", math.nan),
+        charge_current=getattr(feedback, "charge_current", math.nan),
+        alignments=getattr(feedback, "alignments", 0),
+        horizontal=math.nan if misalignment is None else misalignment.horizontal,
+        vertical=math.nan if misalignment is None else misalignment.vertical,
+        angle=math.nan if misalignment is None else misalignment.angle,
+    )
+
+
+def to_outcome(action: str, result: Any) -> Outcome:
+    """Return a result of the action "dock" or "undock" as plain data."""
+    return Outcome(
+        action=action,
+        success=result.success,
+        error_code=result.error_code,
+        error_name=CODES.get(result.error_code, "UNKNOWN"),
+        error_message=result.error_message,
+        retriable=result.retriable,
+        elapsed=from_duration(result.elapsed),
+        details=_dock_details(result) if action == "dock" else {},
+    )
+
+
+def _dock_details(result: Any) -> dict[str, Any]:
+    felt = result.misalignment
+    suggested = result.suggested_base_pose
+    position = suggested.pose.position
+    return {
+        "aligned": result.aligned,
+        "alignments": result.alignments,
+        "misalignment": {
+            "horizontal": felt.horizontal,
+            "horizontal_stddev": felt.horizontal_stddev,
+            "vertical": felt.vertical,
+            "vertical_stddev": felt.vertical_stddev,
+            "angle": felt.angle,
+            "angle_stddev": felt.angle_stddev,
+            "sure": felt.sure,
+            "in_range": felt.in_range,
+        },
+        "contact_current": result.contact_current,
+        "contact_force": result.contact_force,
+        "charge_current": result.charge_current,
+        "energy": result.energy,
+        "suggested_base_pose": {
+            "frame_id": suggested.header.frame_id,
+            "position": [position.x, position.y, position.z],
+        }
+        if suggested.header.frame_id
+        else None,
+    }

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""mock_detector_node: electrode_detector_node without a camera, for tests of everything above it.
+
+Publishes: electrode_detection when asked. Serves: detect_electrodes.
+Parameters: where the electrodes seem to be (x, y, z, roll in charger_base), its uncertainty, and `fault`, which may be
+set while it runs:
+
+nothing        it finds no electrodes
+stale          the image is 10 s old
+beyond_reach   the electrodes seem to be 0.5 m away
+unsure_roll    the roll's standard deviation is 10 degrees
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from deltacharger.msg import ElectrodeDetection
+from deltacharger.srv import DetectElectrodes
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
+from rclpy.node import Node
+
+from deltacharger_ros import node_support, qos
+from deltacharger_scenes.mocks.parameters import FaultSwitch
+
+FAULTS = ("none", "nothing", "stale", "beyond_reach", "unsure_roll")
+_STALE_AGE = 10.0  # s
+_FAR = 0.5  # m
+_ROLL_INDEX = 35  # of the 6 × 6 covariance, row-major: rotation about z
+_UNSURE_ROLL = math.radians(10.0)
+
+
+class MockDetectorNode(Node):
+    """See the module's docstring."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("electrode_detector_node", **kwargs)
+        self._x = node_support.declare(self, "x", 0.0, "electrodes along x of charger_base (m)", -1.0, 1.0)
+        self._y = node_support.declare(self, "y", 0.0, "electrodes along y of charger_base (m)", -1.0, 1.0)
+        self._z = node_support.declare(self, "z", 0.080, "electrodes along z of charger_base (m)", -1.0, 1.0)
+        self._roll = node_support.declare(
+            self, "roll", 0.0, "of the electrodes about z (rad)", -math.pi / 2, math.pi / 2
+        )
+        self._position_stddev = node_support.declare(
+            self, "position_stddev", 0.001, "standard deviation of each coordinate (m)", 0.0, 0.1
+        )
+        self._roll_stddev = node_support.declare(
+            self, "roll_stddev", 0.004, "standard deviation of the roll (rad)", 0.0, 1.0
+        )
+        self._fault = FaultSwitch(self, FAULTS)
+        node_support.reject_unknown(self)
+        self._detections = self.create_publisher(ElectrodeDetection, "electrode_detection", qos.DEFAULT_DEPTH)
+        self.create_service(
+            DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=ReentrantCallbackGroup()
+        )
+
+    def close(self) -> None:
+        """Nothing to make safe: this node drives nothing."""
+
+    def _on_detect(
+        self, request: DetectElectrodes.Request, response: DetectElectrodes.Response
+    ) -> DetectElectrodes.Response:
+        fault = self._fault.active()
+        if fault == "nothing":
+            response.message = "no electrodes in the image; turn the robot toward the target or clean the lens"
+            return response
+        detection = self._detection(fault)
+        self._detections.publish(detection)
+        response.success = True
+        response.message = "found"
+        response.detection = detection
+        return response
+
+    def _detection(self, fault: str) -> ElectrodeDetection:
+        detection = ElectrodeDetection()
+        stamp = self.get_clock().now()
+        if fault == "stale":
+            stamp -= Duration(seconds=_STALE_AGE)
+        detection.header.stamp = stamp.to_msg()
+        detection.header.frame_id = "charger_base"
+        pose = detection.pose.pose
+        pose.position.x, pose.position.y = self._x, self._y
+        pose.position.z = _FAR if fault == "beyond_reach" else self._z
+        pose.orientation.z, pose.orientation.w = math.sin(0.5 * self._roll), math.cos(0.5 * self._roll)
+        covariance = [0.0] * 36
+        for index in (0, 7, 14):
+            covariance[index] = self._position_stddev**2
+        covariance[_ROLL_INDEX] = (_UNSURE_ROLL if fault == "unsure_roll" else self._roll_stddev) ** 2
+        detection.pose.covariance = covariance
+        detection.roll = self._roll
+        detection.confidence = 0.95
+        detection.range = math.dist((pose.position.x, pose.position.y, pose.position.z), (0.0, 0.12, -0.12))
+        return detection
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM; the executable."""
+    return node_support.run(MockDetectorNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

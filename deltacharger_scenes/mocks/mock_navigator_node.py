@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""mock_navigator_node: Nav2's navigate_to_pose without Nav2, for tests and the desk.
+
+Serves: navigate_to_pose. It moves nothing but the pose at which it believes the base to be, straight and then turning.
+Parameters: where the base stands at first, its speeds, how far beside a goal it stops, and `fault`, which may be set
+while it runs:
+
+refuse         it takes no goal, as an inactive navigator
+abort          it gives up half-way
+lost           it gives up at once: it does not know where it is
+never_answers  it takes a goal, does nothing, and answers nothing, not even a cancel
+slow           it drives at a tenth of its speed
+mute           it drives, but never says where it is
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+
+from deltacharger_docking.ros.messages import duration
+from deltacharger_mission.places import Place
+from deltacharger_mission.ros.messages import fill_pose
+from deltacharger_mission.ros.messages import place as read_place
+from deltacharger_mission.ros.mission_node import load_navigation
+from deltacharger_ros import node_support
+from deltacharger_scenes.mocks.parameters import FaultSwitch
+
+FAULTS = ("none", "refuse", "abort", "lost", "never_answers", "slow", "mute")
+_TICK = 0.02  # s
+_SLOW = 0.1  # of its speed
+_TF_ERROR = 9002  # Nav2's codes since Kilted
+_UNKNOWN = 9000
+
+
+class MockNavigatorNode(Node):
+    """See the module's docstring.
+
+    Attributes:
+        arrived: where it drove to, in order; for tests.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("mock_navigator_node", **kwargs)
+        x, y, yaw = (
+            node_support.declare(self, name, 0.0, f"where the base stands at first, {name} ({unit})", -1e5, 1e5)
+            for name, unit in (("x", "m"), ("y", "m"), ("yaw", "rad"))
+        )
+        self._frame = node_support.declare(self, "frame", "map", "of its poses; goals in another one are aborted")
+        self._speed = node_support.declare(self, "speed", 0.5, "of the base (m/s)", 0.01, 1000.0)
+        self._turn_speed = node_support.declare(self, "turn_speed", 1.0, "of the base (rad/s)", 0.01, 1000.0)
+        self._miss = tuple(
+            node_support.declare(
+                self, f"miss_{name}", 0.0, f"how far beside a goal it stops, {name} ({unit})", -1.0, 1.0
+            )
+            for name, unit in (("x", "m"), ("y", "m"), ("yaw", "rad"))
+        )
+        self._fault = FaultSwitch(self, FAULTS)
+        node_support.reject_unknown(self)
+        self._action = load_navigation("nav2")
+        self._place = Place(x, y, yaw, self._frame)
+        self.arrived: list[Place] = []
+        self._stopping = threading.Event()
+        self._server: ActionServer[Any, Any, Any] = ActionServer(
+            self,
+            self._action,
+            "navigate_to_pose",
+            execute_callback=self._execute,
+            goal_callback=self._on_goal,
+            cancel_callback=lambda handle: CancelResponse.ACCEPT,
+            callback_group=ReentrantCallbackGroup(),
+        )
+
+    @property
+    def place(self) -> Place:
+        """Where it believes the base to be; for tests."""
+        return self._place
+
+    def close(self) -> None:
+        """End what it does; it drives nothing."""
+        self._stopping.set()
+
+    def destroy_node(self) -> None:
+        """Release the ROS side."""
+        self._server.destroy()
+        super().destroy_node()
+
+    def _on_goal(self, request: Any) -> GoalResponse:
+        return GoalResponse.REJECT if self._fault.active() == "refuse" else GoalResponse.ACCEPT
+
+    def _execute(self, handle: Any) -> Any:
+        result = self._action.Result()
+        goal = read_place(handle.request.pose)
+        if goal is None or goal.frame != self._frame or self._fault.active() == "lost":
+            result.error_code, result.error_msg = _TF_ERROR, "the pose of the base is not known in that frame"
+            handle.abort()
+            return result
+        end = goal.at(*self._miss)
+        halfway = 0.5 * self._place.distance(end)
+        started = last = time.monotonic()
+        while not self._stopping.wait(_TICK):
+            fault, now = self._fault.active(), time.monotonic()
+            if fault == "never_answers":
+                last = now
+                continue
+            if handle.is_cancel_requested:
+                handle.canceled()
+                return result
+            if fault == "abort" and self._place.distance(end) <= halfway:
+                result.error_code, result.error_msg = _UNKNOWN, "the way is blocked"
+                handle.abort()
+                return result
+            self._advance(end, (now - last) * (_SLOW if fault == "slow" else 1.0))
+            last = now
+            if fault != "mute":
+                self._feed_back(handle, end, now - started)
+            if self._place == end:
+                self.arrived.append(end)
+                handle.succeed()
+                return result
+        handle.abort()
+        return result
+
+    def _advance(self, end: Place, seconds: float) -> None:
+        """Move the believed pose: straight to the goal, then to its heading."""
+        here, reach = self._place, self._speed * seconds
+        left = here.distance(end)
+        if left > reach:
+            share = reach / left
+            x, y = here.x + share * (end.x - here.x), here.y + share * (end.y - here.y)
+            self._place = Place(x, y, here.yaw, self._frame)
+            return
+        turn = math.remainder(end.yaw - here.yaw, 2.0 * math.pi)
+        step = self._turn_speed * seconds
+        yaw = end.yaw if abs(turn) <= step else here.yaw + math.copysign(step, turn)
+        self._place = Place(end.x, end.y, yaw, self._frame)
+
+    def _feed_back(self, handle: Any, end: Place, seconds: float) -> None:
+        message = self._action.Feedback(navigation_time=duration(seconds), distance_remaining=self._place.distance(end))
+        fill_pose(message.current_pose, self._place)
+        message.current_pose.header.stamp = self.get_clock().now().to_msg()
+        handle.publish_feedback(message)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM; the executable."""
+    return node_support.run(MockNavigatorNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""mock_servo_node: servo_node without servos, for tests of everything above it.
+
+Subscribes: joint_trajectory. Publishes: servo_state, joint_states, /diagnostics. Serves: set_torque, reboot_servos.
+Same names, units and refusals as servo_node; behind them stands a `MockArm` that presses on a plane.
+Parameters: rate, where the target is, and `fault`, which makes it misbehave and may be set while it runs:
+
+silence         servo_state stops
+nan_current     the currents are not measured
+missing         servo 2 does not answer: valid false, its numbers NaN
+hardware_error  servo 2 reports overload and loses its torque until reboot_servos
+jam             nothing moves, whatever the currents
+"""
+
+from __future__ import annotations
+
+import array
+import math
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from deltacharger.msg import ServoState
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.time import Time
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from deltacharger_kinematics import DeltaGeometry
+from deltacharger_kinematics.statics import TORQUE_CONSTANT
+from deltacharger_ros import node_support, qos
+from deltacharger_scenes.mocks.arm import MockArm
+from deltacharger_scenes.mocks.parameters import FaultSwitch, declare_target
+
+JOINTS = tuple(f"limb_{limb}_arm_joint" for limb in range(3))
+FAULTS = ("none", "silence", "nan_current", "missing", "hardware_error", "jam")
+_BROKEN = 1  # index of the servo that the faults concern
+_OLDEST_STAMP = 0.5  # s
+
+
+class MockServoNode(Node):
+    """See the module's docstring."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("servo_node", **kwargs)
+        self._rate = node_support.declare(self, "rate", 100.0, "cycles per second (Hz)", 1.0, 500.0)
+        stiffness = node_support.declare(self, "stiffness", 15.0, "of a servo's position loop (N·m/rad)", 1.0, 50.0)
+        damping = node_support.declare(self, "damping", 0.91, "of a servo's position loop (N·m·s/rad)", 0.2, 5.0)
+        self._default_bound = node_support.declare(self, "current_bound", 0.83, "bound without effort (A)", 0.0, 4.1)
+        geometry = DeltaGeometry()
+        self._joint_min, self._joint_max = geometry.joint_min, geometry.joint_max
+        target = declare_target(self)
+        self._fault = FaultSwitch(self, FAULTS)
+        node_support.reject_unknown(self)
+        self._lock = threading.Lock()
+        self._arm = MockArm(target, stiffness, damping)
+        self._plan: list[tuple[float, list[float], list[float]]] = []  # (monotonic s, angles, bounds in A) to come
+        self._plan_start: tuple[float, list[float]] = (0.0, list(self._arm.goals))
+        self._error = [0, 0, 0]
+        self._state = self.create_publisher(ServoState, "servo_state", qos.LATEST)
+        self._joints = self.create_publisher(JointState, "joint_states", qos.DEFAULT_DEPTH)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.DEFAULT_DEPTH)
+        group = ReentrantCallbackGroup()
+        self.create_subscription(
+            JointTrajectory, "joint_trajectory", self._on_trajectory, qos.LATEST, callback_group=group
+        )
+        self.create_service(SetBool, "set_torque", self._on_torque, callback_group=group)
+        self.create_service(Trigger, "reboot_servos", self._on_reboot, callback_group=group)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="mock servos", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Switch torque off and join the thread."""
+        self._stop.set()
+        self._thread.join(2.0)
+        with self._lock:
+            self._arm.torque_enabled = [False] * 3
+
+    @property
+    def position(self) -> tuple[float, float, float]:
+        """Where the mock's platform is, m in charger_base; for tests, which may look behind the interface."""
+        with self._lock:
+            return self._arm.position
+
+    @property
+    def torque_enabled(self) -> bool:
+        """Whether any servo has torque; for tests."""
+        with self._lock:
+            return any(self._arm.torque_enabled)
+
+    def reboot(self) -> None:
+        """Clear hardware errors and switch torque off, as reboot_servos does."""
+        with self._lock:
+            self._plan = []
+            self._error = [0, 0, 0]
+            self._arm.torque_enabled = [False] * 3
+
+    def _run(self) -> None:
+        period = 1.0 / self._rate
+        due = last = time.monotonic()
+        while not self._stop.wait(max(due - time.monotonic(), 0.0)):
+            now = time.monotonic()
+            with self._lock:
+                self._apply_fault()
+                self._follow_plan(now)
+                self._arm.advance(min(now - last, 0.1))
+                message = self._message()
+            last = now
+            due = max(due + period, now - period)
+            if self._fault.active() != "silence" and self.context.ok():
+                self._publish(message)
+
+    def _apply_fault(self) -> None:
+        fault = self._fault.active()
+        self._arm.jammed = fault == "jam"
+        if fault == "hardware_error" and self._fault.first_time():
+            self._error[_BROKEN] = ServoState.ERROR_OVERLOAD
+            self._arm.torque_enabled[_BROKEN] = False
+
+    def _follow_plan(self, now: float) -> None:
+        """Interpolate the goal between the points of the plan and set each point's bound from its start on."""
+        while self._plan:
+            end, angles, bounds = self._plan[0]
+            start, origin = self._plan_start
+            self._arm.bounds = list(bounds)
+            if now < end:
+                share = (now - start) / (end - start) if end > start else 1.0  # a plan that begins with its goal
+                self._arm.goals = [a + share * (b - a) for a, b in zip(origin, angles, strict=True)]
+                return
+            self._arm.goals = list(angles)
+            self._plan_start = (end, list(angles))
+            self._plan.pop(0)
+
+    def _message(self) -> ServoState:
+        message = ServoState()
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.frame_id = "charger_base"
+        message.name = list(JOINTS)
+        current = self._arm.currents
+        valid = [True] * 3
+        position, velocity = list(self._arm.angles), self._arm.velocities
+        fault = self._fault.active()
+        if fault == "nan_current":
+            current = [math.nan] * 3
+        elif fault == "missing":
+            valid[_BROKEN] = False
+            for values in (position, velocity, current):
+                values[_BROKEN] = math.nan
+        message.position = array.array("d", position)
+        message.velocity = array.array("d", velocity)
+        message.current = array.array("d", current)
+        message.voltage = array.array("f", [12.0] * 3)
+        message.temperature = array.array("f", [35.0] * 3)
+        message.hardware_error = array.array("B", self._error)
+        message.torque_enabled = list(self._arm.torque_enabled)
+        message.valid = valid
+        message.thermal_reserve = array.array("f", [math.inf] * 3)
+        return message
+
+    def _publish(self, message: ServoState) -> None:
+        self._state.publish(message)
+        joints = JointState(name=list(JOINTS), position=message.position, velocity=message.velocity)
+        joints.header.stamp = message.header.stamp
+        self._joints.publish(joints)
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        problem = self._problem(message)
+        if problem:
+            self._report(problem)
+            return
+        order = [list(message.joint_names).index(joint) for joint in JOINTS] if message.points else []
+        now = time.monotonic()
+        with self._lock:
+            self._plan_start = (now, list(self._arm.goals))
+            self._plan = [
+                (
+                    now + point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec,
+                    [point.positions[index] for index in order],
+                    [point.effort[index] / TORQUE_CONSTANT for index in order]
+                    if len(point.effort)
+                    else [self._default_bound] * 3,
+                )
+                for point in message.points
+            ]
+
+    def _problem(self, message: JointTrajectory) -> str:
+        """Return why the trajectory is refused; empty where it is not. The rules are those of servo_node."""
+        stamp = Time.from_msg(message.header.stamp, clock_type=self.get_clock().clock_type)
+        age = (self.get_clock().now() - stamp).nanoseconds * 1e-9
+        if stamp.nanoseconds and age > _OLDEST_STAMP:
+            return f"the stamp is {age:.2f} s old"
+        if not message.points:
+            return ""
+        if sorted(message.joint_names) != sorted(JOINTS):
+            return f"joints {list(message.joint_names)} are not exactly {list(JOINTS)}"
+        previous = 0.0
+        for point in message.points:
+            if len(point.positions) != 3 or len(point.effort) not in (0, 3):
+                return "a point needs three positions, and three efforts or none"
+            numbers = [*point.positions, *point.effort]
+            if not all(math.isfinite(number) for number in numbers) or any(e < 0.0 for e in point.effort):
+                return "a position or effort is not a usable number"
+            if not all(self._joint_min <= angle <= self._joint_max for angle in point.positions):
+                return "an angle is outside the joint limits"
+            end = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+            if end < previous:
+                return "the points are not in the order of their times"
+            previous = end
+        return ""
+
+    def _report(self, problem: str) -> None:
+        self.get_logger().warning(f"trajectory refused: {problem}")
+        status = DiagnosticStatus(level=DiagnosticStatus.WARN, name="servo_node: joint_trajectory", message=problem)
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+
+    def _on_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        with self._lock:
+            if request.data and any(self._error):
+                response.success = False
+                response.message = "servo 2 reports overload; clear the cause, then call reboot_servos"
+                return response
+            if request.data and not all(self._arm.torque_enabled):
+                self._plan = []
+                self._arm.goals = list(self._arm.angles)
+                self._arm.bounds = [self._default_bound] * 3
+            self._arm.torque_enabled = [request.data] * 3
+        response.success = True
+        response.message = "torque on, goal at the present position" if request.data else "torque off"
+        return response
+
+    def _on_reboot(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.reboot()
+        response.success = True
+        response.message = "three servos rebooted; torque is off"
+        return response
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM; the executable."""
+    return node_support.run(MockServoNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

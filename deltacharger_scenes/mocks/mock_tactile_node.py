@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: Apache-2.0
+"""mock_tactile_node: tactile_node without a board, for tests of everything above it.
+
+Subscribes: servo_state (where the end effector is and how hard it presses). Publishes: tactile_frame, charger_power.
+Serves: tare, set_contactor, probe, with the lease rules of the real node (it uses the same code).
+The frames come from the contact model of deltacharger_tactile, so that misalignment_node works on them.
+Parameters: rate, rig_seed, seed, where the target is (the same as mock_servo_node's), and `fault`, which may be set
+while it runs:
+
+silence             tactile_frame stops
+zero_frames         all taxels read 0, as without contact
+unsure              the ridges seem to stand upright, which training never saw
+power_silence       charger_power stops
+tare_refusal        the tare is refused
+short, open_circuit, reverse_polarity    what the probe finds
+contactor_refusal   a close is refused
+no_charge_current   the contactor closes and nothing flows
+contactor_welded    the contactor does not open
+"""
+
+from __future__ import annotations
+
+import array
+import math
+import threading
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from deltacharger.msg import ChargerPower, ServoState, TactileFrame
+from deltacharger.srv import Probe, SetContactor
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from deltacharger_driver.board.contactor_lease import LeaseRefused
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
+from deltacharger_ros import node_support, qos
+from deltacharger_scenes.mocks.parameters import FaultSwitch, declare_target
+from deltacharger_scenes.mocks.power import BATTERY, TARGET, MockPower
+from deltacharger_tactile.parameters import CONTACT_THRESHOLD, PADS, TactileParameters
+from deltacharger_tactile.source import ContactSource
+
+POWER_FAULTS = (
+    "short",
+    "open_circuit",
+    "reverse_polarity",
+    "contactor_refusal",
+    "no_charge_current",
+    "contactor_welded",
+)
+FAULTS = ("none", "silence", "zero_frames", "unsure", "power_silence", "tare_refusal", *POWER_FAULTS)
+_TARE_FRAMES = 20
+_POWER_RATE = 20.0  # Hz
+_PROBE_TIME = 0.05  # s
+
+
+class MockTactileNode(Node):
+    """See the module's docstring."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("tactile_node", **kwargs)
+        self._rate = node_support.declare(self, "rate", 120.0, "tactile frames per second (Hz)", 1.0, 200.0)
+        rig_seed = node_support.declare(self, "rig_seed", 0, "which device's gains and offsets", 0, 2**31 - 1)
+        seed = node_support.declare(self, "seed", 0, "course of noise and jitter", 0, 2**31 - 1)
+        self._target = declare_target(self)
+        self._fault = FaultSwitch(self, FAULTS)
+        node_support.reject_unknown(self)
+        self._lock = threading.Lock()
+        self._model = TactileParameters()
+        self._source = ContactSource(self._model, rig_seed, seed)
+        self._power = MockPower()
+        self._delta = ScalarDelta()
+        self._position = (math.nan,) * 3
+        self._push = 0.0
+        self._jitter: tuple[float, float, float] | None = None
+        self._tare: np.ndarray[Any, np.dtype[np.float64]] | None = None
+        self._newest: np.ndarray[Any, np.dtype[np.float64]] = np.zeros((PADS, 10, 10))
+        self._recent: list[np.ndarray[Any, np.dtype[np.float64]]] = []
+        self._sequence = 0
+        self._began = time.monotonic()
+        self._frames = self.create_publisher(TactileFrame, "tactile_frame", qos.SENSOR)
+        self._powers = self.create_publisher(ChargerPower, "charger_power", qos.LATEST)
+        group = ReentrantCallbackGroup()
+        self.create_subscription(ServoState, "servo_state", self._on_servo_state, qos.LATEST, callback_group=group)
+        self.create_service(Trigger, "tare", self._on_tare, callback_group=group)
+        self.create_service(Probe, "probe", self._on_probe, callback_group=group)
+        self.create_service(SetContactor, "set_contactor", self._on_contactor, callback_group=group)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="mock board", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Open the contactor and join the thread."""
+        self._stop.set()
+        self._thread.join(2.0)
+        with self._lock:
+            self._power.open()
+
+    @property
+    def contactor_closed(self) -> bool:
+        """Whether the contactor is closed; for tests, which may look behind the interface."""
+        with self._lock:
+            return self._power.closed
+
+    def _run(self) -> None:
+        period = 1.0 / self._rate
+        due = next_power = time.monotonic()
+        while not self._stop.wait(max(due - time.monotonic(), 0.0)):
+            now = time.monotonic()
+            with self._lock:
+                fault = self._fault.active()
+                self._power.misbehaviour = fault if fault in POWER_FAULTS else ""
+                before = self._power.fault
+                self._power.advance(now, self._touching())
+                frame = self._sample(now, fault)
+                new_fault = self._power.fault != before  # told before an opening can clear it
+                power = self._power_message(now) if new_fault or now >= next_power else None
+            if power is not None:
+                next_power = max(next_power + 1.0 / _POWER_RATE, now)
+            if self.context.ok():
+                if frame is not None and fault != "silence":
+                    self._frames.publish(frame)
+                if power is not None and fault != "power_silence":
+                    self._powers.publish(power)
+            due = max(due + period, now - period)
+
+    def _touching(self) -> bool:
+        return self._position[2] > self._target.z
+
+    def _sample(self, now: float, fault: str) -> TactileFrame:
+        """Read the pads as the board would: raw, less the tare, clipped at 0."""
+        pose = None
+        force = 0.0
+        if self._touching():
+            if self._jitter is None:
+                self._jitter = self._source.begin_docking()
+            x, y = self._target.x - self._position[0], self._target.y - self._position[1]
+            pose = (x + self._jitter[0], y + self._jitter[1], self._target.angle + self._jitter[2])
+            force = self._magnet_force(math.hypot(pose[0], pose[1])) + max(self._push, 0.0)
+        else:
+            self._jitter = None
+        raw = np.stack(self._source.sample(now, pose, force))
+        self._recent = [*self._recent[1 - _TARE_FRAMES :], raw]
+        taxels = raw if self._tare is None else np.maximum(raw - self._tare, 0.0)
+        if fault == "zero_frames":
+            taxels = np.zeros_like(taxels)
+        elif fault == "unsure":
+            taxels = np.swapaxes(taxels, 1, 2)
+        self._newest = taxels
+        return self._frame_message(now, taxels)
+
+    def _magnet_force(self, offset: float) -> float:
+        """Return the magnets' pull (N) in contact at a lateral `offset` (m): the law of the generator's parameters."""
+        docking = self._model.docking
+        share = max(docking.magnet_floor, 1.0 / (1.0 + (offset / docking.magnet_width) ** 2))
+        return docking.magnet_force * self._source.rig.magnets * share
+
+    def _frame_message(self, now: float, taxels: np.ndarray[Any, np.dtype[np.float64]]) -> TactileFrame:
+        self._sequence += 1
+        message = TactileFrame()
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.frame_id = "end_effector"
+        message.sequence = self._sequence
+        message.device_time_us = int((now - self._began) * 1e6)
+        message.rows, message.columns = taxels.shape[1:]
+        message.pitch = self._model.contact.pad_side / message.columns
+        message.left = array.array("f", taxels[0].ravel())
+        message.right = array.array("f", taxels[1].ravel())
+        message.tared = self._tare is not None
+        return message
+
+    def _power_message(self, now: float) -> ChargerPower:
+        power = self._power
+        message = ChargerPower()
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.contactor_closed = power.closed
+        message.battery_voltage = BATTERY
+        message.target_voltage = TARGET if self._touching() else math.nan
+        message.charge_current = power.current
+        message.probe_resistance = power.lease.resistance
+        message.probe_age = power.lease.probe_age(now)
+        message.fault = power.fault
+        return message
+
+    def _on_servo_state(self, message: ServoState) -> None:
+        position = self._delta.forward(*message.position)
+        if not math.isfinite(position[0]):
+            return
+        torque = [TORQUE_CONSTANT * current for current in message.current]
+        held = self._delta.holding_torque(*position, GRAVITY)
+        spare = [have - hold for have, hold in zip(torque, held, strict=True)]
+        push = self._delta.force(*position, (spare[0], spare[1], spare[2]))[2]
+        with self._lock:
+            self._position = position
+            self._push = push if math.isfinite(push) else self._push
+
+    def _on_tare(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        with self._lock:
+            pressed = self._tare is not None and bool(np.nanmax(self._newest) >= CONTACT_THRESHOLD)
+            if self._fault.active() == "tare_refusal" or pressed or self._touching():
+                response.success = False
+                response.message = "the pads are in contact; lift the end effector before taring"
+                return response
+            if not self._recent:
+                response.success = False
+                response.message = "no frame yet; try again"
+                return response
+            self._tare = np.stack(self._recent).mean(axis=0)
+        response.success = True
+        response.message = "tared"
+        return response
+
+    def _on_probe(self, request: Probe.Request, response: Probe.Response) -> Probe.Response:
+        self._stop.wait(_PROBE_TIME)
+        with self._lock:
+            try:
+                resistance, voltage = self._power.probe(time.monotonic(), self._touching())
+            except LeaseRefused as refusal:
+                response.message = str(refusal)
+                return response
+        response.success = True
+        response.message = "measured"
+        response.resistance = resistance
+        response.target_voltage = voltage
+        return response
+
+    def _on_contactor(self, request: SetContactor.Request, response: SetContactor.Response) -> SetContactor.Response:
+        with self._lock:
+            if not request.close:
+                self._power.open()
+                response.success = True
+                response.message = "open"
+                return response
+            problem = self._contact_problem()
+            if problem:
+                response.message = problem
+                return response
+            try:
+                lease = request.lease.sec + 1e-9 * request.lease.nanosec
+                self._power.close(request.holder, lease, time.monotonic())
+            except LeaseRefused as refusal:
+                response.message = str(refusal)
+                return response
+        response.success = True
+        response.message = "closed"
+        return response
+
+    def _contact_problem(self) -> str:
+        """Return why a close is refused by touch, as tactile_node does; empty where it is not."""
+        if self._fault.active() == "silence":
+            return "tactile frames are stale; the contactor stays open"
+        if not np.nanmax(self._newest) >= CONTACT_THRESHOLD:
+            return "no tactile contact; the contactor stays open"
+        return ""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM; the executable."""
+    return node_support.run(MockTactileNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The power stage of the mock nodes: contactor, lease, probe and charge current. Pure; the clock is passed in."""
+
+from __future__ import annotations
+
+import math
+
+from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
+
+BATTERY = 26.0  # V, inside the paper's 22.7…29.8 V
+TARGET = 23.5  # V, open circuit
+CHARGE_CURRENT = 5.0  # A once ramped up
+_RISE = 0.1  # s, time constant of the ramp
+_GRACE = 0.5  # s after a close before a missing current is a fault
+_RESISTANCE = 470.0  # ohm that the probe sees through a healthy contact
+
+NO_CHARGE_CURRENT, SHORT, WELDED = 1, 2, 7  # ChargerPower.fault
+
+
+class MockPower:
+    """What the board's power stage shows to tactile_node's clients.
+
+    Attributes:
+        lease: the lease on the contactor, the driver's own logic.
+        closed: whether the contactor is closed.
+        current: A into the target.
+        fault: code of ChargerPower, latched until the next opening command.
+        misbehaviour: "" or one of short, open_circuit, reverse_polarity, no_charge_current, contactor_refusal,
+            contactor_welded.
+    """
+
+    def __init__(self) -> None:
+        self.lease = ContactorLease()
+        self.closed = False
+        self.current = 0.0
+        self.fault = 0
+        self.misbehaviour = ""
+        self._closed_at = 0.0
+        self._last: float | None = None
+
+    def advance(self, now: float, contact: bool) -> None:
+        """Let time pass until `now` (s) with or without contact between the electrodes."""
+        step = 0.0 if self._last is None else max(now - self._last, 0.0)
+        self._last = now
+        if self.lease.has_lapsed(now):
+            self._open()
+        flows = self.closed and contact and self.misbehaviour != "no_charge_current"
+        aim = CHARGE_CURRENT if flows else 0.0
+        self.current = aim + (self.current - aim) * math.exp(-step / _RISE) if flows else 0.0
+        if self.closed and not flows and now - self._closed_at > _GRACE and self.misbehaviour != "contactor_welded":
+            self.fault = self.fault or NO_CHARGE_CURRENT
+            self._open()
+
+    def probe(self, now: float, contact: bool) -> tuple[float, float]:
+        """Measure (ohm, V); the result allows a close for 2 s.
+
+        Raises:
+            LeaseRefused: the contactor is closed.
+        """
+        if self.closed:
+            raise LeaseRefused("", "the contactor is closed; open it before probing")
+        resistance, voltage = (_RESISTANCE, TARGET) if contact else (math.inf, math.nan)
+        if contact:
+            resistance = {"short": 0.05, "open_circuit": math.inf}.get(self.misbehaviour, resistance)
+            voltage = -TARGET if self.misbehaviour == "reverse_polarity" else voltage
+        self.lease.probed(resistance, voltage, now)
+        return resistance, voltage
+
+    def close(self, holder: str, duration: float, now: float) -> None:
+        """Close or renew.
+
+        Raises:
+            LeaseRefused: by the lease, by a latched fault, or because the mock was told to.
+        """
+        if self.misbehaviour == "contactor_refusal":
+            raise LeaseRefused(holder, "the board's interlock keeps the contactor open")
+        if self.fault:
+            raise LeaseRefused(holder, f"fault {self.fault} is latched; open the contactor to clear it")
+        self.lease.take(holder, duration, now)
+        if not self.closed:
+            self.closed, self._closed_at = True, now
+
+    def open(self) -> None:
+        """Open by command, which also clears a latched fault."""
+        self.fault = 0
+        self._open()
+
+    def _open(self) -> None:
+        self.lease.opened()
+        if self.misbehaviour == "contactor_welded" and self.closed:
+            self.fault = WELDED
+            return
+        self.closed = False
+        self.current = 0.0

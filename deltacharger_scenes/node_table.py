@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes that a scene can start, by executable name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class NodeSpec:
+    """Where a node lives.
+
+    Attributes:
+        module: Python module.
+        class_name: node class in it.
+        port: which port of the scene is its parameter `port` ("servo", "board" or "" for none).
+        stands_in_for: the node whose topics and services it provides, where it is a mock or a simulation.
+        plays: the nodes whose topics it publishes from a recording, and which cannot run beside it.
+        sees_target: whether it simulates what sees the target, so that a simulated world's target is its own, and
+            never stands beside real hardware.
+        told_scene: whether the scene's name is its parameter `scene`.
+        may_restart: whether it may be started again by itself beside the others: it moves nothing, carries no current,
+            and holds nothing that its end loses.
+        lacks: what a scene without it, and without one in its place, does without.
+    """
+
+    module: str
+    class_name: str
+    port: str = ""
+    stands_in_for: str = ""
+    plays: tuple[str, ...] = ()
+    sees_target: bool = False
+    told_scene: bool = False
+    may_restart: bool = False
+    lacks: str = ""
+
+    def replaces(self, name: str) -> bool:
+        """Return whether it serves the names of the node `name`."""
+        return name == self.stands_in_for or name in self.plays
+
+
+NODES: dict[str, NodeSpec] = {
+    "servo_node": NodeSpec("deltacharger_driver.servos.servo_node", "ServoNode", port="servo", lacks="no arm moves"),
+    "mock_servo_node": NodeSpec(
+        "deltacharger_scenes.mocks.mock_servo_node", "MockServoNode", stands_in_for="servo_node"
+    ),
+    "tactile_node": NodeSpec(
+        "deltacharger_driver.board.tactile_node",
+        "TactileNode",
+        port="board",
+        lacks="nothing is felt, nothing is charged",
+    ),
+    "mock_tactile_node": NodeSpec(
+        "deltacharger_scenes.mocks.mock_tactile_node", "MockTactileNode", stands_in_for="tactile_node"
+    ),
+    "kinematics_node": NodeSpec(
+        "deltacharger_kinematics.kinematics_node",
+        "KinematicsNode",
+        may_restart=True,
+        lacks="no end_effector_pose, no contact_wrench, no kinematics services",
+    ),
+    "misalignment_node": NodeSpec(
+        "deltacharger_tactile.misalignment_node",
+        "MisalignmentNode",
+        may_restart=True,
+        lacks="no misalignment is estimated",
+    ),
+    "camera_node": NodeSpec(
+        "deltacharger_vision.cameras.camera_node",
+        "CameraNode",
+        may_restart=True,
+        lacks="no images but those of a camera's own driver",
+    ),
+    "simulated_camera_node": NodeSpec(
+        "deltacharger_sim.charger.simulated_camera_node",
+        "SimulatedCameraNode",
+        stands_in_for="camera_node",
+        sees_target=True,
+        may_restart=True,
+    ),
+    "electrode_detector_node": NodeSpec(
+        "deltacharger_vision.detector.electrode_detector_node",
+        "ElectrodeDetectorNode",
+        may_restart=True,
+        lacks="docking needs coordinates",
+    ),
+    "mock_detector_node": NodeSpec(
+        "deltacharger_scenes.mocks.mock_detector_node",
+        "MockDetectorNode",
+        stands_in_for="electrode_detector_node",
+        may_restart=True,
+    ),
+    "docking_recorder_node": NodeSpec(
+        "deltacharger_records.recording.docking_recorder_node",
+        "DockingRecorderNode",
+        told_scene=True,
+        may_restart=True,
+        lacks="dockings leave no record, unless --record asks for them",
+    ),
+    "recording_player_node": NodeSpec(
+        "deltacharger_records.recording.recording_player_node",
+        "RecordingPlayerNode",
+        plays=("servo_node", "tactile_node", "kinematics_node", "electrode_detector_node", "docking_node"),
+    ),
+    "mock_navigator_node": NodeSpec("deltacharger_scenes.mocks.mock_navigator_node", "MockNavigatorNode"),
+    "docking_node": NodeSpec(
+        "deltacharger_docking.ros.docking_node", "DockingNode", lacks="no actions dock and undock"
+    ),
+    "mission_node": NodeSpec("deltacharger_mission.ros.mission_node", "MissionNode", lacks="no action charge_robot"),
+}
+"""In the order of starting; closing goes the other way, so who commands closes first: mission_node, docking_node."""

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the command line and the launch file change of a scene: ports, camera, model, recording, recorder.
+
+Every argument is text; empty leaves the scene as it is. What does not fit the scene, or names nothing that exists, is
+refused before anything starts.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.scene import Scene, SceneError
+from deltacharger_scenes.with_recorder import with_recorder, without
+
+CAMERAS = ("oak", "topics", "none")
+_SEEING = ("camera_node", "electrode_detector_node")
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """Arguments in place of what a scene says; the name of each is that of the launch argument."""
+
+    servo_port: str = field(default="", metadata={"doc": "serial port of the servos, in place of the scene's"})
+    board_port: str = field(default="", metadata={"doc": "serial port of the board, in place of the scene's"})
+    camera: str = field(
+        default="",
+        metadata={"doc": "what finds electrodes: oak = an OAK-D, topics = a camera that others drive, none = nothing"},
+    )
+    model: str = field(default="", metadata={"doc": "pose model (npz) of misalignment_node"})
+    recording: str = field(default="", metadata={"doc": "file that the scene replays"})
+    record: str = field(
+        default="", metadata={"doc": "keep a record of each docking in this folder; true = the usual one, false = none"}
+    )
+
+
+def override(scene: Scene, told: Overrides) -> Scene:
+    """Return the scene with what was told in place of its own.
+
+    Raises:
+        SceneError: an argument does not fit the scene, or names nothing that exists; `key` is its name.
+    """
+    scene = _with_camera(scene, told.camera)
+    for port in ("servo", "board"):
+        scene = _with_port(scene, port, getattr(told, f"{port}_port"))
+    scene = _with_file(scene, "model", told.model, "misalignment_node", "model")
+    scene = _with_file(scene, "recording", told.recording, "recording_player_node", "file")
+    return _with_record(scene, told.record)
+
+
+def _with_port(scene: Scene, port: str, path: str) -> Scene:
+    if not path:
+        return scene
+    key = f"{port}_port"
+    if scene.simulation is not None:
+        raise SceneError(
+            scene.file, key, "a simulated scene brings its own ports; leave it out, or choose a scene on hardware"
+        )
+    nodes = [name for name in scene.nodes if NODES[name].port == port]
+    if not nodes:
+        raise SceneError(scene.file, key, f"no node of this scene opens it; it starts {', '.join(scene.nodes)}")
+    if not Path(path).exists():
+        raise SceneError(
+            scene.file, key, f"'{path}': there is no such port; `deltacharger doctor` lists those there are"
+        )
+    parameters = dict(scene.parameters)
+    for name in nodes:  # a node's own parameter would win over the scene's ports
+        parameters[name] = {key: value for key, value in parameters.get(name, {}).items() if key != "port"}
+    ports = dataclasses.replace(scene.ports, **{port: path})
+    return dataclasses.replace(scene, ports=ports, parameters=parameters)
+
+
+def _with_camera(scene: Scene, camera: str) -> Scene:
+    if not camera:
+        return scene
+    if camera not in CAMERAS:
+        raise SceneError(scene.file, "camera", f"is '{camera}'; give {', '.join(CAMERAS)}, or leave it out")
+    wanted = {"oak": _SEEING, "topics": _SEEING[1:], "none": ()}[camera]
+    for name in scene.nodes:
+        if set(NODES[name].plays) & set(wanted):
+            raise SceneError(scene.file, "camera", f"'{name}' plays what a camera found then; leave it out")
+    gone = {name for name in scene.nodes if {name, NODES[name].stands_in_for} & set(_SEEING)} - set(wanted)
+    scene = without(scene, gone)
+    nodes = (*scene.nodes, *(name for name in wanted if name not in scene.nodes))
+    return dataclasses.replace(scene, nodes=nodes)
+
+
+def _with_file(scene: Scene, key: str, file: str, node: str, parameter: str) -> Scene:
+    if not file:
+        return scene
+    if node not in scene.nodes:
+        raise SceneError(scene.file, key, f"this scene starts no {node}; leave it out, or choose a scene with one")
+    path = Path(file).expanduser().absolute()
+    if not path.is_file():
+        raise SceneError(scene.file, key, f"'{file}': there is no such file")
+    own = {**scene.parameters.get(node, {}), parameter: str(path)}
+    return dataclasses.replace(scene, parameters={**scene.parameters, node: own})
+
+
+def _with_record(scene: Scene, record: str) -> Scene:
+    if record and Path(record).expanduser().is_file():
+        raise SceneError(scene.file, "record", f"'{record}' is a file; give a folder, true or false")
+    return with_recorder(scene, record)

@@ -1,0 +1,280 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be made to go wrong with emulated hardware: every kind by name, with whom it concerns and how much of it.
+
+Each is done by the emulators' own hooks, so the driver meets it where it would on the robot: on the wire.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from deltacharger_driver.emulators.board import BoardEmulator
+    from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+    from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+    from deltacharger_driver.emulators.servo_firmware import ServoFirmware
+
+ONE, SOME = "one", "some"
+"""Whom a fault of the servos concerns: one of them (the second where none is named), or all where none is named."""
+SERVOS = 3
+_WIRE = ("drop", "corrupt", "truncate", "duplicate", "garbage")
+_SPEEDS = {9600: 0, 57600: 1, 115200: 2, 1_000_000: 3, 2_000_000: 4, 3_000_000: 5, 4_000_000: 6}
+_HARDWARE_ERRORS = {"voltage": 0, "overheating": 2, "encoder": 3, "shock": 4, "overload": 5}  # bits of the MX-64
+
+
+@dataclass(frozen=True)
+class Hardware:
+    """What faults can befall: both emulators and the terminals that serve them."""
+
+    servos: ServoBusEmulator
+    board: BoardEmulator
+    servo_terminal: PseudoTerminal
+    board_terminal: PseudoTerminal
+
+
+@dataclass(frozen=True)
+class Order:
+    """One fault to cause: servo (1 to 3, 0 = all), amount in the kind's unit, and when (s, monotonic)."""
+
+    servo: int
+    amount: float
+    now: float
+
+    @property
+    def place(self) -> int:
+        """Of the servo on the bus."""
+        return self.servo - 1
+
+
+Undo = Callable[[], Any]
+Apply = Callable[[Hardware, Order], "Undo | None"]
+
+
+@dataclass(frozen=True)
+class Amount:
+    """What `amount` means for a kind.
+
+    Attributes:
+        name: with unit and what is allowed, e.g. "a share of 0 to 1".
+        low, high: what is allowed.
+        default: where none is given.
+        choice: only these are allowed; empty = all from `low` to `high`.
+        whole: only whole numbers are.
+    """
+
+    name: str
+    low: float
+    high: float
+    default: float
+    choice: tuple[float, ...] = ()
+    whole: bool = False
+
+    def problem(self, value: float) -> str:
+        """Return what is wrong with a value, '' for nothing."""
+        fits = self.low <= value <= self.high and (not self.whole or float(value).is_integer())
+        return "" if fits and (not self.choice or value in self.choice) else f"{value:.10g} is not {self.name}"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of fault.
+
+    Attributes:
+        text: what happens.
+        apply: causes it, and returns what ends it.
+        lasts: until it is ended; the others are over at once.
+        servo: ONE, SOME, or '' where it concerns no servo.
+        amount: None where there is nothing to measure.
+        several: different amounts of it stand side by side.
+    """
+
+    text: str
+    apply: Apply
+    lasts: bool = True
+    servo: str = ""
+    amount: Amount | None = None
+    several: bool = False
+
+
+def _servo_share(kind: str, hardware: Hardware, order: Order) -> Undo:
+    faults = hardware.servos.faults
+    rates = faults.rate_of.setdefault(order.servo, {}) if order.servo else faults.rate
+    rates[kind] = order.amount
+    return lambda: rates.pop(kind, None)
+
+
+def _board_share(kind: str, hardware: Hardware, order: Order) -> Undo:
+    hardware.board.faults.probability[kind] = order.amount
+    return functools.partial(hardware.board.faults.probability.__setitem__, kind, 0.0)
+
+
+def _servo_missing(hardware: Hardware, order: Order) -> Undo:
+    # What has no supply has no torque either, and comes back as after a restart.
+    hardware.servos.alter(order.place, lambda servo: servo.reboot(order.now))
+    hardware.servos.faults.missing.add(order.servo)
+    return lambda: hardware.servos.faults.missing.discard(order.servo)
+
+
+def _servo_deaf(hardware: Hardware, order: Order) -> Undo:
+    return _attribute(hardware.servos.faults, "deaf", True)
+
+
+def _servo_delay(hardware: Hardware, order: Order) -> Undo:
+    return _attribute(hardware.servos.faults, "delay", order.amount)
+
+
+def _board_silent(hardware: Hardware, order: Order) -> Undo:
+    return _attribute(hardware.board.faults, "silent", True)
+
+
+def _board_deaf(hardware: Hardware, order: Order) -> Undo:
+    return _attribute(hardware.board.faults, "deaf", True)
+
+
+def _board_delay(hardware: Hardware, order: Order) -> Undo:
+    return _attribute(hardware.board.faults, "delay", order.amount)
+
+
+def _attribute(target: Any, name: str, value: Any) -> Undo:
+    before = getattr(target, name)
+    setattr(target, name, value)
+    return lambda: setattr(target, name, before)
+
+
+def _servo_error(bit: int, hardware: Hardware, order: Order) -> None:
+    hardware.servos.alter(order.place, lambda servo: servo.raise_error(1 << bit))
+
+
+def _servo_reboot(hardware: Hardware, order: Order) -> None:
+    hardware.servos.alter(order.place, lambda servo: servo.reboot(order.now))
+
+
+def _servo_watchdog(hardware: Hardware, order: Order) -> None:
+    hardware.servos.alter(order.place, lambda servo: servo.trip_watchdog(order.now))
+
+
+def _servo_undervoltage(hardware: Hardware, order: Order) -> Undo:
+    def limit(volts: float, servo: ServoFirmware) -> None:
+        servo.supply_limit = volts
+
+    hardware.servos.alter(order.place, functools.partial(limit, order.amount))
+    return lambda: hardware.servos.alter(order.place, functools.partial(limit, math.inf))
+
+
+def _servo_register(name: str, value: int, hardware: Hardware, order: Order) -> Undo:
+    before = 0
+
+    def change(servo: ServoFirmware) -> None:
+        nonlocal before
+        before = servo.table.get(name)
+        servo.table.set(name, value)
+
+    hardware.servos.alter(order.place, change)
+    return lambda: hardware.servos.alter(order.place, lambda servo: servo.table.set(name, before))
+
+
+def _servo_wrong_baud(hardware: Hardware, order: Order) -> Undo:
+    return _servo_register("baud", _SPEEDS[round(order.amount)], hardware, order)
+
+
+def _servo_duplicate_id(hardware: Hardware, order: Order) -> Undo:
+    return _servo_register("id", round(order.amount), hardware, order)
+
+
+def _servo_unplugged(hardware: Hardware, order: Order) -> Undo:
+    hardware.servo_terminal.unplug()
+    return hardware.servo_terminal.replug
+
+
+def _board_unplugged(hardware: Hardware, order: Order) -> Undo:
+    hardware.board_terminal.unplug()
+    return hardware.board_terminal.replug
+
+
+def _board_reboot(hardware: Hardware, order: Order) -> None:
+    hardware.board.reboot(order.amount)
+
+
+def _board_trip(hardware: Hardware, order: Order) -> None:
+    hardware.board.trip(round(order.amount))
+
+
+def _board_dead_taxel(hardware: Hardware, order: Order) -> Undo:
+    pad, taxel = divmod(round(order.amount), 100)
+    place = (pad, *divmod(taxel, 10))
+    hardware.board.set_dead(*place)
+    return lambda: hardware.board.set_dead(*place, dead=False)
+
+
+_SHARE = Amount("a share of 0 to 1", 0.0, 1.0, 0.1)
+_DELAY = Amount("a delay of 0 to 2 s", 0.0, 2.0, 0.05)
+_VOLTS = Amount("a supply of 6 to 9.4 V", 6.0, 9.4, 9.0)
+_SPEED = Amount(
+    f"a speed in bit/s, {', '.join(map(str, _SPEEDS))}", min(_SPEEDS), max(_SPEEDS), 57600, choice=tuple(_SPEEDS)
+)
+_ID = Amount(f"an id of 1 to {SERVOS}", 1, SERVOS, 1, whole=True)
+_CODE = Amount("a fault code of ChargerPower, 1 to 9", 1, 9, 9, whole=True)
+_TAXEL = Amount("a taxel, 0 to 99 left and 100 to 199 right, row by row from the top", 0, 199, 44, whole=True)
+_BOOT = Amount("a boot of 0 to 10 s", 0.0, 10.0, 0.0)
+
+KINDS: dict[str, Kind] = {
+    "servo_missing": Kind("the servo loses its supply, and with it torque and set-up", _servo_missing, servo=ONE),
+    "servo_reboot": Kind("the servo restarts by itself", _servo_reboot, lasts=False, servo=ONE),
+    **{
+        f"servo_{name}": Kind(
+            f"the servo reports the hardware error '{name}', until it is rebooted",
+            functools.partial(_servo_error, bit),
+            lasts=False,
+            servo=ONE,
+        )
+        for name, bit in _HARDWARE_ERRORS.items()
+    },
+    "servo_undervoltage": Kind(
+        "the servo's supply sags to `amount` V; the error that it latches outlives it",
+        _servo_undervoltage,
+        servo=ONE,
+        amount=_VOLTS,
+    ),
+    "servo_watchdog": Kind("the servo stops as if it had heard nothing", _servo_watchdog, lasts=False, servo=ONE),
+    "servo_wrong_baud": Kind(
+        "the servo listens at `amount` bit/s and hears nothing at another speed",
+        _servo_wrong_baud,
+        servo=ONE,
+        amount=_SPEED,
+    ),
+    "servo_duplicate_id": Kind(
+        "the servo takes the id `amount`; their replies collide", _servo_duplicate_id, servo=ONE, amount=_ID
+    ),
+    "servo_deaf": Kind("nothing reaches the servos; after 0.12 s they stop by themselves", _servo_deaf),
+    "servo_delay": Kind("every reply of the servos comes `amount` s late", _servo_delay, amount=_DELAY),
+    "servo_unplugged": Kind("the servo port disappears", _servo_unplugged),
+    **{
+        f"servo_{name}": Kind(
+            f"a share `amount` of the servos' replies suffers: {name}",
+            functools.partial(_servo_share, name),
+            servo=SOME,
+            amount=_SHARE,
+        )
+        for name in _WIRE
+    },
+    "board_reboot": Kind("the board boots, in `amount` s", _board_reboot, lasts=False, amount=_BOOT),
+    "board_trip": Kind("the power stage opens with fault `amount`", _board_trip, lasts=False, amount=_CODE),
+    "board_dead_taxel": Kind("taxel `amount` dies", _board_dead_taxel, amount=_TAXEL, several=True),
+    "board_silent": Kind("nothing leaves the board", _board_silent),
+    "board_deaf": Kind("nothing reaches the board", _board_deaf),
+    "board_delay": Kind("everything that the board sends comes `amount` s late", _board_delay, amount=_DELAY),
+    "board_unplugged": Kind("the board's port disappears", _board_unplugged),
+    **{
+        f"board_{name}": Kind(
+            f"a share `amount` of the board's packets suffers: {name}",
+            functools.partial(_board_share, name),
+            amount=_SHARE,
+        )
+        for name in _WIRE
+    },
+}
+"""Every fault by name."""

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of emulated hardware in time: those that a scene orders beforehand and those ordered while it runs."""
+
+from __future__ import annotations
+
+import functools
+import heapq
+import itertools
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from deltacharger_sim.charger.fault_kinds import KINDS, ONE, SERVOS, Hardware, Kind, Order, Undo
+from deltacharger_sim.parameters import Bounded, ParameterError, number
+
+__all__ = ["KINDS", "Fault", "Faults", "Hardware"]
+
+
+@dataclass(frozen=True)
+class Fault(Bounded):
+    """One fault."""
+
+    kind: str = field(default="", metadata={"doc": "what happens: " + ", ".join(KINDS)})
+    at: float = number(0.0, 0.0, 1e6, "s", "after the simulated charger's start")
+    last: float = number(0.0, 0.0, 1e6, "s", "until it is over; 0 = for good")
+    servo: int = number(0, 0, SERVOS, "", "id; 0 = servo 2 where it concerns one, all where it may concern several")
+    amount: float | None = field(
+        default=None, metadata={"doc": "share 0 to 1, s, V, bit/s, id, taxel or fault code, as its kind says"}
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.kind not in KINDS:
+            raise ParameterError("kind", self.kind, f"{self.kind!r} is no fault; there are {', '.join(KINDS)}")
+        kind = KINDS[self.kind]
+        if self.last and not kind.lasts:
+            raise ParameterError("last", self.last, f"{self.kind} is over at once and cannot be given a duration")
+        if self.servo and not kind.servo:
+            raise ParameterError("servo", self.servo, f"{self.kind} concerns no single servo")
+        self._check_amount(kind)
+
+    def _check_amount(self, kind: Kind) -> None:
+        if self.amount is None:
+            problem = ""
+        elif kind.amount is None:
+            problem = f"{self.kind} takes no amount"
+        else:
+            problem = kind.amount.problem(self.amount)
+        if not problem and self.kind == "servo_duplicate_id" and self.whom == self.how_much:
+            problem = f"servo {self.whom} has that id already; give another amount or servo"
+        if problem:
+            raise ParameterError("amount", self.amount, problem)
+
+    @property
+    def whom(self) -> int:
+        """The servo that it concerns, 0 = none in particular."""
+        return self.servo or (2 if KINDS[self.kind].servo == ONE else 0)
+
+    @property
+    def how_much(self) -> float:
+        """Its amount, the kind's usual one where none was given, 0 where there is nothing to measure."""
+        amount = KINDS[self.kind].amount
+        if self.amount is not None:
+            return self.amount
+        return 0.0 if amount is None else amount.default
+
+    @property
+    def key(self) -> tuple[str, int, float]:
+        """What tells faults apart; a second one with the same key takes the first one's place."""
+        return self.kind, self.whom, self.how_much if KINDS[self.kind].several else 0.0
+
+
+@dataclass(frozen=True)
+class _Active:
+    fault: Fault
+    undo: Undo
+    until: float  # s on the clock; inf = until it is cleared
+
+
+class Faults:
+    """Causes and ends faults; thread-safe. A thread of its own exists only where something is to happen later.
+
+    Args:
+        scheduled: what a scene orders, at times after now.
+        hardware: whom it befalls.
+        clock: s, monotonic.
+    """
+
+    def __init__(self, scheduled: Sequence[Fault], hardware: Hardware, clock: Callable[[], float]) -> None:
+        self._hardware = hardware
+        self._clock = clock
+        self._condition = threading.Condition(threading.RLock())
+        self._active: dict[tuple[str, int, float], _Active] = {}
+        self._later: list[tuple[float, int, Callable[[], None]]] = []
+        self._numbers = itertools.count()
+        self._stopping = False
+        self._thread: threading.Thread | None = None
+        start = clock()
+        for fault in scheduled:
+            self._plan(start + fault.at, functools.partial(self.begin, fault))
+
+    def begin(self, fault: Fault) -> None:
+        """Cause a fault now, whatever its `at`; it ends after its `last`, or with `clear`."""
+        kind = KINDS[fault.kind]
+        with self._condition:
+            self._end(fault.key)
+            now = self._clock()
+            undo = kind.apply(self._hardware, Order(fault.whom, fault.how_much, now))
+            if undo is None:
+                return
+            until = now + fault.last if fault.last else float("inf")
+            active = self._active[fault.key] = _Active(fault, undo, until)
+            if fault.last:
+                self._plan(until, lambda: self._end(fault.key, active))
+
+    def clear(self) -> None:
+        """End every fault that lasts; what latched errors remain is for the driver to clear."""
+        with self._condition:
+            for key in reversed(list(self._active)):
+                self._end(key)
+
+    def active(self) -> list[dict[str, Any]]:
+        """Return the faults that last: kind, servo and amount (None = has none), remaining_s (None = for good)."""
+        with self._condition:
+            now = self._clock()
+            return [
+                {
+                    "kind": each.fault.kind,
+                    "servo": each.fault.whom or None,
+                    "amount": each.fault.how_much if KINDS[each.fault.kind].amount else None,
+                    "remaining_s": max(each.until - now, 0.0) if each.fault.last else None,
+                }
+                for each in self._active.values()
+            ]
+
+    def close(self) -> None:
+        """Cause no more faults. Safe to call twice."""
+        with self._condition:
+            self._stopping = True
+            self._condition.notify_all()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def _end(self, key: tuple[str, int, float], only: _Active | None = None) -> None:
+        with self._condition:
+            active = self._active.get(key)
+            if active is not None and only in (None, active):
+                del self._active[key]
+                active.undo()
+
+    def _plan(self, at: float, action: Callable[[], None]) -> None:
+        with self._condition:
+            heapq.heappush(self._later, (at, next(self._numbers), action))
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="faults", daemon=True)
+                self._thread.start()
+            self._condition.notify_all()
+
+    def _run(self) -> None:
+        with self._condition:
+            while not self._stopping:
+                wait = self._later[0][0] - self._clock() if self._later else None
+                if wait is None or wait > 0.0:
+                    self._condition.wait(wait)
+                else:
+                    heapq.heappop(self._later)[2]()

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scene's simulated hardware: one world behind emulated servos and an emulated board, each on a pseudo-terminal.
+
+What opens the two ports cannot tell them from the robot's. A socket beside them takes faults to order (fault_channel).
+Nothing here knows ROS.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import shutil
+import tempfile
+import threading
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from deltacharger_core.environment import domain
+from deltacharger_driver.emulators.board import BoardEmulator
+from deltacharger_driver.emulators.pseudo_terminal import ByteDevice, PseudoTerminal
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_scenes.scene import Scene
+from deltacharger_sim.charger.fault_channel import SOCKET, ControlServer, Registration, answer, registered
+from deltacharger_sim.charger.faults import Faults, Hardware
+from deltacharger_sim.shared_world import SharedWorld
+from deltacharger_sim.world import World
+from deltacharger_tactile.source import ContactSource
+
+_log = logging.getLogger(__name__)
+_SERVO, _BOARD = "servo", "board"  # names of the ports
+
+
+class SimulatedCharger:
+    """Serve the emulated servo bus and board of a scene until stopped.
+
+    Args:
+        scene: one with the key `simulation`.
+        directory: where the ports appear, as `servo` and `board`, and the socket `control` for faults; None makes a
+            temporary one and removes it again.
+        namespace: of the charger, under which `deltacharger fault` finds it.
+
+    Attributes:
+        servo_port: path of the servo bus.
+        board_port: path of the board.
+        faults: what goes wrong with the hardware; None where it is not running.
+
+    Raises:
+        ValueError: the scene is not a simulated one.
+    """
+
+    def __init__(self, scene: Scene, directory: Path | None = None, namespace: str = "") -> None:
+        if scene.simulation is None:
+            raise ValueError(f"scene '{scene.name}' has no key 'simulation': there is nothing to simulate")
+        self._simulation = scene.simulation
+        self._directory = directory
+        self._namespace = namespace
+        self._temporary: Path | None = None
+        self._terminals: list[PseudoTerminal] = []
+        self._taps: dict[str, _Tap] = {}
+        self._control: ControlServer | None = None
+        self._registration: Registration | None = None
+        self.faults: Faults | None = None
+        self.servo_port = ""
+        self.board_port = ""
+        self.world = _build_world(scene)
+
+    def start(self) -> SimulatedCharger:
+        """Open both ports."""
+        folder = self._directory
+        if folder is None:
+            folder = self._temporary = Path(tempfile.mkdtemp(prefix="deltacharger-"))
+        plant = SharedWorld(self.world)
+        servos = ServoBusEmulator(plant, seed=self._simulation.seed)
+        board = BoardEmulator(plant, seed=self._simulation.seed)
+        try:
+            self.servo_port = self._serve(servos, folder / _SERVO)
+            self.board_port = self._serve(board, folder / _BOARD)
+            servos.line_speed = self._terminals[0].speed
+            hardware = Hardware(servos, board, *self._terminals)
+            self.faults = Faults(self._simulation.faults, hardware, time.monotonic)
+            self._listen(self.faults, folder / SOCKET)
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def stop(self) -> None:
+        """Close both ports, as if the cables were pulled. Safe to call twice."""
+        if self._registration is not None:
+            self._registration.remove()
+            self._registration = None
+        if self._control is not None:
+            self._control.close()
+            self._control = None
+        if self.faults is not None:
+            self.faults.close()
+            self.faults = None
+        for terminal in reversed(self._terminals):
+            terminal.stop()
+        self._terminals = []
+        if self._temporary is not None:
+            shutil.rmtree(self._temporary, ignore_errors=True)
+            self._temporary = None
+
+    def __enter__(self) -> SimulatedCharger:
+        return self.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    @property
+    def board_heard(self) -> float:
+        """When the board's host last sent something, s, monotonic; -inf = never."""
+        tap = self._taps.get(_BOARD)
+        return -math.inf if tap is None else tap.last
+
+    def errors(self) -> list[BaseException]:
+        """Return what broke an emulator's thread; empty when both serve."""
+        return [terminal.error for terminal in self._terminals if terminal.error is not None]
+
+    def record(self) -> dict[str, Any]:
+        """Return what really happened in the world; for reports and tests, never for the docking itself."""
+        return self.world.record.as_dict()
+
+    def wait_until_quiet(self, quiet: float, timeout: float, hurry: threading.Event) -> bool:
+        """Wait until no host has sent a byte for `quiet` (s), at most `timeout` (s) or until `hurry` is set."""
+        deadline = time.monotonic() + timeout
+        while True:
+            silence = time.monotonic() - max((tap.last for tap in self._taps.values()), default=-math.inf)
+            if silence >= quiet:
+                return True
+            left = min(quiet - silence, deadline - time.monotonic())
+            if left <= 0.0 or hurry.wait(left):
+                return False
+
+    def _listen(self, faults: Faults, path: Path) -> None:
+        self._control = ControlServer(path, lambda request: answer(faults, request))
+        name = registered(domain(), self._namespace)
+        try:
+            self._registration = Registration(name, path)
+        except OSError as error:  # a charger that is not found by its domain is still a charger
+            level = logging.INFO if self._directory is None else logging.WARNING
+            _log.log(level, "'deltacharger fault' finds this charger by --directory %s only: %s", path.parent, error)
+
+    def _serve(self, device: ByteDevice, link: Path) -> str:
+        tap = _Tap(device)
+        terminal = PseudoTerminal(tap, link).start()
+        self._taps[link.name] = tap
+        self._terminals.append(terminal)
+        return terminal.path
+
+
+class _Tap:
+    """A device that remembers when its host last sent something."""
+
+    def __init__(self, device: ByteDevice) -> None:
+        self._device = device
+        self.last = -math.inf
+
+    def receive(self, data: bytes, now: float) -> bytes:
+        self.last = now
+        return self._device.receive(data, now)
+
+    def poll(self, now: float) -> bytes:
+        return self._device.poll(now)
+
+    def next_event(self, now: float) -> float:
+        return self._device.next_event(now)
+
+
+def _build_world(scene: Scene) -> World:
+    simulation = scene.simulation
+    assert simulation is not None
+    source = ContactSource(None, simulation.rig_seed, simulation.seed)
+    return World(simulation.world, source, simulation.seed, simulation.geometry())

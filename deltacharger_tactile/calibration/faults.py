@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which taxels of a rig are not to be believed, from its dockings, and whether its tares agree with each other.
+
+Nothing here leans on the contact model: what a taxel should feel is told by its neighbours along the row, as the ridge
+lies, and where the ridge cannot be by the commanded pose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_tactile.calibration.rig import SHAPE, SensorCalibrationError
+from deltacharger_tactile.dataset import Dataset
+from deltacharger_tactile.parameters import COLUMNS, ROWS, ContactParameters
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_DEAD_SHARE = 0.05  # of the dockings in which the board told a taxel dead; a glitch is left to the estimator
+_EVENTS = 3  # dockings that must have shown it
+_SILENT_SHARE = 0.8  # of the dockings that pressed its neighbours
+_SILENT = 0.1  # of what the neighbours read
+_PRESSED = 1.0  # N
+_AWAY = 0.010  # m from the ridge's line: half its height, its spread in the skin, three jitters, half a taxel
+_LOUD = 0.5  # N where nothing presses: ten times what a contact leaves behind
+_NOISY = 0.25  # N, scatter of one docking's reading where nothing presses; the model believes readings from here on
+_DRIFT = 0.25  # N between sessions; likewise
+_BASELINE = 0.5  # N from the other taxels' baseline
+
+
+@dataclass(frozen=True)
+class Dockings:
+    """Dockings of one rig at known poses, one row each.
+
+    Attributes:
+        frames: (N, 2, 10, 10) N, tared; NaN where dead.
+        pose: (N, 3) m, m, rad: (horizontal, vertical, angle) as commanded.
+        truth: (N, 3) the same in contact; NaN where the data do not know.
+        tares: (S, 2, 10, 10) N, baseline of each session; NaN = unknown.
+        rig: its number.
+        threshold: readings below it were recorded as 0, N.
+    """
+
+    frames: Array
+    pose: Array
+    truth: Array
+    tares: Array
+    rig: int
+    threshold: float
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def part(self, rows: NDArray[np.int64]) -> Dockings:
+        """Return the dockings of the given rows."""
+        return Dockings(self.frames[rows], self.pose[rows], self.truth[rows], self.tares, self.rig, self.threshold)
+
+
+@dataclass(frozen=True)
+class Faults:
+    """(2, 10, 10) masks of what is wrong with single taxels.
+
+    Attributes:
+        told: the board told them dead.
+        silent: nothing where the neighbours along the row feel much.
+        loud: a reading where nothing presses, or one that never changes.
+        noisy: readings that scatter where nothing presses.
+    """
+
+    told: Mask
+    silent: Mask
+    loud: Mask
+    noisy: Mask
+
+    @property
+    def dead(self) -> Mask:
+        """All of them."""
+        return self.told | self.silent | self.loud | self.noisy
+
+
+@dataclass(frozen=True)
+class Tares:
+    """How the baselines of the sessions compare; NaN where the data do not tell them.
+
+    Attributes:
+        sessions: number of sessions.
+        drift: (2, 10, 10) N, largest less smallest baseline of a taxel.
+        drifted: (2, 10, 10) taxels whose baseline moved by more than the pose model overlooks.
+        outlying: (2, 10, 10) taxels whose baseline lies far from the others'.
+    """
+
+    sessions: int
+    drift: Array
+    drifted: Mask
+    outlying: Mask
+
+
+def select(data: Dataset, rig: int | None = None) -> Dockings:
+    """Take the dockings of one rig; several rows of one docking are averaged.
+
+    Args:
+        data: with commanded poses.
+        rig: which; None = the only one.
+
+    Raises:
+        SensorCalibrationError: several rigs and none named, or one that is not there.
+    """
+    rigs = np.unique(data.rig).tolist()
+    if rig is None and len(rigs) > 1:
+        raise SensorCalibrationError("the data", f"they hold the rigs {_listed(rigs)}; pick one with --rig N")
+    chosen = rigs[0] if rig is None else rig
+    if chosen not in rigs:
+        raise SensorCalibrationError(f"rig {chosen}", f"not in the data, which hold {_listed(rigs)}")
+    rows = np.flatnonzero(data.rig == chosen)
+    _, first, docking = np.unique(data.attempt[rows], return_index=True, return_inverse=True)
+    felt = np.stack([data.left[rows], data.right[rows]], axis=1).astype(float)
+    felt[data.dead[rows]] = np.nan
+    frames = np.zeros((len(first), *SHAPE))
+    np.add.at(frames, docking, felt)
+    frames /= np.bincount(docking)[:, None, None, None]
+    once = rows[first]
+    _, opening = np.unique(data.session[once], return_index=True)
+    return Dockings(
+        frames=frames,
+        pose=np.column_stack([data.horizontal, data.vertical, data.angle])[once],
+        truth=data.contact_pose[once],
+        tares=data.tare[once][opening].astype(float),
+        rig=int(chosen),
+        threshold=float(np.nan_to_num(data.threshold)),
+    )
+
+
+def _listed(rigs: list[int]) -> str:
+    return ", ".join(map(str, rigs[:8])) + (" …" if len(rigs) > 8 else "")
+
+
+def find(dockings: Dockings) -> Faults:
+    """Judge every taxel."""
+    frames = dockings.frames
+    dead = ~np.isfinite(frames)
+    told = dead.mean(axis=0) >= _DEAD_SHARE
+    away = _away(dockings.pose) & ~dead
+    enough = away.sum(axis=0) >= _EVENTS
+    quiet = np.where(away, frames, np.nan)
+    quiet[:, ~enough] = 0.0
+    middle, upper = np.nanquantile(quiet, (0.5, 0.84), axis=0)
+    loud = middle > _LOUD
+    scatter = upper - middle  # one standard deviation, of which a reading cut off at 0 shows the upper side alone
+    live = np.where(dead, 0.0, frames)
+    # A taxel that hangs on one value after the tare; one that hangs on 0 is silent.
+    stuck = (np.ptp(live, axis=0) < 1e-6) & (live[0] > 0.0) & (len(frames) > 1)
+    return Faults(told, _silent(frames, dockings.threshold) & ~told, (loud | stuck) & ~told, (scatter > _NOISY) & ~told)
+
+
+def _silent(frames: Array, threshold: float) -> Mask:
+    """Return taxels that read nothing while the two nearest in their row read much."""
+    live = np.where(np.isfinite(frames), frames, 0.0)
+    beside = np.empty_like(live)
+    beside[..., 1:-1] = np.minimum(live[..., :-2], live[..., 2:])
+    beside[..., 0] = np.minimum(live[..., 1], live[..., 2])
+    beside[..., -1] = np.minimum(live[..., -2], live[..., -3])
+    pressed = beside >= max(_PRESSED, 3.0 * threshold)
+    nothing = pressed & (live < _SILENT * beside)
+    count = pressed.sum(axis=0)
+    return np.asarray((count >= _EVENTS) & (nothing.sum(axis=0) >= _SILENT_SHARE * count))
+
+
+def _away(pose: Array) -> Mask:
+    """Return (N, 2, 10, 10) the taxels that the ridges cannot reach at the commanded poses (N, 3)."""
+    contact = ContactParameters()
+    line = contact.pad_side * (0.5 - (np.arange(ROWS) + 0.5) / ROWS)
+    v, u = np.meshgrid(line, line[:COLUMNS], indexing="ij")
+    x = np.stack([u + contact.pad_distance, u - contact.pad_distance])
+    horizontal, vertical, angle = (pose[:, axis, None, None, None] for axis in range(3))
+    return np.asarray(np.abs(np.cos(angle) * (v - vertical) - np.sin(angle) * (x - horizontal)) > _AWAY)
+
+
+def compare_tares(dockings: Dockings, dead: Mask) -> Tares:
+    """Compare the sessions' baselines, taxels of `dead` left out."""
+    tares = np.where(dead, np.nan, dockings.tares)
+    known = np.isfinite(tares).all(axis=0)
+    drift = np.where(known, np.ptp(np.where(known, tares, 0.0), axis=0), np.nan)
+    middle = np.median(tares[:, known]) if known.any() else np.nan
+    outlying = known & (np.abs(np.where(known, tares, 0.0).mean(axis=0) - middle) > _BASELINE)
+    return Tares(len(tares), drift, known & (np.nan_to_num(drift) > _DRIFT), outlying)

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Makes the calibration of one rig from dockings at known poses, and says what it is worth on others.
+
+Gains: least squares against the contact model at the poses that the pose model estimates, the load of each pad and
+docking free, with the spread that gains have as prior. (At the commanded poses the jitter of a docking, nearly half a
+taxel, would be taken for gains.) Load shift: the one with which the commanded horizontal offsets fit best. What is
+found counts less the less it exceeds its own standard error (positive-part shrinkage, James and Stein 1961).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_tactile.calibration.faults import Dockings, find
+from deltacharger_tactile.calibration.rig import AXES, SHAPE, SHIFT_LIMIT, SensorCalibrationError, TactileCalibration
+from deltacharger_tactile.contact import ContactModel
+from deltacharger_tactile.estimator import PoseEstimator
+from deltacharger_tactile.parameters import DockingParameters, SensorParameters
+
+Array = NDArray[np.float64]
+
+FEWEST = 5
+"""Dockings in range, fewer of which tell nothing."""
+JITTER = np.array(
+    [DockingParameters().position_jitter, DockingParameters().position_jitter, DockingParameters().angle_jitter]
+)
+"""Standard deviation of (horizontal, vertical, angle) of one docking about its commanded pose: m, m, rad."""
+MISFIT_LIMIT = 0.19
+"""Share of the readings (rms) that contact model and gains may leave unexplained. On simulated rigs at most 0.16, even
+where gains spread by 25 % (ten dockings: 0.19); with a ridge of 8 instead of 6 mm at least 0.20."""
+_PRIOR = SensorParameters().gain_spread
+_FLOOR = 0.12  # N, error of a reading that does not grow with it: offsets of a contact, noise
+_MODEL_ERROR = 0.2  # of a reading: what pose, ridge and elastomer leave open
+_ROUNDS = 4
+_GAINS = (0.3, 3.0)
+_LEAST_LOAD = 3.0  # N of a pad whose docking tells gains
+_STEP = 3.0  # N, of the search for the load shift
+_OUTLIER = 9.0  # squared deviation in variances that counts at most
+_SHIFT_DOUBT = 2.0  # squared standard errors below which a load shift counts as none
+_BIAS_DOUBT = 4.0  # likewise of a constant error, which moves every estimate
+_FOLDS = 5
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Which parts are learnt; what is not stays neutral."""
+
+    gain: bool = True
+    load_shift: bool = True
+    bias: bool = True
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A calibration and what it rests on.
+
+    Attributes:
+        calibration: to be used.
+        in_range: dockings that the pose model had in range.
+        misfit: share of the readings (rms) that contact model and gains leave unexplained.
+        load_shift: N as found, before shrinking.
+        load_shift_error: its standard error.
+        bias: (3,) m, m, rad, as found.
+        bias_error: (3,) its standard error, the jitter of dockings included.
+    """
+
+    calibration: TactileCalibration
+    in_range: int
+    misfit: float
+    load_shift: float
+    load_shift_error: float
+    bias: Array
+    bias_error: Array
+
+
+@dataclass(frozen=True)
+class Worth:
+    """Errors on dockings that the calibration was not made from, rms over those in range with and without it.
+
+    Attributes:
+        before: (3,) m, m, rad without.
+        after: (3,) with.
+        count: dockings compared.
+        in_range: shares of all dockings in range, without and with.
+        known: whether errors are against the pose in contact; else the jitter of dockings is in both.
+        worse: (3,) whether it is worse by a fifth and by three standard errors.
+    """
+
+    before: Array
+    after: Array
+    count: int
+    in_range: tuple[float, float]
+    known: bool
+    worse: NDArray[np.bool_]
+
+
+def predict(
+    model: PoseEstimator, calibration: TactileCalibration, frames: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return poses (N, 3), standard deviations (N, 3) and in_range (N,) with a calibration, frames (N, 2, 10, 10) N."""
+    pads = calibration.apply(frames[:, 0], frames[:, 1])
+    estimate = calibration.correct(model.predict(*pads), model.limits)
+    pose = np.column_stack([getattr(estimate, axis) for axis in AXES])
+    spread = np.column_stack([getattr(estimate, f"{axis}_stddev") for axis in AXES])
+    return pose, spread, np.asarray(estimate.in_range)
+
+
+def fit(dockings: Dockings, model: PoseEstimator, parts: Parts | None = None) -> Fit:
+    """Learn from dockings of one rig.
+
+    Args:
+        dockings: at least FEWEST in range.
+        model: that the calibration is for.
+        parts: what to learn; None = everything.
+
+    Raises:
+        SensorCalibrationError: too few dockings are in range, or the data leave out what the robot sees.
+    """
+    wanted = parts or Parts()
+    if dockings.threshold > model.threshold:
+        raise SensorCalibrationError(
+            f"rig {dockings.rig}",
+            f"the data leave out what is below {dockings.threshold:g} N, the robot sees from {model.threshold:g} N on; "
+            f"record or generate with --threshold {model.threshold:g}",
+        )
+    made = TactileCalibration(dead=find(dockings).dead, rig=dockings.rig, model=model.name, dockings=len(dockings))
+    pose, _, usable = predict(model, made, dockings.frames)
+    count = int(usable.sum())
+    if count < FEWEST:
+        raise SensorCalibrationError(
+            f"rig {dockings.rig}",
+            f"{count} of {len(dockings)} dockings are in range of the pose model, at least {FEWEST} must be; "
+            "dock within ±8 mm and ±10°, or look at the pads",
+        )
+    frames = np.where(made.dead, np.nan, dockings.frames)[usable]
+    gain, misfit = _gains(frames, pose[usable], dockings.threshold)
+    if wanted.gain and misfit <= MISFIT_LIMIT:
+        made = dataclasses.replace(made, gain=gain)
+    shift, shift_error, per_newton = _load_shift(dockings, model, made) if wanted.load_shift else (0.0, math.inf, 0.0)
+    kept = _kept(shift, shift_error, _SHIFT_DOUBT) if misfit <= MISFIT_LIMIT else 0.0
+    made = dataclasses.replace(made, load_shift=kept * shift)
+    bias, error = _bias(dockings, model, made)
+    share = np.array([_kept(*pair, _BIAS_DOUBT) for pair in zip(bias, error, strict=True)]) * wanted.bias
+    variance = np.where(share > 0.0, share * error, 0.0) * np.where(share > 0.0, error, 0.0)
+    if kept:
+        variance[0] += kept * (per_newton * shift_error) ** 2
+    made = dataclasses.replace(made, bias=share * bias, bias_stddev=np.sqrt(variance))
+    return Fit(made, count, misfit, shift, shift_error, bias, error)
+
+
+def judge(dockings: Dockings, model: PoseEstimator, parts: Parts | None = None) -> Worth:
+    """Calibrate with four fifths of the dockings and look at the others, five times."""
+    order = np.random.default_rng(0).permutation(len(dockings))
+    neutral = TactileCalibration(dead=find(dockings).dead)
+    known = bool(np.isfinite(dockings.truth).all())
+    truth = dockings.truth if known else dockings.pose
+    without, _, had = predict(model, neutral, dockings.frames)
+    with_it, has = np.empty_like(without), np.empty_like(had)
+    for fold in range(_FOLDS):
+        others, held_out = np.delete(order, np.s_[fold::_FOLDS]), order[fold::_FOLDS]
+        try:
+            made = fit(dockings.part(others), model, parts).calibration
+        except SensorCalibrationError:  # too few of the others are in range: no calibration is what they would give
+            made = neutral
+        with_it[held_out], _, has[held_out] = predict(model, made, dockings.frames[held_out])
+    both = had & has
+    before, after = (with_or[both] - truth[both] for with_or in (without, with_it))
+    change = after**2 - before**2
+    error = change.std(axis=0) / np.sqrt(max(len(change), 1))
+    rms_before, rms_after = (np.sqrt(np.mean(part**2, axis=0)) for part in (before, after))
+    return Worth(
+        before=rms_before,
+        after=rms_after,
+        count=int(both.sum()),
+        in_range=(float(had.mean()), float(has.mean())),
+        known=known,
+        worse=np.asarray((change.mean(axis=0) > 3.0 * error) & (rms_after > 1.2 * rms_before)),
+    )
+
+
+def _kept(value: float, error: float, doubt: float) -> float:
+    """Return the share of a value that is kept: none below √doubt standard errors, nearly all far above."""
+    return max(0.0, 1.0 - doubt * (error / value) ** 2) if value else 0.0
+
+
+def _gains(frames: Array, pose: Array, threshold: float) -> tuple[Array, float]:
+    """Return gains (2, 10, 10), mean 1 on each pad, and the misfit, from frames (N, 2, 10, 10) at poses (N, 3)."""
+    docking = DockingParameters()
+    tilt = pose[:, 1::-1] * [docking.tilt_per_y, docking.tilt_per_x]
+    live = np.isfinite(frames)
+    felt = np.where(live, frames, 0.0)
+    model = ContactModel().solve(pose, felt.sum(axis=(1, 2, 3)), tilt).taxels * live
+    gain = np.ones(SHAPE)
+    for _ in range(_ROUNDS):
+        expected = _loaded(model, felt, gain)
+        # What the recording cut off as too small would pass for a low gain.
+        weight = (live & (expected >= 1.5 * threshold)) / (_FLOOR**2 + (_MODEL_ERROR * expected) ** 2)
+        information = np.sum(weight * expected**2, axis=0) + _PRIOR**-2
+        gain = (np.sum(weight * expected * felt, axis=0) + _PRIOR**-2) / information
+        gain /= (np.sum(gain * information, axis=(1, 2)) / np.sum(information, axis=(1, 2)))[:, None, None]
+        gain = np.clip(gain, *_GAINS)
+    left_over = felt - gain * _loaded(model, felt, gain)
+    counted = live & (felt >= threshold)
+    return gain, float(np.sqrt(np.sum((left_over * counted) ** 2) / np.sum((felt * counted) ** 2)))
+
+
+def _loaded(model: Array, felt: Array, gain: Array) -> Array:
+    """Return the model's readings scaled to what each pad of each docking felt; 0 where that was too little."""
+    seen = model * gain
+    scale = np.sum(felt * seen, axis=(2, 3)) / np.maximum(np.sum(seen * seen, axis=(2, 3)), 1e-9)
+    return np.asarray(model * np.where(seen.sum(axis=(2, 3)) >= _LEAST_LOAD, scale, 0.0)[:, :, None, None])
+
+
+def _load_shift(dockings: Dockings, model: PoseEstimator, made: TactileCalibration) -> tuple[float, float, float]:
+    """Return the load shift with which the commanded horizontal offsets fit best, its error (N), and m per N."""
+    tried = np.arange(-SHIFT_LIMIT, SHIFT_LIMIT + 0.5 * _STEP, _STEP)
+    found, variance = np.empty((2, len(tried), len(dockings)))
+    for index, shift in enumerate(tried):
+        pose, spread, _ = predict(model, dataclasses.replace(made, load_shift=float(shift)), dockings.frames)
+        found[index], variance[index] = pose[:, 0], spread[:, 0] ** 2 + JITTER[0] ** 2
+    squared = (found - dockings.pose[:, 0]) ** 2 / variance
+    costs = np.minimum(np.where(np.isfinite(squared), squared, _OUTLIER), _OUTLIER).sum(axis=1)
+    best = int(np.clip(costs.argmin(), 1, len(tried) - 2))
+    before, here, after = costs[best - 1 : best + 2]
+    curvature = before - 2.0 * here + after
+    move = np.clip(0.5 * (before - after) / curvature, -1.0, 1.0) if curvature > 0.0 else 0.0
+    shift = float(np.clip(tried[best] + move * _STEP, -SHIFT_LIMIT, SHIFT_LIMIT))
+    # How much worse none at all fits tells what it is worth, and so its error; near none the curvature does.
+    gained = costs[len(tried) // 2] - here + 0.25 * move * (before - after)
+    excess = max(1.0, here / len(dockings))
+    if gained > 1.0:
+        error = abs(shift) * math.sqrt(excess / gained)
+    else:
+        error = _STEP * math.sqrt(2.0 * excess / curvature) if curvature > 0.0 else SHIFT_LIMIT
+    slope = (found[best + 1] - found[best - 1]) / (2.0 * _STEP)
+    return shift, error, float(np.abs(np.mean(slope[np.isfinite(slope)]))) if np.isfinite(slope).any() else 0.0
+
+
+def _bias(dockings: Dockings, model: PoseEstimator, made: TactileCalibration) -> tuple[Array, Array]:
+    """Return the mean error (3,) against the commanded poses and its standard error, jitter included."""
+    found, spread, usable = predict(model, made, dockings.frames)
+    if usable.sum() < FEWEST:
+        return np.zeros(3), np.full(3, np.inf)
+    error, variance = (found - dockings.pose)[usable], spread[usable] ** 2 + JITTER**2
+    weight = 1.0 / variance
+    weight /= weight.sum(axis=0)
+    bias = np.sum(weight * error, axis=0)
+    stated = np.sqrt(np.sum(weight**2 * variance, axis=0))
+    effective = 1.0 / np.sum(weight**2, axis=0)
+    seen = np.sqrt(np.sum(weight * (error - bias) ** 2, axis=0) / (effective - 1.0))
+    return bias, np.maximum(stated, seen)

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""camera_node: an OAK-D on the topics that every ROS RGB-D driver has, or a recording in its place.
+
+Publishes: color/image_raw (rgb8), depth/image_raw (16UC1, mm, aligned to colour), color/camera_info, each converted
+only while somebody subscribes; /diagnostics (1 Hz, and at every change).
+Parameters: width, height, rate, exposure_us, iso, lens_position, device_id; replay, replay_loop.
+
+A camera that is absent or was unplugged is told by its name and looked for until it is there. All three messages of an
+image have one stamp: the middle of the colour's exposure. depthai keeps the device's clock aligned to this computer's
+monotonic one; the image's age by that clock is taken off ROS time at publication, so steps of ROS time do no harm.
+Other cameras have drivers of their own and need no camera_node. Executable: `camera_node [--replay FILE [--loop]]`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.utilities import remove_ros_args
+
+from deltacharger_ros import node_support
+from deltacharger_vision.cameras.camera_node_io import CameraPublishers, Replay
+from deltacharger_vision.cameras.keeper import CameraKeeper, OpenCamera
+from deltacharger_vision.cameras.oak_pipeline import OakCamera, OakImage, OakSettings
+from deltacharger_vision.cameras.recording import CameraRecording
+from deltacharger_vision.errors import ParameterError, VisionError
+
+_DIAGNOSTICS_PERIOD = 1.0  # s
+OpenOak = Callable[[OakSettings, Callable[[], bool], Callable[[OakImage], None]], OpenCamera]
+"""Opens a camera as `OakCamera` does."""
+
+
+class CameraNode(Node):
+    """See the module's docstring. Images are published from threads of depthai or of the replay.
+
+    Args:
+        open_camera: None = an OAK-D.
+    """
+
+    def __init__(self, open_camera: OpenOak | None = None, **kwargs: Any) -> None:
+        super().__init__("camera_node", **kwargs)
+        self._settings = _declare_settings(self)
+        path = node_support.declare(self, "replay", "", "MCAP recording to publish in place of a camera")
+        loop = node_support.declare(self, "replay_loop", False, "begin the recording again at its end")
+        node_support.reject_unknown(self)
+        self._path = path
+        self._images = CameraPublishers(self)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._source: CameraKeeper | Replay
+        if path:
+            self._source = self._replay(Path(path), loop)
+        else:
+            self._source = self._keeper(open_camera)
+        self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose)
+        self._source.start()
+
+    def close(self) -> None:
+        """Release the camera. Idempotent."""
+        self._source.close()
+
+    def _keeper(self, open_camera: OpenOak | None) -> CameraKeeper:
+        if open_camera is None and importlib.util.find_spec("depthai") is None:
+            raise node_support.StartupError(
+                "camera_node: depthai is not installed; install it with pip install 'deltacharger[oak]', replay a "
+                "recording (parameter replay), or start your camera's own driver in place of camera_node"
+            )
+        opener = open_camera or OakCamera
+        return CameraKeeper(lambda: opener(self._settings, self._images.wanted, self._publish), self._tell)
+
+    def _replay(self, path: Path, loop: bool) -> Replay:
+        try:
+            recording = CameraRecording(path)
+            if not recording.images:
+                raise node_support.StartupError(f"camera_node: {path}: {recording.topics.color} holds no images")
+            return Replay(recording, self._images, loop, self._tell)
+        except FileNotFoundError as error:
+            raise node_support.StartupError(f"camera_node: replay: {path}: there is no such file") from error
+        except (OSError, VisionError, ModuleNotFoundError) as error:
+            raise node_support.StartupError(f"camera_node: replay: {error}") from error
+
+    def _publish(self, taken: OakImage) -> None:
+        self._images.image(taken.image, taken.time)
+
+    def _tell(self) -> None:
+        """Say what has changed, from the thread of the source."""
+        problem = self._source.problem
+        if problem:
+            self.get_logger().error(problem)
+        else:
+            self.get_logger().info(f"camera {self._hardware()} connected")
+        self._diagnose()
+
+    def _hardware(self) -> str:
+        return self._path or getattr(self._source, "name", "") or self._settings.device_id
+
+    def _diagnose(self) -> None:
+        if not self.context.ok():
+            return
+        problem = self._source.problem
+        idle = not self._images.wanted()
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.ERROR if problem else DiagnosticStatus.OK,
+            name=f"{self.get_fully_qualified_name()}: camera",
+            message=problem or ("nobody subscribes" if idle else "OK"),
+            hardware_id=self._hardware(),
+            values=[KeyValue(key="images", value=str(self._images.published))],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+
+def _declare_settings(node: Node) -> OakSettings:
+    """Declare how the camera is set up and return it."""
+    values: dict[str, Any] = {}
+    for item in fields(OakSettings):
+        about = item.metadata
+        if about:
+            unit = f" ({about['unit']})" if about["unit"] else ""
+            bounds = (f"{about['doc']}{unit}", about["low"], about["high"])
+            values[item.name] = node_support.declare(node, item.name, item.default, *bounds)
+    values["device_id"] = node_support.declare(node, "device_id", "", "id or name of the camera; '' = any")
+    try:
+        return OakSettings(**values)
+    except ParameterError as error:
+        raise node_support.StartupError(f"{node.get_name()}: parameter {error}") from error
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; see node_support.run for the exit codes."""
+    parser = argparse.ArgumentParser(prog="camera_node", description="Publish the images of an OAK-D, or a recording.")
+    parser.add_argument("--replay", metavar="REC.mcap", help="publish a recording in place of a camera")
+    parser.add_argument("--loop", action="store_true", help="begin it again at its end")
+    words = list(sys.argv[1:] if args is None else args)
+    try:
+        own = remove_ros_args(words)
+    except Exception:  # rclpy's own kinds, for words that `run` refuses
+        own = []
+    options = parser.parse_args(own)
+    overrides = [Parameter("replay_loop", value=True)] if options.loop else []
+    if options.replay:
+        overrides.append(Parameter("replay", value=options.replay))
+    return node_support.run(lambda: CameraNode(parameter_overrides=overrides), ["camera_node", *words])
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From an RGB-D image to the pose of a terminal's two electrodes, or to None.
+
+Blobs → pairs → corners (IPPE) → edges → plane of the plate → one least squares over edges and plane → judgement.
+A pose whose outlines were not seen, or that depth contradicts, is not returned.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from deltacharger_vision.bounded import Bounded, value
+from deltacharger_vision.detector.detection import Detection
+from deltacharger_vision.detector.judgement import Candidate, Judge, JudgementSettings
+from deltacharger_vision.detector.pairing import Pair, PairingSettings, find_pairs
+from deltacharger_vision.detector.segmentation import SegmentationSettings, find_blobs
+from deltacharger_vision.errors import CameraInfoError
+from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.mount import line_angle
+from deltacharger_vision.poses import cross_matrix, face_corners
+from deltacharger_vision.projection import check_lens, project
+from deltacharger_vision.terminal import Terminal
+
+_CODE = np.arange(256) / 255.0
+_LINEAR = (255.0 * np.where(_CODE <= 0.04045, _CODE / 12.92, ((_CODE + 0.055) / 1.055) ** 2.4)).astype(np.float32)
+"""Light of each grey level by sRGB (IEC 61966-2-1), which cameras encode by, 0–255."""
+
+
+@dataclass(frozen=True)
+class DetectorSettings(Bounded):
+    """Numbers of the detector, those of its parts in settings of their own.
+
+    Raises:
+        ParameterError: a value is out of bounds.
+    """
+
+    smoothing: float = value(0.6, 0.1, 5.0, "px", "standard deviation of the blur before edges are searched")
+    sure: float = value(0.8, 0.0, 1.0, "", "confidence at which no other pair is looked at")
+    normal_stddev: float = value(0.06, 0.001, 1.0, "rad", "largest standard deviation of a normal that is reported")
+    segmentation: SegmentationSettings = field(default_factory=SegmentationSettings)
+    pairing: PairingSettings = field(default_factory=PairingSettings)
+    judgement: JudgementSettings = field(default_factory=JudgementSettings)
+
+
+class ElectrodeDetector:
+    """Finds two bright bars of known size on a dark plate.
+
+    Args:
+        terminal: size of the bars.
+        settings: limits.
+    """
+
+    def __init__(self, terminal: Terminal | None = None, settings: DetectorSettings | None = None) -> None:
+        self.terminal = terminal or Terminal()
+        self.settings = settings or DetectorSettings()
+
+    def detect(self, image: RgbdImage) -> Detection | None:
+        """Return the terminal that the image supports best, or None. The same image gives the same answer.
+
+        Raises:
+            CameraInfoError: the lens's distortion is no one-to-one map over the image.
+        """
+        import cv2
+
+        settings = self.settings
+        grey = np.asarray(cv2.cvtColor(image.color, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+        # An edge lies where the light is half-way, not where its encoding is.
+        smooth = cv2.GaussianBlur(cv2.LUT(grey, _LINEAR), (0, 0), settings.smoothing)
+        check_lens(image.intrinsics)
+        judge = Judge(smooth, image, self.terminal, settings.judgement)
+        best: Candidate | None = None
+        for pair in find_pairs(find_blobs(grey, settings.segmentation), self.terminal, settings.pairing):
+            if best is not None and self._covers(best, pair, image.intrinsics):
+                continue
+            try:
+                candidate = judge.judge(pair)
+            except CameraInfoError:  # a cut bar rebuilt beyond what the lens shows
+                continue
+            if candidate is not None and (best is None or candidate.confidence > best.confidence):
+                best = candidate
+                if best.confidence >= settings.sure:
+                    break
+        return None if best is None else self._detection(best, image.intrinsics)
+
+    def _covers(self, found: Candidate, pair: Pair, intrinsics: Intrinsics) -> bool:
+        """Return whether a pair lies where a terminal was found: no other can be there."""
+        middle, end = np.zeros(3), np.array([0.5 * self.terminal.bar_length, 0.0, 0.0])
+        here, there = project(found.pose.points(np.stack([middle, end])), intrinsics)
+        return bool(np.hypot(*(pair.centre.mean(axis=0) - here)) < np.hypot(*(there - here)))
+
+    def _detection(self, found: Candidate, intrinsics: Intrinsics) -> Detection:
+        pose = found.pose
+        x, y = pose.rotation[0, 0], pose.rotation[1, 0]
+        roll = line_angle(x, y)
+        turning = cross_matrix(pose.rotation[:, 2])
+        spread = turning @ found.covariance[3:, 3:] @ turning.T
+        trusted = found.upright and math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) <= self.settings.normal_stddev
+        return Detection(
+            position=pose.translation,
+            roll=roll,
+            axis=pose.rotation[:, 0] * math.copysign(1.0, x * math.cos(roll) + y * math.sin(roll)),
+            normal=-pose.rotation[:, 2] if trusted else np.full(3, np.nan),
+            covariance=found.covariance,
+            confidence=found.confidence,
+            range=float(np.linalg.norm(pose.translation)),
+            bars=project(pose.points(face_corners(self.terminal)), intrinsics),
+            source="fused" if found.fused else "pnp",
+        )

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""electrode_detector_node: where the target's electrodes are, from the images of any RGB-D camera.
+
+Subscribes, only while it looks: color/image_raw, depth/image_raw (aligned to colour), color/camera_info.
+Publishes: electrode_detection when it found something, electrode_detection/image (what it saw, annotated, while
+somebody listens), /diagnostics (1 Hz).
+Serves: detect_electrodes, which looks at fresh images until the electrodes are found or its time is over.
+Parameters: rate (0 = on demand only), timeout, image_age_max, stamp_tolerance, the topics, the mount, the terminal's
+lengths.
+It drives nothing. With a rate it looks while somebody subscribes to electrode_detection.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+from deltacharger.msg import ElectrodeDetection
+from deltacharger.srv import DetectElectrodes
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Image
+
+from deltacharger_ros import node_support
+from deltacharger_vision.cameras.image_node_io import CAMERA_INFO, COLOR, DEPTH, color_message
+from deltacharger_vision.detector.annotate import annotated
+from deltacharger_vision.detector.detector import ElectrodeDetector
+from deltacharger_vision.detector.electrode_detector_node_io import Camera, Shot, to_message
+from deltacharger_vision.errors import MountError, ParameterError, VisionError
+from deltacharger_vision.images import RgbdImage
+from deltacharger_vision.mount import POSITION_STDDEV, ROTATION_STDDEV, Mount, quaternion
+from deltacharger_vision.terminal import Terminal
+
+_FUTURE = 0.05  # s by which a stamp may be ahead of this computer's clock
+
+
+@dataclass
+class _Tally:
+    """What became of the images so far."""
+
+    looked: int = 0
+    found: int = 0
+    stale: int = 0
+    milliseconds: float = float("nan")
+
+
+class ElectrodeDetectorNode(Node):
+    """See the module's docstring. The service waits for images and needs an executor of several threads."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("electrode_detector_node", **kwargs)
+        rate = node_support.declare(
+            self, "rate", 0.0, "images looked at while somebody subscribes (Hz); 0 = none", 0, 60
+        )
+        self._timeout = node_support.declare(
+            self, "timeout", 2.0, "how long a request without its own timeout looks (s)", 0.1, 60.0
+        )
+        self._image_age_max = node_support.declare(
+            self, "image_age_max", 0.5, "oldest image that still counts (s)", 0.02, 10.0
+        )
+        tolerance = node_support.declare(
+            self, "stamp_tolerance", 0.015, "largest difference between the stamps of colour and depth (s)", 0.0, 1.0
+        )
+        topics = [
+            node_support.declare(self, name, default, f"topic of the {what}")
+            for name, default, what in (
+                ("color_topic", COLOR, "colour images"),
+                ("depth_topic", DEPTH, "depth images, aligned to colour"),
+                ("camera_info_topic", CAMERA_INFO, "colour images' calibration"),
+            )
+        ]
+        self._mount = _declare_mount(self)
+        terminal = _declare_terminal(self)
+        node_support.reject_unknown(self)
+        self._detector = _detector(terminal)
+        self._camera = Camera(self, tolerance, topics)
+        self._tally = _Tally()
+        self._looking = threading.Lock()
+        self._stopping = threading.Event()
+        self._detections = self.create_publisher(ElectrodeDetection, "electrode_detection", 10)
+        self._pictures = self.create_publisher(Image, "electrode_detection/image", qos_profile_sensor_data)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        group = ReentrantCallbackGroup()
+        self.create_service(DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=group)
+        self.create_timer(1.0, self._diagnose, callback_group=group)
+        self._thread: threading.Thread | None = None
+        if rate > 0.0:
+            self._thread = threading.Thread(target=self._watch, args=(1.0 / rate,), name="detector", daemon=True)
+            self._thread.start()
+
+    def close(self) -> None:
+        """Release waiting requests and end the thread."""
+        self._stopping.set()
+        self._camera.close()
+        if self._thread is not None:
+            self._thread.join(2.0)
+            self._thread = None
+
+    def _on_detect(
+        self, request: DetectElectrodes.Request, response: DetectElectrodes.Response
+    ) -> DetectElectrodes.Response:
+        limit = request.timeout.sec + 1e-9 * request.timeout.nanosec
+        if limit < 0.0:
+            response.message = f"timeout is {limit:g} s; give 0 for the default of {self._timeout:g} s, or more"
+            return response
+        deadline = time.monotonic() + (limit or self._timeout)
+        refusal, late, images, old, number = "", "", 0, 0, self._camera.shots
+        with self._camera.watching():
+            while (shot := self._camera.after(number, deadline)) is not None:
+                number, images = shot.number, images + 1
+                if problem := self._age_problem(shot):
+                    late, old = problem, old + 1
+                    continue
+                message, refusal = self._look(shot)
+                if message is not None:
+                    response.success, response.message, response.detection = True, "found", message
+                    return response
+            # What a fresh image shows says more than that another one came late.
+            refusal = refusal or late or self._camera.problem()
+            refusal = refusal or "no image came in time; allow more than one image's time"
+        response.message = f"{refusal} ({images} images in {limit or self._timeout:.1f} s, {old} of them too old)"
+        return response
+
+    def _age_problem(self, shot: Shot) -> str:
+        """Return why an image is of another time than now; empty = it is not."""
+        age = 1e-9 * (self.get_clock().now().nanoseconds - shot.stamp)
+        if -_FUTURE <= age <= self._image_age_max:
+            return ""
+        self._tally.stale += 1
+        when = f"{age:.2f} s old" if age > 0.0 else f"stamped {-age:.2f} s in the future"
+        return f"the image is {when} (image_age_max {self._image_age_max} s): check load, driver and clocks"
+
+    def _look(self, shot: Shot) -> tuple[ElectrodeDetection | None, str]:
+        """Return what one image shows, published, or why it shows nothing."""
+        with self._looking:
+            started = time.perf_counter()
+            try:
+                image = shot.image()
+                found = self._detector.detect(image)
+            except VisionError as error:
+                return None, str(error)
+            self._tally.milliseconds = 1e3 * (time.perf_counter() - started)
+        self._tally.looked += 1
+        self._show(image, found, shot)
+        if found is None:
+            return None, "no electrodes in the image: turn the robot toward the target, clear the view, check the light"
+        self._tally.found += 1
+        message = to_message(found, self._mount.place(found), shot)
+        self._detections.publish(message)
+        return message, ""
+
+    def _show(self, image: RgbdImage, found: Any, shot: Shot) -> None:
+        if self._pictures.get_subscription_count():
+            header = shot.color.header
+            self._pictures.publish(color_message(annotated(image, found), header.stamp, header.frame_id))
+
+    def _watch(self, period: float) -> None:
+        """Look at `rate` while somebody wants to know."""
+        while not self._stopping.wait(period):
+            if not self._wanted():
+                continue
+            number = self._camera.shots
+            with self._camera.watching():
+                while self._wanted() and not self._stopping.is_set():
+                    started = time.monotonic()
+                    shot = self._camera.after(number, started + 0.5)
+                    if shot is not None:
+                        number = shot.number
+                        if refusal := self._age_problem(shot) or self._look(shot)[1]:
+                            self.get_logger().warning(refusal, throttle_duration_sec=5.0)
+                    self._stopping.wait(max(0.0, started + period - time.monotonic()))
+
+    def _wanted(self) -> bool:
+        return bool(self._detections.get_subscription_count() or self._pictures.get_subscription_count())
+
+    def _diagnose(self) -> None:
+        if not self.context.ok():
+            return
+        watched, problem = self._camera.watched, self._camera.problem()
+        values = {**vars(self._tally), "images": self._camera.shots}
+        bad = DiagnosticStatus.ERROR if watched else DiagnosticStatus.WARN
+        status = DiagnosticStatus(
+            level=bad if problem else DiagnosticStatus.OK,
+            name=f"{self.get_fully_qualified_name()}: camera",
+            message=problem or ("looking" if watched else "idle; looks when asked"),
+            hardware_id=self._camera.names[0],
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+
+def _declare_mount(node: Node) -> Mount:
+    """Declare where the camera is and return it."""
+    path = node_support.declare(node, "mount_file", "", "YAML of `deltacharger calibrate camera`; replaces mount*")
+    usual = Mount.default().pose
+    seven = node_support.declare(
+        node,
+        "mount",
+        [float(value) for value in (*usual[:3, 3], *quaternion(usual[:3, :3]))],
+        "camera_color_optical_frame in charger_base: x, y, z in m, then the quaternion x, y, z, w",
+    )
+    position = node_support.declare(
+        node, "mount_position_stddev", POSITION_STDDEV, "error of the mount's place, per axis (m)", 0.0, 0.1
+    )
+    rotation = node_support.declare(
+        node, "mount_rotation_stddev", ROTATION_STDDEV, "error of the mount's direction, per axis (rad)", 0.0, 0.5
+    )
+    try:
+        return Mount.load(path) if path else Mount.from_numbers(seven, position, rotation)
+    except (OSError, MountError) as error:
+        raise node_support.StartupError(f"{node.get_name()}: {error}") from error
+
+
+def _declare_terminal(node: Node) -> Terminal:
+    """Declare the lengths of the electrodes and return them."""
+    lengths = {
+        item.name: node_support.declare(
+            node, item.name, item.default, f"{item.metadata['doc']} (m)", item.metadata["low"], item.metadata["high"]
+        )
+        for item in fields(Terminal)
+    }
+    try:
+        return Terminal(**lengths)
+    except ParameterError as error:
+        raise node_support.StartupError(f"{node.get_name()}: {error}") from error
+
+
+def _detector(terminal: Terminal) -> ElectrodeDetector:
+    """Return a detector that is ready, or say what is missing before anybody waits for it."""
+    try:
+        import cv2
+    except ImportError as error:
+        raise node_support.StartupError(
+            "electrode_detector_node: OpenCV is missing; install it with pip install 'deltacharger[vision]', or "
+            "python3-opencv"
+        ) from error
+    cv2.setNumThreads(1)  # one core for the camera; the others belong to servos and pads
+    return ElectrodeDetector(terminal)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node; see node_support.run for the exit codes."""
+    return node_support.run(ElectrodeDetectorNode, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

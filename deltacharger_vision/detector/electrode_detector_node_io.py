@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The camera's topics as pairs of one instant, listened to only while somebody wants them; detections as messages."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from deltacharger.msg import ElectrodeDetection
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image
+
+from deltacharger_vision.cameras.camera_info import from_camera_info
+from deltacharger_vision.cameras.image_node_io import CAMERA_INFO, COLOR, DEPTH
+from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
+from deltacharger_vision.cameras.ros_images import color_array, depth_array
+from deltacharger_vision.detector.detection import Detection
+from deltacharger_vision.images import RgbdImage
+from deltacharger_vision.mount import FRAME, Placed
+
+SILENT = 1.0
+"""A topic without a message for so long counts as silent, s."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Colour and depth of one instant, as they came.
+
+    Attributes:
+        number: of this pair, rising.
+        stamp: of the colour image, ns.
+        color: its message.
+        depth: its message.
+        info: calibration of the colour image.
+    """
+
+    number: int
+    stamp: int
+    color: Image
+    depth: Image
+    info: CameraInfo
+
+    def image(self) -> RgbdImage:
+        """Return it decoded.
+
+        Raises:
+            ImageError: an encoding is unknown, or the images do not fit together.
+            CameraInfoError: the camera is not calibrated.
+        """
+        info = self.info
+        intrinsics = from_camera_info(info.width, info.height, info.k, info.d, info.distortion_model, CAMERA_INFO)
+        color, depth = (
+            (each.encoding, each.height, each.width, each.step, each.data, each.is_bigendian)
+            for each in (self.color, self.depth)
+        )
+        return RgbdImage.make(color_array(*color), depth_array(*depth), intrinsics)
+
+
+class Camera:
+    """The three topics of an RGB-D camera.
+
+    Args:
+        node: subscribes.
+        tolerance: largest difference between the stamps of colour and depth, s.
+        topics: names of colour, depth and calibration.
+
+    Attributes:
+        names: the same, resolved.
+    """
+
+    def __init__(self, node: Node, tolerance: float, topics: Sequence[str] = (COLOR, DEPTH, CAMERA_INFO)) -> None:
+        self._node = node
+        self._matcher: StampMatcher[Image, Image] = StampMatcher(round(1e9 * tolerance))
+        self._tolerance = tolerance
+        self._group = MutuallyExclusiveCallbackGroup()
+        self._news = threading.Condition()
+        self._watchers = 0
+        self._subscriptions: list[Any] = []
+        self._since = math.inf
+        self._heard: dict[str, float] = {}
+        self._matched = -math.inf
+        self._info: CameraInfo | None = None
+        self._shot: Shot | None = None
+        self._closed = False
+        self.names = [node.resolve_topic_name(topic) for topic in topics]
+
+    @property
+    def watched(self) -> bool:
+        """Whether somebody listens."""
+        return self._watchers > 0
+
+    @property
+    def shots(self) -> int:
+        """How many pairs came."""
+        return 0 if self._shot is None else self._shot.number
+
+    @contextlib.contextmanager
+    def watching(self) -> Iterator[None]:
+        """Listen meanwhile; who renders or encodes only for subscribers does so only then."""
+        with self._news:
+            self._watchers += 1
+            if self._watchers == 1:
+                self._open()
+        try:
+            yield
+        finally:
+            with self._news:
+                self._watchers -= 1
+                if self._watchers == 0:
+                    self._forget()
+
+    def close(self) -> None:
+        """Let everybody who waits go on."""
+        with self._news:
+            self._closed = True
+            self._news.notify_all()
+
+    def after(self, number: int, deadline: float) -> Shot | None:
+        """Wait for a pair with a higher number than `number`, at most until `deadline` (monotonic, s)."""
+        with self._news:
+            while not self._closed:
+                if self._shot is not None and self._shot.number > number:
+                    return self._shot
+                left = deadline - time.monotonic()
+                if left <= 0.0:
+                    break
+                self._news.wait(left)
+            return None
+
+    def problem(self) -> str:
+        """Return what keeps images away; '' while they come, and while nobody listens long enough to tell."""
+        absent = [name for name in self.names if not self._node.count_publishers(name)]
+        if absent:
+            return f"nobody publishes {', '.join(absent)}: start camera_node, or the camera's driver with these names"
+        with self._news:
+            now, since = time.monotonic(), self._since
+            silent = [name for name in self.names if now - self._heard.get(name, since) > SILENT]
+            unmatched = now - max(self._matched, since) > SILENT
+        if silent:
+            return f"{', '.join(silent)} stopped: look at the camera, its cable and its driver"
+        if unmatched:
+            limit = f"stamp_tolerance, {1e3 * self._tolerance:g} ms"
+            return f"the stamps of colour and depth differ by more than {limit}: let the driver synchronise them"
+        return ""
+
+    def _open(self) -> None:
+        self._since = time.monotonic()
+        kinds: tuple[Any, ...] = (Image, Image, CameraInfo)
+        takers = (self._on_color, self._on_depth, self._on_info)
+        for name, kind, take in zip(self.names, kinds, takers, strict=True):
+            self._subscriptions.append(
+                self._node.create_subscription(
+                    kind, name, self._listener(name, take), qos_profile_sensor_data, callback_group=self._group
+                )
+            )
+
+    def _listener(self, name: str, take: Callable[[Any], None]) -> Callable[[Any], None]:
+        def on_message(message: Any) -> None:
+            with self._news:
+                self._heard[name] = time.monotonic()
+                take(message)
+
+        return on_message
+
+    def _forget(self) -> None:
+        """Stop listening; what came is old by the time that somebody listens again."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._subscriptions = []
+        self._since = math.inf
+        self._heard.clear()
+        self._info = None
+        self._matcher.clear()
+
+    def _on_color(self, message: Image) -> None:
+        self._take(self._matcher.add_color(_nanoseconds(message), message))
+
+    def _on_depth(self, message: Image) -> None:
+        self._take(self._matcher.add_depth(_nanoseconds(message), message))
+
+    def _on_info(self, message: CameraInfo) -> None:
+        self._info = message
+
+    def _take(self, pair: tuple[int, Image, Image] | None) -> None:
+        if pair is None or self._info is None:
+            return
+        stamp, color, depth = pair
+        self._matched = time.monotonic()
+        self._shot = Shot(self.shots + 1, stamp, color, depth, self._info)
+        self._news.notify_all()
+
+
+def to_message(found: Detection, placed: Placed, shot: Shot) -> ElectrodeDetection:
+    """Return a detection as its message, in charger_base, with the image's stamp."""
+    message = ElectrodeDetection()
+    message.header.stamp, message.header.frame_id = shot.color.header.stamp, FRAME
+    pose = message.pose.pose
+    pose.position.x, pose.position.y, pose.position.z = (float(value) for value in placed.position)
+    pose.orientation.z, pose.orientation.w = math.sin(0.5 * placed.roll), math.cos(0.5 * placed.roll)
+    message.pose.covariance = placed.covariance.ravel()
+    message.roll = placed.roll
+    message.confidence = found.confidence
+    message.range = found.range
+    return message
+
+
+def _nanoseconds(message: Image) -> int:
+    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)

@@ -1,0 +1,307 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What edges and depth make of a pair of blobs: a pose with its covariance, or nothing.
+
+Image alone and image with depth are fitted apart. Where adding depth raises the squared error by more than chance
+does, bars of another size, or no bars at all, were seen: the metric gate.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.bounded import Bounded, value
+from deltacharger_vision.detector.edges import EdgeSettings, find_edges
+from deltacharger_vision.detector.outlines import visible_lines
+from deltacharger_vision.detector.pairing import Pair
+from deltacharger_vision.detector.plane import Plane, PlaneSettings, Region, fit_plane, plate_region
+from deltacharger_vision.detector.refine import ROUNDS, Edges, Fit, RefineSettings
+from deltacharger_vision.detector.starts import (
+    LARGE_LEANS,
+    SMALL_LEANS,
+    by_corners,
+    laid_over,
+    leaning,
+    mirrored,
+    tilted,
+)
+from deltacharger_vision.detector.support import SupportSettings, outline_shares, plate_is_dark, supported
+from deltacharger_vision.images import RgbdImage
+from deltacharger_vision.poses import Array, Pose, face_corners, facing
+from deltacharger_vision.terminal import Terminal
+
+_SAME_TILT = 0.03  # rad
+_UNSETTLED, _NOTHING = 5.0, 5.0  # times `clear`
+_HOPELESS = 3.0
+_FOLLOWED = 4  # times that edges are found anew at most
+_ROUGH = 5  # steps of a fit to edges that will be found anew
+_SETTLED = 0.2  # px: edges found anew after so little movement are the same ones
+
+
+@dataclass(frozen=True)
+class JudgementSettings(Bounded):
+    """Limits of what is reported.
+
+    Raises:
+        ParameterError: a value is out of bounds.
+    """
+
+    stereo_range: float = value(0.174, 0.0, 5.0, "m", "depth counts beyond it (OAK-D at 640 × 400, extended disparity)")
+    nearest: float = value(0.08, 0.02, 5.0, "m", "least range")
+    farthest: float = value(1.1, 0.1, 20.0, "m", "largest range: beyond it the gap is less than 3 px at f = 441 px")
+    tilt: float = value(1.1, 0.1, 1.3, "rad", "largest angle between the line of sight and the normal")
+    clear: float = value(60.0, 1.0, 1000.0, "", "squared error below which no other start is tried")
+    ambiguous: float = value(12.0, 0.0, 1000.0, "", "rise of the squared error by which a mirrored tilt is ruled out")
+    agreement: float = value(0.15, 0.01, 1.0, "", "relative difference of range by image and depth below stereo range")
+    exact: float = value(
+        10.0, 0.0, 1000.0, "", "rise of the squared error with depth above which the focal length is fitted too"
+    )
+    calibration: float = value(0.007, 0.0, 0.1, "", "relative standard deviation of a focal length that is fitted")
+    alone: float = value(1.7, 1.0, 100.0, "", "factor on the covariance by image alone, whose tilt nothing checks")
+    edges: EdgeSettings = field(default_factory=EdgeSettings)
+    refine: RefineSettings = field(default_factory=RefineSettings)
+    plane: PlaneSettings = field(default_factory=PlaneSettings)
+    support: SupportSettings = field(default_factory=SupportSettings)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A pose that the image supports.
+
+    Attributes:
+        pose: of the terminal in the optical frame.
+        covariance: (6, 6) of position (m) and rotation about the optical axes (rad).
+        confidence: 0 to 1.
+        fused: whether depth took part.
+        upright: whether the tilt is known, not one of two that fit.
+    """
+
+    pose: Pose
+    covariance: Array
+    confidence: float
+    fused: bool
+    upright: bool
+
+
+@dataclass(frozen=True)
+class _Explanation:
+    edges: Edges
+    fit: Fit
+    misfit: float
+
+
+class Judge:
+    """Judges pairs of blobs of one image.
+
+    Args:
+        grey: (H, W) float32, slightly smoothed.
+        image: the image it was made from.
+        terminal: size of the bars.
+        settings: limits.
+    """
+
+    def __init__(self, grey: NDArray[Any], image: RgbdImage, terminal: Terminal, settings: JudgementSettings) -> None:
+        self._grey = grey
+        self._image = image
+        self._terminal = terminal
+        self._corners = face_corners(terminal)
+        self._settings = settings
+        self._focal = math.sqrt(image.intrinsics.fx * image.intrinsics.fy)
+
+    def judge(self, pair: Pair) -> Candidate | None:
+        """Return the pose of a pair, or None where edges do not support one or depth contradicts it."""
+        settings, intrinsics = self._settings, self._image.intrinsics
+        starts = by_corners(pair, self._terminal, intrinsics)
+        if not starts or not 0.7 * settings.nearest < starts[0].translation[2] < 1.4 * settings.farthest:
+            return None
+        if not self._dark(starts[0]):
+            return None
+        region = plate_region(self._image.depth, starts[0], self._terminal, intrinsics, settings.plane)
+        if region.share < settings.plane.known:
+            # Too little depth for a plane may still tell that nothing is there.
+            return None if self._elsewhere(region, starts[0]) else self._by_image(pair, starts[0])
+        plane = fit_plane(region, settings.plane, np.random.default_rng(0))
+        both = None if plane is None else self._by_both(pair, starts[0], plane)
+        if both is not None or starts[0].translation[2] >= settings.stereo_range:
+            return both
+        # Too near for stereo, depth may be noise, or a corner of the plate; another plane is a contradiction.
+        if plane is not None and not _agree(plane, starts[0], settings.agreement):
+            return None
+        return self._by_image(pair, starts[0])
+
+    def _search(
+        self, start: Pose, pair: Pair, plane: Plane | None = None, least: float = math.inf
+    ) -> list[_Explanation]:
+        """Return edges and poses that fit them, from a start whose tilt is right and whose place is rough.
+
+        Starts that soon fit far worse than `least`, the squared error of another explanation, are given up.
+        """
+        settings = self._settings
+        found: list[_Explanation] = []
+        for sides in (True, False):
+            pose = laid_over(start, pair, self._terminal, self._image.intrinsics, sides)
+            followed = self._follow(pose, settings.edges.search, plane, _ROUGH)
+            settled = False
+            for round_ in range(_FOLLOWED + 1):
+                hopeless = _HOPELESS * least + settings.ambiguous
+                if followed is None or self._misfit(*followed, plane) > (4.0 if round_ == 0 else 1.0) * hopeless:
+                    followed = None
+                    break
+                if settled or round_ == _FOLLOWED:
+                    break
+                if round_ > 1 and self._misfit(*followed, missed=False) < settings.clear:
+                    break
+                before = followed[1].pose
+                followed = self._follow(before, settings.edges.follow, plane)
+                settled = followed is not None and self._moved(before, followed[1].pose) < _SETTLED
+            if followed is None:
+                if round_ == 0 and math.isfinite(least):  # at this tilt the other silhouette would not fit either
+                    break
+                continue
+            found.append(_Explanation(*followed, self._misfit(*followed, plane)))
+            least = min(least, found[-1].misfit)
+            if self._misfit(*followed, missed=False) < settings.clear and self._share(*followed):
+                break
+        return sorted(found, key=lambda each: each.misfit)
+
+    def _moved(self, before: Pose, after: Pose) -> float:
+        """Return by how much the corners of the bars move in the image between two poses, px at most."""
+        one, two = (pose.points(self._corners) for pose in (before, after))
+        return self._focal * float(np.abs(one[..., :2] / one[..., 2:] - two[..., :2] / two[..., 2:]).max())
+
+    def _misfit(self, edges: Edges, found: Fit, plane: Plane | None = None, missed: bool = True) -> float:
+        return edges.misfit(found, self._settings.refine.noise, plane, missed)
+
+    def _follow(
+        self, pose: Pose, window: float, plane: Plane | None = None, rounds: int = ROUNDS
+    ) -> tuple[Edges, Fit] | None:
+        """Return the edges near those of a pose, and the pose that fits them."""
+        edges = self._edges(pose, window)
+        found = edges.fit(pose, plane, rounds=rounds)
+        return None if found is None else (edges, found)
+
+    def _edges(self, pose: Pose, window: float) -> Edges:
+        intrinsics, settings = self._image.intrinsics, self._settings
+        spacing = intrinsics.fy * self._terminal.spacing / pose.translation[2]
+        lines = visible_lines(pose, self._terminal, intrinsics, settings.refine.bias)
+        points = find_edges(self._grey, lines, intrinsics, min(window, max(1.5, 0.4 * spacing)), settings.edges)
+        return Edges(points, self._terminal, self._focal, settings.refine)
+
+    def _by_image(self, pair: Pair, start: Pose) -> Candidate | None:
+        """Return the pose by edges alone; where either of two tilts may be the right one, its covariance spans both."""
+        settings = self._settings
+        found = self._explained(pair, start)
+        if not found:
+            return None
+        best, *others = sorted(found, key=lambda each: each.misfit)
+        excess = self._misfit(best.edges, best.fit, missed=False) / settings.clear
+        if excess > _UNSETTLED:
+            return None
+        covariance, upright = settings.alone * best.fit.covariance, True
+        for other in others:
+            if (rise := (other.misfit - best.misfit) / max(1.0, excess)) < settings.ambiguous:
+                turned = np.cross(best.fit.pose.rotation[:, 2], other.fit.pose.rotation[:, 2])
+                step = np.concatenate([other.fit.pose.translation - best.fit.pose.translation, turned])
+                likely = math.exp(-0.5 * rise)
+                covariance = covariance + np.outer(step, step) * likely / (1.0 + likely)
+                upright = upright and bool(np.linalg.norm(turned) < _SAME_TILT)
+        return self._candidate(best.edges, best.fit, covariance, False, upright)
+
+    def _explained(self, pair: Pair, start: Pose) -> list[_Explanation]:
+        """Return poses that fit the edges, more and more tilts being tried as long as none fits well.
+
+        Another tilt shows other sides of the bars, so each is fitted to edges of its own.
+        """
+        found: list[_Explanation] = []
+        nearest = math.inf
+        for limit, leans in ((0.0, None), (1.2, SMALL_LEANS), (3.0, LARGE_LEANS)):
+            best = min(found, key=lambda each: each.misfit, default=None)
+            least = math.inf if best is None else best.misfit
+            if least < limit * self._settings.clear or (
+                leans is not None and nearest > _NOTHING * self._settings.clear
+            ):
+                break
+            if leans is None:
+                tries = [start, mirrored(start)]
+            else:
+                centre = start if best is None else best.fit.pose
+                tries = leaning(centre, leans, pair, self._image.intrinsics)
+            for tried in tries:
+                least = min((each.misfit for each in found), default=math.inf)
+                explained = self._search(tried, pair, least=least)
+                nearest = min([nearest, *(each.misfit for each in explained)])
+                found += [each for each in explained if self._share(each.edges, each.fit)]
+        return found
+
+    def _by_both(self, pair: Pair, start: Pose, plane: Plane) -> Candidate | None:
+        """Return the pose by edges and plane, unless the plane contradicts the edges."""
+        settings = self._settings
+        # The plane tells the tilt, and with it which sides of the bars show.
+        found = self._search(tilted(start, plane.coefficients, pair, self._image.intrinsics), pair, plane)
+        if not found:
+            return None
+        edges, fused = found[0].edges, found[0].fit
+        alone = edges.fit(fused.pose)
+        if alone is None:
+            return None
+        rise = edges.misfit(fused, alone.scatter, plane) - edges.misfit(alone, alone.scatter)
+        if rise > settings.exact and settings.calibration:
+            return self._by_both_rescaled(alone.pose, plane)
+        if not rise <= settings.support.disagreement:
+            return None
+        return self._candidate(edges, fused, fused.covariance, True, True)
+
+    def _by_both_rescaled(self, alone: Pose, plane: Plane) -> Candidate | None:
+        """Return the pose by edges and plane of a camera whose focal length is a little off, where that explains both.
+
+        Args:
+            alone: pose by edges alone, where the lines are seen.
+            plane: the plate's.
+        """
+        settings = self._settings
+        edges = self._edges(alone, settings.edges.follow)
+        start = edges.fit(alone)
+        both = None if start is None else edges.fit(start.pose, plane, settings.calibration)
+        if start is None or both is None:
+            return None
+        rise = edges.misfit(both, start.scatter, plane, calibration=settings.calibration)
+        if not rise - edges.misfit(start, start.scatter) <= settings.support.disagreement:
+            return None
+        return self._candidate(edges, both, both.covariance, True, True)
+
+    def _candidate(self, edges: Edges, found: Fit, covariance: Array, fused: bool, upright: bool) -> Candidate | None:
+        settings, pose = self._settings, found.pose
+        away = float(np.linalg.norm(pose.translation))
+        in_range = settings.nearest <= away <= settings.farthest and facing(pose) >= math.cos(settings.tilt)
+        confidence = self._share(edges, found)
+        if not in_range or confidence <= 0.0 or not np.all(np.isfinite(covariance)):
+            return None
+        if not self._dark(pose):
+            return None
+        # Edges that fit worse than their noise explains have something wrong with them (Birge's ratio).
+        excess = self._misfit(edges, found, missed=False) / settings.clear
+        return Candidate(pose, covariance * max(1.0, excess), confidence, fused, upright)
+
+    def _elsewhere(self, region: Region, pose: Pose) -> bool:
+        """Return whether what depth is known, where stereo has any, lies at quite another range than a pose."""
+        settings, away = self._settings, float(pose.translation[2])
+        if away < settings.stereo_range or len(region.inverse) < settings.plane.fewest:
+            return False
+        return abs(float(np.median(region.inverse)) * away - 1.0) > 2.0 * settings.agreement
+
+    def _dark(self, pose: Pose) -> bool:
+        intrinsics, share = self._image.intrinsics, self._settings.support.around
+        return plate_is_dark(self._grey, pose, self._terminal, intrinsics, share)
+
+    def _share(self, edges: Edges, found: Fit) -> float:
+        return supported(outline_shares(edges.points, found), found, self._settings.support)
+
+
+def _agree(plane: Plane, pose: Pose, tolerance: float) -> bool:
+    """Return whether the plane crosses the line of sight at about the range of a pose."""
+    crossing = float(plane.coefficients @ pose.translation)  # 1 where it does so exactly
+    return abs(crossing - 1.0) <= tolerance

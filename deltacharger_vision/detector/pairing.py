@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pairs of blobs that may be the two bars of a terminal, and the outlines of both, rebuilt where one is cut."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.bounded import Bounded, value
+from deltacharger_vision.detector.segmentation import Blobs
+from deltacharger_vision.terminal import Terminal
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PairingSettings(Bounded):
+    """Which blobs may belong together. Ratios are of the image, so they leave room for tilt up to about 50°.
+
+    Raises:
+        ParameterError: a value is out of bounds.
+    """
+
+    angle: float = value(0.2, 0.0, 1.0, "rad", "largest angle between the bars")
+    near_by_length: float = value(0.55, 0.1, 1.0, "", "least spacing over length, 1 seen from the front")
+    far_by_length: float = value(1.75, 1.0, 10.0, "", "largest spacing over length")
+    near_by_width: float = value(0.55, 0.1, 1.0, "", "least spacing over width, 1 seen from the front")
+    far_by_width: float = value(1.6, 1.0, 10.0, "", "largest spacing over width")
+    widths: float = value(1.9, 1.0, 10.0, "", "largest ratio of the bars' widths")
+    whole: float = value(0.93, 0.5, 1.0, "", "least ratio of the lengths of two bars that are both taken as whole")
+    shift: float = value(0.15, 0.0, 1.0, "", "largest offset along the bars, in lengths")
+    part: float = value(0.2, 0.05, 1.0, "", "least length of a cut bar, in lengths of the whole one")
+    most: int = value(6, 1, 100, "", "pairs that are looked at, the likeliest first")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Outlines of two bars that may be a terminal.
+
+    Attributes:
+        centre: (2, 2) px, of the bar at −y of the terminal's frame first (x along the bars, z away from the camera).
+        along: (2, 2) px, from the centre of each bar to the middle of its end at +x.
+        across: (2, 2) px, from the centre of each bar to the middle of its side at +y.
+        doubt: how far the pair is from a terminal seen from the front; the least is tried first.
+    """
+
+    centre: Array
+    along: Array
+    across: Array
+    doubt: float
+
+
+def find_pairs(blobs: Blobs, terminal: Terminal, settings: PairingSettings) -> list[Pair]:
+    """Return the likeliest pairs, the least doubtful first."""
+    if len(blobs) < 2:
+        return []
+    first, second = np.nonzero(~np.eye(len(blobs), dtype=bool))
+    longer = blobs.length[first] >= blobs.length[second]
+    first, second = first[longer], second[longer]
+    cosine = np.abs(np.sum(blobs.direction[first] * blobs.direction[second], axis=1))
+    offset = blobs.centre[second] - blobs.centre[first]
+    direction, length = blobs.direction[first], blobs.length[first]
+    along = np.abs(np.sum(offset * direction, axis=1)) / length
+    spacing = np.abs(offset[:, 1] * direction[:, 0] - offset[:, 0] * direction[:, 1])
+    pitch = terminal.bar_height + terminal.gap
+    width = np.maximum(blobs.width[first], blobs.width[second])
+    narrow = np.minimum(blobs.width[first], blobs.width[second])
+    by_length = spacing / length * terminal.bar_length / pitch
+    by_width = spacing / (0.5 * (width + narrow)) * terminal.bar_height / pitch
+    ratio = blobs.length[second] / length
+    whole = (ratio >= settings.whole) & (along <= settings.shift)
+    part = (ratio >= settings.part) & (along + 0.5 * ratio <= 0.5 + settings.shift)
+    fits = (cosine >= np.cos(settings.angle)) & (whole | part) & (width / narrow <= settings.widths)
+    fits &= (by_length >= settings.near_by_length) & (by_length <= settings.far_by_length)
+    fits &= (by_width >= settings.near_by_width) & (by_width <= settings.far_by_width)
+    doubt = np.abs(np.log(np.maximum(by_length, 1e-9))) + np.abs(np.log(np.maximum(by_width, 1e-9)))
+    doubt += np.where(whole, along, 0.5 * (1.0 - ratio)) + 2.0 * np.arccos(np.minimum(cosine, 1.0))
+    doubt += 2.0 - blobs.fill[first] - blobs.fill[second]
+    rows = np.flatnonzero(fits)
+    rows = rows[np.argsort(doubt[rows])]
+    pairs: list[Pair] = []
+    for row in rows:
+        pair = _outline(blobs, int(first[row]), int(second[row]), bool(whole[row]), float(doubt[row]))
+        if all(_differs(pair, other) for other in pairs):
+            pairs.append(pair)
+            if len(pairs) == settings.most:
+                break
+    return pairs
+
+
+def _outline(blobs: Blobs, first: int, second: int, whole: bool, doubt: float) -> Pair:
+    direction = blobs.direction[first]
+    across = np.array([-direction[1], direction[0]])
+    offset = blobs.centre[second] - blobs.centre[first]
+    if whole:
+        centre = np.stack([blobs.centre[first], blobs.centre[second]])
+        other = blobs.direction[second]
+        other = other if other @ direction > 0.0 else -other
+        directions = np.stack([direction, other])
+        half = 0.5 * blobs.length[[first, second]]
+    else:
+        # A cut bar shows where its line runs, and the whole one how long it is and where it ends.
+        centre = blobs.centre[first] + np.stack([np.zeros(2), across * (offset @ across)])
+        directions = np.stack([direction, direction])
+        half = np.full(2, 0.5 * blobs.length[first])
+    order = [0, 1] if offset @ across > 0.0 else [1, 0]
+    sides = np.stack([-directions[:, 1], directions[:, 0]], axis=1) * 0.5 * blobs.width[[first, second], None]
+    return Pair(centre[order], (directions * half[:, None])[order], sides[order], doubt)
+
+
+def _differs(pair: Pair, other: Pair) -> bool:
+    """Whether refinement would not bring both to the same edges."""
+    reach = np.hypot(*other.across.T).min()
+    moved = np.abs(pair.centre - other.centre).max() + np.abs(pair.along - other.along).max()
+    return bool(moved > reach)

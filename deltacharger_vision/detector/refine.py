@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pose that fits edges, and a plate's plane where there is one: robust nonlinear least squares.
+
+Edges: distance of each seen place from its projected line (Drummond, Cipolla, "Real-time visual tracking of complex
+structures", PAMI 24 (2002)). Plane: the inverse depth that a stereo camera sees of a plane n·X = D is linear in the
+ray, q·ray with q = n/D.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.bounded import Bounded, value
+from deltacharger_vision.detector.edges import EdgePoints
+from deltacharger_vision.detector.plane import Plane
+from deltacharger_vision.poses import Array, Pose, cross_matrix, facing
+from deltacharger_vision.terminal import Terminal
+
+ROUNDS = 10
+"""Steps of a fit at most."""
+_ENOUGH = 1e-2  # squared length of a step in standard deviations
+_LARGEST = 0.3  # rad a step
+_FEWEST = 24  # edge points
+_TILT = 0.7  # rad: a weak belief that the terminal is seen from the front, so that tilt stays finite
+
+
+@dataclass(frozen=True)
+class RefineSettings(Bounded):
+    """How far edges are believed.
+
+    Raises:
+        ParameterError: a value is out of bounds.
+    """
+
+    bias: float = value(
+        0.07, 0.001, 5.0, "px", "standard deviation of what shifts a whole edge (blur, glare, machining)"
+    )
+    blurred: float = value(0.1, 0.0, 5.0, "", "the same per px by which edges are wider than sharp ones")
+    noise: float = value(0.12, 0.001, 5.0, "px", "least standard deviation of one edge point")
+    spread: float = value(0.05, 0.001, 5.0, "px", "standard deviation of how far light spreads over every edge")
+    glare: float = value(0.5, 0.0, 5.0, "px", "the same per saturated share of the bars, added")
+    outlier: float = value(4.7, 2.0, 20.0, "", "standard deviations beyond which a point counts for nothing (Tukey)")
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A pose and how well it fits.
+
+    Attributes:
+        pose: the pose.
+        covariance: (6, 6) of position (m) and rotation about the optical axes (rad).
+        used: (L, S) edge points that agree with the pose.
+        scatter: px, robust standard deviation of the edge points.
+        spread: px by which bars seem larger on every side, as bright metal does.
+        enlarged: relative, by which the intrinsics' focal length is too large; 0 unless it was fitted.
+        residual: (N,) px, distances of the lines from the N seen places.
+    """
+
+    pose: Pose
+    covariance: Array
+    used: NDArray[np.bool_]
+    scatter: float
+    spread: float
+    enlarged: float
+    residual: Array
+
+
+class Edges:
+    """Edge points that a terminal's pose is fitted to.
+
+    Args:
+        points: the edge points.
+        terminal: size of the bars.
+        focal: px, of a camera that would see the rays of the points.
+        settings: how far they are believed.
+    """
+
+    def __init__(self, points: EdgePoints, terminal: Terminal, focal: float, settings: RefineSettings) -> None:
+        self.points = points
+        self._terminal = terminal
+        self._focal = focal
+        self._settings = settings
+        self._line, self._place = np.nonzero(points.seen)
+        self._model = points.model[points.seen].T
+        self._rays = points.rays[points.seen].T
+        self._ends = np.concatenate([points.lines.start, points.lines.end]).T
+        self._outer = points.lines.outer[self._line].astype(float)
+        bias = points.lines.bias[self._line]
+        self._bias = np.hypot(bias, settings.blurred * points.blur[self._line])
+        # What draws an edge toward a narrow side's other line differs along it: such points say little each.
+        drawn = np.maximum(bias**2 - settings.bias**2, 0.0)
+        self._independent = points.weight[self._line] / (1.0 + drawn / settings.noise**2)
+        _, self._first, self._group = np.unique(self._line, return_index=True, return_inverse=True)
+        self._spread = settings.spread + settings.glare * points.saturated
+
+    def fit(
+        self, start: Pose, plane: Plane | None = None, calibration: float = 0.0, rounds: int = ROUNDS
+    ) -> Fit | None:
+        """Return the pose near `start` that fits the edges, and the plane; None where they do not settle it.
+
+        Args:
+            start: where to begin.
+            plane: the plate's.
+            calibration: relative standard deviation of the focal length, which is fitted too; 0 takes it as exact.
+            rounds: steps at most.
+        """
+        if len(self._line) < _FEWEST:
+            return None
+        prior = np.array([self._spread, calibration] if calibration else [self._spread])
+        size = 6 + len(prior)
+        pose, extra, covariance = start, np.zeros(2), np.eye(size)
+        columns = self._linear(pose, extra)
+        scatter, robust = self._trust(columns[-1], np.ones(len(self._line)), 2.0)
+        for round_ in range(rounds):
+            white = self._whitened(columns, scatter, robust)
+            product = (white * (self._independent * robust / scatter**2)) @ white.T
+            information, gradient = product[:size, :size], product[:size, -1]
+            for index, stddev in enumerate(prior):
+                information[6 + index, 6 + index] += 1.0 / stddev**2
+                gradient[6 + index] += extra[index] / stddev**2
+            for off, slope, precision in _beliefs(pose, self._terminal, plane):
+                information[:6, :6] += slope.T @ precision @ slope
+                gradient[:6] += slope.T @ precision @ off
+            try:
+                covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+            except np.linalg.LinAlgError:  # edges that settle nothing
+                return None
+            step = -covariance @ gradient
+            step *= min(1.0, _LARGEST / max(float(np.abs(step[3:6]).max()), 1e-12))
+            pose = pose.moved(step[:6])
+            extra[: len(prior)] += step[6:]
+            if not np.all(np.isfinite(step)) or pose.translation[2] <= 0.01 or facing(pose) <= 0.2:
+                return None
+            columns = self._linear(pose, extra)
+            # Far points are forgiven at first, while the start is still rough.
+            scatter, robust = self._trust(columns[-1], robust, 2.0 if round_ == 0 else 1.0)
+            if round_ > 0 and -float(step @ gradient) < _ENOUGH:
+                break
+        used = np.zeros(self.points.seen.shape, dtype=bool)
+        used[self._line, self._place] = robust > 0.0
+        # Of what an edge's own bias leaves: that of the merged ends alone would look like a fit that failed.
+        scatter = max(scatter, _spread(columns[-1] * self._settings.noise / np.hypot(self._settings.noise, self._bias)))
+        return Fit(pose, covariance[:6, :6], used, scatter, float(extra[0]), float(extra[1]), columns[-1])
+
+    def misfit(
+        self, found: Fit, scatter: float, plane: Plane | None = None, missed: bool = True, calibration: float = 0.0
+    ) -> float:
+        """Return the robust sum of squares of a fit to these edges, in standard deviations of this scatter (px).
+
+        Where `missed`, places without an edge count as outliers, so that explanations by other lines can be compared.
+        """
+        residual = found.residual
+        limit = self._settings.outlier**2 / 3.0
+        near = (np.abs(residual) < self._tolerance(scatter)).astype(float)
+        white = self._whitened(residual[None], scatter, near)[0]
+        within = np.where(near > 0.0, np.minimum((white / (self._settings.outlier * scatter)) ** 2, 1.0), 1.0)
+        squares = limit * (missed * self.points.missed + float(np.sum(self._independent * (1.0 - (1.0 - within) ** 3))))
+        squares += (found.spread / self._spread) ** 2 + (found.enlarged / calibration if calibration else 0.0) ** 2
+        for off, _, precision in _beliefs(found.pose, self._terminal, plane):
+            squares += float(off @ precision @ off)
+        return squares
+
+    def _trust(self, residual: Array, robust: Array, width: float) -> tuple[float, Array]:
+        """Return the scatter (px) of residuals (N,) about each line's mean, and Tukey's weights (N,)."""
+        mean = self._means(residual[None], robust)[0]
+        scatter = max(self._settings.noise, _spread(residual - mean))
+        whole = max(scatter, _spread(residual))
+        return scatter, np.maximum(1.0 - (residual / (width * self._tolerance(whole))) ** 2, 0.0) ** 2
+
+    def _tolerance(self, scatter: float) -> Array:
+        return np.asarray(self._settings.outlier * np.hypot(scatter, self._bias))
+
+    def _means(self, rows: Array, robust: Array) -> Array:
+        """Return the mean over each line (k, N) of rows (k, N)."""
+        weight = self._independent * robust
+        total = np.maximum(np.add.reduceat(weight, self._first), 1e-9)
+        return np.asarray((np.add.reduceat(weight * rows, self._first, axis=1) / total)[:, self._group])
+
+    def _whitened(self, rows: Array, scatter: float, robust: Array) -> Array:
+        """Return rows (k, N) scaled so that points of a line, which share its bias, become independent.
+
+        The inverse root of σ² I + b² 1 1ᵀ over n points is (I − (1 − 1/√(1 + n b²/σ²)) 1 1ᵀ/n)/σ; σ is left to the
+        caller.
+        """
+        count = np.add.reduceat(self._independent * robust, self._first)[self._group]
+        share = 1.0 - 1.0 / np.sqrt(1.0 + count * (self._bias / scatter) ** 2)
+        return rows - share * self._means(rows, robust)
+
+    def _linear(self, pose: Pose, extra: Array) -> Array:
+        """Return (9, N): the Jacobian's eight columns and the distances (px) of the lines from the seen places.
+
+        Args:
+            pose: of the terminal.
+            extra: (2,) px that the lines are spread, and what the focal length is too large by.
+        """
+        turned = pose.rotation @ self._model
+        inverse = 1.0 / (turned[2] + pose.translation[2])
+        ideal = (turned[:2] + pose.translation[:2, None]) * inverse
+        nx, ny = self._focal * self._normals(pose)[:, self._line]
+        rows = np.empty((9, len(self._line)))
+        rows[0], rows[1] = nx * inverse, ny * inverse
+        rows[2] = -(rows[0] * ideal[0] + rows[1] * ideal[1])
+        rows[3] = turned[1] * rows[2] - turned[2] * rows[1]
+        rows[4] = turned[2] * rows[0] - turned[0] * rows[2]
+        rows[5] = turned[0] * rows[1] - turned[1] * rows[0]
+        rows[6] = self._outer
+        rows[7] = -(nx * self._rays[0] + ny * self._rays[1])
+        rows[8] = nx * ideal[0] + ny * ideal[1] + (1.0 + extra[1]) * rows[7] + extra[0] * self._outer
+        return rows
+
+    def _normals(self, pose: Pose) -> Array:
+        """Return (2, L) unit normals of the lines as an ideal camera sees them, away from the bars."""
+        ends = pose.rotation @ self._ends + pose.translation[:, None]
+        seen = ends[:2] / ends[2]
+        count = seen.shape[1] // 2
+        x, y = seen[:, count:] - seen[:, :count]
+        outward = self.points.lines.outward
+        flipped = np.where(y * outward[:, 0] - x * outward[:, 1] > 0.0, 1.0, -1.0)
+        return np.asarray(np.stack([y, -x]) * (flipped / np.maximum(np.hypot(x, y), 1e-12)))
+
+
+def _spread(residual: Array) -> float:
+    """Return the robust standard deviation of residuals (N,): their median size, scaled to the normal distribution."""
+    middle = len(residual) // 2
+    return 1.4826 * float(np.partition(np.abs(residual), middle)[middle])
+
+
+def _beliefs(pose: Pose, terminal: Terminal, plane: Plane | None) -> list[tuple[Array, Array, Array]]:
+    """Return residual, Jacobian (k, 6) and precision (k, k) of what is known apart from edges."""
+    axis, t = pose.rotation[:, 2], pose.translation
+    # Tilt: the part of the axis across the line of sight.
+    sight = t / np.linalg.norm(t)
+    across = np.eye(3) - np.outer(sight, sight)
+    turning = -cross_matrix(axis)  # of the axis by a small rotation
+    slope = np.concatenate([np.zeros((3, 3)), across @ turning], axis=1)
+    beliefs = [(across @ axis, slope, np.eye(3) / _TILT**2)]
+    if plane is not None:
+        distance = float(axis @ t) + terminal.bar_thickness
+        change = np.concatenate([axis, t @ turning])
+        slope = np.concatenate([np.zeros((3, 3)), turning / distance], axis=1) - np.outer(axis, change) / distance**2
+        beliefs.append((axis / distance - plane.coefficients, slope, plane.precision))
+    return beliefs

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where to start: poses that put a terminal's silhouette where a pair of blobs lies.
+
+A blob covers all that is bright of a bar, its touched face and the sides that show, so the face's corners alone would
+put the terminal too near and off to the side. Given a tilt, the silhouette of the whole bar is laid over the blob.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deltacharger_vision.detector.pairing import Pair
+from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.poses import Array, Pose, face_corners, facing
+from deltacharger_vision.projection import project, rays
+from deltacharger_vision.terminal import Terminal
+
+_SIGNS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+Leans = tuple[tuple[float, float], ...]
+SMALL_LEANS: Leans = ((0.0, 0.08), (0.0, -0.08), (0.08, 0.0), (-0.08, 0.0))
+LARGE_LEANS: Leans = ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.4, 0.3), (0.4, -0.3), (-0.4, 0.3), (-0.4, -0.3))
+"""Tangents of the lean across and along the bars."""
+_ROUNDS = 3
+
+
+def by_corners(pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> list[Pose]:
+    """Return the one or two poses that put the faces' corners where the outlines have them, the better first.
+
+    Collins, Bartoli, "Infinitesimal plane-based pose estimation", IJCV 109 (2014).
+    """
+    import cv2
+
+    corners = pair.centre[:, None] + _SIGNS[:, :1] * pair.along[:, None] + _SIGNS[:, 1:] * pair.across[:, None]
+    ideal = rays(corners.reshape(-1, 1, 2), intrinsics)
+    model = face_corners(terminal).reshape(-1, 1, 3)
+    try:
+        found, vectors, translations, _ = cv2.solvePnPGeneric(model, ideal, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    except cv2.error:  # corners that no plane in front of a camera shows
+        return []
+    poses = []
+    for vector, translation in zip(vectors[:found], translations[:found], strict=True):
+        rotation, _ = cv2.Rodrigues(np.asarray(vector, dtype=float))
+        pose = Pose(np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float).ravel())
+        if np.all(np.isfinite(pose.rotation)) and pose.translation[2] > 0.0 and facing(pose) > 0.0:
+            poses.append(pose)
+    return poses
+
+
+def mirrored(pose: Pose) -> Pose:
+    """Return the pose with its tilt mirrored at the line of sight, which looks nearly the same from afar."""
+    sight = pose.translation / np.linalg.norm(pose.translation)
+    half_turn = 2.0 * np.outer(sight, sight) - np.eye(3)
+    return Pose(half_turn @ pose.rotation @ np.diag([-1.0, -1.0, 1.0]), pose.translation)
+
+
+def leaning(pose: Pose, leans: Leans, pair: Pair, intrinsics: Intrinsics) -> list[Pose]:
+    """Return the pose leaning across and along the bars by these tangents; the large ones are from the front."""
+    axis = pose.translation if leans is LARGE_LEANS else pose.rotation[:, 2]
+    along, across, upright = tilted(pose, axis, pair, intrinsics).rotation.T
+    return [tilted(pose, upright + a * across + b * along, pair, intrinsics) for a, b in leans]
+
+
+def tilted(pose: Pose, axis: Array, pair: Pair, intrinsics: Intrinsics) -> Pose:
+    """Return the pose with its z axis turned to the direction `axis` (3,), and its x axis along the pair's bars."""
+    axis = axis / np.linalg.norm(axis)
+    middle, along = pair.centre.mean(axis=0), pair.along.mean(axis=0)
+    ends = np.ones((2, 3))
+    ends[:, :2] = rays(np.stack([middle - along, middle + along]), intrinsics)
+    # The bars lie in the plane of both ends' rays, and across the axis.
+    bars = np.cross(np.cross(ends[0], ends[1]), axis)
+    bars = bars / max(float(np.linalg.norm(bars)), 1e-9)
+    if bars @ (ends[1] - ends[0]) < 0.0:
+        bars = -bars
+    return Pose(np.stack([bars, np.cross(axis, bars), axis], axis=1), pose.translation)
+
+
+def laid_over(pose: Pose, pair: Pair, terminal: Terminal, intrinsics: Intrinsics, sides: bool) -> Pose:
+    """Return the pose moved, not turned, until the bars lie over the blobs of a pair.
+
+    Args:
+        pose: the tilt, and roughly where.
+        pair: the blobs.
+        terminal: size of the bars.
+        intrinsics: of the camera.
+        sides: whether the blobs hold the sides of the bars, which may be bright or dark, or the touched faces alone.
+    """
+    face = face_corners(terminal)
+    whole = np.concatenate([face, face + np.array([0.0, 0.0, terminal.bar_thickness if sides else 0.0])], axis=1)
+    along = pair.along.sum(axis=0)
+    along = along / np.linalg.norm(along)
+    across = np.array([-along[1], along[0]])
+    frame = np.stack([along, across])
+    seen = np.array([np.hypot(*pair.along.T).sum(), float((pair.centre[1] - pair.centre[0]) @ across)])
+    middle = pair.centre.mean(axis=0)
+    for _ in range(_ROUNDS):
+        placed = project(pose.points(whole), intrinsics) @ frame.T
+        low, high = placed.min(axis=1), placed.max(axis=1)
+        centre = 0.5 * (low + high)
+        shown = np.array([(high - low)[:, 0].mean(), centre[1, 1] - centre[0, 1]])
+        scale = float(shown @ seen) / float(seen @ seen)
+        now = rays(centre.mean(axis=0) @ frame, intrinsics)
+        shift = np.append(rays(middle, intrinsics) - now, 0.0) * pose.translation[2]
+        pose = Pose(pose.rotation, np.asarray((pose.translation + shift) * min(max(scale, 0.5), 2.0)))
+    return pose

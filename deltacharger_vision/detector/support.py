@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether edges and depth support a pose: what is not seen is not reported."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.bounded import Bounded, value
+from deltacharger_vision.detector.edges import EdgePoints
+from deltacharger_vision.detector.refine import Fit
+from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.poses import Array, Pose
+from deltacharger_vision.projection import project
+from deltacharger_vision.terminal import Terminal
+
+_LONG, _ENDS = (0, 2), (1, 3)
+
+
+@dataclass(frozen=True)
+class SupportSettings(Bounded):
+    """What a detection must show.
+
+    Raises:
+        ParameterError: a value is out of bounds.
+    """
+
+    seen: float = value(0.55, 0.2, 1.0, "", "share of both outlines that must be seen")
+    whole: float = value(0.75, 0.3, 1.0, "", "share of the clearer bar's outline that must be seen")
+    part: float = value(0.15, 0.05, 1.0, "", "share of each long side of the other bar that must be seen")
+    end: float = value(0.5, 0.1, 1.0, "", "share of each end of the clearer bar that must be seen")
+    scatter: float = value(1.0, 0.05, 5.0, "px", "largest scatter of the edge points")
+    around: float = value(0.45, 0.0, 1.0, "", "largest light above and below the bars, relative to theirs")
+    disagreement: float = value(30.0, 1.0, 1000.0, "", "largest rise of the squared error when depth is added")
+
+
+def outline_shares(points: EdgePoints, fit: Fit) -> Array:
+    """Return the share (2, 4) of each side of each bar that was seen where the pose has it; 0 outside the image."""
+    shares = np.zeros((2, 4))
+    lines = points.lines
+    for index in range(len(lines.bar)):
+        share = float(np.mean(fit.used[index]))
+        # A side that shows two lines is seen by either.
+        bar, side = lines.bar[index], lines.side[index]
+        shares[bar, side] = max(shares[bar, side], share)
+    return shares
+
+
+def plate_is_dark(grey: NDArray[Any], pose: Pose, terminal: Terminal, intrinsics: Intrinsics, share: float) -> bool:
+    """Return whether there is no third bar: where it would be, light (H, W) is below `share` of that of the bars."""
+    places = np.linspace(-0.4, 0.4, 9) * terminal.bar_length
+    rows = np.array([-1.5, -0.5, 0.5, 1.5]) * terminal.spacing
+    points = np.stack(np.broadcast_arrays(places, rows[:, None], 0.0), axis=-1)
+    points[[0, 3], :, 2] = terminal.bar_thickness
+    pixels = np.round(project(pose.points(points), intrinsics)).astype(int)
+    height, width = grey.shape
+    inside = np.all((pixels >= 0) & (pixels < [width, height]), axis=-1)
+    pixels = np.clip(pixels, 0, [width - 1, height - 1])
+    light = np.where(inside, grey[pixels[..., 1], pixels[..., 0]].astype(float), np.nan)
+    bars = light[1:3][inside[1:3]]
+    if not len(bars):
+        return False
+    limit = share * float(np.median(bars))
+    return all(not inside[row].any() or float(np.nanmedian(light[row])) < limit for row in (0, 3))
+
+
+def supported(shares: Array, fit: Fit, settings: SupportSettings) -> float:
+    """Return the share (0 to 1) of the outlines that was seen, or 0 where that is too little for a pose."""
+    long_sides, ends = shares[:, _LONG], shares[:, _ENDS]
+    bars = 0.7 * long_sides.mean(axis=1) + 0.3 * ends.mean(axis=1)
+    clear = int(np.argmax(bars))
+    overall = float(bars.mean())
+    enough = (
+        overall >= settings.seen
+        and bars[clear] >= settings.whole
+        and long_sides[1 - clear].min() >= settings.part
+        and ends[clear].min() >= settings.end
+        and fit.scatter <= settings.scatter
+    )
+    return overall if enough else 0.0

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is common to the boards for calibration: the corners that an image shows of one, and the markers of OpenCV.
+
+A board's frame: origin at the centre of the printed pattern, x to the right and y up on the print, z out of the print,
+toward who looks at it. Corners lie at z = 0.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.errors import VisionError
+from deltacharger_vision.hand_eye.corner_refinement import refined
+
+Array = NDArray[np.float64]
+Gray = NDArray[np.uint8]
+
+FAMILIES = ("16h5", "25h9", "36h10", "36h11")
+"""Of AprilTags."""
+DICTIONARIES = tuple(f"{bits}x{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000))
+"""Of the markers of a ChArUco board."""
+FEWEST_CORNERS = 4
+"""That an image must show of a board."""
+
+
+class BoardError(VisionError, ValueError):
+    """A board cannot be used as described. Example: `apriltag:36h11:900`, where the family has 587 tags.
+
+    Args:
+        name: what of it.
+        reason: what is wrong and what to do.
+    """
+
+    def __init__(self, name: str, reason: str) -> None:
+        self.name = name
+        self.reason = reason
+        super().__init__(f"{name}: {reason}")
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """The corners of a board that an image shows.
+
+    Attributes:
+        corners: (K, 3) m in the board's frame, K ≥ 4.
+        pixels: (K, 2) px where the image shows them, the centre of the first pixel at (0, 0).
+        white: value, 0 to 255, that the brightest twentieth of the pixels between them reaches.
+    """
+
+    corners: Array
+    pixels: Array
+    white: float = 0.0
+
+
+class Board(ABC):
+    """What is common to both kinds of board."""
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """As `parse_board` reads it."""
+
+    @property
+    @abstractmethod
+    def length(self) -> float:
+        """Side of the tag's black square, or of a chessboard square, m."""
+
+    @property
+    @abstractmethod
+    def pattern(self) -> tuple[float, float]:
+        """Width and height of the printed pattern without its white margin, m."""
+
+    @property
+    @abstractmethod
+    def margin(self) -> float:
+        """Width of the white margin that the print needs around the pattern, m."""
+
+    @abstractmethod
+    def corners(self) -> Array:
+        """Return all corners (K, 3) m that an image can show."""
+
+    @abstractmethod
+    def cells(self) -> NDArray[np.bool_]:
+        """Return (rows, columns) of equal rectangles that the pattern consists of, True = black, first row on top."""
+
+    @abstractmethod
+    def _find(self, gray: Gray) -> tuple[Array, Array, float] | None:
+        """Return corners (K, 3) m, their pixels (K, 2) to a pixel or so, and the px around them that hold no others."""
+
+    @abstractmethod
+    def _edges(self, corners: Array) -> Array:
+        """Return (K, 2, M, 2) m: from each corner to samples on the two edges that cross there."""
+
+    def detect(self, image: NDArray[np.uint8]) -> Sighting | None:
+        """Return the corners that an image shows; None where the board is not seen, or seen twice.
+
+        Args:
+            image: (H, W) gray or (H, W, 3) RGB.
+
+        Raises:
+            BoardError: the image has another shape or type.
+        """
+        gray = grayscale(image)
+        found = self._find(gray)
+        if found is None or len(found[0]) < FEWEST_CORNERS:
+            return None
+        corners, pixels, free = found
+        return _refined(gray, corners, pixels, self._edges(corners), free)
+
+
+@cache
+def dictionary(name: str) -> Any:
+    """Return OpenCV's dictionary of that name, one of `FAMILIES` or `DICTIONARIES`."""
+    import cv2
+
+    kind = f"APRILTAG_{name}" if name in FAMILIES else name.upper()
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{kind}"))
+
+
+@cache
+def marker_detector(name: str) -> Any:
+    """Return OpenCV's detector of the markers of a dictionary."""
+    import cv2
+
+    return cv2.aruco.ArucoDetector(dictionary(name), cv2.aruco.DetectorParameters())
+
+
+def grayscale(image: NDArray[np.uint8]) -> Gray:
+    """Return (H, W) of an image (H, W) or (H, W, 3) RGB; BoardError where it is neither."""
+    import cv2
+
+    if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
+        raise BoardError("image", f"shape {image.shape} of {image.dtype}; give (H, W) gray or (H, W, 3) RGB in uint8")
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+
+
+def _refined(gray: Gray, corners: Array, pixels: Array, offsets: Array, free: float) -> Sighting | None:
+    """Return the corners (K, 3) m whose edges are seen; `offsets` (K, 2, M, 2) m lead to samples on those edges."""
+    import cv2
+
+    homography, _ = cv2.findHomography(np.ascontiguousarray(corners[:, :2]), np.ascontiguousarray(pixels))
+    if homography is None:
+        return None
+    flat = corners[:, None, None, :2] + offsets
+    mapped, origin = (_mapped(homography, points) for points in (flat, corners[:, None, None, :2]))
+    found = refined(gray, pixels, mapped - origin, free)
+    seen = np.isfinite(found).all(axis=1)
+    if np.count_nonzero(seen) < FEWEST_CORNERS:
+        return None
+    (left, top), (right, bottom) = (found[seen].min(axis=0).astype(int), found[seen].max(axis=0).astype(int) + 1)
+    return Sighting(corners[seen], found[seen], float(np.percentile(gray[top:bottom, left:right], 95.0)))
+
+
+def _mapped(homography: Array, points: Array) -> Array:
+    """Return pixels (..., 2) of points (..., 2) on the board."""
+    found = points @ homography[:, :2].T + homography[:, 2]
+    return np.asarray(found[..., :2] / found[..., 2:])

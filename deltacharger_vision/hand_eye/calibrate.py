@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hand-eye calibration: where the fixed camera sits on the charger, from images of a board on the moving platform.
+
+The platform only translates. So the classical AX = XB has no answer, and two things are special: the camera's rotation
+follows from the directions of the platform's moves, and its place is known only together with the board's offset on the
+platform, which a ruler must tell; the offset's error is the camera's. The board's orientation is found besides.
+
+`calibrate` gives the mount with a covariance, the error on views that were held out, and the size of the board that
+fits the moves; `hand_eye_checks` says what is doubtful about all this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.hand_eye.fit import Fit, fit, set_apart
+from deltacharger_vision.hand_eye.model import ANGLES, BOARD, CAMERA, SCALE, SHIFT, State
+from deltacharger_vision.hand_eye.start import Start, start
+from deltacharger_vision.hand_eye.views import FEWEST, JOINTS, Beliefs, Corners, HandEyeError, View
+from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.mount import Mount
+from deltacharger_vision.poses import cross_matrix
+
+Array = NDArray[np.float64]
+
+HELD_OUT = 5
+"""Every so many-th view judges the others."""
+LINE = 0.005
+"""The platform must move across its longest way by more than this, m, or the rotation about that way stays unknown."""
+PLACES_APART = 0.005
+"""Positions nearer than this are one place, m."""
+_FEWEST_PLACES = 4
+_TOLD = 0.01
+"""Share of a joint error's variance that views must remove to tell anything of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A calibrated mount and how it fits.
+
+    Attributes:
+        mount: of the camera, its covariance with the error of the board's offset.
+        board: (3, 3) end_effector_R_board.
+        joints: (3,) rad, constant errors of the arm's angles as far as the views tell, and their standard deviations.
+        joint_surprise: squared size of those errors in units of what was believed of them; 3 where that was right.
+        fit: to all views.
+        held_out: indices of the views that judged a fit to the others.
+        held_out_errors: (len(held_out), 3) m in charger_base: where those images show the board less where that fit
+            expects it.
+        size: factor on the board's stated size that fits the platform's moves best; about 1 where it was right.
+        size_stddev: of `size`.
+        decided: whether only one orientation of the board fits the images.
+        positions: (N, 3) m, of the platform.
+        reprojection: (N,) px, root mean square distance of a view's corners from where they should be.
+    """
+
+    mount: Mount
+    board: Array
+    joints: tuple[Array, Array]
+    joint_surprise: float
+    fit: Fit
+    held_out: tuple[int, ...]
+    held_out_errors: Array
+    size: float
+    size_stddev: float
+    decided: bool
+    positions: Array
+    reprojection: Array
+
+    def point_covariance(self, point: Array) -> Array:
+        """Return the covariance (3, 3) m² by the mount alone of a `point` (3,) m of charger_base that is seen."""
+        lever = np.hstack([np.eye(3), -cross_matrix(np.asarray(point) - self.mount.pose[:3, 3])])
+        return np.asarray(lever @ self.mount.covariance @ lever.T)
+
+    @property
+    def board_stddev(self) -> float:
+        """Standard deviation (rad) of the board's orientation about its worst axis."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.fit.covariance[BOARD, BOARD])[-1]))
+
+
+def calibrate(
+    views: Sequence[View], intrinsics: Intrinsics, beliefs: Beliefs | None = None, every: int = HELD_OUT
+) -> Calibration:
+    """Find the camera's mount.
+
+    Args:
+        views: five or more, in the order in which they were taken.
+        intrinsics: of the camera.
+        beliefs: the board's offset, and how exact all is.
+        every: every so many-th view is held out of the fit that it judges; the mount itself is fitted to all.
+
+    Raises:
+        HandEyeError: too few views, platform moves that leave the mount unknown, or views that do not agree.
+        CameraInfoError: the lens's distortion is no one-to-one map at a corner.
+    """
+    beliefs = beliefs or Beliefs()
+    judges = [index for index in range(len(views)) if index % every == every - 1]
+    check_moves([view.position for view in views])
+    if len(views) - len(judges) < FEWEST - 1:
+        raise HandEyeError(f"{len(judges)} of {len(views)} views held out leave too few; take more, or hold out fewer")
+    corners = Corners.of(views, intrinsics)
+    first = start(corners)
+    sized = fit(corners, beliefs, _state(first, first.scale), free_scale=True)
+    try:
+        whole = fit(corners, beliefs, _state(first, 1.0))
+    except HandEyeError as error:
+        raise HandEyeError(f"{error.reason}; the board fits best at {sized.state.scale:.3f} of its size") from error
+    return Calibration(
+        mount=_mount(whole, beliefs),
+        board=whole.state.board,
+        joints=(whole.state.joints, np.sqrt(np.diag(whole.covariance)[ANGLES])),
+        joint_surprise=_surprise(whole, beliefs),
+        fit=whole,
+        held_out=tuple(judges),
+        held_out_errors=_judged(views, intrinsics, beliefs, judges, whole.state),
+        size=sized.state.scale,
+        size_stddev=sized.state.scale * float(np.sqrt(sized.covariance[SCALE, SCALE])),
+        decided=first.decided,
+        positions=corners.positions,
+        reprojection=_reprojection(corners, whole),
+    )
+
+
+def check_moves(positions: Sequence[Array]) -> None:
+    """Refuse positions (3,) m each of the platform that leave the mount unknown.
+
+    Raises:
+        HandEyeError: says what is missing.
+    """
+    if len(positions) < FEWEST:
+        raise HandEyeError(
+            f"{len(positions)} views show the board, and {FEWEST} are the least; take 20, all over the workspace"
+        )
+    places = count_places(np.array(positions))
+    if places < _FEWEST_PLACES:
+        raise HandEyeError(f"the platform stood at {places} places only; move it, 20 places are good")
+    extents, axes = moved(np.array(positions))
+    if extents[1] < LINE:
+        raise HandEyeError(
+            f"the platform moved along one line, {axis_name(axes[0])}; the camera's rotation about it stays unknown: "
+            "move the platform in other directions too"
+        )
+
+
+def moved(positions: Array) -> tuple[Array, Array]:
+    """Return how far positions (N, 3) spread (3,) m, farthest first, and along which unit axes (3, 3), row by row."""
+    centred = positions - positions.mean(axis=0)
+    axes = np.linalg.svd(centred, full_matrices=True)[2]
+    along = np.ptp(centred @ axes.T, axis=0)
+    order = np.argsort(-along)
+    return along[order], axes[order]
+
+
+def axis_name(axis: Array) -> str:
+    """Return a unit axis (3,) of charger_base in words."""
+    largest = int(np.argmax(np.abs(axis)))
+    if abs(axis[largest]) > 0.9:
+        return "xyz"[largest]
+    signed = axis * np.sign(axis[largest])
+    return "(" + ", ".join(f"{value:.2f}" for value in signed) + ")"
+
+
+def count_places(positions: Array) -> int:
+    """Return at how many places positions (N, 3) m lie."""
+    places: list[Array] = []
+    for position in positions:
+        if all(np.linalg.norm(position - place) > PLACES_APART for place in places):
+            places.append(position)
+    return len(places)
+
+
+def _state(first: Start, scale: float) -> State:
+    return State(first.camera, first.shift, first.board, np.zeros(JOINTS), scale)
+
+
+def _mount(found: Fit, beliefs: Beliefs) -> Mount:
+    pose = np.eye(4)
+    pose[:3, :3] = found.state.camera
+    pose[:3, 3] = found.state.shift + beliefs.offset
+    order = np.r_[SHIFT, CAMERA]
+    covariance = found.covariance[np.ix_(order, order)]
+    covariance[:3, :3] += beliefs.offset_stddev**2 * np.eye(3)
+    return Mount(pose, (covariance + covariance.T) / 2)
+
+
+def _surprise(found: Fit, beliefs: Beliefs) -> float:
+    """Return the joints' squared errors in units of P − C, of which they are drawn where the belief P is right.
+
+    C is their covariance after the views; where it is that of before, the views say nothing, and that is no surprise.
+    """
+    if not beliefs.joint_stddev:
+        return 0.0
+    errors = found.state.joints / beliefs.joint_stddev
+    told = np.eye(JOINTS) - found.covariance[ANGLES, ANGLES] / beliefs.joint_stddev**2
+    values, axes = np.linalg.eigh(told)
+    return float(np.sum((errors @ axes) ** 2 / np.maximum(values, _TOLD)))
+
+
+def _judged(
+    views: Sequence[View], intrinsics: Intrinsics, beliefs: Beliefs, judges: Sequence[int], state: State
+) -> Array:
+    """Return the errors (len(judges), 3) m of a fit to the other views."""
+    if not judges:
+        return np.empty((0, 3))
+    others = [view for index, view in enumerate(views) if index not in judges]
+    found = fit(Corners.of(others, intrinsics), beliefs, state)
+    return set_apart(Corners.of([views[index] for index in judges], intrinsics), found.state).moves
+
+
+def _reprojection(corners: Corners, found: Fit) -> Array:
+    """Return (N,) px, what both a move of the board and scatter of its corners make of a view."""
+    apart = found.apart
+    count = np.bincount(corners.view)
+    by_move = np.einsum("ni,nij,nj->n", apart.moves, apart.precision, apart.moves)
+    return np.asarray(np.sqrt((apart.rest + by_move) / count))

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a hand-eye calibration is given: views of a board on the platform, and what is known beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.bounded import Bounded, value
+from deltacharger_vision.errors import VisionError
+from deltacharger_vision.hand_eye.board import Sighting
+from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.projection import rays
+
+Array = NDArray[np.float64]
+
+JOINTS = 3
+FEWEST = 5
+"""Views that a calibration needs, one of them to judge the others."""
+_FARTHEST = 10.0
+"""No platform stands further from its charger, m."""
+
+
+class HandEyeError(VisionError, ValueError):
+    """Views do not tell where the camera is. Example: all were taken with the platform on one line.
+
+    Args:
+        reason: what is missing and what to do.
+        views: indices of those concerned; empty where it is all.
+    """
+
+    def __init__(self, reason: str, views: Sequence[int] = ()) -> None:
+        self.reason = reason
+        self.views = tuple(views)
+        super().__init__(reason)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One image of the board, with the platform at rest.
+
+    Attributes:
+        position: (3,) m of end_effector in charger_base, by forward kinematics.
+        sighting: the board's corners in the image.
+        slope: (3, 3) m/rad, by how much `position` changes with each arm angle; 0 where angles are exact.
+
+    Raises:
+        HandEyeError: a number is not finite, or the platform far outside any workspace.
+    """
+
+    position: Array
+    sighting: Sighting
+    slope: Array
+
+    def __post_init__(self) -> None:
+        if np.shape(self.position) != (3,) or np.shape(self.slope) != (3, JOINTS):
+            raise HandEyeError("a view needs a position (3,) and its slope (3, 3)")
+        numbers = (self.position, self.slope, self.sighting.corners, self.sighting.pixels)
+        if not all(np.isfinite(each).all() for each in numbers) or np.abs(self.position).max() > _FARTHEST:
+            raise HandEyeError(f"a view at {np.asarray(self.position)} m; give finite numbers in metres")
+
+
+@dataclass(frozen=True)
+class Beliefs(Bounded):
+    """What is known before the views are seen. Standard deviations without a source are assumed.
+
+    Attributes:
+        offset: (3,) m, origin of the board in end_effector.
+
+    Raises:
+        ParameterError: a value is out of bounds.
+    """
+
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    offset_stddev: float = value(0.0005, 0.0, 0.1, "m", "of each coordinate of `offset`, as measured by hand")
+    joint_stddev: float = value(0.001745, 0.0, 0.2, "rad", "of each arm's constant angle error (0.1°)")
+    arm_stddev: float = value(0.0001, 1e-6, 0.1, "m", "scatter of a position; corrected by the views")
+    pixel_stddev: float = value(0.1, 1e-3, 10.0, "px", "scatter of a corner; corrected by the views")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.offset) != 3 or not np.isfinite(self.offset).all() or np.abs(self.offset).max() > 1.0:
+            raise HandEyeError(f"the board's offset is {self.offset}; give three lengths within ±1 m")
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """The corners of several views, one row each, view after view; M of them in N views.
+
+    Attributes:
+        view: (M,) index of the view.
+        points: (M, 3) m in the board's frame.
+        seen: (M, 2) px without the lens's distortion: focal length times ray, from the principal point.
+        positions: (N, 3) m.
+        slopes: (N, 3, 3) m/rad.
+        focal: (2,) px.
+    """
+
+    view: NDArray[np.int64]
+    points: Array
+    seen: Array
+    positions: Array
+    slopes: Array
+    focal: Array
+
+    @property
+    def views(self) -> int:
+        """How many views there are."""
+        return len(self.positions)
+
+    @cached_property
+    def rows(self) -> tuple[slice, ...]:
+        """The rows of each view."""
+        ends = np.cumsum(np.bincount(self.view, minlength=self.views)).tolist()
+        return tuple(slice(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
+
+    @staticmethod
+    def of(views: Sequence[View], intrinsics: Intrinsics) -> Corners:
+        """Gather the corners of `views` and undistort them.
+
+        Raises:
+            CameraInfoError: the lens's distortion is no one-to-one map at a corner.
+        """
+        focal = np.array([intrinsics.fx, intrinsics.fy])
+        pixels = np.concatenate([view.sighting.pixels for view in views])
+        return Corners(
+            np.repeat(np.arange(len(views)), [len(view.sighting.pixels) for view in views]),
+            np.concatenate([view.sighting.corners for view in views]),
+            focal * rays(pixels, intrinsics),
+            np.stack([view.position for view in views]),
+            np.stack([view.slope for view in views]),
+            focal,
+        )

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A calibration board for the simulated camera: a white plate and its black cells as thin boxes."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.hand_eye.board import Board
+from deltacharger_vision.rendering.scene import Box, Color, Scene, check_pose, shifted
+
+Array = NDArray[np.float64]
+Area = tuple[int, int, int, int]
+"""Left, top, right and bottom of a rectangle of cells, the last two beyond it."""
+
+THICKNESS = 0.002
+"""Of the plate that the board is printed on, m (assumed)."""
+_BIT = 1e-4  # m, of white on black: what is thinner could be painted over
+_WHITE, _BLACK = (0.75, 0.75, 0.75), (0.03, 0.03, 0.03)  # reflectance of matte print (assumed)
+
+
+def bracket() -> Array:
+    """Return (4, 4) end_effector_T_board of the place that docs/camera-calibration.md proposes.
+
+    The plate is screwed to the back of the platform, upright and parallel to the contact plane, and looks backward at
+    the camera: the board's x is −x of end_effector, y is y, z is −z. It stands above the upper edge and to the left,
+    clear of the limb that comes from above on the right.
+    """
+    pose = shifted((0.020, 0.030, -0.022))
+    pose[:3, :3] = np.diag([-1.0, 1.0, -1.0])
+    return pose
+
+
+def with_board(scene: Scene, board: Board, pose: Array, in_camera: bool = False) -> Scene:
+    """Return the scene with a board in it.
+
+    Args:
+        scene: as it is without.
+        board: which.
+        pose: (4, 4) from the board's frame to the terminal's, or to the optical frame where `in_camera`.
+        in_camera: whether `pose` is that of the optical frame.
+
+    Raises:
+        SceneError: the pose is not a rigid transform.
+    """
+    plate, *cells = board_boxes(board, pose, in_camera)
+    # What is painted first must be the plate, also where a cell is further away than its centre.
+    return dataclasses.replace(scene, background=(*scene.background, plate), foreground=(*scene.foreground, *cells))
+
+
+def board_boxes(board: Board, pose: Array, in_camera: bool = False) -> list[Box]:
+    """Return the white plate, then the black areas, whose faces lie at z = 0, and the white within them.
+
+    Arguments and errors as in `with_board`. Each area is one box: an edge made of several would be half covered several
+    times, and would not lie where it should.
+    """
+    check_pose("board", pose)
+    return [dataclasses.replace(box, pose=pose @ box.pose, in_camera=in_camera) for box in _boxes(board)]
+
+
+@cache
+def _boxes(board: Board) -> tuple[Box, ...]:
+    """Return the boxes in the board's frame."""
+    (width, height), margin = board.pattern, board.margin
+    black = board.cells()
+    cell = width / black.shape[1]
+
+    def box(area: Area, face: float, thickness: float, color: Color) -> Box:
+        left, top, right, bottom = area
+        middle = (cell * (left + right) / 2 - width / 2, height / 2 - cell * (top + bottom) / 2, face - thickness / 2)
+        return Box(shifted(middle), (cell * (right - left), cell * (bottom - top), thickness), color)
+
+    plate = shifted((0.0, 0.0, -THICKNESS / 2))
+    boxes = [Box(plate, (width + 2 * margin, height + 2 * margin, THICKNESS), _WHITE)]
+    for area in _areas(black):
+        boxes.append(box(area, 0.0, 0.0, _BLACK))  # no ink is thick enough to show its side
+        left, top, right, bottom = area
+        for a, b, c, d in _rectangles(~black[top:bottom, left:right]):
+            boxes.append(box((left + a, top + b, left + c, top + d), _BIT, _BIT, _WHITE))
+    return tuple(boxes)
+
+
+def _areas(black: NDArray[np.bool_]) -> list[Area]:
+    """Return the rectangles around what is black and connected by more than a corner, those within others left out."""
+    import cv2
+
+    _, _, stats, _ = cv2.connectedComponentsWithStats(black.astype(np.uint8), connectivity=4)
+    areas = [(left, top, left + width, top + height) for left, top, width, height, _ in stats[1:].tolist()]
+    return [area for area in areas if not any(other != area and _holds(other, area) for other in areas)]
+
+
+def _holds(outer: Area, inner: Area) -> bool:
+    return outer[0] <= inner[0] and outer[1] <= inner[1] and outer[2] >= inner[2] and outer[3] >= inner[3]
+
+
+def _rectangles(marked: NDArray[np.bool_]) -> list[Area]:
+    """Return rectangles that cover the marked cells (rows, columns) and no others.
+
+    They overlap where they can: at a seam between two, half-covered pixels would let the black through.
+    """
+    if not marked.any():
+        return []
+    rows, columns = (_changes(marked, axis) for axis in (0, 1))
+    coarse = marked[np.ix_(rows[:-1], columns[:-1])]
+    found: dict[Area, None] = {}
+    for row, column in np.argwhere(coarse):
+        for first in (0, 1):
+            (top, bottom), (left, right) = _grown(coarse, (int(row), int(column)), first)
+            found[int(columns[left]), int(rows[top]), int(columns[right]), int(rows[bottom])] = None
+    return list(found)
+
+
+def _changes(marked: NDArray[np.bool_], axis: int) -> NDArray[np.int64]:
+    """Return where rows (axis 0) or columns (1) differ from those before, and both ends."""
+    differs = (np.diff(marked, axis=axis) != 0).any(axis=1 - axis)
+    return np.concatenate([[0], 1 + np.flatnonzero(differs), [marked.shape[axis]]])
+
+
+def _grown(marked: NDArray[np.bool_], cell: tuple[int, int], first: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return (start, end) along rows and columns of a marked rectangle around a cell, grown along `first` first."""
+    spans = [(cell[0], cell[0] + 1), (cell[1], cell[1] + 1)]
+    for axis in (first, 1 - first):
+        window = [slice(*span) for span in spans]
+        window[axis] = slice(None)
+        line = np.asarray(marked[tuple(window)].all(axis=1 - axis))
+        start, end = spans[axis]
+        while start > 0 and line[start - 1]:
+            start -= 1
+        while end < len(line) and line[end]:
+            end += 1
+        spans[axis] = (start, end)
+    return spans[0], spans[1]

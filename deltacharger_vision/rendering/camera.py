@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""RGB-D images of a terminal without a camera and without graphics hardware: a ray-caster of boxes in numpy."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.rendering.image_defects import blurred, developed, slow_field
+from deltacharger_vision.rendering.materials import brushed
+from deltacharger_vision.rendering.parameters import CameraParameters
+from deltacharger_vision.rendering.ray_caster import Piece, Rays
+from deltacharger_vision.rendering.scene import Box, Scene, check_pose
+from deltacharger_vision.rendering.stereo_depth import measured
+
+Array = NDArray[np.float64]
+Plane = NDArray[np.float32]
+
+OAK_D = Intrinsics(640, 400, 441.0, 441.0, 319.5, 199.5)
+"""An OAK-D's colour image at 640 × 400 px, without its lens's distortion."""
+_LARGER_THAN_ANY = 36
+"""Bytes per pixel of an array that is larger than any used for an image."""
+_LARGEST_KEPT = 31 << 20
+"""Bytes; glibc keeps nothing larger (its limit is 32 MiB on 64-bit machines)."""
+
+
+def taken(
+    light: Plane,
+    depth: tuple[Plane, Plane] | None,
+    intrinsics: Intrinsics,
+    parameters: CameraParameters,
+    unevenness: float,
+    random: np.random.Generator,
+) -> RgbdImage:
+    """Return the image that a camera with the defects of `parameters` takes of what lies before it.
+
+    Args:
+        light: (3, H, W) linear, which is changed.
+        depth: (H, W) 1/m, one over the true depth, and (H, W) share of holes; None leaves all depth unknown.
+        intrinsics: of the camera.
+        parameters: its defects.
+        unevenness: relative range of slow changes of the light over the image.
+        random: draws all of them.
+    """
+    p, shape = parameters, (intrinsics.height, intrinsics.width)
+    if unevenness:
+        light *= slow_field(shape, unevenness, random)
+    light = blurred(light, p.defocus, p.motion_x, p.motion_y)
+    image = developed(light, p.exposure, p.shot_noise, p.read_noise, random)
+    if depth is None:
+        return RgbdImage(image, np.full(shape, np.nan, dtype=np.float32), intrinsics)
+    return RgbdImage(image, measured(*depth, intrinsics.fx, p, random), intrinsics)
+
+
+class SimulatedCamera:
+    """An RGB-D camera: colour and the depth of the same pixels, with the defects of `parameters`.
+
+    It does not simulate cast shadows, light reflected from one surface to another, colour filters over the pixels,
+    rolling shutter, nor stereo matching itself: depth is the true one, spoilt as matching spoils it.
+    """
+
+    def __init__(self, intrinsics: Intrinsics = OAK_D, parameters: CameraParameters | None = None) -> None:
+        self.intrinsics = intrinsics
+        self.parameters = parameters or CameraParameters()
+        self._rays = Rays(intrinsics)
+        # glibc maps large arrays anew each time until one as large was freed: 25 ms an image instead of 14.
+        np.empty(min(_LARGER_THAN_ANY * intrinsics.width * intrinsics.height, _LARGEST_KEPT), dtype=np.uint8)
+
+    def render(
+        self,
+        scene: Scene,
+        camera_T_terminal: Array,  # noqa: N803
+        random: np.random.Generator,
+        color_only: bool = False,
+    ) -> RgbdImage:
+        """Return one image; the same generator state gives the same image.
+
+        Args:
+            scene: what stands before the camera.
+            camera_T_terminal: (4, 4), from the terminal's frame to the optical frame (x right, y down, z forward).
+            random: draws noise, holes and the streaks of metal.
+            color_only: leave all depth unknown and do nothing for it.
+
+        Raises:
+            SceneError: the pose is not a rigid transform.
+        """
+        check_pose("camera_T_terminal", camera_T_terminal)
+        color, inverse, holes = self._painted(scene, np.asarray(camera_T_terminal, dtype=float), random)
+        depth = None if color_only else (inverse, holes)
+        return taken(color, depth, self.intrinsics, self.parameters, scene.parameters.unevenness, random)
+
+    def _painted(self, scene: Scene, pose: Array, random: np.random.Generator) -> tuple[Plane, Plane, Plane]:
+        """Return light (3, H, W), 1/z (H, W) 1/m and the share of holes (H, W)."""
+        s, p = scene.parameters, self.parameters
+        light = pose[:3, :3] @ (np.asarray(scene.light) / np.linalg.norm(scene.light))
+        wall = pose[:3, 2]
+        inverse = self._rays.linear(wall / (wall @ pose[:3, 3] + s.wall_distance))
+        np.clip(inverse, 1e-6, None, out=inverse)
+        lit = s.wall * (s.ambient + s.diffuse * max(0.0, float(-wall @ light)))
+        color = np.full((3, *self._rays.shape), lit, dtype=np.float32)
+        holes = np.full(self._rays.shape, p.hole_matte, dtype=np.float32)
+        for box, placed in scene.painted(pose):
+            piece = self._rays.cast(placed, box.size, p.edge_width)
+            if piece is not None:
+                self._paint(scene, box, placed, piece, light, random, color, inverse, holes)
+        return color, inverse, holes
+
+    def _paint(
+        self,
+        scene: Scene,
+        box: Box,
+        pose: Array,
+        piece: Piece,
+        light: Array,
+        random: np.random.Generator,
+        color: Plane,
+        inverse: Plane,
+        holes: Plane,
+    ) -> None:
+        s, p = scene.parameters, self.parameters
+        before = piece.inverse * np.float32(1.0 + 1e-4) >= inverse[piece.window]
+        covered = piece.covered * before
+        lambert = np.maximum(piece.normals @ light, 0.0)
+        face_light = (s.ambient + s.diffuse * lambert).astype(np.float32)
+        gray: Plane | np.float32 = np.sum(
+            [share * lit for share, lit in zip(piece.shares, face_light, strict=True)], axis=0, dtype=np.float32
+        )
+        solid = covered >= 0.5
+        glare = None
+        if box.metal:
+            gray, glare = brushed(self._rays, box, pose, piece, gray, light, s, random)
+        for channel, reflectance in enumerate(box.color):
+            target = color[channel][piece.window]
+            shade = gray * np.float32(reflectance)
+            if glare is not None:
+                shade = shade + glare
+            target += (shade - target) * covered
+        np.copyto(inverse[piece.window], piece.inverse, where=solid)
+        share: Plane | np.float32 = np.float32(p.hole_matte)
+        if box.metal:
+            share = np.full(covered.shape, p.hole_metal, dtype=np.float32)
+            if glare is not None and s.highlight:
+                share += np.float32(p.hole_glare - p.hole_metal) * np.clip(glare / np.float32(s.highlight), 0.0, 1.0)
+        np.copyto(holes[piece.window], share, where=solid)

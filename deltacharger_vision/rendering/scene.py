@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the simulated camera sees: a terminal on its plate, a wall, and boxes behind and before it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.errors import SceneError
+from deltacharger_vision.rendering.parameters import SceneParameters
+from deltacharger_vision.terminal import Terminal
+
+Array = NDArray[np.float64]
+Color = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A box of one material.
+
+    Attributes:
+        pose: (4, 4) from the box's frame (origin at its centre) to the terminal's, or the camera's where `in_camera`.
+        size: (3,) m along its x, y, z.
+        color: reflectance of red, green, blue, linear, 0 to 1.
+        metal: whether it mirrors the light, brushed along its x.
+        in_camera: whether it moves with the camera, as the charger's own parts do.
+
+    Raises:
+        SceneError: the pose is not rigid, a size is negative or infinite, or a colour is out of bounds.
+    """
+
+    pose: Array
+    size: tuple[float, float, float]
+    color: Color
+    metal: bool = False
+    in_camera: bool = False
+
+    def __post_init__(self) -> None:
+        check_pose("box", self.pose)
+        if len(self.size) != 3 or not all(0.0 <= length <= 100.0 for length in self.size):
+            raise SceneError("box", f"size {self.size}; give three lengths of 0…100 m")
+        if len(self.color) != 3 or not all(0.0 <= part <= 1.0 for part in self.color):
+            raise SceneError("box", f"color {self.color}; give three reflectances of 0…1")
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A terminal and its surroundings. What it does not have is not computed.
+
+    Attributes:
+        terminal: geometry of the bars.
+        parameters: plate, materials, light.
+        light: direction toward the light in the terminal's frame, of any length; −z is the camera's side.
+        background: boxes behind the plate.
+        foreground: boxes before it.
+        target: False leaves plate and bars out.
+
+    Raises:
+        SceneError: the light has no direction.
+    """
+
+    terminal: Terminal = field(default_factory=Terminal)
+    parameters: SceneParameters = field(default_factory=SceneParameters)
+    light: tuple[float, float, float] = (0.4, 0.7, -0.8)
+    background: tuple[Box, ...] = ()
+    foreground: tuple[Box, ...] = ()
+    target: bool = True
+
+    def __post_init__(self) -> None:
+        if not 1e-9 < float(np.linalg.norm(self.light)) < 1e9:
+            raise SceneError("light", f"{self.light} has no direction; give a vector toward the light")
+
+    def plate(self) -> Box:
+        """Return the dark plate."""
+        p = self.parameters
+        centre = (0.0, 0.0, self.terminal.bar_thickness + p.plate_thickness / 2)
+        return Box(shifted(centre), (p.plate_width, p.plate_height, p.plate_thickness), (p.plate,) * 3)
+
+    def bars(self) -> tuple[Box, Box]:
+        """Return the upper and the lower bar."""
+        t, metal = self.terminal, self.parameters.metal
+        size = (t.bar_length, t.bar_height, t.bar_thickness)
+        # Duralumin is a little bluer than white.
+        color = (0.97 * metal, 0.99 * metal, metal)
+        upper, lower = (shifted((0.0, sign * t.spacing / 2, t.bar_thickness / 2)) for sign in (1, -1))
+        return Box(upper, size, color, metal=True), Box(lower, size, color, metal=True)
+
+    def painted(self, camera_T_terminal: Array) -> Iterator[tuple[Box, Array]]:  # noqa: N803
+        """Yield every box with its (4, 4) pose in the optical frame, what is behind first as far as centres tell."""
+        groups = [self._placed(self.background, camera_T_terminal)]
+        if self.target:
+            groups += [self._placed((self.plate(),), camera_T_terminal), self._placed(self.bars(), camera_T_terminal)]
+        groups.append(self._placed(self.foreground, camera_T_terminal))
+        for group in groups:
+            yield from sorted(group, key=lambda item: -float(np.linalg.norm(item[1][:3, 3])))
+
+    @staticmethod
+    def _placed(boxes: tuple[Box, ...], pose: Array) -> list[tuple[Box, Array]]:
+        return [(box, box.pose if box.in_camera else pose @ box.pose) for box in boxes]
+
+
+def shifted(position: tuple[float, float, float]) -> Array:
+    """Return the (4, 4) transform that moves by `position` m."""
+    pose = np.eye(4)
+    pose[:3, 3] = position
+    return pose
+
+
+def check_pose(name: str, pose: Array) -> None:
+    """Refuse what is not a rigid transform (4, 4).
+
+    Raises:
+        SceneError: it has another shape, holds NaN, scales, shears or mirrors.
+    """
+    if np.shape(pose) != (4, 4):
+        raise SceneError(name, f"a pose of shape {np.shape(pose)}; give a (4, 4) transform")
+    turn = pose[:3, :3]
+    rigid = np.isfinite(pose).all() and np.allclose(turn @ turn.T, np.eye(3), atol=1e-6)
+    if not rigid or np.linalg.det(turn) < 0 or not np.allclose(pose[3], (0, 0, 0, 1)):
+        raise SceneError(name, "its pose is not rigid; give rotation and translation, and 0 0 0 1 below")

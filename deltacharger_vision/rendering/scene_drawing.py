@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes for tests and campaigns: drawn surroundings, things that resemble electrodes, and what hides them.
+
+The ranges are assumed. Frames: the terminal's (x along the bars, y up, z into the plate) and `charger_base` (+z toward
+the target, +y up, +x to the left when looking along +z).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_vision.errors import SceneError
+from deltacharger_vision.rendering.parameters import SceneParameters
+from deltacharger_vision.rendering.scene import Box, Color, Scene, shifted
+from deltacharger_vision.terminal import UPPER, Terminal
+
+Array = NDArray[np.float64]
+Random = np.random.Generator
+
+REACH = 0.45
+"""Largest |x| and |y| of what stands around a drawn terminal, m."""
+_METAL: Color = (0.63, 0.64, 0.65)
+_DARK: Color = (0.05, 0.05, 0.055)
+
+
+def draw_scene(
+    random: Random,
+    terminal: Terminal | None = None,
+    clutter: int = 0,
+    decoys: int = 0,
+    target: bool = True,
+) -> Scene:
+    """Return a scene with drawn light, materials, wall, panel behind the plate and surroundings.
+
+    Args:
+        random: draws all of it.
+        terminal: None = default.
+        clutter: boxes around.
+        decoys: things that resemble electrodes and are none.
+        target: False leaves plate and bars out.
+
+    Raises:
+        SceneError: a number is negative.
+    """
+    if clutter < 0 or decoys < 0:
+        raise SceneError("scene", f"{clutter} boxes and {decoys} decoys; give 0 or more")
+    chosen = terminal or Terminal()
+    parameters = dataclasses.replace(
+        SceneParameters(),
+        plate=random.uniform(0.03, 0.12),
+        metal=random.uniform(0.5, 0.75),
+        highlight=random.uniform(0.2, 1.5),
+        streaks=random.uniform(0.02, 0.12),
+        mirrored=random.uniform(0.0, 0.2),
+        ambient=random.uniform(0.35, 0.55),
+        diffuse=random.uniform(0.2, 0.7),
+        wall=random.uniform(0.08, 0.6),
+        wall_distance=random.uniform(0.4, 2.5),
+    )
+    light = (random.uniform(-1.0, 1.0), random.uniform(0.1, 1.0), random.uniform(-1.0, -0.2))
+    background: list[Box] = [_panel(random, chosen, parameters)] if target and random.random() < 0.5 else []
+    behind = chosen.bar_thickness + parameters.plate_thickness + 0.01
+    background += [_clutter(random, behind, parameters.wall_distance) for _ in range(clutter)]
+    for _ in range(decoys):
+        background += draw_decoy(random, chosen, _place(random, behind, 0.9 * parameters.wall_distance))
+    return Scene(chosen, parameters, light, tuple(background), target=target)
+
+
+def draw_decoy(random: Random, terminal: Terminal, pose: Array) -> list[Box]:
+    """Return one thing that resembles electrodes, at (4, 4) `pose` in the terminal's frame.
+
+    A stripe of light paint, a pipe, a single bar, two bars at another spacing, a grille, or a terminal of the right
+    proportions that is too small or too large: in a colour image alone the last is a terminal at another range.
+    """
+    kinds: tuple[Callable[[Random, Terminal], list[Box]], ...] = (_stripe, _pipe, _bar, _pair, _grille, _scaled)
+    boxes = kinds[random.integers(len(kinds))](random, terminal)
+    return [dataclasses.replace(box, pose=pose @ box.pose) for box in boxes]
+
+
+def cover(terminal: Terminal, share: float, bar: int = UPPER, side: int = 1, color: Color = _DARK) -> Box:
+    """Return a box 1 mm before the bars that hides `share` of one bar's length from its end at `side` · x on.
+
+    Raises:
+        SceneError: the share is outside 0…1.
+    """
+    if not 0.0 <= share <= 1.0:
+        raise SceneError("cover", f"a share of {share}; give 0…1")
+    length, height = share * terminal.bar_length, terminal.bar_height + terminal.gap
+    x = side * (terminal.bar_length - length) / 2
+    y = (1 if bar == UPPER else -1) * terminal.spacing / 2
+    return Box(shifted((x, y, -0.002)), (length, height, 0.002), color)
+
+
+def charger_parts(
+    charger_base_T_camera: Array,  # noqa: N803
+    platform: tuple[float, float, float],
+    arm_angles: Sequence[float] = (0.5, 0.5, 0.5),
+) -> list[Box]:
+    """Return the charger's platform, arms and rods as dark boxes that move with the camera.
+
+    Args:
+        charger_base_T_camera: (4, 4).
+        platform: (3,) m in charger_base, centre of the platform's front.
+        arm_angles: of the three arms from radially outward toward +z, rad.
+    """
+    to_camera = np.linalg.inv(charger_base_T_camera)
+    body = _Charger()
+    boxes = [Box(shifted((platform[0], platform[1], platform[2] - 0.01)), body.platform, _DARK)]
+    for azimuth, angle in zip(np.radians((0.0, 120.0, 240.0)), arm_angles, strict=True):
+        outward = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+        motor = body.base_radius * outward + (0.0, 0.0, -body.z_offset)
+        elbow = motor + body.arm * (math.cos(angle) * outward + (0.0, 0.0, math.sin(angle)))
+        joint = np.asarray(platform) + body.platform_radius * outward
+        boxes += [_stick(motor, elbow, 0.018), _stick(elbow, joint, 0.008)]
+    return [dataclasses.replace(box, pose=to_camera @ box.pose, in_camera=True) for box in boxes]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Charger:
+    """Dimensions of the delta, m: those of the kinematics' defaults; the platform's outline is assumed."""
+
+    base_radius: float = 0.055
+    arm: float = 0.100
+    z_offset: float = 0.095
+    platform_radius: float = 0.050
+    platform: tuple[float, float, float] = (0.125, 0.045, 0.020)
+
+
+def _stick(start: Array, end: Array, width: float) -> Box:
+    """Return a square bar from start to end (m)."""
+    along = end - start
+    length = float(np.linalg.norm(along))
+    x = along / length
+    y = np.cross(x, (0.0, 0.0, 1.0) if abs(x[2]) < 0.9 else (1.0, 0.0, 0.0))
+    y /= np.linalg.norm(y)
+    pose = shifted(tuple((start + end) / 2))
+    pose[:3, :3] = np.column_stack([x, y, np.cross(x, y)])
+    return Box(pose, (length, width, width), _DARK)
+
+
+def _place(random: Random, near: float, far: float) -> Array:
+    """Return a drawn (4, 4) pose behind the plate, turned about z most of all."""
+    z = random.uniform(near, max(near, far))
+    pose = shifted((random.uniform(-REACH, REACH), random.uniform(-REACH, REACH), z))
+    pose[:3, :3] = _turn(2, random.uniform(-math.pi, math.pi)) @ _turn(0, random.normal(0.0, 0.3))
+    return pose
+
+
+def _turn(axis: int, angle: float) -> Array:
+    c, s = math.cos(angle), math.sin(angle)
+    found = np.eye(3)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    found[i, i], found[i, j], found[j, i], found[j, j] = c, -s, s, c
+    return found
+
+
+def _panel(random: Random, terminal: Terminal, parameters: SceneParameters) -> Box:
+    """Return the front of the robot that carries the plate."""
+    depth = min(0.2, max(0.01, parameters.wall_distance - 0.1))
+    z = terminal.bar_thickness + parameters.plate_thickness + depth / 2
+    size = (random.uniform(0.25, 0.6), random.uniform(0.2, 0.5), depth)
+    return Box(shifted((random.uniform(-0.05, 0.05), random.uniform(-0.05, 0.05), z)), size, _tint(random, 0.03, 0.7))
+
+
+def _clutter(random: Random, near: float, far: float) -> Box:
+    size = tuple(random.uniform(0.02, 0.25, 3))
+    return Box(_place(random, near + size[2] / 2, far), (size[0], size[1], size[2]), _tint(random, 0.02, 0.8))
+
+
+def _tint(random: Random, low: float, high: float) -> Color:
+    red, green, blue = np.clip(random.uniform(low, high) * random.uniform(0.6, 1.4, 3), 0.0, 1.0)
+    return float(red), float(green), float(blue)
+
+
+def _stripe(random: Random, terminal: Terminal) -> list[Box]:
+    color = (random.uniform(0.6, 0.9),) * 3
+    return [Box(np.eye(4), (random.uniform(0.05, 0.8), random.uniform(0.005, 0.03), 0.0005), color)]
+
+
+def _pipe(random: Random, terminal: Terminal) -> list[Box]:
+    width = random.uniform(0.006, 0.03)
+    return [Box(np.eye(4), (random.uniform(0.2, 1.0), width, width), _METAL, metal=True)]
+
+
+def _bar(random: Random, terminal: Terminal) -> list[Box]:
+    return _row(terminal, (0.0,))
+
+
+def _pair(random: Random, terminal: Terminal) -> list[Box]:
+    gap = terminal.gap * (random.uniform(0.15, 0.5) if random.random() < 0.5 else random.uniform(2.0, 4.0))
+    half = (terminal.bar_height + gap) / 2
+    return _row(terminal, (-half, half))
+
+
+def _grille(random: Random, terminal: Terminal) -> list[Box]:
+    pitch = random.uniform(0.4, 0.6) * terminal.spacing
+    thin = dataclasses.replace(terminal, bar_height=0.5 * pitch)
+    return _row(thin, tuple(pitch * (index - 2.5) for index in range(6)))
+
+
+def _scaled(random: Random, terminal: Terminal) -> list[Box]:
+    factor = random.uniform(0.4, 0.65) if random.random() < 0.5 else random.uniform(1.6, 2.5)
+    bars = _row(terminal, (-terminal.spacing / 2, terminal.spacing / 2))
+    plate = Box(shifted((0.0, 0.0, terminal.bar_thickness + 0.0025)), (0.2, 0.12, 0.005), _DARK)
+    return [_grown(box, factor) for box in (plate, *bars)]
+
+
+def _grown(box: Box, factor: float) -> Box:
+    pose = box.pose.copy()
+    pose[:3, 3] *= factor
+    x, y, z = box.size
+    return dataclasses.replace(box, pose=pose, size=(factor * x, factor * y, factor * z))
+
+
+def _row(terminal: Terminal, places: tuple[float, ...]) -> list[Box]:
+    """Return metal bars of the terminal's size with their middle lines at y = places (m)."""
+    size = (terminal.bar_length, terminal.bar_height, terminal.bar_thickness)
+    return [Box(shifted((0.0, y, terminal.bar_thickness / 2)), size, _METAL, metal=True) for y in places]

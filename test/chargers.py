@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Chargers made of mocks, quick enough for tests, each in a namespace of its own on this machine only."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deltacharger_core import environment
+from deltacharger_scenes.scene import Scene, load_scene
+
+os.environ.setdefault("ROS_DOMAIN_ID", "88")
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+environment.prepare()
+
+DEADLINE = 60.0  # s; far longer than anything takes, so that a loaded machine fails no test
+_numbers = itertools.count()
+
+
+def wait_until(condition: Callable[[], Any], what: str, deadline: float = DEADLINE) -> Any:
+    """Return the first true value of `condition`, or fail saying what was waited for."""
+    end = time.monotonic() + deadline
+    while True:
+        value = condition()
+        if value:
+            return value
+        assert time.monotonic() < end, f"waited {deadline:g} s for: {what}"
+        time.sleep(0.01)
+
+
+def hear_hangups() -> None:
+    """Undo, in a child, that these tests may have been started by nohup."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+class Process:
+    """A program under test; its output is read all the time."""
+
+    def __init__(self, *words: str) -> None:
+        self.process = subprocess.Popen(
+            words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=hear_hangups
+        )
+        self.out: list[str] = []
+        self.err: list[str] = []
+        self._readers = [
+            threading.Thread(target=self._read, args=(stream, lines), daemon=True)
+            for stream, lines in ((self.process.stdout, self.out), (self.process.stderr, self.err))
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    def _read(self, stream: Any, lines: list[str]) -> None:
+        for line in stream:
+            lines.append(line.rstrip("\n"))
+
+    def wait_for_line(self, text: str, lines: list[str]) -> None:
+        def seen() -> bool:
+            assert self.process.poll() is None or any(text in line for line in lines), (self.out, self.err)
+            return any(text in line for line in list(lines))
+
+        wait_until(seen, f"'{text}' from {self.process.args}")
+
+    def end(self, number: int | None = None) -> int:
+        """Send a signal and return the exit code."""
+        if number is not None:
+            self.process.send_signal(number)
+        code = self.process.wait(DEADLINE)
+        for reader in self._readers:
+            reader.join(DEADLINE)
+        return code
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Process]]:
+    """Start programs; those that still run at the end of the test are killed."""
+    running: list[Process] = []
+
+    def run(*words: str) -> Process:
+        running.append(Process(*words))
+        return running[-1]
+
+    yield run
+    for each in running:
+        if each.process.poll() is None:
+            each.process.kill()
+            each.process.wait(DEADLINE)
+
+
+@pytest.fixture
+def deltacharger() -> tuple[str, ...]:
+    """The command, run from the code under test."""
+    return (sys.executable, "-m", "deltacharger_bringup.cli")
+
+
+@pytest.fixture(scope="session")
+def quick_file() -> Path:
+    return Path(__file__).parent / "scenes" / "quick.yaml"
+
+
+@pytest.fixture(scope="session")
+def quick_scene(quick_file: Path) -> Scene:
+    return load_scene(quick_file)
+
+
+def new_namespace() -> str:
+    """Return a namespace that no other test of any running session uses."""
+    return f"test_{os.getpid()}_{next(_numbers)}"
+
+
+@pytest.fixture
+def namespace() -> str:
+    return new_namespace()
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[Any]:
+    import rclpy
+    from rclpy.context import Context
+    from rclpy.signals import SignalHandlerOptions
+
+    context = Context()
+    rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
+    yield context
+    rclpy.try_shutdown(context=context)

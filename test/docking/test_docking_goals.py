@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docking_node and its goals: every state is told, none is lost between two clients, and the end answers them all."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from std_srvs.srv import SetBool
+
+from deltacharger_docking.codes import State
+from deltacharger_docking.observation import Request, Service
+from deltacharger_docking.ros.reports import changes
+from deltacharger_docking.ros.services import Services
+from deltacharger_ros.client import ChargerClient
+from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
+from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.scene import Scene
+
+from ..chargers import DEADLINE, new_namespace, wait_until
+from ..records.docking_tapes import patient
+
+GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
+states = st.sampled_from(list(State))
+
+
+@given(states, st.lists(states), states)
+def test_states_passed_between_two_looks_are_told_once_each_in_order(
+    before: State, passed: list[State], now: State
+) -> None:
+    told = changes(before, passed, now)
+    whole = [before, *passed, now]
+    assert told == [state for last, state in itertools.pairwise(whole) if state is not last]
+
+
+@pytest.fixture(scope="module")
+def charger(quick_scene: Scene, context: Any) -> Iterator[tuple[str, Composition]]:
+    namespace = new_namespace()
+    with Composition(patient(quick_scene), context, namespace) as composition:
+        yield namespace, composition
+
+
+@pytest.fixture
+def clients(charger: tuple[str, Composition], context: Any) -> Iterator[list[ChargerClient]]:
+    made = [ChargerClient(charger[0], context) for _ in range(4)]
+    assert all(client.wait_until_ready(DEADLINE) for client in made)
+    yield made
+    wait_until(lambda: made[0].undock(deadline=DEADLINE).success, "an arm at home")
+    for client in made:
+        client.close()
+
+
+def at_once(clients: list[ChargerClient], request: DockRequest) -> list[Outcome]:
+    """Send a goal from every client at the same instant."""
+    outcomes: list[Outcome] = []
+    start = threading.Barrier(len(clients))
+
+    def dock(client: ChargerClient) -> None:
+        start.wait()
+        outcomes.append(client.dock(request, deadline=DEADLINE))
+
+    threads = [threading.Thread(target=dock, args=(client,)) for client in clients]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(DEADLINE)
+    return outcomes
+
+
+def test_of_clients_that_send_at_once_one_is_served_and_the_others_may_send_again(clients: list[ChargerClient]) -> None:
+    outcomes = at_once(clients, GOAL)
+    assert len(outcomes) == len(clients)
+    served = [outcome for outcome in outcomes if outcome.error_name != "REJECTED"]
+    assert len(served) == 1
+    for outcome in outcomes:
+        if outcome not in served:
+            assert (outcome.error_code, outcome.retriable) == (101, True)
+            assert "another goal is being served" in outcome.error_message
+
+
+def test_every_client_that_docks_when_docked_hears_of_it(clients: list[ChargerClient]) -> None:
+    wait_until(lambda: clients[0].dock(GOAL, deadline=DEADLINE).success, "a docking")
+    for _ in range(3):
+        outcomes = at_once(clients, GOAL)
+        assert len(outcomes) == len(clients)
+        assert [outcome for outcome in outcomes if outcome.error_name not in ("NONE", "REJECTED")] == []
+        assert any(outcome.success for outcome in outcomes)
+
+
+def test_a_goal_that_comes_while_the_charger_ends_is_refused_and_may_be_sent_again(
+    quick_scene: Scene, context: Any
+) -> None:
+    namespace = new_namespace()
+    with Composition(quick_scene, context, namespace) as composition, ChargerClient(namespace, context) as client:
+        assert client.wait_until_ready(DEADLINE)
+        composition.node("docking_node").close()
+        outcome = client.dock(GOAL, deadline=DEADLINE)
+        assert (outcome.error_name, outcome.retriable) == ("REJECTED", True)
+        assert "shutting down" in outcome.error_message
+
+
+@pytest.fixture
+def node(context: Any, namespace: str) -> Iterator[Node]:
+    node = Node("docking", context=context, namespace=namespace, use_global_arguments=False)
+    spinner = Spinner(node, 2)
+    yield node
+    spinner.close()
+
+
+def test_torque_on_never_overtakes_torque_off_when_servo_node_comes_late(node: Node) -> None:
+    group, heard = ReentrantCallbackGroup(), list[bool]()
+    services = Services(node, group, lambda stamp: 0.0)
+    services.call(Request(1, Service.TORQUE_ON))
+    node.create_service(SetBool, "set_torque", lambda request, answer: _hear(heard, request, answer))
+    client = services._clients[Service.TORQUE_ON]
+    wait_until(client.service_is_ready, "the service")
+    services.call(Request(2, Service.TORQUE_OFF))
+    wait_until(lambda: services.take() and len(heard) == 2, "both calls")
+    assert heard == [True, False]
+
+
+def test_what_a_goal_that_failed_had_asked_for_is_not_sent_any_more(node: Node) -> None:
+    group, heard = ReentrantCallbackGroup(), list[bool]()
+    services = Services(node, group, lambda stamp: 0.0)
+    services.call(Request(1, Service.TORQUE_ON))
+    services.call(Request(2, Service.TORQUE_OFF))
+    services.forget()
+    node.create_service(SetBool, "set_torque", lambda request, answer: _hear(heard, request, answer))
+    wait_until(lambda: services.take() and heard, "the call that makes safe")
+    assert heard == [False]
+
+
+def _hear(heard: list[bool], request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
+    heard.append(request.data)
+    answer.success = True
+    return answer

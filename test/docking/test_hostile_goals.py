@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Goals as no fleet should send them, two clients at once, a client that dies, and goals while the charger ends."""
+
+from __future__ import annotations
+
+import math
+import random
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from action_msgs.srv import CancelGoal
+from builtin_interfaces.msg import Duration
+from deltacharger.action import Dock, Undock
+from rclpy.action.client import ActionClient
+
+from deltacharger_ros.client import CODES, ChargerClient
+from deltacharger_ros.outcomes import DockRequest, Pose
+from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.scene import Scene
+
+from ..chargers import DEADLINE, new_namespace, wait_until
+
+PLACE = DockRequest(Pose(0.0, 0.0, 0.080))
+NAN, INF, HUGE = math.nan, math.inf, 1e308
+EARLY = ("REJECTED", "UNREACHABLE", "CRITICAL_ANGLE")
+SEED = 45
+
+
+class Charger:
+    """A charger of mocks, its client, and bare action clients for what that client would never send."""
+
+    def __init__(self, scene: Scene, context: Any) -> None:
+        self.namespace, self.context = new_namespace(), context
+        self.composition = Composition(scene, context, self.namespace).start()
+        self.client = ChargerClient(self.namespace, context)
+        self.docks: Any = ActionClient(self.client.node, Dock, "dock")
+        self.undocks: Any = ActionClient(self.client.node, Undock, "undock")
+        assert self.client.wait_until_ready(DEADLINE)
+        assert self.docks.wait_for_server(DEADLINE)
+        assert self.undocks.wait_for_server(DEADLINE)
+
+    @property
+    def servos(self) -> Any:
+        return self.composition.node("mock_servo_node")
+
+    @property
+    def is_closed(self) -> bool:
+        return bool(self.composition.node("mock_tactile_node").contactor_closed)
+
+    def send(self, goal: Any) -> Any:
+        """Send a goal and return its handle; every goal is accepted."""
+        client = self.docks if isinstance(goal, Dock.Goal) else self.undocks
+        handle = answer(client.send_goal_async(goal))
+        assert handle.accepted
+        return handle
+
+    def result(self, goal: Any) -> Any:
+        """Send a goal and return its result."""
+        return answer(self.send(goal).get_result_async()).result
+
+    def close(self) -> None:
+        self.docks.destroy()
+        self.undocks.destroy()
+        self.composition.close()
+        self.client.close()
+
+
+def answer(future: Any) -> Any:
+    wait_until(future.done, "an answer")
+    return future.result()
+
+
+@pytest.fixture(scope="module")
+def charger(quick_scene: Scene, context: Any) -> Iterator[Charger]:
+    charger = Charger(quick_scene, context)
+    yield charger
+    charger.close()
+
+
+def pose(x: float = 0.0, y: float = 0.0, z: float = 0.080, frame: str = "charger_base", **turn: float) -> Dock.Goal:
+    goal = Dock.Goal()
+    goal.electrodes.header.frame_id = frame
+    goal.electrodes.pose.position.x, goal.electrodes.pose.position.y, goal.electrodes.pose.position.z = x, y, z
+    for name, value in turn.items():
+        setattr(goal.electrodes.pose.orientation, name, value)
+    return goal
+
+
+def with_fields(**fields: Any) -> Dock.Goal:
+    goal = pose()
+    for name, value in fields.items():
+        setattr(goal, name, value)
+    return goal
+
+
+LEANING = math.sqrt(0.5)
+WRONG = {
+    "NaN place": pose(x=NAN),
+    "endless place": pose(z=INF),
+    "huge place": pose(x=HUGE, y=-HUGE, z=HUGE),
+    "huge place in the robot's frame": pose(x=HUGE, y=-HUGE, z=HUGE, frame="base_link"),
+    "unknown frame": pose(frame="the_moon"),
+    "blank frame": pose(frame=" "),
+    "frame with a newline": pose(frame="charger_base\n"),
+    "endless frame": pose(frame="charger_base" * 10_000),
+    "no orientation": pose(w=0.0),
+    "NaN orientation": pose(w=NAN),
+    "endless orientation": pose(w=INF),
+    "orientation too long to be normed": pose(z=0.080, x=0.0, y=0.0, w=HUGE),
+    "tiny orientation": pose(w=1e-200),
+    "NaN critical angle": with_fields(critical_angle=NAN),
+    "negative critical angle": with_fields(critical_angle=-1e-300),
+    "larger critical angle": with_fields(critical_angle=0.3),
+    "NaN energy": with_fields(stop_energy=NAN),
+    "endless energy": with_fields(stop_energy=INF),
+    "negative energy": with_fields(stop_energy=-1.0),
+    "negative duration": with_fields(stop_after=Duration(sec=-1)),
+    "negative seconds and four of nanoseconds less one": with_fields(
+        stop_after=Duration(sec=-5, nanosec=4_000_000_000)
+    ),
+    "smallest duration": with_fields(stop_after=Duration(sec=-(2**31))),
+}
+WRONG["orientation too long to be normed"].electrodes.pose.orientation.z = HUGE
+LEANS = pose(y=0.0)
+LEANS.electrodes.pose.orientation.y, LEANS.electrodes.pose.orientation.w = LEANING, LEANING
+
+
+@pytest.mark.parametrize("goal", WRONG.values(), ids=WRONG)
+def test_what_cannot_be_served_is_told_before_anything_moves(charger: Charger, goal: Dock.Goal) -> None:
+    before = charger.servos.position
+    result = charger.result(goal)
+    assert not result.success
+    assert CODES[result.error_code] in EARLY, result.error_message
+    assert 0 < len(result.error_message) < 1000, "a person reads it"
+    assert charger.servos.position == before
+    assert not charger.servos.torque_enabled
+
+
+def test_electrodes_that_face_sideways_are_refused(charger: Charger) -> None:
+    """Turned by a quarter about y the terminal's bars have no roll about z at all."""
+    result = charger.result(LEANS)
+    assert CODES[result.error_code] in EARLY, result.error_message
+    assert not charger.servos.torque_enabled
+
+
+def random_goal(source: random.Random) -> Any:
+    if source.random() < 0.1:
+        return Undock.Goal(request_id=source.choice(("", "x" * 10_000, "\x00", "ä\U0001f50c")))
+    numbers = (0.0, 1.0, -1.0, 0.080, 1e-300, HUGE, -HUGE, NAN, INF, -INF)
+    goal = pose(*(source.choice(numbers) for _ in range(3)), frame=source.choice(("charger_base", "base_link", "x")))
+    goal.electrodes.pose.position.x = source.choice((NAN, INF, HUGE, 5.0))  # never one that moves the arm
+    for name in "xyzw":
+        setattr(goal.electrodes.pose.orientation, name, source.choice(numbers))
+    goal.critical_angle, goal.stop_energy = source.choice(numbers), source.choice(numbers)
+    goal.stop_after = Duration(sec=source.choice((0, -1, -(2**31), 2**31 - 1)), nanosec=source.choice((0, 2**32 - 1)))
+    goal.hold, goal.start_charging = source.random() < 0.5, source.random() < 0.5
+    goal.request_id = source.choice(("", "r", "x" * 10_000, "\x00\n\x7f"))
+    return goal
+
+
+def test_fifty_wrong_goals_at_once_are_each_answered(charger: Charger) -> None:
+    source = random.Random(SEED)
+    goals = [random_goal(source) for _ in range(50)]
+    handles = [charger.send(goal) for goal in goals]
+    results = [answer(handle.get_result_async()).result for handle in handles]
+    for goal, result in zip(goals, results, strict=True):
+        if isinstance(goal, Dock.Goal):
+            assert CODES[result.error_code] in EARLY, (goal, result.error_message)
+        assert result.success or result.error_message
+    assert not charger.servos.torque_enabled
+
+
+def test_a_request_id_of_ten_megabytes_is_refused_or_borne(charger: Charger) -> None:
+    result = charger.result(with_fields(request_id="x" * 10_000_000, critical_angle=-1.0))
+    assert CODES[result.error_code] == "REJECTED"
+    result = charger.result(Undock.Goal(request_id="x" * 10_000_000))
+    assert result.success or CODES[result.error_code] == "REJECTED"
+    assert charger.client.undock(deadline=DEADLINE).success
+
+
+def cancel_all(charger: Charger, action: str) -> Any:
+    """Cancel every goal of an action, whoever sent it: what a client may do that lost its own, or another's."""
+    service = charger.client.node.create_client(CancelGoal, f"{action}/_action/cancel_goal")
+    assert service.wait_for_service(DEADLINE)
+    response = answer(service.call_async(CancelGoal.Request()))
+    service.destroy()
+    return response
+
+
+def test_two_clients_at_once(charger: Charger) -> None:
+    """The second is told that another is served, whatever it asks, by the same name or not; it may cancel the first."""
+    with ChargerClient(charger.namespace, charger.context) as other:
+        began = threading.Event()
+        first: list[Any] = []
+        goal = DockRequest(PLACE.electrodes, request_id="same", hold=True)
+        thread = threading.Thread(
+            target=lambda: first.append(charger.client.dock(goal, lambda progress: began.set(), deadline=DEADLINE))
+        )
+        thread.start()
+        assert began.wait(DEADLINE)
+        for outcome in (other.dock(goal, deadline=DEADLINE), other.undock("same", deadline=DEADLINE)):
+            assert (outcome.error_name, outcome.retriable) == ("REJECTED", True), outcome
+            assert "another goal" in outcome.error_message
+        assert not first, "the first is not disturbed"
+        assert cancel_all(charger, "undock").goals_canceling == []
+        assert len(cancel_all(charger, "dock").goals_canceling) == 1
+        thread.join(DEADLINE)
+        assert first[0].error_name == "CANCELED", first
+        assert not charger.is_closed
+        assert other.dock(PLACE, deadline=DEADLINE).success
+        assert charger.is_closed
+        assert charger.client.undock(deadline=DEADLINE).success
+
+
+_DYING = """
+import os, sys, threading
+from deltacharger_bringup import environment
+environment.prepare()
+from deltacharger_ros.client import ChargerClient
+from deltacharger_ros.outcomes import DockRequest, Pose
+client = ChargerClient(sys.argv[1])
+assert client.wait_until_ready(30.0)
+def die(progress):
+    if progress.phase == "charging":
+        os._exit(9)
+client.dock(DockRequest(Pose(0.0, 0.0, 0.080), hold=True), die)
+"""
+
+
+def test_a_client_that_dies_leaves_its_goal_and_another_may_end_it(charger: Charger) -> None:
+    """Charging goes on, supervised; who comes next is told so, cancels the goal that nobody holds, and is served."""
+    for _ in range(3):  # an estimate that a stalled mock spoilt ends that client's goal, and no charging comes
+        client = subprocess.run([sys.executable, "-c", _DYING, charger.namespace], timeout=DEADLINE, check=False)
+        if client.returncode == 9:
+            break
+    assert client.returncode == 9
+    assert charger.is_closed
+    assert charger.client.undock(deadline=DEADLINE).error_name == "REJECTED"
+    assert charger.is_closed
+    assert len(cancel_all(charger, "dock").goals_canceling) == 1
+    wait_until(lambda: not charger.is_closed, "an open contactor")
+    wait_until(lambda: charger.client.undock(deadline=DEADLINE).success, "the arm home")
+    assert not charger.servos.torque_enabled
+
+
+def test_goals_while_the_charger_ends_are_answered(quick_scene: Scene, context: Any) -> None:
+    """One runs, others come while docking_node closes: the contactor opens, and each result has a code and a reason."""
+    charger = Charger(quick_scene, context)
+    try:
+        docking, results = charger.composition.node("docking_node"), []
+        running = charger.send(pose())
+        running_result = running.get_result_async()
+        closing = threading.Thread(target=docking.close)
+        closing.start()
+        while closing.is_alive():
+            results.append(charger.result(pose()))
+        closing.join(DEADLINE)
+        results += [charger.result(pose()), charger.result(Undock.Goal()), answer(running_result).result]
+        for result in results:
+            assert not result.success
+            assert CODES[result.error_code] in ("REJECTED", "CANCELED"), result.error_message
+            assert result.error_message
+        assert "shutting down" in results[-2].error_message
+        assert not charger.is_closed
+        assert not charger.servos.torque_enabled
+    finally:
+        charger.close()

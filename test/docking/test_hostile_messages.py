@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages as no driver should send them: docking_node lives on, opens, names what is wrong, and docks again after.
+
+They reach docking_node alone; the mocks behind hear one another undistorted. A message that is malformed is as good as
+none: its age grows, and the codes are those of silence.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from array import array
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from deltacharger.msg import ServoState
+
+from deltacharger_ros.client import CODES
+from deltacharger_scenes.scene import Scene
+
+from ..chargers import wait_until
+from .hostile import Defects, Distortion, Hostile
+
+NAN, INF = math.nan, math.inf
+SERVO, PADS, POWER = "servo_state", "tactile_frame", "charger_power"
+OPENS = 0.35 + 0.65  # s: the limit, and what a busy machine and ten times as patient parameters of the mocks' scene add
+COLUMNS = [name for name in ServoState.get_fields_and_field_types() if name != "header"]
+
+
+def put(**fields: Any) -> Distortion:
+    """Return what sets fields of a message; lists of numbers become arrays."""
+
+    def distort(message: Any) -> Any:
+        for name, value in fields.items():
+            kept = getattr(message, name)
+            setattr(message, name, array(kept.typecode, value) if isinstance(kept, array) else value)
+        return message
+
+    return distort
+
+
+def cut(length: int, *names: str) -> Distortion:
+    """Return what cuts the fields named, or all sequences of a ServoState, to a length."""
+
+    def distort(message: Any) -> Any:
+        for name in names or COLUMNS:
+            setattr(message, name, getattr(message, name)[:length])
+        return message
+
+    return distort
+
+
+def reorder(message: ServoState) -> ServoState:
+    """Return the same servos, told in another order."""
+    for name in COLUMNS:
+        kept = getattr(message, name)
+        row = [kept[index] for index in (2, 0, 1)]
+        setattr(message, name, array(kept.typecode, row) if isinstance(kept, array) else row)
+    return message
+
+
+@pytest.fixture(scope="module")
+def shared(quick_scene: Scene, context: Any) -> Iterator[Hostile]:
+    hostile = Hostile(quick_scene, context)
+    yield hostile
+    hostile.close()
+
+
+@pytest.fixture
+def hostile(shared: Hostile) -> Iterator[Hostile]:
+    """That every test begins with a charger that undocked is what recovery means here."""
+    shared.heal()
+    yield shared
+    shared.relay.distort.clear()
+
+
+WRONG_SERVOS: dict[str, Distortion] = {
+    "two positions": cut(2, "position"),
+    "no currents": cut(0, "current"),
+    "nothing at all": cut(0),
+    "no validity": cut(0, "valid"),
+    "no torque told": cut(0, "torque_enabled"),
+    "four of each": lambda message: put(**{name: [*getattr(message, name)][:1] * 4 for name in COLUMNS})(message),
+    "other names": put(name=["a", "b", "c"]),
+    "one name twice": put(name=["limb_0_arm_joint", "limb_0_arm_joint", "limb_2_arm_joint"]),
+    "NaN angles": put(position=[NAN] * 3),
+    "endless angles": put(position=[INF, 0.0, 0.0]),
+    "impossible angles": put(position=[1e308, 0.0, 0.0]),
+    "NaN currents": put(current=[NAN] * 3),
+    "endless currents": put(current=[INF, 0.0, 0.0]),
+    "huge currents": put(current=[1e308] * 3),
+}
+WRONG_POWER: dict[str, Distortion] = {
+    "NaN current": put(charge_current=NAN),
+    "all NaN": put(charge_current=NAN, target_voltage=NAN, battery_voltage=NAN, probe_age=NAN, probe_resistance=NAN),
+    "endless current": put(charge_current=INF),
+    "unknown fault": put(fault=200),
+}
+WRONG_PADS: dict[str, Distortion] = {
+    "not tared": put(tared=False),
+    "no taxels": put(left=[], right=[]),
+    "three taxels": put(left=[9.0] * 3, right=[]),
+    "NaN taxels": put(left=[NAN] * 100, right=[NAN] * 100),
+    "another shape": put(rows=255, columns=255),
+}
+
+
+def test_idle_it_bears_everything_and_then_docks(hostile: Hostile) -> None:
+    defects = Defects(hostile)
+    for topic, table in ((SERVO, WRONG_SERVOS), (POWER, WRONG_POWER), (PADS, WRONG_PADS)):
+        for distortion in table.values():
+            hostile.relay.distort[topic] = distortion
+            time.sleep(0.05)
+        hostile.relay.distort.clear()
+    assert defects.told == []
+    hostile.charge()
+
+
+@pytest.mark.parametrize(("part", "does"), [("_machine", "step"), ("_inputs", "observation")])
+def test_a_defect_of_docking_itself_opens_and_ends_in_a_code(
+    hostile: Hostile, part: str, does: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether what it sees or what it decides goes wrong, each time anew."""
+
+    def fail(*words: Any) -> Any:
+        raise RuntimeError("a defect")
+
+    hostile.charge()
+    with monkeypatch.context() as patch:
+        patch.setattr(getattr(hostile.docking, part), does, fail)
+        assert hostile.opens_after() < OPENS
+        wait_until(lambda: not hostile.servos.torque_enabled, "no torque", 5.0)
+    hostile.heal()
+    with monkeypatch.context() as patch:
+        outcome = hostile.dock(lambda progress: patch.setattr(getattr(hostile.docking, part), does, fail))
+        assert (outcome.error_name, outcome.success) == ("INTERNAL", False)
+        wait_until(lambda: not hostile.servos.torque_enabled, "no torque", 5.0)
+
+
+def assert_ends_safely(hostile: Hostile, codes: set[str]) -> None:
+    wait_until(lambda: hostile.code, "a code", 10.0)
+    assert CODES[hostile.code] in codes, hostile.states[-1].error_message
+    assert hostile.states[-1].error_message
+    wait_until(hostile.is_idle, "the way back or the stop", 30.0)
+    wait_until(lambda: not hostile.servos.torque_enabled, "no torque", 5.0)
+    assert not hostile.is_closed
+
+
+@pytest.mark.parametrize("name", ["no currents", "no torque told", "other names", "impossible angles"])
+def test_servo_states_that_tell_nothing_end_charging(hostile: Hostile, name: str) -> None:
+    hostile.charge()
+    hostile.relay.distort[SERVO] = WRONG_SERVOS[name]
+    assert hostile.opens_after() < OPENS
+    assert_ends_safely(hostile, {"SERVO_FAULT"})
+
+
+@pytest.mark.parametrize("name", ["all NaN", "endless current", "unknown fault"])
+def test_powers_that_tell_nothing_end_charging(hostile: Hostile, name: str) -> None:
+    """A current that is said to flow for ever keeps the arm where it is, with its torque: until that is healed."""
+    hostile.charge()
+    hostile.relay.distort[POWER] = WRONG_POWER[name]
+    assert hostile.opens_after() < OPENS
+    wait_until(lambda: hostile.code, "a code", 10.0)
+    assert CODES[hostile.code] in {"POWER_STALE", "OVERCURRENT", "CONTACTOR_WELDED"}
+
+
+@pytest.mark.parametrize("name", ["no taxels", "NaN taxels"])
+def test_frames_that_tell_nothing_never_dock(hostile: Hostile, name: str) -> None:
+    """misalignment_node and the mock of tactile_node hear the true ones: what is tested is docking's own sense."""
+    hostile.relay.distort[PADS] = WRONG_PADS[name]
+    outcome = hostile.dock()
+    assert outcome.error_name in ("NO_TACTILE_CONTACT", "TACTILE_STALE"), outcome
+    assert not hostile.is_closed
+
+
+def test_servos_in_another_order_are_understood_or_refused_but_never_mistaken(hostile: Hostile) -> None:
+    """Judged by where the arm goes: limbs that are taken for one another would carry it sideways."""
+    hostile.servos._arm.angles[0] += 0.05  # no two limbs alike, so that a mistake shows
+    hostile.relay.distort[SERVO] = reorder
+    furthest = [0.0]
+
+    def look(progress: Any) -> None:
+        x, y, _ = hostile.servos.position
+        furthest[0] = max(furthest[0], math.hypot(x, y))
+
+    outcome = hostile.dock(look)
+    assert outcome.success or outcome.error_name == "SERVO_FAULT", outcome
+    assert furthest[0] < 0.02
+
+
+@pytest.mark.parametrize("topic", [SERVO, PADS, POWER])
+def test_one_message_again_and_again_is_no_news_even_from_the_future(hostile: Hostile, topic: str) -> None:
+    """A publisher that hangs and repeats itself, stamped by a clock that was an hour ahead."""
+    hostile.charge()
+    kept: list[Any] = []
+
+    def repeat(message: Any) -> Any:
+        if not kept:
+            message.header.stamp.sec += 3600
+            kept.append(message)
+        return kept[0]
+
+    hostile.relay.distort[topic] = repeat
+    if topic == PADS:
+        time.sleep(2.0)  # charging goes on by the estimates of misalignment_node; touch is looked at on the way
+        assert hostile.client.undock(deadline=60.0).success
+        hostile.relay.distort[topic] = repeat
+        assert hostile.dock().error_name == "TACTILE_STALE"
+        return
+    hostile.opens_after()
+    wait_until(lambda: hostile.code, "a code", 10.0)
+    assert CODES[hostile.code] in {SERVO: {"SERVO_FAULT"}, POWER: {"POWER_STALE", "CONTACTOR_WELDED"}}[topic]
+
+
+@pytest.mark.parametrize("seconds", [-3600, 3600])
+def test_stamps_of_another_clock_are_fresh_on_arrival_or_not_at_all(hostile: Hostile, seconds: int) -> None:
+    """A publisher's clock that is an hour behind makes everything stale; one ahead is taken as of now."""
+
+    def shift(message: Any) -> Any:
+        message.header.stamp.sec += seconds
+        return message
+
+    hostile.relay.distort[SERVO] = shift
+    if seconds > 0:
+        hostile.charge()
+    else:
+        assert hostile.dock().error_name == "SERVO_FAULT"
+        assert not hostile.is_closed

@@ -1,0 +1,280 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Campaigns: a docking follows from seed and number alone, whoever runs it and whatever happened before."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from deltacharger_bringup.cli.main import main
+from deltacharger_lab.campaigns import batch, docking
+from deltacharger_lab.campaigns.batch import run_batch
+from deltacharger_lab.campaigns.docking import RESULTS, columns, dock_once
+from deltacharger_lab.campaigns.draw import draw
+from deltacharger_lab.campaigns.runner import batches, run_missing
+from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused
+from deltacharger_lab.campaigns.store import Store, read_results
+from deltacharger_lab.campaigns.summary import summarise, wilson
+
+from ..chargers import Process, wait_until
+from .campaigns import QUICK, comparable, scene, settings, stored
+
+pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra campaign)")
+
+
+WORDS = (sys.executable, "-m", "deltacharger_bringup.cli", "campaign")
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[str, Any], str]:
+    capsys.readouterr()
+    code = main(["campaign", *words, "--json"])
+    captured = capsys.readouterr()
+    return code, json.loads(captured.out), captured.err
+
+
+@pytest.fixture
+def quick(tmp_path: Path) -> str:
+    path = tmp_path / "quick.yaml"
+    path.write_text(yaml.safe_dump(QUICK), encoding="utf-8")
+    return str(path)
+
+
+def test_a_docking_follows_from_seed_and_number_alone() -> None:
+    text = settings(4).to_json()
+    forward = run_batch(text, [0, 1, 2, 3])
+    backward = run_batch(text, [3, 2]) + run_batch(text, [1, 0])
+    assert comparable(forward) == comparable(backward)
+    assert len({row["seed"] for row in forward}) == 4
+    other = run_batch(settings(4, seed=4).to_json(), [0])
+    assert comparable(other) != comparable(forward[:1])
+
+
+def test_a_row_has_every_column_and_its_type() -> None:
+    row = dock_once(scene(), 3, 0, "guarded")
+    known = columns(scene())
+    assert set(row) == set(known)
+    assert all(isinstance(row[name], kind) for name, (kind, _) in known.items()), row
+    assert row["charged"]
+    assert row["world.servo.stiffness"] == pytest.approx(15.0, abs=1.0)
+    assert row["place_x"] == pytest.approx(row["target.x"])
+    assert abs(row["goal_x"] - row["place_x"]) < 0.003
+
+
+def test_another_key_leaves_what_the_others_drew() -> None:
+    more = {**QUICK, "world": {**QUICK["world"], "contact": {"friction": [0.1, 0.5]}}}
+    one, two = draw(scene(), 3, 7, "guarded"), draw(scene(more), 3, 7, "paper")
+    assert {name: two.values[name] for name in one.values} == one.values
+    assert (one.seed, one.rig_seed, one.goal) == (two.seed, two.rig_seed, two.goal)
+
+
+def test_workers_make_no_difference(capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str) -> None:
+    common = ("-n", "6", "--seed", "3", "--scenes", quick)
+    code, alone, err = run(capsys, *common, "--out", str(tmp_path / "runs" / "one"))
+    assert (code, alone["n"], alone["complete"]) == (0, 6, True)
+    assert "100 %  6 of 6 dockings" in err
+    code, shared, _ = run(capsys, *common, "--out", str(tmp_path / "two"), "--workers", "2", "--batch", "1")
+    assert code == 0
+    assert stored(tmp_path / "runs" / "one") == stored(tmp_path / "two")
+    assert {**alone, "out": ""} == {**shared, "out": ""}
+    contract = {"n", "charged", "refused", "shorts", "energised_unsafe", "aligned", "time", "moves"}
+    assert contract | {"final_misalignment", "peak_push", "time_above_band"} <= set(alone)
+
+
+def test_after_kill_9_the_same_command_has_every_docking_once(
+    start: Callable[..., Process], capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str
+) -> None:
+    out = tmp_path / "killed"
+    common = ("-n", "14", "--seed", "3", "--scenes", quick, "--batch", "2")
+    process = start(*WORDS, *common, "--out", str(out))
+    wait_until(lambda: len(list(out.glob("part-*.parquet"))) >= 2, "two parts")
+    process.process.kill()
+    process.end()
+    before = stored(out)
+    assert 4 <= len(before) < 14
+    code, summary, err = run(capsys, *common, "--out", str(out), "--workers", "2")
+    assert (code, summary["n"]) == (0, 14)
+    assert "of 14 dockings are there already" in err
+    rows = stored(out)
+    assert [row["number"] for row in rows] == list(range(14))
+    assert rows == comparable(run_batch(settings(14).to_json(), range(14)))
+
+
+def children(parent: int) -> set[int]:
+    """Return the processes that `parent` has started, as Linux tells them."""
+    found = set()
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            fields = path.read_text().rpartition(")")[2].split()
+            if int(fields[1]) == parent and fields[0] != "Z":
+                found.add(int(path.parent.name))
+    return found
+
+
+def is_alive(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_workers_end_with_a_parent_that_is_killed(start: Callable[..., Process], tmp_path: Path, quick: str) -> None:
+    out = tmp_path / "killed"
+    process = start(*WORDS, "-n", "2000", "--scenes", quick, "--batch", "1", "--workers", "2", "--out", str(out))
+    wait_until(lambda: list(out.glob("part-*.parquet")), "a part")
+    workers = children(process.process.pid)
+    assert len(workers) >= 2
+    process.process.kill()
+    wait_until(lambda: not any(is_alive(worker) for worker in workers), "the workers' end")
+
+
+def test_a_worker_process_that_dies_loses_and_doubles_nothing(tmp_path: Path) -> None:
+    told: list[str] = []
+
+    def report(rows: Sequence[dict[str, Any]]) -> None:
+        if not told:
+            workers = [
+                each for each in children(os.getpid()) if "spawn_main" in Path(f"/proc/{each}/cmdline").read_text()
+            ]
+            told.append("killed")
+            os.kill(workers[0], signal.SIGKILL)
+
+    with Store(tmp_path / "s", settings(12)) as store:
+        run_missing(store, 2, "", 1, report, lambda: False, told.append)
+        assert store.missing() == []
+    assert "a worker process died" in told[1]
+    assert stored(tmp_path / "s") == comparable(run_batch(settings(12).to_json(), range(12)))
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_ctrl_c_leaves_a_file_that_goes_on_and_exits_130(
+    start: Callable[..., Process], capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str, workers: str
+) -> None:
+    out = tmp_path / "stopped"
+    common = ("--seed", "3", "--scenes", quick, "--batch", "2", "--out", str(out))
+    process = start(*WORDS, "-n", "2000", *common, "--workers", workers, "--json")
+    wait_until(lambda: list(out.glob("part-*.parquet")), "a part")
+    process.process.send_signal(signal.SIGINT)
+    assert process.end() == 130
+    told = json.loads(process.out[-1])
+    assert (told["success"], told["complete"]) == (False, False)
+    assert 0 < told["n"] < 2000
+    code, summary, _ = run(capsys, "-n", "2000", *common, "--approach", "paper")
+    assert code == 2
+    assert "approach is paper, was guarded" in summary["error"]
+    assert len(stored(out)) == told["n"]
+
+
+def test_other_settings_are_refused_and_named(tmp_path: Path) -> None:
+    with Store(tmp_path / "s", settings(3)) as store:
+        store.add(run_batch(store.settings.to_json(), [0]))
+    wider = {**QUICK, "target": {"x": [-0.004, 0.002], "y": [-0.002, 0.002], "roll": [-0.05, 0.05]}}
+    for other, named in (
+        (settings(3, seed=4), "seed is 4, was 3"),
+        (settings(3, approach="paper"), "approach is paper, was guarded"),
+        (settings(2), "n is 2, was 3"),
+        (settings(3, content=wider), "scene's target.x is [-0.004, 0.002], was [-0.002, 0.002]"),
+    ):
+        with pytest.raises(CampaignRefused) as refusal, Store(tmp_path / "s", other):
+            pass
+        assert named in str(refusal.value)
+    with Store(tmp_path / "s", settings(5)) as store:  # more of the same
+        assert store.missing() == [1, 2, 3, 4]
+
+
+def test_one_folder_has_one_writer_and_no_row_twice(tmp_path: Path) -> None:
+    with Store(tmp_path / "s", settings(3)) as store:
+        rows = run_batch(store.settings.to_json(), [0, 1])
+        assert store.add(rows) == 2
+        assert store.add(rows) == 0
+        with pytest.raises(CampaignError, match="another process"), Store(tmp_path / "s", settings(3)):
+            pass
+    (tmp_path / "s" / "_unfinished-9").write_bytes(b"half a file")
+    with Store(tmp_path / "s", settings(3)) as store:
+        assert store.done == {0, 1}
+    assert not (tmp_path / "s" / "_unfinished-9").exists()
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.txt").touch()
+    with pytest.raises(CampaignRefused, match="other files"), Store(tmp_path / "other", settings(3)):
+        pass
+    (tmp_path / "s" / "part-000000009.parquet").write_bytes(b"no parquet")
+    with pytest.raises(CampaignError, match=r"part-000000009\.parquet cannot be read"):
+        read_results(tmp_path / "s")
+
+
+def test_a_crash_becomes_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = docking.run
+
+    def sometimes(drawn: Any, exact: bool) -> dict[str, Any]:
+        if drawn.number == 1:
+            raise ZeroDivisionError("no such thing")
+        return real(drawn, exact)
+
+    monkeypatch.setattr(docking, "run", sometimes)
+    rows = run_batch(settings(3).to_json(), [0, 1, 2])
+    assert [row["code_name"] for row in rows] == ["NONE", "CRASHED", "NONE"]
+    assert "ZeroDivisionError: no such thing" in rows[1]["error"]
+    assert rows[1]["target.x"] == draw(scene(), 3, 1, "guarded").values["target.x"]
+    summary = summarise({name: [row[name] for row in rows] for name in RESULTS | {"number": None}})
+    assert (summary["n"], summary["crashed"], summary["refused"]) == (3, 1, {})
+
+
+def test_a_worker_with_other_versions_computes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = settings(1).to_json()
+    others = {"python": "2.7", "numpy": "1", "deltacharger": "0", "code": "x"}
+    monkeypatch.setattr(batch, "versions_of", lambda scene: others)
+    with pytest.raises(CampaignError, match=r"python 2\.7 instead of"):
+        run_batch(text, [0])
+
+
+def test_batches_hold_every_number_once_and_suit_the_workers() -> None:
+    assert batches([], 0, 2) == []
+    assert batches([4, 7, 9], 2, 1) == [[4, 7], [9]]
+    shared = batches(range(100), 0, 4)
+    assert [number for each in shared for number in each] == list(range(100))
+    assert len(shared) >= 4 * 4
+    assert max(map(len, batches(range(10**6), 0, 2))) <= 50
+
+
+def test_wilson_holds_the_truth_as_often_as_it_says() -> None:
+    import random
+
+    draw_one = random.Random(1)
+    held = 0
+    for _ in range(2000):
+        low, high = wilson(sum(draw_one.random() < 0.93 for _ in range(80)), 80)
+        held += low <= 0.93 <= high
+    assert held / 2000 == pytest.approx(0.95, abs=0.02)
+
+
+def test_what_the_commands_refuse(capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str) -> None:
+    for words, named in (
+        ((), "--out DIR is missing"),
+        (("--out", str(Path(quick) / "no" / "where")), "cannot be made"),
+        (("--out", str(tmp_path / "x"), "--scenes", "defualt"), "did you mean 'default'"),
+        (("--out", str(tmp_path / "x"), "--scheduler", "tcp://127.0.0.1:9", "--workers", "2"), "--workers"),
+        (("--out", quick, "--scenes", quick), "is a file"),
+        (("compare", str(tmp_path), str(tmp_path)), "holds no campaign"),
+        (("compare", str(tmp_path), str(tmp_path), "--picture", "a.doc"), "end it in"),
+    ):
+        code, told, _ = run(capsys, *words)
+        assert (code, told["success"]) == (2, False), words
+        assert named in told["error"]
+
+
+def test_without_pyarrow_it_says_what_to_install(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    code, told, _ = run(capsys, "-n", "1", "--out", str(tmp_path / "x"))
+    assert code == 1
+    assert "install deltacharger[campaign]" in told["error"]
+    assert not (tmp_path / "x").exists()

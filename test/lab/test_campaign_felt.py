@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a campaign does to estimates is what its scene says, and what it keeps of them is the truth beside them."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.observation import Reply, Service
+from deltacharger_lab.campaigns import paper
+from deltacharger_lab.campaigns.docking import columns, dock_once
+from deltacharger_lab.campaigns.felt import AXES, EstimatorErrors, Felt
+from deltacharger_lab.campaigns.rest import SECONDS
+from deltacharger_lab.campaigns.scene import parse_campaign_scene
+from deltacharger_lab.campaigns.settings import versions_of
+
+from .campaigns import QUICK
+
+ESTIMATE = Estimate(
+    angle=0.05,
+    angle_stddev=0.002,
+    vertical=0.001,
+    vertical_stddev=0.0002,
+    horizontal=-0.003,
+    horizontal_stddev=0.0012,
+)
+TRUTH = (-0.002, 0.0012, 0.052)
+
+
+def charger(truth: tuple[float, float, float] | None = TRUTH) -> Any:
+    """Return what `Felt` asks of a charger."""
+    world = SimpleNamespace(misalignment=truth, snapshot=lambda: SimpleNamespace(clearance=0.004))
+    return SimpleNamespace(world=world, answer={}, model=None)
+
+
+def answers(errors: EstimatorErrors, count: int, seed: int = 1) -> tuple[Felt, list[Estimate]]:
+    """Return what becomes of `ESTIMATE`, so many times."""
+    stand_in = charger()
+    felt = Felt(stand_in, errors, seed)
+    replies = [stand_in.answer[Service.ESTIMATE](Reply(1, True, estimate=ESTIMATE)) for _ in range(count)]
+    return felt, [reply.estimate for reply in replies]
+
+
+def test_without_errors_an_estimate_stays_as_it_is() -> None:
+    felt, found = answers(EstimatorErrors(), 2)
+    assert found == [ESTIMATE, ESTIMATE]
+    assert felt.count == 2
+    assert felt.last is not None
+    assert felt.last.error == pytest.approx({"horizontal": -0.001, "vertical": -0.0002, "angle": -0.002})
+    assert felt.last.stddev == {axis: getattr(ESTIMATE, f"{axis}_stddev") for axis in AXES}
+    assert felt.last.clearance == 0.004
+
+
+def test_bias_and_scale_are_exact() -> None:
+    errors = EstimatorErrors(bias_horizontal=0.0005, bias_vertical=-0.0005, bias_angle=0.01, stddev_scale=0.5)
+    _, (found,) = answers(errors, 1)
+    assert found.horizontal == pytest.approx(-0.0025)
+    assert found.vertical == pytest.approx(0.0005)
+    assert found.angle == pytest.approx(0.06)
+    assert found.horizontal_stddev == pytest.approx(0.0006)
+    assert (found.sure, found.in_range, found.contact) == (ESTIMATE.sure, ESTIMATE.in_range, ESTIMATE.contact)
+
+
+@pytest.mark.parametrize(("tail", "beyond_5"), [(1e6, 0.0), (3.0, 0.003)])
+def test_tails_have_the_width_that_is_told_and_the_weight_of_students_t(tail: float, beyond_5: float) -> None:
+    _, found = answers(EstimatorErrors(tail=tail, stddev_scale=0.5), 6000)
+    for axis, real in zip(AXES, TRUTH, strict=True):
+        z = np.array([getattr(each, axis) - real for each in found]) / getattr(ESTIMATE, f"{axis}_stddev")
+        assert np.mean(z) == pytest.approx(0.0, abs=0.05)
+        # Half of the draws of a unit-variance t lie within 0.765 / √3 for 3 degrees of freedom, 0.674 for very many.
+        half = 0.765 / math.sqrt(3.0) if tail == 3.0 else 0.6745
+        assert np.mean(np.abs(z) < half) == pytest.approx(0.5, abs=0.025)
+        assert np.mean(np.abs(z) > 5.0) == pytest.approx(beyond_5, abs=0.003)
+        assert (np.mean(np.abs(z) > 5.0) > 0.0) == (beyond_5 > 0.0)
+
+
+def test_the_tail_leaves_the_noise_as_it_was() -> None:
+    _, noisy = answers(EstimatorErrors(position_stddev=0.001), 3)
+    _, both = answers(EstimatorErrors(position_stddev=0.001, tail=1e6), 3)
+    _, tail = answers(EstimatorErrors(tail=1e6), 3)
+    for one, two, three in zip(noisy, both, tail, strict=True):
+        assert two.horizontal - three.horizontal == pytest.approx(one.horizontal - ESTIMATE.horizontal)
+
+
+def test_what_was_felt_without_contact_is_counted_and_has_no_error() -> None:
+    stand_in = charger(None)
+    felt = Felt(stand_in, EstimatorErrors(tail=3.0), 1)
+    reply = stand_in.answer[Service.ESTIMATE](Reply(1, True, estimate=ESTIMATE))
+    assert reply.estimate == ESTIMATE
+    assert (felt.count, felt.first, felt.last) == (1, None, None)
+    assert stand_in.answer[Service.ESTIMATE](Reply(2, False)) == Reply(2, False)
+
+
+def test_a_row_tells_the_rest_and_the_estimates_beside_the_truth() -> None:
+    scene = parse_campaign_scene(QUICK, "quick")
+    row = dock_once(scene, 3, 1, "guarded")
+    assert set(row) == set(columns(scene))
+    assert row["charged"]
+    assert row["ended"] == ""
+    assert 0.4 <= row["rest_current"] <= 0.5
+    servos = [row[f"servo_current_{index}"] for index in (1, 2, 3)]
+    assert row["servo_current_hottest"] == max(servos)
+    assert row["rest_current"] / 2 < sum(servos) / 3 < 2 * row["rest_current"]
+    assert 10.0 < row["rest_push"] <= row["servo_push"] <= 25.0
+    assert row["energised"] > SECONDS
+    assert row["last_vertical_error"] == pytest.approx(row["felt_vertical"] - row["final_vertical"], abs=1e-4)
+    assert row["last_clearance"] == pytest.approx(row["clearance"], abs=3e-4)
+    assert row["estimates"] > row["moves"]
+    refused = dock_once(parse_campaign_scene({"shift": {"roll": 0.25}}, "x"), 3, 0, "guarded")
+    assert math.isnan(refused["rest_current"])
+    assert math.isfinite(refused["first_angle_error"])
+    assert refused["energised"] == 0.0
+
+
+def test_the_papers_classes_are_asked_for_and_their_digest_is_told(tmp_path: Any, monkeypatch: Any) -> None:
+    content = {"estimator": {"paper": True}}
+    monkeypatch.delenv(paper.FOLDER, raising=False)
+    assert "paper classes" not in versions_of(QUICK)
+    assert versions_of(content)["paper classes"] == "none"
+    with pytest.raises(FileNotFoundError):
+        paper.paper_classes(str(tmp_path / "nowhere"))
+    pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
+    monkeypatch.setattr(paper, "MODEL", "logistic")
+    monkeypatch.setattr(paper, "RIGS", 1)
+    told: list[str] = []
+    paper.prepare(tmp_path / "campaign", told.append)
+    first = versions_of(content)["paper classes"]
+    assert len(told) == 3
+    assert (tmp_path / paper.NAME / "angle.npz").is_file()
+    paper.prepare(tmp_path / "campaign", told.append)
+    assert len(told) == 3
+    assert versions_of(content)["paper classes"] == first != "none"
+    row = dock_once(parse_campaign_scene({**QUICK, **content}, "x"), 3, 0, "guarded")
+    assert row["error"] == ""
+    assert row["first_angle_stddev"] == 0.0
+    assert math.degrees(row["felt_angle"]) == pytest.approx(round(math.degrees(row["felt_angle"])))
+    assert row["felt_vertical"] in (-0.01, -0.005, 0.0, 0.005, 0.01)

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The quick charger of campaigns against the one that does all that the nodes do."""
+
+from __future__ import annotations
+
+import math
+import random
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_docking.codes import Unreachable
+from deltacharger_docking.motion import Planner
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_lab.campaigns.docking import dock_once
+from deltacharger_lab.campaigns.pads import Pads
+from deltacharger_lab.campaigns.quick_motion import QuickPlanner, WholeFeed
+from deltacharger_lab.campaigns.scene import parse_campaign_scene
+from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.source import ContactSource
+
+from .campaigns import QUICK, scene
+
+
+def test_frames_are_those_of_the_usual_pads() -> None:
+    pads, usual = Pads(TactileParameters(), 7, 3), ContactSource(None, 7, 3)
+    assert pads.begin_docking() == usual.begin_docking()
+    for step, (pose, force) in enumerate(
+        [(None, 0.0), ((0.001, -0.002, 0.03), 60.0), ((0.001, -0.002, 0.03), 78.0), (None, 0.0)]
+    ):
+        ours, theirs = pads.sample(0.1 * step, pose, force), usual.sample(0.1 * step, pose, force)
+        assert np.array_equal(np.stack(ours), np.stack(theirs), equal_nan=True)
+
+
+def test_frames_at_once_are_frames_one_by_one() -> None:
+    together, one_by_one = Pads(TactileParameters(), 7, 3), Pads(TactileParameters(), 7, 3)
+    pose = (0.001, -0.002, 0.03)
+    together.begin_docking()
+    one_by_one.begin_docking()
+    many = together.frames(1.0, pose, 70.0, 5, 0.01)
+    single = [one_by_one.frames(0.96 + 0.01 * index, pose, 70.0, 1, 0.0)[0] for index in range(5)]
+    np.testing.assert_allclose(many, np.stack(single), atol=0.02, equal_nan=True)  # two steps of the converter
+
+
+def test_short_lines_are_the_usual_ones() -> None:
+    source = random.Random(4)
+    parameters, geometry = DockingParameters(servo_stiffness=10.0), DeltaGeometry()
+    quick, usual = QuickPlanner(parameters, geometry), Planner(parameters, geometry)
+    for _ in range(60):
+        x, y, z = source.uniform(-0.05, 0.05), source.uniform(-0.05, 0.05), source.uniform(0.02, 0.10)
+        goal = (x, y, z + source.uniform(-0.007, 0.007))
+        ours, theirs = quick.line((x, y, z), goal, 0.02), usual.line((x, y, z), goal, 0.02)
+        assert [point.time for point in ours] == pytest.approx([point.time for point in theirs])
+        angles, bounds = (
+            max(
+                abs(a - b)
+                for one, two in zip(ours, theirs, strict=True)
+                for a, b in zip(getattr(one, name), getattr(two, name), strict=True)
+            )
+            for name in ("angles", "torque_bound")
+        )
+        assert angles < 1e-4  # rad, a fifteenth of the encoder's tick
+        assert bounds < 1e-3  # N·m
+
+
+def test_a_way_that_leaves_the_reach_is_refused_all_the_same() -> None:
+    quick = QuickPlanner(DockingParameters(), DeltaGeometry())
+    with pytest.raises(Unreachable):
+        quick.check_way(0.1, (0.0, 0.0, 0.08), (0.0, 0.0, 0.5))
+    with pytest.raises(Unreachable):
+        quick.line((0.0, 0.0, 0.5), (0.0, 0.0, 0.502), 0.02)
+    quick.check_way(0.1, (0.0, 0.0, 0.08), (0.03, -0.03, 0.06), (0.0, 0.0, 0.0))
+
+
+def test_a_whole_line_is_told_once_and_stops_where_it_is_held() -> None:
+    parameters = DockingParameters()
+    line = Planner(parameters, DeltaGeometry()).line((0.0, 0.0, 0.05), (0.0, 0.0, 0.08), 0.05)
+    feed = WholeFeed(0.06)
+    feed.start(line, 10.0)
+    assert feed.piece(10.01) == line
+    assert feed.piece(10.02) is None
+    assert feed.is_under_way(10.0 + 0.99 * line[-1].time)
+    assert not feed.is_under_way(10.0 + line[-1].time)
+    held = feed.hold(10.0 + 0.5 * line[-1].time)
+    assert len(held) == 1
+    assert line[0].angles < held[0].angles < line[-1].angles
+
+
+@pytest.mark.parametrize(
+    ("content", "approach"),
+    [
+        (QUICK, "guarded"),
+        (QUICK, "paper"),
+        ({"target": {"roll": 0.30}, "shift": {"roll": -0.02}}, "guarded"),
+        ({"target": {"roll": 0.0}, "shift": {"roll": 0.26}}, "guarded"),
+        ({"world": {"target": {"present": False}}}, "guarded"),
+        ({"world": {"circuit": {"target_leakage": 0.1}}}, "guarded"),
+        ({"world": {"circuit": {"target_voltage": -24.0}}}, "guarded"),
+        ({"target": {"x": 0.06, "y": 0.06}, "shift": {"x": 0.02}}, "guarded"),
+        ({"world": {"magnets": {"force": 0.0}}}, "guarded"),
+    ],
+)
+def test_a_docking_ends_as_it_does_computed_in_full(content: dict[str, Any], approach: str) -> None:
+    quick = dock_once(parse_campaign_scene(content, "x"), 5, 0, approach)
+    exact = dock_once(parse_campaign_scene(content, "x"), 5, 0, approach, exact=True)
+    assert quick["error"] == exact["error"] == ""
+    same = ("code_name", "charged", "shorts", "parted_live", "seed", "rig_seed", "goal_x", "place_x")
+    assert {name: quick[name] for name in same} == {name: exact[name] for name in same}
+    assert quick["energised_unsafe"] == exact["energised_unsafe"] == 0.0
+    assert quick["peak_push"] == pytest.approx(exact["peak_push"], rel=0.1, abs=1.0)
+
+
+def test_noise_of_the_estimator_reaches_the_estimate() -> None:
+    clean = dock_once(scene(), 3, 0, "guarded")
+    noisy = dock_once(scene({**QUICK, "estimator": {"position_stddev": 0.003}}), 3, 0, "guarded")
+    assert noisy["moves"] != clean["moves"] or noisy["final_misalignment"] != clean["final_misalignment"]
+    assert not math.isnan(noisy["felt_horizontal"])

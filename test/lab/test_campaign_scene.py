@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a campaign draws: spreads within their bounds, scenes checked whole, and a world that is what was drawn."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_lab.campaigns.draw import build_parts, draw, zero_angle
+from deltacharger_lab.campaigns.felt import EstimatorErrors
+from deltacharger_lab.campaigns.keys import TAKEN, known_keys
+from deltacharger_lab.campaigns.scene import load_campaign_scene, packaged_campaigns, parse_campaign_scene
+from deltacharger_lab.campaigns.settings import meaning
+from deltacharger_lab.campaigns.spread import Key, read_spread
+from deltacharger_scenes.scene import SceneError
+from deltacharger_sim.clearance import overlap
+from deltacharger_sim.parameters import ParameterError, WorldParameters, describe
+
+METRES = Key(-0.06, 0.06, "m", "a place")
+
+
+@pytest.mark.parametrize(
+    ("value", "mean", "stddev"),
+    [
+        (0.01, 0.01, 0.0),
+        ([-0.03, 0.03], 0.0, 0.06 / math.sqrt(12.0)),
+        ({"mean": 0.01, "stddev": 0.005}, 0.01, 0.005),
+        ({"choose": [-0.02, 0.02]}, 0.0, 0.02),
+        ({"either_sign": [0.02, 0.02]}, 0.0, 0.02),
+        ({"log": [0.01, 0.04]}, 0.03 / math.log(4.0), 0.00864),
+    ],
+)
+def test_a_spread_has_its_mean_and_its_width(value: Any, mean: float, stddev: float) -> None:
+    source = random.Random(5)
+    drawn = np.array([read_spread(value, METRES, "x").draw(source) for _ in range(4000)])
+    assert np.mean(drawn) == pytest.approx(mean, abs=0.001)
+    assert np.std(drawn) == pytest.approx(stddev, abs=0.001)
+
+
+def test_a_normal_spread_stays_within_the_bounds() -> None:
+    source = random.Random(5)
+    spread = read_spread({"mean": 0.055, "stddev": 0.05}, METRES, "x")
+    assert all(-0.06 <= spread.draw(source) <= 0.06 for _ in range(2000))
+
+
+@pytest.mark.parametrize(
+    ("content", "key", "problem"),
+    [
+        ([], "(top)", "no mapping"),
+        ({"wrold": {}}, "wrold", "did you mean 'world'"),
+        ({"name": 3}, "name", "not text"),
+        ({"world": {"servo": {"stifness": 15}}}, "world.servo.stifness", "did you mean 'stiffness'"),
+        ({"world": {"servo": {"stiffness": [1, 15]}}}, "world.servo.stiffness[0]", "2.5 to 20 N·m/rad"),
+        ({"world": {"servo": 15}}, "world.servo", "no mapping"),
+        ({"world": {"target": {"x": 0.01}}}, "world.target.x", "give target.x"),
+        ({"docking": {"approach": "paper"}}, "docking.approach", "--approach"),
+        ({"target": {"x": [0.01, -0.01]}}, "target.x", "above"),
+        ({"target": {"x": [0.01, 0.02, 0.03]}}, "target.x", "no range"),
+        ({"target": {"x": {"mean": 0.0}}}, "target.x", "no distribution"),
+        ({"target": {"x": {"log": [0.0, 0.01]}}}, "target.x.log", "no logarithm"),
+        ({"target": {"x": {"either_sign": [-0.01, 0.01]}}}, "target.x.either_sign", "no size"),
+        ({"target": {"x": {"either_sign": 0.01}}}, "target.x.either_sign", "no range"),
+        ({"target": {"z": {"either_sign": [0.0, 0.05]}}}, "target.z.either_sign[1]", "outside"),
+        (
+            {"world": {"servo": {"friction": {"either_sign": [0.0, 0.1]}}}},
+            "world.servo.friction.either_sign",
+            "outside",
+        ),
+        ({"estimator": {"tail": 2.0}}, "estimator.tail", "2.1 to"),
+        ({"gravity": {"anywhere": True, "tilt": 0.1}}, "gravity.tilt", "gravity.anywhere"),
+        ({"shift": {"beyond_zero": 0.01, "roll": 0.1}}, "shift.roll", "shift.beyond_zero"),
+        ({"based_on": "bad"}, "based_on", "no other packaged campaign"),
+        ({"target": {"x": {"mean": 0.0, "stddev": -1.0}}}, "target.x.stddev", "outside 0"),
+        ({"target": {"x": {"choose": []}}}, "target.x.choose", "list of values"),
+        ({"target": {"x": float("nan")}}, "target.x", "not a number"),
+        ({"target": {"x": "left"}}, "target.x", "not a number"),
+        ({"gravity": {"known": 1}}, "gravity.known", "true or false"),
+        ({"tactile": {"sensor": {"bits": 9.5}}}, "tactile.sensor.bits", "whole number"),
+        ({"dockings": []}, "dockings", "no list"),
+        ({"dockings": [{"target": {"x": [0.0, 0.01]}}]}, "dockings[0].target.x", "fixed values"),
+        ({"dockings": [{"traget": {}}]}, "dockings[0].traget", "did you mean 'target'"),
+        ({"target": {"x": 0.0}, "dockings": [{"target": {"x": 0.01}}]}, "dockings[0].target.x", "keep one"),
+        ({"world": {"magnets": {"force": 0.0, "width": 0.01}}}, "world.magnets.width", "no effect"),
+        ({"gravity": {"azimuth": 1.0}}, "gravity.azimuth", "no effect"),
+        ({"docking": {"current_min": [0.40, 0.48]}}, "docking", "current_min + 2"),
+        ({"world": {"circuit": {"voltage_min": 30.0, "voltage_max": 30.0}}}, "world.circuit.voltage_min", "below"),
+    ],
+)
+def test_what_a_scene_refuses(content: Any, key: str, problem: str) -> None:
+    with pytest.raises(ParameterError) as refusal:
+        parse_campaign_scene(content, "bad")
+    assert refusal.value.key == key
+    assert problem in refusal.value.problem
+
+
+def test_packaged_scenes_load_and_a_file_names_itself(tmp_path: Path) -> None:
+    assert {"default", "steep"} <= set(packaged_campaigns())
+    for name in packaged_campaigns():
+        assert load_campaign_scene(name).description
+    path = tmp_path / "mine.yaml"
+    path.write_text("target: {x: 9}", encoding="utf-8")
+    with pytest.raises(SceneError) as refusal:
+        load_campaign_scene(str(path))
+    assert (refusal.value.file, refusal.value.key) == (str(path), "target.x")
+
+
+def test_every_number_of_the_world_can_be_drawn_or_says_what_to_give_instead() -> None:
+    for name, *_ in describe(WorldParameters):
+        assert f"world.{name}" in set(known_keys()) | set(TAKEN), name
+
+
+def test_the_goal_is_what_the_camera_saw_and_the_world_what_is_there() -> None:
+    content = {
+        "target": {"x": 0.01, "y": -0.005, "z": 0.002, "roll": 0.04},
+        "shift": {"x": 0.003, "z": -0.001, "roll": -0.02},
+        "estimator": {"angle_stddev": 0.01},
+    }
+    drawn = draw(parse_campaign_scene(content, "x"), 1, 0, "guarded")
+    assert drawn.goal.position == pytest.approx((0.01, -0.005, 0.082))
+    assert (drawn.goal.roll, drawn.goal.roll_stddev) == (0.04, 0.0)
+    target = drawn.world.target
+    assert (target.x, target.y, target.z, target.roll) == pytest.approx((0.013, -0.005, 0.081, 0.02))
+    assert drawn.estimator == EstimatorErrors(angle_stddev=0.01)
+
+
+def test_errors_of_camera_and_mount_have_the_width_that_they_say() -> None:
+    content = {"camera": {"position_stddev": 0.001, "roll_stddev": 0.01}, "hand_eye": {"position_stddev": 0.002}}
+    scene = parse_campaign_scene(content, "x")
+    goals = np.array([draw(scene, 1, number, "guarded").goal.position for number in range(1500)])
+    assert np.std(goals, axis=0) == pytest.approx(math.hypot(0.001, 0.002), rel=0.06)
+    assert np.mean(goals, axis=0) == pytest.approx((0.0, 0.0, 0.08), abs=2e-4)
+    turned = parse_campaign_scene({"hand_eye": {"rotation_stddev": 0.01}}, "x")
+    goals = np.array([draw(turned, 1, number, "guarded").goal.position for number in range(1500)])
+    # A camera at (0, 0.12, -0.12) m is 0.233 m from (0, 0, 80 mm): 0.2 m along z, 0.12 m along y, none along x.
+    assert np.std(goals, axis=0) == pytest.approx((0.00233, 0.002, 0.0012), rel=0.06)
+
+
+@pytest.mark.parametrize(("azimuth", "expected"), [(0.0, (0.0, 0.0)), (math.pi / 2.0, (1.0, 0.0))])
+def test_a_tilted_robot_has_tilted_gravity(azimuth: float, expected: tuple[float, float]) -> None:
+    values = {"gravity.tilt": 0.1, "gravity.azimuth": azimuth}
+    world, _, docking = build_parts(values, "guarded")
+    assert math.hypot(world.gravity_x, world.gravity_y, world.gravity_z) == pytest.approx(9.81)
+    assert world.gravity_x == pytest.approx(9.81 * math.sin(0.1) * expected[0])
+    assert docking.gravity == (0.0, -9.81, 0.0)
+    _, _, told = build_parts({**values, "gravity.known": True}, "guarded")
+    assert told.gravity == pytest.approx((world.gravity_x, world.gravity_y, world.gravity_z))
+
+
+def test_a_listed_docking_is_as_listed_and_the_rest_is_drawn() -> None:
+    entries = [{"shift": {"x": 0.001 * index}} for index in range(3)]
+    scene = parse_campaign_scene({"target": {"roll": [-0.1, 0.1]}, "dockings": entries}, "x")
+    drawn = [draw(scene, 1, number, "guarded") for number in range(3)]
+    assert [each.values["shift.x"] for each in drawn] == [0.0, 0.001, 0.002]
+    assert len({each.values["target.roll"] for each in drawn}) == 3
+    assert scene.drawn() == ["shift.x", "target.roll"]
+
+
+@pytest.mark.parametrize(
+    ("name", "digest"),
+    [("default", "930f58cf75e0584bda09ea59f71e28c0"), ("steep", "36529113c32130671739c9858169e57b")],
+)
+def test_what_a_seed_drew_it_draws_for_ever(name: str, digest: str) -> None:
+    scene = load_campaign_scene(name)
+    found = hashlib.sha256()
+    for number in range(40):
+        one = draw(scene, 21, number, "guarded")
+        world = one.world
+        parts = (world.servo, world.contact, world.magnets, world.target)
+        gravity = (world.gravity_x, world.gravity_y, world.gravity_z)
+        found.update(repr((sorted(one.values.items()), *parts, *gravity, one.goal, one.seed, one.rig_seed)).encode())
+    assert found.hexdigest()[:32] == digest
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"estimator": {"tail": 3.0, "stddev_scale": 0.5, "bias_vertical": 0.0005, "paper": False}},
+        {"gravity": {"anywhere": True, "known": True}},
+        {"world": {"contact": {"stiffness": {"log": [1e4, 1e7]}}}},
+        {"shift": {"limit": 0.06, "x": {"either_sign": [0.001, 0.002]}}},
+    ],
+)
+def test_a_new_key_leaves_what_the_others_drew(more: dict[str, Any]) -> None:
+    base = {"target": {"x": [-0.02, 0.02]}, "camera": {"position_stddev": 0.001}, "hand_eye": {"rotation_stddev": 0.01}}
+    for number in range(5):
+        one = draw(parse_campaign_scene(base, "x"), 4, number, "guarded")
+        two = draw(parse_campaign_scene({**base, **more}, "x"), 4, number, "guarded")
+        assert {name: two.values[name] for name in one.values} == one.values
+        assert (one.goal, one.seed, one.rig_seed) == (two.goal, two.seed, two.rig_seed)
+
+
+def test_gravity_from_anywhere_has_every_direction_alike() -> None:
+    scene = parse_campaign_scene({"gravity": {"anywhere": True, "known": True}}, "x")
+    drawn = [draw(scene, 1, number, "guarded") for number in range(1500)]
+    pull = np.array([(each.world.gravity_x, each.world.gravity_y, each.world.gravity_z) for each in drawn]) / 9.81
+    assert np.linalg.norm(pull, axis=1) == pytest.approx(1.0)
+    assert np.mean(pull, axis=0) == pytest.approx((0.0, 0.0, 0.0), abs=0.05)
+    assert np.mean(pull**2, axis=0) == pytest.approx((1 / 3, 1 / 3, 1 / 3), abs=0.03)
+    assert drawn[0].docking.gravity == pytest.approx(tuple(9.81 * pull[0]))
+    assert {"gravity.tilt", "gravity.azimuth"} <= set(scene.drawn())
+
+
+def test_vision_errs_within_the_limit_that_is_left_at_contact() -> None:
+    content = {"shift": {"x": [-0.01, 0.01], "y": 0.009, "limit": 0.01}, "hand_eye": {"position_stddev": 0.005}}
+    scene = parse_campaign_scene(content, "x")
+    drawn = [draw(scene, 1, number, "guarded") for number in range(400)]
+    offsets = np.array(
+        [(one.world.target.x - one.goal.position[0], one.world.target.y - one.goal.position[1]) for one in drawn]
+    )
+    assert np.max(np.abs(offsets)) <= 0.01
+    assert np.min(np.abs(offsets), axis=0) == pytest.approx((0.0, 0.0), abs=0.001)
+    assert np.std([one.goal.position[2] for one in drawn]) == pytest.approx(0.005, rel=0.1)
+
+
+def test_beside_zero_clearance_the_wrong_bars_nearly_touch() -> None:
+    scene = parse_campaign_scene({"shift": {"y": [-0.006, 0.006], "beyond_zero": [-0.01, 0.01]}}, "x")
+    below = sides = 0
+    for number in range(200):
+        one = draw(scene, 1, number, "guarded")
+        target = one.world.target
+        x, y = target.x - one.goal.position[0], target.y - one.goal.position[1]
+        true = overlap(one.world.terminal, x, y, target.roll).clearance
+        assert abs(true) < 0.0008  # 0.01 rad · 35 mm and what the formula lies below the geometry
+        below += true < 0.0
+        sides += target.roll > 0.0
+    assert 40 < below < 160
+    assert 70 < sides < 130
+    assert math.degrees(zero_angle(0.0, 0.0037, 0.035)) == pytest.approx(12.07, abs=0.005)
+    assert zero_angle(0.06, 0.0037, 0.035) == 0.0
+
+
+def test_a_scene_based_on_another_has_its_keys_but_for_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("based_on: edge\nshift: {roll: null, x: 0.001}\nworld: {contact: {stiffness: 2.0e+4}}", "utf-8")
+    mine, edge, everything = load_campaign_scene(str(path)), load_campaign_scene("edge"), load_campaign_scene("random")
+    assert mine.name == "mine"
+    assert mine.spreads["world.contact.stiffness"].numbers == (2e4,)
+    assert mine.spreads["shift.x"].numbers == (0.001,)
+    assert "shift.roll" not in mine.spreads
+    assert mine.spreads["shift.limit"] == edge.spreads["shift.limit"] == everything.spreads["shift.limit"]
+    assert parse_campaign_scene(mine.content, "again").spreads == mine.spreads
+    for base in ("mine", "rnadom"):
+        path.write_text(f"based_on: {base}", "utf-8")
+        with pytest.raises(SceneError, match="no other packaged campaign"):
+            load_campaign_scene(str(path))
+
+
+def test_a_comment_is_no_other_version_and_a_number_is(tmp_path: Path) -> None:
+    told = []
+    for text in ("LIMIT = 2.2\n", "# of a contact\nLIMIT = (2.2)\n", "LIMIT = 2.3\n"):
+        (tmp_path / "rule.py").write_text(text)
+        told.append(meaning(tmp_path / "rule.py"))
+    assert told[0] == told[1] != told[2]

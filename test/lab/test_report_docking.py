@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger report docking`: bounds, bins and targets as they are defined, and a report that goes on."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_bringup.cli.main import main
+from deltacharger_lab.campaigns.scene import load_campaign_scene
+from deltacharger_lab.campaigns.summary import upper_bound
+from deltacharger_lab.reports.docking import report as docking_report
+from deltacharger_lab.reports.docking import summary as docking_summary
+from deltacharger_lab.reports.docking.pictures import NAMES
+from deltacharger_lab.reports.docking.plan import PARTS, QUICK, make_plan
+from deltacharger_lab.reports.docking.summary import Columns
+
+pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra campaign)")
+
+SEVEN = math.radians(7.0)
+
+
+def rows(count: int, **changes: Any) -> Columns:
+    """Return so many charged dockings of level targets."""
+    names = ("servo_push", "peak_push", "final_horizontal", "final_vertical", "final_misalignment", "energised_unsafe")
+    found: dict[str, list[Any]] = {name: [0.001] * count for name in names}
+    found |= {"number": list(range(count)), "place_roll": [0.0] * count, "code_name": ["NONE"] * count}
+    found |= {"charged": [True] * count, "ended": [""] * count, "moves": [2] * count, "time": [20.0] * count}
+    found |= {
+        "shorts": [0] * count,
+        "parted_live": [0] * count,
+        "energised": [4.0] * count,
+        "rest_push": [17.0] * count,
+    }
+    found |= {"rest_current": [0.45] * count, "servo_current_hottest": [0.5] * count, "energised_unsafe": [0.0] * count}
+    return docking_summary.columns(found | {name: [value] * count for name, value in changes.items()})
+
+
+@pytest.mark.parametrize(("hits", "count"), [(0, 1), (0, 300), (0, 20_000), (1, 20_000), (3, 40), (12, 2000)])
+def test_a_rate_at_its_bound_shows_so_few_events_in_one_of_twenty_campaigns(hits: int, count: int) -> None:
+    bound = upper_bound(hits, count)
+    few = sum(math.comb(count, k) * bound**k * (1.0 - bound) ** (count - k) for k in range(hits + 1))
+    assert few == pytest.approx(0.05, rel=1e-6)
+    if hits == 0:
+        assert bound <= 3.0 / count
+
+
+def test_a_bound_has_its_ends() -> None:
+    assert upper_bound(0, 20_000) == pytest.approx(1.5e-4, rel=0.01)
+    assert upper_bound(5, 5) == 1.0
+    assert math.isnan(upper_bound(0, 0))
+
+
+def test_bins_hold_every_docking_once_on_either_side() -> None:
+    every = rows(400)
+    every["degrees"] = np.linspace(0.0, 20.0, 400)
+    every["charged"] = every["degrees"] < 9.5
+    every["code_name"] = np.where(every["charged"], "NONE", "CRITICAL_ANGLE")
+    bins = docking_summary.by_angle(every)
+    assert sum(each["n"] for each in bins) == 400
+    assert [each["share"] for each in bins if each["high"] <= 9.0] == [1.0] * 5
+    assert sum(sum(each["refused"].values()) for each in bins) == np.sum(~every["charged"])
+    assert docking_summary.columns({"place_roll": [-SEVEN, SEVEN]})["degrees"] == pytest.approx([7.0, 7.0])
+
+
+def verdicts(upright: Columns, **campaigns: Columns) -> dict[str, bool | None]:
+    found = {name: docking_summary.summarise(each) for name, each in campaigns.items()}
+    targets = docking_summary.targets(found, docking_summary.summarise(upright))
+    return {each["name"]: each["met"] for each in targets}
+
+
+@pytest.mark.parametrize(
+    ("changes", "missed"),
+    [
+        ({}, set()),
+        ({"energised_unsafe": 0.01}, {"energised without clearance, random scenes"}),
+        ({"shorts": 1}, {"shorts, guarded"}),
+        ({"rest_current": 0.51}, {"contact current at rest in 0.4–0.5 A"}),
+        ({"servo_push": 25.1}, {"largest push of the servos in contact"}),
+        ({"servo_current_hottest": 0.61}, {"hottest servo while charging, largest"}),
+        ({"moves": 4}, {"alignment moves, median"}),
+        ({"final_vertical": -0.0026}, {"charged with both axes within 2.5 mm"}),
+        ({"code_name": "CRASHED"}, {"dockings that crashed"}),
+    ],
+)
+def test_a_target_is_missed_by_what_it_is_about_alone(changes: dict[str, Any], missed: set[str]) -> None:
+    found = verdicts(rows(10), random=rows(10, **changes), edge=rows(10))
+    assert {name for name, met in found.items() if not met} == missed
+    assert len(found) == 10
+
+
+def test_what_was_not_run_is_not_met() -> None:
+    found = verdicts(rows(0))
+    assert set(found.values()) == {None}
+
+
+def test_a_plan_has_scenes_that_are_there_and_the_counts_that_are_asked_for() -> None:
+    counts = {part.name: part.count for part in PARTS}
+    assert (counts["random"], counts["edge"], counts["zero"]) == (20_000, 20_000, 2_000)
+    assert counts["fixed"] == len(load_campaign_scene("fixed").dockings)
+    assert all(load_campaign_scene(part.scene).description for part in PARTS)
+    quick = make_plan(quick=True)
+    assert [part.count for part in quick.parts] == [max(20, math.ceil(QUICK * part.count)) for part in PARTS]
+    only = make_plan(only=("edge", "zero"), n=7)
+    assert only.chosen == ("edge", "zero")
+    assert {part.name: part.count for part in only.parts} == {**counts, "edge": 7, "zero": 7}
+
+
+def report(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[str, Any], str]:
+    capsys.readouterr()
+    code = main(["report", "docking", *words, "--json"])
+    captured = capsys.readouterr()
+    return code, json.loads(captured.out), captured.err
+
+
+def test_a_report_runs_what_is_missing_and_tells_what_it_has(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib", reason="draws with deltacharger[report]")
+    out = ("--out", str(tmp_path))
+    code, answer, _ = report(capsys, "--only", "upright", "-n", "2", *out)
+    assert code == 0
+    assert "random" in answer["not_run"]
+    assert "upright" not in answer["not_run"]
+    code, answer, err = report(capsys, "--only", "upright", "--only", "random", "-n", "3", *out)
+    assert code == 0
+    assert "2 of 3 dockings are there already" in err
+    assert {Path(name).name for name in answer["files"]} == {
+        "docking.md",
+        "docking.json",
+        *(name for name in NAMES if name != "docking-clearance.png"),
+    }
+    figures = json.loads((tmp_path / "docking.json").read_text("utf-8"))
+    assert {name: each["n"] for name, each in figures["parts"].items()} == {"random": 3, "upright": 3}
+    assert figures["parts"]["random"]["unsafe"]["bound"] == pytest.approx(upper_bound(0, 3))
+    page = " ".join((tmp_path / "docking.md").read_text("utf-8").split())
+    assert "Everything here is simulated" in page
+    assert all(f"| {each['name']} |" in page for each in answer["targets"])
+    assert figures["versions"]["random"]["code"] in page
+    monkeypatch.setattr(docking_report, "versions_of", lambda content: {"code": "other"})
+    code, answer, _ = report(capsys, "--only", "random", "-n", "3", *out)
+    assert code == 2
+    assert "version of code" in answer["error"]
+
+
+def test_an_unknown_campaign_is_refused_with_those_that_there_are(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    code, answer, _ = report(capsys, "--only", "egde", "--out", str(tmp_path))
+    assert code == 2
+    assert "edge" in answer["error"]

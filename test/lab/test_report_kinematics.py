@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger report kinematics`: the measured laws of the kinematics, and the command's own contract."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_bringup.cli.main import main
+from deltacharger_kinematics import DeltaGeometry
+from deltacharger_lab.reports.kinematics import sets
+from deltacharger_lab.reports.kinematics.forms import INVERSE_FORMS, inverse_array, inverse_one
+from deltacharger_lab.reports.kinematics.geometries import ADJUSTED
+from deltacharger_lab.reports.kinematics.pictures import NAMES
+from deltacharger_lab.reports.kinematics.reference import ExactDelta
+from deltacharger_lab.reports.kinematics.solvers import OURS, PRECISE
+
+SETS = ("interior", "boundary", "fold", "near type 2", "wide")
+OUTSIDE = ("outside 1e-15 to 1e-3 m", "outside 1e-17 to 1e-15 m")
+TABLE_OF_EXTREMES = (
+    *("NaN in one coordinate", "+inf", "−inf", "1e200 m", "1e308 m in all coordinates", "denormal, 5e-324 m", "−0.0"),
+    *("Q = 0 exactly, all limbs stretched", "Q = 0 exactly, all limbs folded", "a = L, u = w = 0", "float32"),
+    *("forward: spheres that do not meet", "forward: all elbows in one point", "arm of 0, −0.1, NaN or inf m"),
+)
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any], dict[str, Any], str]:
+    """Run the command for real: its folder, what it printed, its figures and its page."""
+    folder = tmp_path_factory.mktemp("report")
+    words = (sys.executable, "-m", "deltacharger_bringup.cli", "report", "kinematics", "--quick", "--json")
+    ended = subprocess.run([*words, "--out", str(folder)], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    figures = json.loads((folder / "kinematics.json").read_text("utf-8"))
+    return folder, json.loads(ended.stdout), figures, (folder / "kinematics.md").read_text("utf-8")
+
+
+Quick = tuple[Path, dict[str, Any], dict[str, Any], str]
+
+
+def rows(figures: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    return {row["name"]: row for row in figures["inverse"]}
+
+
+def test_the_answer_names_every_file_that_it_wrote(quick: Quick) -> None:
+    folder, answer, figures, _ = quick
+    assert answer["success"] is True
+    assert {Path(name) for name in answer["files"]} == set(folder.iterdir())
+    assert answer["targets"] == figures["targets"]
+    assert figures["pictures"] == list(NAMES)
+    assert all((folder / name).read_bytes().startswith(b"\x89PNG") for name in NAMES)
+
+
+def test_ours_answers_everywhere_on_the_right_knee_within_the_bounds(quick: Quick) -> None:
+    figures = quick[2]
+    for name in OURS:
+        for each in SETS:
+            entry = rows(figures)[name]["sets"][each]
+            assert (entry["none"], entry["wrong"]) == (0.0, 0.0), (name, each)
+            assert entry["max"] <= (4e-16 if name == PRECISE or each == "boundary" else 8e-16), (name, each)
+    assert figures["round_trip"]["Delta.inverse"]["max"] <= 5e-16
+
+
+def test_ours_takes_no_point_for_reachable_that_is_not_and_none_the_other_way(quick: Quick) -> None:
+    decisions = quick[2]["reach"]["solvers"]
+    for name in OURS:
+        assert [decisions[name][each] for each in (*OUTSIDE, "boundary")] == [0, 0, 0], name
+    plain = decisions["single atan2"]
+    assert sum(plain[each] for each in OUTSIDE) > 0, "the sets do not tell the forms apart"
+
+
+def test_the_closed_forms_lose_half_their_digits_at_the_edge_and_ours_does_not(quick: Quick) -> None:
+    curves = quick[2]["edge"]["curves"]
+    assert curves["single atan2"][0] > 1e-9
+    assert max(each for name in OURS for each in curves[name] if each is not None) <= 8e-16
+
+
+def test_the_extremes_of_the_design_come_back_as_wanted(quick: Quick) -> None:
+    found = {each["name"]: each for each in quick[2]["extremes"]}
+    for name in TABLE_OF_EXTREMES:
+        assert found[name]["ok"], found[name]
+
+
+def test_no_robot_is_too_odd(quick: Quick) -> None:
+    for robot in quick[2]["robots"]:
+        assert robot["count"] > 0
+        assert robot["wrong_decisions"] == 0, robot
+        assert robot["precise"] <= 4e-16, robot
+        assert max(robot["array"], robot["point"]) <= 1e-15, robot
+
+
+def test_every_table_says_set_count_and_seed(quick: Quick) -> None:
+    _, _, figures, page = quick
+    for each in figures["sets"] + figures["reach"]["sets"]:
+        assert f"| {each['name']} | {each['about']} | {each['count']} |" in page
+    assert page.count("set, seed 1") == 2
+    assert figures["command"] in page
+    for name in NAMES:
+        assert f"]({name})" in page
+
+
+def test_without_peers_and_matplotlib_the_tables_stay_and_say_what_is_missing(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for module in ("casadi", "pinocchio", "matplotlib"):
+        monkeypatch.setitem(sys.modules, module, None)
+    folder = tmp_path / "made" / "here"
+    words = ("report", "kinematics", "--quick", "--points", "50", "--seed", "7", "--out", str(folder), "--json")
+    assert main(words) == 0
+    printed = capsys.readouterr()
+    answer = json.loads(printed.out)
+    assert set(answer["absent"]) == {"casadi", "pinocchio"}
+    assert set(answer["missing_pictures"]) == set(NAMES)
+    page = (folder / "kinematics.md").read_text("utf-8")
+    assert "deltacharger[peers]" in page
+    assert "deltacharger[report]" in page
+    assert "![" not in page
+    assert "| single atan2 |" in page
+    assert "set, seed 7" in page
+    assert "casadi is absent" in printed.err
+
+
+def test_without_mpmath_it_says_what_to_install(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "mpmath", None)
+    assert main(("report", "kinematics", "--quick", "--out", str(tmp_path), "--json")) == 1
+    assert "install deltacharger[report]" in json.loads(capsys.readouterr().out)["error"]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("--points", "0"), ("--points", "49"), ("--points", "100001"), ("--points", "1e3"), ("--seed", "-1"), ("--sed",)],
+)
+def test_wrong_numbers_are_2(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(("report", "kinematics", *words, "--json"))
+    assert end.value.code == 2
+    assert json.loads(capsys.readouterr().out)["success"] is False
+
+
+def test_a_file_where_the_folder_should_be_is_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_text("kept", encoding="utf-8")
+    for out in (path, path / "below"):
+        assert main(("report", "kinematics", "--quick", "--out", str(out), "--json")) == 2
+        assert "--out" in json.loads(capsys.readouterr().out)["error"]
+    assert path.read_text("utf-8") == "kept"
+
+
+@pytest.mark.parametrize("geometry", [DeltaGeometry(), DeltaGeometry(limbs=ADJUSTED)], ids=["plain", "adjusted"])
+def test_the_reference_brings_points_back_to_30_digits(geometry: DeltaGeometry) -> None:
+    """Its inverse and forward are written apart, so that they can only agree where both are right."""
+    exact = ExactDelta(geometry)
+    points = sets.interior(geometry, np.random.default_rng(3), 20).points
+    solved = exact.inverse(points).angles
+    nudge = exact.forward(solved.high)
+    # The angles are rounded to doubles before they go back, so the way is as long as that rounding.
+    assert nudge.distance(points).max() < 2e-16
+    assert (solved.angle_error(solved.high) <= 3e-16).all()
+
+
+def test_the_reference_agrees_with_itself_about_the_edge() -> None:
+    exact, rng = ExactDelta(), np.random.default_rng(4)
+    inside, beyond = sets.boundary(exact, rng, 60), sets.outside(exact, rng, 60, -17.0, -15.0)
+    assert (len(inside.points), len(beyond.points)) == (60, 60)
+    assert inside.edge is not None
+    assert beyond.edge is not None
+    assert inside.edge.min() > 0.0 > beyond.edge.max()
+    assert inside.edge.min() < 1e-15
+    assert np.abs(beyond.edge).max() < 3e-15
+    assert np.isfinite(exact.inverse(inside.points).angles.high).all()
+    assert np.isnan(exact.inverse(beyond.points).angles.high).any(-1).all()
+
+
+@pytest.mark.parametrize("name", INVERSE_FORMS)
+def test_every_closed_form_is_right_inside_the_workspace(name: str) -> None:
+    geometry = DeltaGeometry()
+    points = sets.interior(geometry, np.random.default_rng(5), 50).points
+    truth = ExactDelta(geometry).inverse(points).angles
+    form = INVERSE_FORMS[name]
+    assert truth.angle_error(inverse_array(form, geometry, points)).max() < 1e-10
+    one_by_one = np.array([inverse_one(form, geometry, *point) for point in points.tolist()])
+    assert truth.angle_error(one_by_one).max() < 1e-10
+
+
+def test_points_are_the_same_for_the_same_seed() -> None:
+    exact = ExactDelta()
+    first, again = (sets.fold(exact, np.random.default_rng(6), 30).points for _ in range(2))
+    assert np.array_equal(first, again)

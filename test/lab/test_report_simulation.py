@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger report simulation`: the measured laws of the simulated charger, and the command's own contract."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deltacharger_bringup.cli.main import main
+from deltacharger_lab.reports.simulation import extremes as simulation_extremes
+from deltacharger_lab.reports.simulation import map as simulation_map
+from deltacharger_lab.reports.simulation import plan as simulation_plan
+from deltacharger_lab.reports.simulation.parts import PADS, PARTS
+from deltacharger_lab.reports.simulation.pictures import NAMES
+from deltacharger_lab.reports.simulation.scenes import LIGHT, Model, docking, rms, world
+from deltacharger_sim import stability_map
+from deltacharger_sim.proven import proven
+
+Quick = tuple[Path, dict[str, Any], dict[str, Any], str]
+COMMAND = (sys.executable, "-m", "deltacharger_bringup.cli", "report", "simulation", "--quick", "--json")
+WITH_MUJOCO = importlib.util.find_spec("mujoco") is not None
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Quick:
+    """Run the command for real: its folder, what it printed, its figures and its page."""
+    pytest.importorskip("matplotlib", reason="draws with deltacharger[report]")
+    folder = tmp_path_factory.mktemp("report")
+    ended = subprocess.run([*COMMAND, "--out", str(folder)], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    figures = json.loads((folder / "simulation.json").read_text("utf-8"))
+    return folder, json.loads(ended.stdout), figures, (folder / "simulation.md").read_text("utf-8")
+
+
+@pytest.mark.timeout(600)
+def test_the_answer_names_every_file_that_it_wrote(quick: Quick) -> None:
+    folder, answer, figures, page = quick
+    assert answer["success"] is True
+    assert {Path(name) for name in answer["files"]} == set(folder.iterdir())
+    assert answer["targets"] == figures["targets"]
+    assert figures["pictures"] == list(NAMES)
+    assert figures["command"] in page
+    for name in NAMES:
+        assert (folder / name).read_bytes().startswith(b"\x89PNG")
+        assert f"]({name})" in page
+
+
+def test_the_targets_that_do_not_hang_on_the_machine_are_met(quick: Quick) -> None:
+    verdicts = {target["name"]: target["met"] for target in quick[2]["targets"]}
+    machine = {"light model at 10 ms, in motion", "whole report"}
+    assert machine < set(verdicts)
+    assert all(met for name, met in verdicts.items() if name not in machine), verdicts
+
+
+def test_every_model_has_a_row_for_every_step_and_the_light_one_an_answer(quick: Quick) -> None:
+    figures = quick[2]
+    found = {(row["model"], row["step"]): row for row in figures["errors"]}
+    assert set(found) == {(name, step) for name in figures["models"] for step in figures["steps"]}
+    errors = [found[LIGHT, step]["rms_mm"] for step in figures["steps"]]
+    assert errors == sorted(errors)
+    assert all(abs(found[LIGHT, step]["force_percent"]) < 1e-3 for step in figures["steps"])
+
+
+@pytest.mark.skipif(not WITH_MUJOCO, reason="the reference of the simulation is deltacharger[sim]")
+def test_the_reference_confirms_the_light_model_and_knows_where_others_diverge(quick: Quick) -> None:
+    figures = quick[2]
+    assert figures["references_apart_mm"] < 0.05
+    fast = [point["cell"] for point in figures["map"] if point["model"] == simulation_plan.MUJOCO_FAST]
+    assert simulation_map.DIVERGED in fast
+    codes = {row["code"] for row in figures["dockings"] if row["docking"] == 1}
+    assert codes == {"NONE"}
+
+
+def test_every_extreme_and_every_part_is_told(quick: Quick) -> None:
+    _, _, figures, page = quick
+    for scene in simulation_extremes.SCENES:
+        assert f"| {scene.name} |" in page
+    assert {row["part"] for row in figures["costs"]} == {*PARTS, PADS}
+    docked = {row["part"] for row in figures["parts"]}
+    assert docked == set(list(PARTS)[: simulation_plan.quick_plan().parts])
+    assert all(row["step_us"] > 0.0 and row["memory_kb"] > 0.0 for row in figures["costs"])
+
+
+def test_energy_only_falls_and_its_account_is_whole(quick: Quick) -> None:
+    for row in quick[2]["energy"]:
+        assert row["gain"] < 0.01 * row["released"], row["scene"]
+        for part in ("servos' damping", "gears' friction", "electrodes' friction"):
+            assert row["lost"][part] > -1e-3 * row["released"], (row["scene"], part)
+
+
+def test_the_packages_map_says_what_the_report_finds(quick: Quick) -> None:
+    points = [point for point in quick[2]["map"] if point["model"] == LIGHT]
+    assert points
+    for point in points:
+        servo = stability_map.SERVO_STIFFNESSES.index(point["servo"])
+        contact = stability_map.CONTACT_STIFFNESSES.index(point["contact"])
+        step = stability_map.STEPS.index(point["step"])
+        assert proven(servo, contact, step) == (point["cell"] == simulation_map.PROVEN), point
+    text = (quick[0] / simulation_map.MODULE).read_text("utf-8")
+    written: dict[str, Any] = {}
+    exec(compile(text, simulation_map.MODULE, "exec"), written)
+    assert written["STEPS"] == simulation_plan.quick_plan().map_steps
+    assert [len(rows) for rows in written["CELLS"]] == [len(written["CONTACT_STIFFNESSES"])]
+
+
+def test_the_packaged_map_is_that_of_the_full_plan() -> None:
+    plan = simulation_plan.full_plan()
+    assert plan.map_steps == stability_map.STEPS
+    assert plan.map_contacts == stability_map.CONTACT_STIFFNESSES
+    assert plan.map_servos == stability_map.SERVO_STIFFNESSES
+
+
+def test_a_path_is_no_distance_from_itself_at_any_sampling() -> None:
+    fine = docking(Model(LIGHT), world(), 0.005)["trace"]
+    assert rms(fine, fine) == 0.0
+    assert rms(fine[1::2], fine) == 0.0
+    assert rms([(x, y, z + 1e-3) for x, y, z in fine], fine) == pytest.approx(1e-3)
+
+
+def test_a_diverged_point_is_never_proven() -> None:
+    good = {"bounded": True, "force_percent": 0.1, "path_mm": 0.1, "speed": 0.0}
+    assert simulation_map._cell(good) == simulation_map.PROVEN
+    for change in ({"bounded": False}, {"force_percent": float("nan")}, {"speed": 0.1}, {"speed": float("nan")}):
+        assert simulation_map._cell({**good, **change}) == simulation_map.DIVERGED
+    assert simulation_map._cell({**good, "force_percent": 0.6}) == simulation_map.FORCE_OFF
+    assert simulation_map._cell({**good, "path_mm": 0.4}) == simulation_map.PATH_OFF
+
+
+@pytest.mark.parametrize("words", [("--seed", "1"), ("--quik",), ("more",)])
+def test_wrong_words_are_2(words: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(("report", "simulation", *words, "--json"))
+    assert end.value.code == 2
+
+
+def test_a_file_where_the_folder_should_be_is_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_text("kept", encoding="utf-8")
+    assert main(("report", "simulation", "--quick", "--out", str(path), "--json")) == 2
+    assert "--out" in json.loads(capsys.readouterr().out)["error"]
+    assert path.read_text("utf-8") == "kept"

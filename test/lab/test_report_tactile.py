@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger report tactile` and `tactile compare`: the comparison on simulated data, and the command's contract."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deltacharger_bringup.cli.main import main
+from deltacharger_lab.reports.html import write_html
+from deltacharger_lab.reports.tactile import plan as tactile_plan
+from deltacharger_lab.reports.tactile import splits as tactile_splits
+from deltacharger_lab.reports.tactile.pictures import NAMES
+from deltacharger_lab.reports.tactile.pool import Task, work
+from deltacharger_lab.reports.tactile.shifts import SHIFTS
+from deltacharger_lab.reports.tactile.summary import FIRES, HOLDS, NEITHER, accuracies, shifts
+
+TARGETS = ("angle", "vertical", "horizontal")
+COMMAND = (sys.executable, "-m", "deltacharger_bringup.cli", "report", "tactile", "--quick")
+Quick = tuple[Path, dict[str, Any], dict[str, Any], str]
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Quick:
+    """Run the command for real: its folder, what it printed, its figures and its page."""
+    for module in ("sklearn", "torch", "matplotlib"):
+        pytest.importorskip(module, reason="measures with deltacharger[train,report]")
+    folder = tmp_path_factory.mktemp("report")
+    ended = subprocess.run([*COMMAND, "--json", "--out", str(folder)], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    figures = json.loads((folder / "tactile.json").read_text("utf-8"))
+    return folder, json.loads(ended.stdout), figures, (folder / "tactile.md").read_text("utf-8")
+
+
+@pytest.mark.timeout(600)
+def test_the_answer_names_every_file_that_it_wrote(quick: Quick) -> None:
+    folder, answer, figures, _ = quick
+    assert answer["success"] is True
+    assert answer["simulated"] is True
+    assert {Path(name) for name in answer["files"]} == set(folder.iterdir())
+    assert answer["targets"] == figures["targets"]
+    assert figures["pictures"] == list(NAMES)
+
+
+def test_every_model_is_better_than_chance_and_every_shift_is_judged(quick: Quick) -> None:
+    figures = quick[2]
+    for name in figures["models"]:
+        for target in TARGETS:
+            assert figures["accuracy"][name][target]["mean"] > 0.6, (name, target)
+            assert 0.0 < figures["times"][name][target]["median_ms"] <= figures["times"][name][target]["p99_ms"]
+    judged = {(row["model"], row["target"], row["shift"]) for row in figures["shifts"]}
+    assert judged == {
+        (name, target, shift.name) for name in figures["judged"] for target in TARGETS for shift in SHIFTS
+    }
+    assert {row["verdict"] for row in figures["shifts"]} <= {HOLDS, FIRES, NEITHER}
+
+
+def test_a_split_at_random_by_frame_flatters(quick: Quick) -> None:
+    found = {(row["model"], row["target"], row["split"]): row["accuracy"] for row in quick[2]["splits"]}
+    honest = found["forest", "horizontal", tactile_splits.BY_DOCKING]
+    assert found["forest", "horizontal", tactile_splits.BY_FRAME] > honest + 0.02
+    assert found["forest", "horizontal", tactile_splits.RIG_OUT] < honest
+
+
+def test_more_dockings_tell_more(quick: Quick) -> None:
+    found = {row["name"].split(",")[0]: row["horizontal"] for row in quick[2]["ceiling"]}
+    assert found["1 docking"] < found["3 dockings"] >= 0.98
+
+
+def test_every_table_and_picture_says_that_the_data_are_simulated(quick: Quick) -> None:
+    folder, _, _, page = quick
+    lines = page.splitlines()
+    heads = [lines[index - 1] for index, line in enumerate(lines) if line.startswith("|---")]
+    assert heads
+    assert all("simulated" in head for head in heads), heads
+    assert all("simulated" in each for each in re.findall(r"!\[(.*?)\]", page))
+    whole = (folder / "tactile.html").read_text("utf-8")
+    assert whole.count("data:image/png;base64,") == len(NAMES)
+    assert 'src="tactile' not in whole
+    assert whole.count("<table>") == len(heads)
+
+
+def test_without_libraries_their_rows_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("xgboost", "torch"):
+        monkeypatch.setitem(sys.modules, module, None)
+    assert set(tactile_plan.absent()) == {"xgboost", "torch"}
+    names = tactile_plan.full_plan(1).names
+    assert not {"xgboost", "nn", "cnn"} & set(names)
+    assert "forest" in names
+    monkeypatch.setitem(sys.modules, "sklearn", None)
+    assert tactile_plan.full_plan(1).names == ()
+
+
+def test_with_nothing_that_trains_it_says_what_to_install(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for module in ("sklearn", "xgboost", "torch"):
+        monkeypatch.setitem(sys.modules, module, None)
+    for words in (("report", "tactile"), ("tactile", "compare")):
+        assert main((*words, "--out", str(tmp_path), "--json")) == 1
+        assert "deltacharger[train]" in json.loads(capsys.readouterr().out)["error"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interruption_ends_it_without_a_traceback(tmp_path: Path) -> None:
+    pytest.importorskip("sklearn", reason="measures with deltacharger[train]")
+    running = subprocess.Popen(
+        [*COMMAND, "--json", "--out", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert running.stderr is not None
+    assert "%" in running.stderr.readline()  # the first task is done: both processes work
+    running.send_signal(signal.SIGINT)
+    out, errors = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert "Traceback" not in errors
+    assert json.loads(out) == {"success": False, "error": "interrupted"}
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_verdict_needs_coverage_or_an_alarm() -> None:
+    base = {"model": "m", "target": "angle", "accuracy": 0.9, "act_rate": 0.9, "drift_rate": 0.0, "n": 600}
+    cases = {"held": (0.95, 0.0, HOLDS), "lost": (0.5, 0.0, NEITHER), "told": (0.5, 0.9, FIRES)}
+    rows = [
+        {**base, "shift": name, "coverage": coverage, "windows": [0.0, windows], "seed": seed}
+        for name, (coverage, windows, _) in cases.items()
+        for seed in range(3)
+    ]
+    assert {row["shift"]: row["verdict"] for row in shifts(rows)} == {name: case[2] for name, case in cases.items()}
+
+
+def test_the_interval_is_over_rigs() -> None:
+    rows = [
+        {"model": "m", "target": target, "rig": rig, "accuracy": 0.9 + 0.02 * rig + 0.01 * seed, "fit_s": 1.0}
+        for target in TARGETS
+        for rig in range(3)
+        for seed in (-1, 1)
+    ]
+    found = accuracies(rows, ["m"])["m"]["angle"]
+    assert found["mean"] == pytest.approx(0.92)
+    assert found["half"] == pytest.approx(4.303 * 0.02 / 3**0.5, rel=1e-3)
+
+
+def test_tasks_come_back_in_their_order() -> None:
+    tasks = [Task("sum", sum, ([index, 1],), float(weight)) for index, weight in enumerate((1, 5, 2))]
+    told: list[str] = []
+    assert work(tasks, told.append) == {"sum": [1, 2, 3]}
+    assert told[-1].startswith("100 %")
+
+
+def test_the_one_file_holds_its_pictures(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(b"\x89PNG")
+    (tmp_path / "page.md").write_text(
+        "# A & B\n\n| x | y |\n|---|---|\n| 1 | **2** |\n\n![c](a.png)\n\n- one\n", "utf-8"
+    )
+    write_html(tmp_path / "page.md", ["a.png"], tmp_path / "page.html")
+    whole = (tmp_path / "page.html").read_text("utf-8")
+    assert "<h1>A &amp; B</h1>" in whole
+    assert "<td><strong>2</strong></td>" in whole
+    assert 'src="data:image/png;base64,iVBORw=="' in whole
+
+
+@pytest.mark.parametrize("words", [("--seed", "-1"), ("--seed", "1.5"), ("--rig", "3")])
+def test_wrong_words_are_2(words: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(("report", "tactile", *words, "--json"))
+    assert end.value.code == 2
+
+
+def test_a_file_where_the_folder_should_be_is_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_text("kept", encoding="utf-8")
+    assert main(("report", "tactile", "--quick", "--out", str(path), "--json")) == 2
+    assert "--out" in json.loads(capsys.readouterr().out)["error"]

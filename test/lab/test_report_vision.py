@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger report vision`: the detector on simulated images, and the command's contract."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_bringup.cli.main import main
+from deltacharger_lab.reports.vision import mount as vision_mount
+from deltacharger_lab.reports.vision import plan as vision_plan
+from deltacharger_lab.reports.vision import views as vision_views
+from deltacharger_lab.reports.vision.conditions import (
+    ALARMS,
+    BAND,
+    BY_RANGE,
+    CONDITIONS,
+    MUJOCO,
+    RENDERERS,
+    key,
+    members,
+)
+from deltacharger_lab.reports.vision.gallery import worst
+from deltacharger_lab.reports.vision.measure import FIELDS, Photographer, errors
+from deltacharger_lab.reports.vision.page import write_page
+from deltacharger_lab.reports.vision.pictures import NAMES
+from deltacharger_lab.reports.vision.summary import at_most, row, targets
+from deltacharger_vision.detector.detection import Detection
+
+COMMAND = (sys.executable, "-m", "deltacharger_bringup.cli", "report", "vision", "--quick", "--images", "2")
+NOTHING = [math.nan] * 5
+Quick = tuple[Path, dict[str, Any], dict[str, Any], str]
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Quick:
+    """Run the command for real: its folder, what it printed, its figures and its page."""
+    for module in ("cv2", "matplotlib", "scipy"):
+        pytest.importorskip(module, reason="measures with deltacharger[vision,report]")
+    folder = tmp_path_factory.mktemp("report")
+    ended = subprocess.run([*COMMAND, "--json", "--out", str(folder)], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    figures = json.loads((folder / "vision.json").read_text("utf-8"))
+    return folder, json.loads(ended.stdout), figures, (folder / "vision.md").read_text("utf-8")
+
+
+@pytest.mark.timeout(600)
+def test_the_answer_names_every_file_that_it_wrote(quick: Quick) -> None:
+    folder, answer, figures, _ = quick
+    assert answer["success"] is True
+    assert answer["simulated"] is True
+    assert {Path(name) for name in answer["files"]} == set(folder.iterdir())
+    assert answer["targets"] == figures["targets"]
+    assert figures["pictures"] == list(NAMES)
+    for name in figures["pictures"]:
+        assert (folder / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_row_was_measured_with_its_number_of_images(quick: Quick) -> None:
+    figures = quick[2]
+    plan = vision_plan.Plan(2, 0, True, figures["absent"])
+    assert set(figures["rows"]) == {key(each) for each in plan.conditions()}
+    for each in plan.conditions():
+        seeds = [image[0] for image in figures["raw"]["images"][key(each)]]
+        assert seeds == [20_000 + number for number in range(plan.count(each.weight))]
+        assert figures["rows"][key(each)]["images"] == len(seeds)
+    assert set(figures["mount"]) == set(vision_mount.LEVELS)
+    assert any(each.renderer == MUJOCO for each in plan.conditions()) != ("mujoco" in figures["absent"])
+
+
+def test_the_figures_are_those_of_their_images(quick: Quick) -> None:
+    figures = quick[2]
+    for name, images in figures["raw"]["images"].items():
+        filled = [[math.nan if value is None else value for value in image] for image in images]
+        for part, value in row(filled).items():
+            found = figures["rows"][name][part]
+            assert (math.isnan(value) and found is None) or found == pytest.approx(value), (name, part)
+
+
+def test_what_is_near_and_plain_is_found_and_right(quick: Quick) -> None:
+    rows = quick[2]["rows"]
+    plain = [rows[key(each)] for each in members(BY_RANGE) if BAND[0] <= each.away <= BAND[1]]
+    assert sum(each["found"] for each in plain) >= 0.95 * sum(each["images"] for each in plain)
+    assert sum(each["wrong"] for each in plain) == 0
+    assert all(each["xy_mm_p95"] < 2.0 for each in plain)
+    assert rows["hidden: 30 % of both bars hidden"]["found"] == 0
+
+
+def test_the_mount_decides(quick: Quick) -> None:
+    exact, half, whole = (quick[2]["mount"][name] for name in vision_mount.LEVELS)
+    assert exact["base_mm_p50"] == pytest.approx(exact["camera_mm_p50"], rel=1e-6)
+    assert 10.0 * exact["base_mm_p50"] < half["base_mm_p50"] < whole["base_mm_p50"]
+
+
+def test_the_page_says_what_the_figures_say(quick: Quick) -> None:
+    _, _, figures, page = quick
+    assert "of simulated images" in page
+    assert f"`{figures['command']}`" in " ".join(page.split())
+    for target in figures["targets"]:
+        verdict = "met" if target["met"] else "**NOT MET**"
+        line = next(line for line in page.splitlines() if line.startswith(f"| {target['name']} |"))
+        assert line.endswith(f"| {verdict} |")
+    for each in members(BY_RANGE):
+        found = figures["rows"][key(each)]
+        line = next(line for line in page.splitlines() if line.startswith(f"| {each.name} |"))
+        assert f"| {found['images']} | {100 * found['found'] / found['images']:.1f} |" in line
+    assert re.findall(r"!\[[^]]+\]\(([^)]+)\)", page) == list(NAMES)
+    assert "nan" not in page
+    assert "None" not in page
+
+
+def test_without_mujoco_and_pictures_the_page_says_why(quick: Quick, tmp_path: Path) -> None:
+    figures = json.loads((quick[0] / "vision.json").read_text("utf-8"), parse_constant=float)
+    nan = json.loads(
+        json.dumps(figures), object_hook=lambda found: {k: math.nan if v is None else v for k, v in found.items()}
+    )
+    left = {name: each for name, each in nan["rows"].items() if MUJOCO not in name}
+    nan |= {"rows": left, "absent": {"mujoco": "its rows are left out: none here"}, "pictures": []}
+    nan["missing_pictures"] = dict.fromkeys(NAMES, "no matplotlib")
+    write_page(nan, tmp_path / "page.md")
+    page = (tmp_path / "page.md").read_text("utf-8")
+    assert "- mujoco: its rows are left out: none here" in page
+    assert f"(No picture {NAMES[0]}: no matplotlib)" in page
+    assert ", MuJoCo |" not in page.split("## Two renderers")[1]
+
+
+@pytest.mark.timeout(300)
+def test_an_interruption_ends_it_without_a_traceback(tmp_path: Path) -> None:
+    pytest.importorskip("cv2", reason="measures with deltacharger[vision]")
+    running = subprocess.Popen(
+        [*COMMAND, "--json", "--out", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert running.stderr is not None
+    assert "%" in next(line for line in running.stderr if "absent" not in line)  # the first task is done
+    running.send_signal(signal.SIGINT)
+    out, problems = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert "Traceback" not in problems
+    assert json.loads(out) == {"success": False, "error": "interrupted"}
+    assert list(tmp_path.iterdir()) == []
+
+
+def detection(position: tuple[float, float, float], roll: float = 0.0) -> Detection:
+    return Detection(
+        position=np.array(position),
+        roll=roll,
+        axis=np.array([1.0, 0.0, 0.0]),
+        normal=np.array([0.0, 0.0, -1.0]),
+        covariance=1e-6 * np.eye(6),
+        confidence=1.0,
+        range=0.3,
+        bars=np.zeros((2, 4, 2)),
+        source="fused",
+    )
+
+
+def test_wrong_is_what_is_far_off() -> None:
+    pose = np.eye(4)
+    pose[2, 3] = 0.3
+    named = FIELDS[1:]
+    near = dict(zip(named, errors(detection((0.001, 0.0, 0.302), math.radians(4.9)), pose), strict=True))
+    assert (near["found"], near["wrong"]) == (1.0, 0.0)
+    assert near["xy_mm"] == pytest.approx(1.0)
+    assert near["z_mm"] == pytest.approx(2.0)
+    assert near["roll_deg"] == pytest.approx(4.9)
+    assert near["nees"] == pytest.approx(5.0)
+    assert near["tilt_deg"] == pytest.approx(0.0)
+    for far in (detection((0.0, 0.0, 0.311)), detection((0.0, 0.0, 0.3), math.radians(-5.1))):
+        assert errors(far, pose)[:2] == [1.0, 1.0]
+    assert errors(detection((0.0, 0.0, 0.3)), pose, real=False)[:2] == [1.0, 1.0]
+    assert errors(detection((0.0, 0.0, 0.3), math.pi), pose)[:2] == [1.0, 0.0]  # a line has no direction
+    assert errors(None, pose)[:2] == [0.0, 0.0]
+
+
+def test_only_right_detections_count_as_found() -> None:
+    images = [[0, 1, 0, 1.0, 2.0, 0.1, 3.0, 1.0], [1, 1, 1, *NOTHING], [2, 0, 0, *NOTHING]]
+    found = row(images)
+    assert (found["images"], found["found"], found["wrong"]) == (3, 1, 1)
+    assert found["xy_mm_p50"] == 1.0
+    assert worst(images, real=True) == 1
+    assert worst(images[::2], real=True) == 2
+    assert worst(images[::2], real=False) == 0
+
+
+def test_the_bound_of_a_share_is_that_of_clopper_and_pearson() -> None:
+    pytest.importorskip("scipy")
+    assert at_most(0, 1000) == pytest.approx(1.0 - 0.05 ** (1 / 1000))
+    assert at_most(1000, 1000) == 1.0
+    assert at_most(0, 1500) < 0.002 < at_most(0, 1400)
+
+
+def test_a_target_that_is_missed_is_said_to_be() -> None:
+    good = row([[0, 1, 0, 0.1, 0.1, 0.1, 3.0, 1.0]] * 100)
+    bad = row([[0, 0, 0, *NOTHING]] * 2 + [[0, 1, 1, *NOTHING]] + [[0, 1, 0, 1.1, 2.1, 1.1, 3.0, 1.0]] * 97)
+    for whole, time, met in ((good, 14.9, True), (bad, 15.1, False)):
+        names = {key(each): {"median_ms": time} for each in members(BY_RANGE)}
+        alarms = {"images": 100, "wrong": 0 if met else 1}
+        half = {"images": 100, "found": 90 if met else 80}
+        rows = {"hidden: 50 % of one bar hidden": half, f"{ALARMS}: clutter, no electrodes": alarms}
+        found = targets({"band": whole, "rows": rows, "times": names})
+        assert [each["met"] for each in found] == [met] * len(found), found
+
+
+def test_enough_images_for_what_is_claimed() -> None:
+    plan = vision_plan.Plan(vision_plan.FULL, 0, False, {})
+    band = sum(plan.count(each.weight) for each in members(BY_RANGE) if BAND[0] <= each.away <= BAND[1])
+    assert band >= 1500
+    assert {each.name: plan.count(each.weight) for each in members(ALARMS)}["clutter, no electrodes"] == 1000
+    assert sum(plan.count(each.weight) for each in plan.conditions()) < 15_000
+
+
+def test_seeds_are_those_of_the_report_and_shift() -> None:
+    first, second = (vision_plan.Plan(2, seed, True, {}) for seed in (0, 1))
+    assert first.seeds(3)[0] == 20_000
+    assert not set(first.seeds(1000)) & set(second.seeds(1000))
+
+
+def test_one_seed_is_one_view_for_both_renderers_and_all_defects() -> None:
+    plan = vision_plan.plan(2, 0, True)
+    photographer = Photographer()
+    names = ["defects: nothing special", "defects: exposure × 0.2", f"{RENDERERS}: exposure × 0.2, ray-caster"]
+    names += [] if "mujoco" in plan.absent else [f"{RENDERERS}: exposure × 0.2, {MUJOCO}"]
+    try:
+        samples = [photographer.take(CONDITIONS[name], 20_000) for name in names]
+    finally:
+        photographer.close()
+    for sample in samples[1:]:
+        np.testing.assert_array_equal(sample.view.pose, samples[0].view.pose)
+    assert samples[1].image.color.mean() < 0.7 * samples[0].image.color.mean()
+
+
+@pytest.mark.parametrize("name", [name for name in CONDITIONS if not name.startswith((ALARMS, RENDERERS))])
+def test_the_terminal_of_every_view_is_wholly_in_the_picture(name: str) -> None:
+    from deltacharger_vision.projection import project
+
+    condition = CONDITIONS[name]
+    for seed in range(300, 303):
+        view = condition.draw(np.random.default_rng([seed, condition.stream]))
+        corners = view.scene.terminal.corners() @ view.pose[:3, :3].T + view.pose[:3, 3]
+        pixels = project(corners, condition.takes)
+        assert (pixels > 0.0).all()
+        assert (pixels < [condition.takes.width - 1, condition.takes.height - 1]).all()
+
+
+def test_no_pose_where_the_terminal_is_larger_than_the_picture() -> None:
+    with pytest.raises(ValueError, match="no pose"):
+        vision_views.draw_pose(0.04, np.random.default_rng(0))
+
+
+def test_without_opencv_it_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    without = dataclasses.replace(vision_plan.Plan(2, 0, True, {}), absent={"opencv": "install deltacharger[vision]"})
+    monkeypatch.setattr(vision_plan, "plan", lambda *_: without)
+    assert main(("report", "vision", "--quick", "--out", str(tmp_path), "--json")) == 1
+    assert "deltacharger[vision]" in json.loads(capsys.readouterr().out)["error"]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "words", [("--seed", "-1"), ("--seed", "1.5"), ("--images", "1"), ("--images", "1001"), ("--rig", "3")]
+)
+def test_wrong_words_are_2(words: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(("report", "vision", *words, "--json"))
+    assert end.value.code == 2
+
+
+def test_a_file_where_the_folder_should_be_is_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_text("kept", encoding="utf-8")
+    assert main(("report", "vision", "--quick", "--out", str(path), "--json")) == 2
+    assert "--out" in json.loads(capsys.readouterr().out)["error"]

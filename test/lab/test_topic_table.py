@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of topics is what the nodes have and what the interface files say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deltacharger_lab.pages.interface_text import Interface, read
+from deltacharger_lab.pages.parameters import every_node
+from deltacharger_lab.pages.topics import document
+
+ROOT = Path(__file__).parents[2]
+FILES = sorted(path for folder in ("msg", "srv", "action") for path in (ROOT / folder).glob(f"*.{folder}"))
+
+
+def test_the_page_is_what_the_nodes_have(context: Any, namespace: str) -> None:
+    pytest.importorskip("cv2", reason="electrode_detector_node needs deltacharger[vision]")
+    committed = (ROOT / "docs" / "topics.md").read_text(encoding="utf-8")
+    if "nav2_msgs/" in committed:
+        pytest.importorskip("nav2_msgs.action", reason="mission_node drives only where Nav2's messages are installed")
+    with every_node(context, namespace) as nodes:
+        found = document(nodes)
+    assert committed == found, "python -m deltacharger_lab.pages.topics > docs/topics.md"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_a_file_is_read_as_the_generator_of_code_reads_it(path: Path) -> None:
+    """rosidl's own Python classes have the same fields and constants, part by part."""
+    import importlib
+
+    interface = read(path)
+    kind = getattr(importlib.import_module(f"deltacharger.{path.suffix[1:]}"), path.stem, None)
+    if kind is None:
+        pytest.fail(f"{path.name} is not built; install the package again")
+    for part in interface.parts:
+        generated = getattr(kind, part.name) if part.name else kind
+        assert [each.name for each in part.fields] == list(generated.get_fields_and_field_types()), part.name
+        for constant in part.constants:
+            name, value = constant.split()
+            assert getattr(generated, name) == int(value)
+
+
+def test_a_comment_may_go_on_in_the_next_line(tmp_path: Path) -> None:
+    file = tmp_path / "Twice.msg"
+    file.write_text(
+        "# What it is.\n# And more.\n\nfloat64 x 1.5   # m along x,\n                # of end_effector\nuint8 A=3\n"
+    )
+    interface = read(file)
+    assert interface.text == "What it is. And more."
+    (field,) = interface.parts[0].fields
+    assert (field.name, field.type, field.default) == ("x", "float64", "1.5")
+    assert field.text == "m along x, of end_effector"
+    assert interface.parts[0].constants == ["A 3"]
+
+
+@pytest.mark.parametrize("text", ["float64\n", "float64 x\n---\nfloat64 y\n"], ids=["no name", "a part too many"])
+def test_what_is_no_message_is_refused(tmp_path: Path, text: str) -> None:
+    def read_it() -> Interface:
+        file = tmp_path / "Odd.msg"
+        file.write_text(text)
+        return read(file)
+
+    with pytest.raises(ValueError, match=r"Odd\.msg"):
+        read_it()

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A world for missions in virtual time: a base on the ground, electrodes somewhere, and others that answer as told.
+
+It checks by itself, at every tick, what must never happen: a drive while anything ties the robot to its target, and two
+requests at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deltacharger_docking.codes import Code, State
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_mission.dialogue import Docking, End, Goal, Observation, Outcome, Reply, Request, Stage, Task
+from deltacharger_mission.machine import MissionMachine
+from deltacharger_mission.parameters import MissionParameters
+from deltacharger_mission.places import Mount, Place
+
+TICK = 0.1  # s
+FORWARD = (0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5)
+HOME = Place(-3.0, 1.0, 0.5)
+TARGET = Place(2.0, 1.0, 2.5)
+REACH = 0.04  # m about the place where the arm docks
+
+Answer = Callable[["World", Request], tuple[float, Reply] | None]
+"""How long a request takes and its reply; None = nobody ever answers, not even a cancel."""
+
+
+def matrix(pose: tuple[float, ...]) -> np.ndarray:
+    """Return base_T_charger (4, 4) of x, y, z and a quaternion, by Rodrigues' formula."""
+    axis, w = np.asarray(pose[3:6]), pose[6]
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    result = np.eye(4)
+    result[:3, :3] = np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+    result[:3, 3] = pose[:3]
+    return result
+
+
+def on_ground(place: Place) -> np.ndarray:
+    """Return map_T_place (4, 4)."""
+    result = np.eye(4)
+    cosine, sine = math.cos(place.yaw), math.sin(place.yaw)
+    result[:2, :2] = [[cosine, -sine], [sine, cosine]]
+    result[:2, 3] = place.x, place.y
+    return result
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Where things really are: electrodes on the map at a height (m), and by how much the navigator stops elsewhere."""
+
+    electrodes: Place = TARGET
+    height: float = 0.0
+    miss: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mount: tuple[float, ...] = FORWARD
+
+
+class World:
+    """Steps a machine through a mission.
+
+    Args:
+        truth: where things are.
+        parameters: of the machine.
+        drives: whether there is a navigator.
+        answers: by task, in place of the usual ones.
+    """
+
+    def __init__(
+        self,
+        truth: Truth | None = None,
+        parameters: MissionParameters | None = None,
+        drives: bool = True,
+        answers: dict[Task, Answer] | None = None,
+    ) -> None:
+        self.truth = truth or Truth()
+        self.parameters = parameters or MissionParameters(home_x=HOME.x, home_y=HOME.y, home_yaw=HOME.yaw)
+        self.machine = MissionMachine(self.parameters, Mount(self.truth.mount), HOME if drives else None)
+        self.time = 100.0
+        self.base = Place(0.0, 0.0, 0.0)
+        self.served = set(Task) if drives else set(Task) - {Task.DRIVE}
+        self.docking: Docking | None = Docking()
+        self.attached = False
+        self.requests: list[Request] = []
+        self.stages: list[Stage] = []
+        self.bases: list[Place] = []  # where the robot stood at each docking, and
+        self.believed: list[Place | None] = []  # where the machine believed it to stand
+        self.answers: dict[Task, Answer] = {
+            Task.DRIVE: drive,
+            Task.DETECT: detect,
+            Task.DOCK: dock,
+            Task.UNDOCK: undock,
+        } | (answers or {})
+        self._due: list[tuple[float, Request, Reply]] = []
+        self._silent: set[int] = set()
+
+    def seen(self) -> Vector:
+        """Where the electrodes really are in charger_base, m."""
+        point = np.array([self.truth.electrodes.x, self.truth.electrodes.y, self.truth.height, 1.0])
+        x, y, z, _ = np.linalg.inv(on_ground(self.base) @ matrix(self.truth.mount)) @ point
+        return float(x), float(y), float(z)
+
+    def run(self, goal: Goal | None = None, limit: float = 1e5, cancel_in: Stage | None = None) -> Outcome:
+        """Serve a goal and return its outcome; `cancel_in` cancels as soon as that stage is seen."""
+        self.machine.start(goal or Goal(TARGET), self._observe(()))
+        end = self.time + limit
+        while self.machine.outcome is None:
+            assert self.time < end, f"no end after {limit} s in {self.machine.status}"
+            self.step()
+            if cancel_in is not None and self.stages[-1] is cancel_in:
+                self.machine.cancel()
+                cancel_in = None
+        self.step()
+        return self.machine.outcome
+
+    def step(self) -> None:
+        """Advance by one tick."""
+        self.time += TICK
+        due = [entry for entry in self._due if entry[0] <= self.time]
+        self._due = [entry for entry in self._due if entry[0] > self.time]
+        for _, request, reply in due:
+            self._take_effect(request, reply)
+        command = self.machine.step(self._observe(tuple(reply for _, _, reply in due)))
+        if self.machine.busy or self.machine.outcome is not None:
+            stage = self.machine.status.stage
+            if not self.stages or self.stages[-1] is not stage:
+                self.stages.append(stage)
+        for number in command.cancels:
+            self._cancel(number)
+        for request in command.requests:
+            self._take(request)
+
+    def _observe(self, replies: tuple[Reply, ...]) -> Observation:
+        return Observation(self.time, frozenset(self.served), self.docking, replies)
+
+    def _take(self, request: Request) -> None:
+        assert not self._due, "one request at a time"
+        if request.task is Task.DRIVE:
+            assert not self.attached, "the robot is driven while the arm may hold its target"
+            assert self.docking is not None
+            assert self.docking.free, "the robot is driven while docking is at work"
+        self.requests.append(request)
+        if request.task is Task.DOCK:
+            self.bases.append(self.base)
+            self.believed.append(self.machine.status.place)
+        answer = self.answers[request.task](self, request)
+        if answer is None:
+            self._silent.add(request.number)
+        else:
+            self._due.append((self.time + answer[0], request, answer[1]))
+
+    def _cancel(self, number: int) -> None:
+        for index, (_, request, _) in enumerate(self._due):
+            if request.number == number:
+                reply = Reply(number, End.CANCELED, Code.CANCELED, "cancelled", True)
+                self._due[index] = (self.time + 0.3, request, reply)
+
+    def _take_effect(self, request: Request, reply: Reply) -> None:
+        """Let the world become what the end of a request makes of it."""
+        if request.task is Task.DRIVE and reply.end is End.DONE:
+            assert request.place is not None
+            self.base = request.place.at(*self.truth.miss)
+        elif request.task is Task.DOCK:
+            holds = reply.end is End.DONE or reply.code is Code.STUCK
+            self.attached = holds
+            self.docking = Docking(State.IDLE, docked=reply.end is End.DONE)
+        elif request.task is Task.UNDOCK and reply.end is End.DONE:
+            self.attached = False
+            self.docking = Docking()
+
+
+def drive(world: World, request: Request) -> tuple[float, Reply]:
+    """Arrive, and say where."""
+    assert request.place is not None
+    return 5.0, Reply(request.number, End.DONE, place=request.place.at(*world.truth.miss))
+
+
+def detect(world: World, request: Request) -> tuple[float, Reply]:
+    """See what is before the camera, not too far aside."""
+    x, y, z = world.seen()
+    if 0.02 < z < 0.8 and math.hypot(x, y) < 0.5 * (z + 0.12):
+        return 0.3, Reply(request.number, End.DONE, electrodes=(x, y, z))
+    return request.timeout, Reply(request.number, End.FAILED, message="no electrodes in the image")
+
+
+def dock(world: World, request: Request) -> tuple[float, Reply]:
+    """Refuse what is out of reach; else dock, and charge for a while."""
+    x, y, z = world.seen()
+    if math.dist((x, y, z), (0.0, 0.0, 0.08)) > REACH:
+        where = (x, y, z - 0.08)
+        return 0.2, Reply(request.number, End.FAILED, Code.UNREACHABLE, "out of reach", suggested=where)
+    world.attached = True
+    world.docking = Docking(State.CHARGING, docked=True, charging=True)
+    return 100.0, Reply(request.number, End.DONE, energy=1000.0)
+
+
+def undock(world: World, request: Request) -> tuple[float, Reply]:
+    """Let go."""
+    return 3.0, Reply(request.number, End.DONE)
+
+
+def fails(code: Code, retriable: bool = False, after: float = 1.0, charging: bool = False) -> Answer:
+    """Return docking that fails with a code, after charging for a while where `charging`."""
+
+    def answer(world: World, request: Request) -> tuple[float, Reply]:
+        world.attached = request.task is Task.DOCK or world.attached
+        if request.task is Task.DOCK:
+            world.docking = Docking(State.CHARGING if charging else State.CONTACT, docked=charging, charging=charging)
+        return after, Reply(request.number, End.FAILED, code, f"it failed with {code.name}", retriable)
+
+    return answer
+
+
+def ends(end: End, message: str = "") -> Answer:
+    """Return somebody whose requests end that way."""
+    return lambda world, request: (1.0, Reply(request.number, end, message=message))
+
+
+def silent(world: World, request: Request) -> None:
+    """Answer nothing."""
+
+
+def without(parameters: MissionParameters, **changes: float) -> MissionParameters:
+    """Return parameters with other values."""
+    return replace(parameters, **changes)  # type: ignore[arg-type]

@@ -1,0 +1,453 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws of a mission, in virtual time: every way ends in a named code, undocked before it drives, and home if it can."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
+from deltacharger_docking.goal_check import suggested_base
+from deltacharger_mission.dialogue import Docking, End, Goal, Reply, Request, Stage, Task
+from deltacharger_mission.parameters import MissionParameters
+from deltacharger_mission.places import DOCK_DISTANCE, Mount, Place, views, wrapped
+
+from .missions import FORWARD, HOME, TARGET, Answer, Truth, World, ends, fails, silent
+
+QUICK = MissionParameters(
+    home_x=HOME.x,
+    home_y=HOME.y,
+    home_yaw=HOME.yaw,
+    drive_timeout=60.0,
+    search_timeout=120.0,
+    dock_timeout=30.0,
+    charge_timeout=300.0,
+    undock_timeout=20.0,
+    return_timeout=60.0,
+    cancel_timeout=10.0,
+    mission_timeout=1000.0,
+)
+LONGEST = 1000.0 + 2 * 10.0 + 2 * (20.0 + 1.0) + 2 * 2.0 + 60.0 + 1.0
+"""s that any mission with QUICK may last: its own limit, and all of the way out."""
+
+angles = st.floats(-math.pi, math.pi)
+
+
+def quick(answers: dict[Task, Answer] | None = None, truth: Truth | None = None, drives: bool = True) -> World:
+    return World(truth, QUICK, drives, answers)
+
+
+def level_mount(heading: float, x: float, y: float, z: float) -> tuple[float, ...]:
+    """Return base_pose of a charger_base whose z axis points to `heading`, its y axis up."""
+    c, s = math.cos(0.5 * heading), math.sin(0.5 * heading)
+    qx = qy = qz = qw = 0.5
+    turned = (c * qx - s * qy, c * qy + s * qx, c * qz + s * qw, c * qw - s * qz)
+    return (x, y, z, *turned)
+
+
+def test_a_mission_drives_looks_stands_docks_charges_undocks_and_returns() -> None:
+    world = quick()
+    outcome = world.run(Goal(TARGET, stop_energy=1000.0))
+    assert outcome.success, outcome
+    assert (outcome.code, outcome.returned) == (Code.NONE, True)
+    wait, drive, search, dock, charge, undock, home = Stage
+    assert world.stages == [wait, drive, search, drive, search, dock, charge, undock, home]
+    assert world.base.distance(HOME) < 1e-9
+    assert [request.task for request in world.requests[-3:]] == [Task.DOCK, Task.UNDOCK, Task.DRIVE]
+    assert world.requests[-3].goal == Goal(TARGET, stop_energy=1000.0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    heading=angles,
+    offset=st.tuples(*[st.floats(-0.5, 0.5)] * 2, st.floats(0.0, 0.5)),
+    facing=angles,
+    shift=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
+    miss=st.tuples(st.floats(-0.02, 0.02), st.floats(-0.02, 0.02), st.floats(-0.05, 0.05)),
+)
+def test_it_docks_wherever_the_arm_is_mounted_and_the_target_faces(
+    heading: float,
+    offset: tuple[float, float, float],
+    facing: float,
+    shift: tuple[float, float],
+    miss: tuple[float, float, float],
+) -> None:
+    """The target stands beside where it was said to stand, and the navigator stops beside its goals and says so."""
+    told = Place(2.0, 1.0, facing)
+    truth = Truth(told.at(*shift), offset[2], miss, level_mount(heading, *offset))
+    world = quick(truth=truth)
+    outcome = world.run(Goal(told))
+    assert outcome.success, (outcome, world.stages)
+    world.base, believed = world.bases[-1], world.believed[-1]
+    assert believed is not None
+    assert believed.distance(world.base) < 1e-6, "it goes by where the navigator says that it stopped"
+    x, y, z = world.seen()
+    assert (x, y) == pytest.approx((0.0, 0.0), abs=0.04)
+    assert z == pytest.approx(DOCK_DISTANCE, abs=0.04)
+    assert world.machine.status.stands <= QUICK.stands_max
+
+
+def test_the_electrodes_are_where_their_robot_carries_them() -> None:
+    """electrodes_* is added by the shell; a target whose electrodes are told is stood before like any other."""
+    robot = Place(5.0, -2.0, 1.0)
+    carried = robot.at(-0.3, 0.1, math.pi)
+    assert (carried.x, carried.y) == pytest.approx(
+        (5.0 - 0.3 * math.cos(1.0) - 0.1 * math.sin(1.0), -2.0 - 0.3 * math.sin(1.0) + 0.1 * math.cos(1.0))
+    )
+    base = Mount(FORWARD).before(carried, 0.5)
+    assert base.distance(carried) == pytest.approx(0.5)
+    assert base.turn(carried) == pytest.approx(math.pi)
+
+
+def test_docking_and_the_mission_mean_the_same_place() -> None:
+    assert suggested_base(Unreachable("", (0.0, 0.0, DOCK_DISTANCE))) == (0.0, 0.0, 0.0)
+
+
+@given(angles, angles)
+def test_wrapped_angles_differ_by_whole_turns(a: float, b: float) -> None:
+    angle = wrapped(a + b)
+    assert -math.pi < angle <= math.pi
+    assert math.remainder(angle - a - b, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_mount_that_faces_the_ground_or_is_no_pose_is_refused() -> None:
+    for pose in ((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), (0.0,) * 7, (math.nan, *FORWARD[1:]), FORWARD[:6]):
+        with pytest.raises(ValueError, match="base_pose"):
+            Mount(pose)
+
+
+@given(st.integers(0, 5), st.integers(0, 8), st.floats(0.08, 2.0), angles)
+def test_the_views_are_bounded_never_nearer_than_the_first_and_end_where_they_should(
+    steps: int, turns: int, distance: float, facing: float
+) -> None:
+    parameters = MissionParameters(search_steps=steps, search_turns=turns)
+    electrodes = Place(1.0, 2.0, facing)
+    places = list(views(electrodes, distance, Mount(FORWARD), parameters))
+    assert len(places) == (steps + 1) * (2 * turns + 1)
+    assert places == list(views(electrodes, distance, Mount(FORWARD), parameters))
+    first = places[0]
+    for place in places:
+        gap = place.distance(electrodes)
+        assert distance - 1e-9 <= gap <= distance + steps * parameters.search_step + 1e-9
+        assert place.turn(first) <= turns * parameters.search_turn + 1e-9 or turns * parameters.search_turn > math.pi
+
+
+def test_where_nothing_is_found_it_looks_from_every_view_and_returns() -> None:
+    world = quick({Task.DETECT: ends(End.FAILED, "no electrodes in the image")})
+    outcome = world.run()
+    assert (outcome.success, outcome.code, outcome.returned) == (False, Code.ELECTRODES_NOT_FOUND, True)
+    assert "no electrodes in the image" in outcome.message
+    assert world.machine.status.views == (QUICK.search_steps + 1) * (2 * QUICK.search_turns + 1)
+    assert world.stages == [Stage.WAIT, Stage.DRIVE, Stage.SEARCH, Stage.RETURN]
+    assert world.base == HOME
+
+
+def test_electrodes_beside_the_first_view_are_found_from_another() -> None:
+    world = quick(truth=Truth(TARGET.at(0.0, 0.25)))
+    outcome = world.run()
+    assert outcome.success, outcome
+    assert world.machine.status.views > 2
+
+
+@pytest.mark.parametrize(
+    ("code", "retriable"),
+    [
+        (Code.CRITICAL_ANGLE, False),
+        (Code.SHORT_CIRCUIT, False),
+        (Code.MISALIGNED, True),
+        (Code.NO_CHARGE_CURRENT, True),
+    ],
+)
+def test_what_docking_refuses_is_told_with_its_code_undocked_and_returned(code: Code, retriable: bool) -> None:
+    world = quick({Task.DOCK: fails(code, retriable)})
+    outcome = world.run()
+    assert (outcome.success, outcome.code, outcome.retriable, outcome.returned) == (False, code, retriable, True)
+    assert world.stages[-2:] == [Stage.UNDOCK, Stage.RETURN]
+    assert world.base == HOME
+
+
+def test_stands_are_bounded_where_docking_always_finds_the_target_out_of_reach() -> None:
+    def unreachable(world: World, request: Request) -> tuple[float, Reply]:
+        return 0.1, Reply(request.number, End.FAILED, Code.UNREACHABLE, "out of reach", suggested=(0.3, 0.0, 0.0))
+
+    world = quick({Task.DOCK: unreachable})
+    outcome = world.run()
+    assert (outcome.code, outcome.returned) == (Code.UNREACHABLE, True)
+    assert world.machine.status.stands == QUICK.stands_max
+    assert sum(request.task is Task.DOCK for request in world.requests) <= QUICK.stands_max + 1
+
+
+def test_what_is_merely_too_high_is_not_driven_at() -> None:
+    world = quick(truth=Truth(height=0.10))
+    outcome = world.run()
+    assert (outcome.code, outcome.returned) == (Code.UNREACHABLE, True)
+    assert sum(request.task is Task.DOCK for request in world.requests) == 1
+
+
+@pytest.mark.parametrize(
+    ("answer", "code"),
+    [
+        (ends(End.REFUSED), Code.REJECTED),
+        (ends(End.FAILED, "blocked"), Code.UNREACHABLE),
+        (ends(End.CANCELED), Code.UNREACHABLE),
+        (ends(End.LOST), Code.TIMEOUT),
+        (silent, Code.TIMEOUT),
+    ],
+)
+def test_a_navigator_that_fails_is_told_with_a_code_and_home_is_tried(answer: Answer, code: Code) -> None:
+    world = quick({Task.DRIVE: answer})
+    outcome = world.run()
+    assert (outcome.code, outcome.returned) == (code, False)
+    assert "then" in outcome.message
+    assert world.stages == [Stage.WAIT, Stage.DRIVE, Stage.RETURN]
+    assert world.requests[-1].place == HOME
+
+
+def test_a_way_that_is_blocked_once_still_leads_home() -> None:
+    count = iter(range(100))
+
+    def blocked_once(world: World, request: Request) -> tuple[float, Reply]:
+        if next(count) == 1:
+            return 1.0, Reply(request.number, End.FAILED, message="blocked")
+        return 5.0, Reply(request.number, End.DONE)
+
+    outcome = quick({Task.DRIVE: blocked_once}).run()
+    assert (outcome.code, outcome.returned) == (Code.UNREACHABLE, True)
+    assert "blocked" in outcome.message
+
+
+def test_after_charging_a_blocked_way_home_is_no_reason_to_charge_again() -> None:
+    def not_home(world: World, request: Request) -> tuple[float, Reply]:
+        return 1.0, Reply(request.number, End.FAILED if request.place == HOME else End.DONE)
+
+    outcome = quick({Task.DRIVE: not_home}).run()
+    assert (outcome.success, outcome.code) == (False, Code.UNREACHABLE)
+    assert (outcome.retriable, outcome.returned) == (False, False)
+    assert "charged" in outcome.message
+
+
+@pytest.mark.parametrize("code", [Code.STUCK, Code.CONTACTOR_WELDED])
+def test_a_robot_that_may_hold_its_target_stays(code: Code) -> None:
+    world = quick({Task.UNDOCK: fails(code, code is Code.STUCK)})
+    outcome = world.run()
+    assert (outcome.success, outcome.code, outcome.returned) == (False, code, False)
+    assert "stays" in outcome.message
+    tries = sum(request.task is Task.UNDOCK for request in world.requests)
+    assert tries == QUICK.undock_attempts
+    assert world.stages[-1] is Stage.UNDOCK
+
+
+def test_undocking_that_works_the_second_time_lets_it_return() -> None:
+    count = iter(range(100))
+
+    def second(world: World, request: Request) -> tuple[float, Reply]:
+        if next(count):
+            return 1.0, Reply(request.number, End.DONE)
+        return 1.0, Reply(request.number, End.FAILED, Code.STUCK, "stuck", True)
+
+    outcome = quick({Task.UNDOCK: second}).run()
+    assert (outcome.success, outcome.returned) == (True, True)
+
+
+def test_the_first_error_is_kept_and_the_later_told() -> None:
+    outcome = quick({Task.DOCK: fails(Code.CRITICAL_ANGLE), Task.UNDOCK: fails(Code.STUCK)}).run()
+    assert outcome.code is Code.CRITICAL_ANGLE
+    assert "CRITICAL_ANGLE" in outcome.message
+    assert "STUCK" in outcome.message
+
+
+@pytest.mark.parametrize("stage", list(Stage))
+def test_a_cancel_in_any_stage_undocks_and_returns_but_on_the_way_back_it_stops(stage: Stage) -> None:
+    world = quick()
+    if stage is Stage.WAIT:
+        world.served.discard(Task.DOCK)
+    outcome = world.run(cancel_in=stage)
+    assert (outcome.success, outcome.code) == (False, Code.CANCELED), outcome
+    assert not world.attached
+    assert outcome.returned is (stage not in (Stage.WAIT, Stage.RETURN))
+    assert (world.base == HOME) is outcome.returned
+    assert outcome.retriable is (stage not in (Stage.UNDOCK, Stage.RETURN)), "what is charged is not charged again"
+    if stage in (Stage.DOCK, Stage.CHARGE):
+        assert world.stages[-2:] == [Stage.UNDOCK, Stage.RETURN]
+
+
+@pytest.mark.parametrize(
+    ("task", "code", "named"),
+    [
+        (Task.DRIVE, Code.TIMEOUT, "drive_timeout"),
+        (Task.DETECT, Code.ELECTRODES_NOT_FOUND, "detect_electrodes"),
+        (Task.DOCK, Code.TIMEOUT, "dock_timeout"),
+        (Task.UNDOCK, Code.TIMEOUT, "undock_timeout"),
+    ],
+)
+def test_silence_ends_at_the_limit_of_its_stage(task: Task, code: Code, named: str) -> None:
+    outcome = quick({task: silent}).run()
+    assert outcome.code is code
+    assert named in outcome.message
+
+
+def test_charging_and_the_whole_mission_have_limits_of_their_own() -> None:
+    charges_for_ever: Answer = fails(Code.INTERNAL, after=1e6, charging=True)
+    world = quick({Task.DOCK: charges_for_ever})
+    outcome = world.run()
+    assert (outcome.code, outcome.returned) == (Code.TIMEOUT, True)
+    assert "charge_timeout" in outcome.message
+    parameters = MissionParameters(mission_timeout=50.0, home_x=HOME.x, home_y=HOME.y, home_yaw=HOME.yaw)
+    outcome = World(parameters=parameters, answers={Task.DOCK: charges_for_ever}).run()
+    assert (outcome.code, outcome.returned) == (Code.TIMEOUT, True)
+    assert "mission_timeout" in outcome.message
+
+
+@pytest.mark.parametrize("task", list(Task))
+def test_who_is_not_there_is_named_before_anything_moves(task: Task) -> None:
+    world = quick()
+    world.served.discard(task)
+    outcome = world.run()
+    assert (outcome.code, outcome.retriable, outcome.returned) == (Code.REJECTED, True, False)
+    assert task.value in outcome.message
+    assert world.requests == []
+
+
+def test_a_charger_that_is_docked_already_is_not_driven() -> None:
+    for docking in (Docking(State.CHARGING, True, True), Docking(State.IDLE, True), Docking(State.APPROACH), None):
+        world = quick()
+        world.docking = docking
+        outcome = world.run()
+        assert (outcome.code, outcome.retriable) == (Code.REJECTED, True)
+        assert world.requests == []
+
+
+def test_a_charger_that_somebody_else_sets_to_work_meanwhile_is_not_driven() -> None:
+    def looks(world: World, request: Request) -> tuple[float, Reply]:
+        world.docking = Docking(State.CONTACT)
+        return 1.0, Reply(request.number, End.FAILED, message="no electrodes in the image")
+
+    world = quick({Task.DETECT: looks})
+    outcome = world.run()
+    assert (outcome.code, outcome.returned) == (Code.REJECTED, False)
+    assert [request.task for request in world.requests] == [Task.DRIVE, Task.DETECT]
+
+
+def test_one_mission_at_a_time_and_no_impossible_ones() -> None:
+    world = quick()
+    observation = world._observe(())
+    for wrong in (Goal(TARGET, stop_energy=math.nan), Goal(TARGET, stop_after=-1.0), Goal(None)):
+        with pytest.raises(Rejected):
+            world.machine.start(wrong, observation)
+    world.machine.start(Goal(TARGET), observation)
+    with pytest.raises(Busy) as caught:
+        world.machine.start(Goal(TARGET), observation)
+    assert caught.value.retriable
+
+
+def test_a_mission_leaves_no_limit_and_no_wish_to_the_next() -> None:
+    world = quick()
+    assert world.run(cancel_in=Stage.RETURN).code is Code.CANCELED
+    world.time += 1e6
+    world.machine.cancel()  # of nobody
+    outcome = world.run()
+    assert (outcome.success, outcome.returned) == (True, True), outcome
+
+
+def test_a_charger_that_stands_still_waits_for_its_target_and_drives_nowhere() -> None:
+    looks = iter(range(100))
+
+    def comes(world: World, request: Request) -> tuple[float, Reply]:
+        if next(looks) < 5:
+            return 0.1, Reply(request.number, End.FAILED, message="nothing")
+        return 0.1, Reply(request.number, End.DONE, electrodes=(0.0, 0.0, 0.08))
+
+    world = quick({Task.DETECT: comes}, drives=False)
+    world.base = Mount(FORWARD).before(TARGET, DOCK_DISTANCE)
+    outcome = world.run(Goal(None))
+    assert (outcome.success, outcome.returned) == (True, True), outcome
+    assert world.stages == [Stage.WAIT, Stage.SEARCH, Stage.DOCK, Stage.CHARGE, Stage.UNDOCK]
+    assert all(request.task is not Task.DRIVE for request in world.requests)
+
+
+def test_a_charger_that_stands_still_gives_up_in_time_and_says_where_it_should_stand() -> None:
+    world = quick({Task.DETECT: ends(End.FAILED, "nothing")}, drives=False)
+    outcome = world.run(Goal(None), limit=QUICK.search_timeout + 30.0)
+    assert (outcome.code, outcome.returned) == (Code.ELECTRODES_NOT_FOUND, True)
+    world = quick(drives=False)
+    world.base = Mount(FORWARD).before(TARGET, 0.3)
+    outcome = world.run(Goal(None))
+    assert (outcome.code, outcome.returned) == (Code.UNREACHABLE, True)
+
+
+def test_an_emergency_calls_off_what_is_under_way_and_forgets_the_goal() -> None:
+    world = quick()
+    world.machine.start(Goal(TARGET), world._observe(()))
+    while not world.requests:
+        world.step()
+    assert world.machine.emergency().cancels == (world.requests[-1].number,)
+    assert not world.machine.busy
+
+
+def test_parameters_have_bounds() -> None:
+    with pytest.raises(ValueError, match="stands_max is 11: allowed are 0 to 10"):
+        MissionParameters(stands_max=11)
+
+
+WAYS = ("done",) * 12 + ("failed", "retriable", "refused", "canceled", "lost", "silent")
+
+
+def _drawn(draw: st.DataObject) -> Answer:
+    """Return somebody who answers each time as it is drawn."""
+
+    def answer(world: World, request: Request) -> tuple[float, Reply] | None:
+        way = draw.draw(st.sampled_from(WAYS))
+        after = draw.draw(st.sampled_from((0.0, 1.0, 15.0)))
+        if request.task is Task.DOCK:
+            stage = draw.draw(st.sampled_from((State.APPROACH, State.CONTACT, State.CHARGING)))
+            world.attached = stage is not State.APPROACH
+            charging = stage is State.CHARGING
+            world.docking = Docking(stage, charging, charging)
+        if way == "silent":
+            return None
+        ending = {"done": End.DONE, "refused": End.REFUSED, "canceled": End.CANCELED, "lost": End.LOST}
+        end = ending.get(way, End.FAILED)
+        code = Code.NONE if end is End.DONE else draw.draw(st.sampled_from([c for c in Code if c]))
+        suggested = (0.1, 0.0, 0.05) if code is Code.UNREACHABLE else None
+        electrodes = (0.05, 0.0, 0.09) if request.task is Task.DETECT and end is End.DONE else None
+        return after, Reply(
+            request.number, end, code, way, way == "retriable", electrodes=electrodes, suggested=suggested
+        )
+
+    return answer
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.data(), st.one_of(st.none(), st.integers(0, 3000)), st.booleans())
+def test_whatever_the_others_do_it_ends_in_time_with_a_named_code(
+    data: st.DataObject, cancel_at: int | None, drives: bool
+) -> None:
+    """World asserts at each drive that nothing holds the robot; here: an end, a code, bounds, an honest `returned`."""
+    world = quick(dict.fromkeys(Task, _drawn(data)), drives=drives)
+    start = world.time
+    world.machine.start(Goal(TARGET if drives else None), world._observe(()))
+    ticks = 0
+    while world.machine.outcome is None:
+        world.step()
+        ticks += 1
+        if ticks == cancel_at:
+            world.machine.cancel()
+        assert world.time - start < LONGEST
+    outcome, status = world.machine.outcome, world.machine.status
+    assert outcome.success is (outcome.code is Code.NONE)
+    assert outcome.code in set(Code)
+    assert outcome.message
+    assert status.stands <= QUICK.stands_max
+    per_search = (QUICK.search_steps + 1) * (2 * QUICK.search_turns + 1)
+    assert status.views <= (QUICK.stands_max + 1) * per_search or not drives
+    docks = sum(request.task is Task.DOCK for request in world.requests)
+    assert docks <= QUICK.stands_max + 1
+    if outcome.returned:
+        assert not world.attached
+        assert not drives or world.base.distance(HOME) < 1e-9
+    if outcome.success:
+        assert docks
+        assert outcome.returned

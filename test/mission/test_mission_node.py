@@ -1,0 +1,434 @@
+# SPDX-License-Identifier: Apache-2.0
+"""mission_node over real topics, actions and services: charged and home, or a code and home.
+
+What docking decides is tried over the real docking_node on mocks; what is about the errand around it over a node with
+docking_node's face alone. The laws themselves stand in test/mission/test_mission.py, in virtual time.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from deltacharger.action import ChargeRobot
+from deltacharger.msg import DockingState
+from rclpy.action.client import ActionClient
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from deltacharger_docking.ros.messages import duration
+from deltacharger_mission.dialogue import Stage
+from deltacharger_mission.places import Place
+from deltacharger_ros.client import CODES, ChargerClient
+from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.scene import Scene, load_scene, parse_scene
+from deltacharger_scenes.yaml_text import read_yaml
+
+from ..chargers import DEADLINE, Process, new_namespace, wait_until
+from ..docking.mock_docking import MockDocking
+
+WITHOUT_NAVIGATION = "nav2_msgs is not installed: it comes with Nav2, or `make navigation` builds a stand-in"
+HOME = Place(-1.0, 0.0, 0.0)
+REAL = Path(__file__).with_name("mission.yaml")
+
+
+class Errand:
+    """A ChargeRobot goal on its way: its stages as they are told, and its result."""
+
+    def __init__(self, client: ActionClient[Any, Any, Any], goal: ChargeRobot.Goal) -> None:
+        self.stages: list[Stage] = []
+        self.status = 0
+        self.result: Any = None
+        self._handle: Any = None
+        self._done = threading.Event()
+        sent = client.send_goal_async(goal, feedback_callback=self._on_feedback)
+        sent.add_done_callback(self._on_response)
+
+    def _on_feedback(self, message: Any) -> None:
+        stage = Stage(message.feedback.stage)
+        if self.stages[-1:] != [stage]:
+            self.stages.append(stage)
+
+    def _on_response(self, future: Any) -> None:
+        self._handle = future.result()
+        self._handle.get_result_async().add_done_callback(self._on_result)
+
+    def _on_result(self, future: Any) -> None:
+        self.status, self.result = future.result().status, future.result().result
+        self._done.set()
+
+    def reaches(self, stage: Stage) -> bool:
+        wait_until(lambda: stage in self.stages or self._done.is_set(), f"{stage.name} in {self.stages}")
+        return stage in self.stages
+
+    def reach(self, stage: Stage) -> None:
+        assert self.reaches(stage), self.result
+
+    def cancel(self) -> None:
+        wait_until(lambda: self._handle is not None, "the goal's response")
+        self._handle.cancel_goal_async()
+
+    def end(self) -> Any:
+        assert self._done.wait(DEADLINE), self.stages
+        return self.result
+
+
+class Robot:
+    """The charging robot under test and a client of its mission; `docking` stands in for docking_node, or is None."""
+
+    def __init__(self, scene: Scene, context: Any) -> None:
+        self.namespace = new_namespace()
+        self.context = context
+        self.docking = None if "docking_node" in scene.nodes else MockDocking(context, self.namespace)
+        self.composition = Composition(scene, context, self.namespace).start()
+        self._client_node = Node(
+            "mission_client", context=context, namespace=self.namespace, use_global_arguments=False
+        )
+        self._client: ActionClient[Any, Any, Any] = ActionClient(self._client_node, ChargeRobot, "charge_robot")
+        self._spinner = Spinner(self._client_node, 2)
+        wait_until(self._client.server_is_ready, "charge_robot")
+
+    def send(self, request_id: str = "", stop_after: float = 0.2, frame: str = "map") -> Errand:
+        goal = ChargeRobot.Goal(request_id=request_id, stop_after=duration(stop_after))
+        goal.target.header.frame_id = frame
+        goal.target.pose.position.x, goal.target.pose.orientation.z, goal.target.pose.orientation.w = 1.0, 1.0, 0.0
+        return Errand(self._client, goal)
+
+    def run(self, **options: Any) -> tuple[Any, Errand]:
+        errand = self.send(**options)
+        return errand.end(), errand
+
+    def node(self, name: str) -> Any:
+        return self.composition.node(name)
+
+    def set(self, node: str, fault: str) -> None:
+        answer = self.node(node).set_parameters([Parameter("fault", value=fault)])[0]
+        assert answer.successful, answer.reason
+
+    @property
+    def place(self) -> Place:
+        found: Place = self.node("mock_navigator_node").place
+        return found
+
+    @property
+    def live(self) -> bool:
+        if self.docking is not None:
+            return self.docking.charging
+        return bool(self.node("mock_tactile_node").contactor_closed)
+
+    def heal(self) -> None:
+        """Make it ready for the next scenario."""
+        for running in self.composition.nodes:
+            if running.node.has_parameter("fault"):
+                self.set(running.name, "none")
+        if self.docking is None:
+            self.node("mock_servo_node").reboot()
+            with ChargerClient(self.namespace, self.context) as client:
+                assert client.undock(deadline=DEADLINE).success
+        else:
+            self.docking.tell(DockingState.STATE_IDLE)
+
+    def close(self) -> None:
+        self.composition.close()
+        if self.docking is not None:
+            self.docking.stop()
+        self._client.destroy()
+        self._spinner.close()
+
+
+def mocked(change: Callable[[dict[str, Any]], None] | None = None) -> Scene:
+    """Return a scene of detector, navigator and mission alone; `change` may change it."""
+    content = read_yaml(REAL)
+    content["nodes"] = ["mock_detector_node", "mock_navigator_node", "mission_node"]
+    content["parameters"] = {name: content["parameters"].get(name, {}) for name in content["nodes"]}
+    if change is not None:
+        change(content)
+    return parse_scene(content, "mocked")
+
+
+@pytest.fixture(scope="module")
+def shared(context: Any) -> Iterator[Callable[[bool], Robot]]:
+    """The robots of all scenarios, each made when it is first wanted: with the real docking_node, and with a mock."""
+    pytest.importorskip("nav2_msgs", reason=WITHOUT_NAVIGATION)
+    robots: dict[bool, Robot] = {}
+
+    def wanted(real: bool) -> Robot:
+        if real not in robots:
+            robots[real] = Robot(load_scene(REAL) if real else mocked(), context)
+        return robots[real]
+
+    yield wanted
+    for robot in robots.values():
+        robot.close()
+
+
+@pytest.fixture
+def real(shared: Callable[[bool], Robot]) -> Iterator[Robot]:
+    robot = shared(True)
+    yield robot
+    robot.heal()
+
+
+@pytest.fixture
+def robot(shared: Callable[[bool], Robot]) -> Iterator[Robot]:
+    robot = shared(False)
+    yield robot
+    robot.heal()
+
+
+def named(result: Any) -> tuple[bool, str, bool]:
+    """Return success, the code's name and whether it returned."""
+    return result.success, CODES[result.error_code], result.returned
+
+
+def test_it_drives_docks_charges_and_comes_home(real: Robot) -> None:
+    real.node("mock_navigator_node").arrived.clear()
+    result, errand = real.run(request_id="r1", stop_after=1.0)
+    assert named(result) == (True, "NONE", True), result
+    assert result.energy > 0.0
+    assert set(errand.stages) == set(Stage)
+    assert errand.stages[-4:] == [Stage.DOCK, Stage.CHARGE, Stage.UNDOCK, Stage.RETURN]
+    assert real.place == HOME
+    first = real.node("mock_navigator_node").arrived[0]
+    assert (first.x, first.y) == pytest.approx((1.0 - 0.2, 0.0), abs=1e-6), "before a target at x = 1 that faces −x"
+    assert not real.live
+
+
+def test_where_nothing_is_found_it_looks_around_and_comes_home(robot: Robot) -> None:
+    robot.set("mock_detector_node", "nothing")
+    result, errand = robot.run()
+    assert named(result) == (False, "ELECTRODES_NOT_FOUND", True), result
+    assert "turn the robot toward the target" in result.error_message
+    assert result.contact_force != result.contact_force, "what was not measured is NaN"
+    assert Stage.DOCK not in errand.stages
+    assert robot.place == HOME
+
+
+def test_a_critical_tilt_is_refused_before_contact_and_it_comes_home(real: Robot) -> None:
+    real.set("mock_detector_node", "unsure_roll")
+    result, errand = real.run()
+    assert named(result) == (False, "CRITICAL_ANGLE", True), result
+    assert not result.retriable
+    assert Stage.CHARGE not in errand.stages
+    assert real.place == HOME
+
+
+def test_out_of_reach_it_stands_again_and_docks(real: Robot) -> None:
+    real.set("mock_detector_node", "beyond_reach")
+    real.node("mock_navigator_node").arrived.clear()
+    errand = real.send()
+    wait_until(lambda: len(real.node("mock_navigator_node").arrived) > 1, "a second stand")
+    real.set("mock_detector_node", "none")
+    result = errand.end()
+    assert named(result) == (True, "NONE", True), result
+    first, second = real.node("mock_navigator_node").arrived[:2]
+    assert second.x - first.x == pytest.approx(0.5 - 0.08, abs=1e-6), "it came nearer by what was missing"
+    assert real.place == HOME
+
+
+def test_what_stays_out_of_reach_is_given_up_with_the_place_where_it_should_stand(real: Robot) -> None:
+    real.set("mock_detector_node", "beyond_reach")
+    result, _ = real.run()
+    assert named(result) == (False, "UNREACHABLE", True), result
+    assert result.suggested_base_pose.header.frame_id == "charger_base"
+    assert result.suggested_base_pose.pose.position.z == pytest.approx(0.5 - 0.08)
+    assert len(real.node("mock_navigator_node").arrived) > 2
+
+
+@pytest.mark.parametrize("stage", [Stage.DRIVE, Stage.SEARCH, Stage.DOCK, Stage.CHARGE])
+def test_a_cancelled_mission_opens_undocks_and_comes_home(robot: Robot, stage: Stage) -> None:
+    if stage in (Stage.DRIVE, Stage.SEARCH):
+        robot.set("mock_navigator_node", "slow")
+    if stage is Stage.SEARCH:
+        robot.set("mock_detector_node", "nothing")
+    errand = robot.send(stop_after=100.0)
+    errand.reach(stage)
+    errand.cancel()
+    robot.set("mock_navigator_node", "none")
+    result = errand.end()
+    assert named(result) == (False, "CANCELED", True), result
+    assert result.retriable
+    assert not robot.live
+    assert robot.place == HOME
+    if stage is Stage.CHARGE:
+        assert result.energy > 0.0
+        assert errand.stages[-2:] == [Stage.UNDOCK, Stage.RETURN]
+
+
+def test_a_cancel_on_the_way_back_stops_it_there(robot: Robot) -> None:
+    errand = robot.send()
+    errand.reach(Stage.CHARGE)
+    robot.set("mock_navigator_node", "slow")
+    errand.reach(Stage.RETURN)
+    errand.cancel()
+    result = errand.end()
+    assert named(result) == (False, "CANCELED", False), result
+    assert robot.place != HOME
+
+
+def test_a_second_goal_is_rejected_and_the_same_request_joins(robot: Robot) -> None:
+    first = robot.send(request_id="twice", stop_after=100.0)
+    first.reach(Stage.CHARGE)
+    second, _ = robot.run(request_id="another")
+    assert named(second) == (False, "REJECTED", False)
+    assert second.retriable
+    assert "twice" in second.error_message
+    same = robot.send(request_id="twice")
+    same.reach(Stage.CHARGE)
+    third, _ = robot.run(request_id="twice")
+    assert named(third)[1] == "REJECTED", "one may join, not a crowd"
+    same.cancel()
+    assert named(same.end()) == named(first.end()) == (False, "CANCELED", True)
+
+
+@pytest.mark.parametrize(
+    ("fault", "name", "says"),
+    [
+        ("refuse", "REJECTED", "active"),
+        ("abort", "UNREACHABLE", "the way is blocked (error 9000 of the navigator)"),
+        ("lost", "UNREACHABLE", "not known in that frame"),
+    ],
+)
+def test_a_navigator_that_fails_is_told(robot: Robot, fault: str, name: str, says: str) -> None:
+    robot.set("mock_navigator_node", fault)
+    errand = robot.send()
+    errand.reach(Stage.RETURN)
+    result = errand.end()
+    assert named(result) == (False, name, False), result
+    assert says in result.error_message
+    assert "then" in result.error_message
+
+
+@pytest.mark.parametrize("frame", ["", "the_moon"])
+def test_a_place_in_no_frame_of_the_navigator_is_refused(robot: Robot, frame: str) -> None:
+    result, _ = robot.run(frame=frame)
+    assert not result.success
+    assert CODES[result.error_code] == ("UNREACHABLE" if frame else "REJECTED")
+
+
+def test_a_charger_that_is_docked_already_is_not_driven(robot: Robot) -> None:
+    assert robot.docking is not None
+    undockings = robot.docking.undockings
+    robot.docking.tell(DockingState.STATE_CHARGING, docked=True, charging=True)
+    node = robot.node("mission_node")
+    wait_until(lambda: node._others.is_at_work, "docking_state")
+    result, errand = robot.run()
+    assert named(result) == (False, "REJECTED", False)
+    assert "undock" in result.error_message
+    assert errand.stages == [Stage.WAIT]
+    assert robot.docking.undockings == undockings, "somebody else's charging goes on"
+
+
+@pytest.fixture
+def made(context: Any) -> Iterator[Callable[[Scene], Robot]]:
+    robots: list[Robot] = []
+
+    def make(scene: Scene) -> Robot:
+        robots.append(Robot(scene, context))
+        return robots[-1]
+
+    yield make
+    for robot in robots:
+        robot.close()
+
+
+def test_a_navigator_that_never_answers_is_given_up_in_time(made: Callable[[Scene], Robot]) -> None:
+    pytest.importorskip("nav2_msgs", reason=WITHOUT_NAVIGATION)
+
+    def change(content: dict[str, Any]) -> None:
+        content["parameters"]["mission_node"] |= {"drive_timeout": 1.0, "return_timeout": 1.0, "cancel_timeout": 0.5}
+        content["parameters"]["mock_navigator_node"]["fault"] = "never_answers"
+
+    robot = made(mocked(change))
+    result, errand = robot.run()
+    assert named(result) == (False, "TIMEOUT", False), result
+    assert "drive_timeout" in result.error_message
+    assert errand.stages[-1] is Stage.RETURN
+
+
+def test_who_is_missing_is_named_and_nothing_moves(made: Callable[[Scene], Robot]) -> None:
+    pytest.importorskip("nav2_msgs", reason=WITHOUT_NAVIGATION)
+
+    def change(content: dict[str, Any]) -> None:
+        content["nodes"].remove("mock_navigator_node")
+        del content["parameters"]["mock_navigator_node"]
+        content["parameters"]["mission_node"]["wait_timeout"] = 1.0
+
+    result, errand = made(mocked(change)).run()
+    assert named(result) == (False, "REJECTED", False), result
+    assert result.retriable
+    assert "navigate_to_pose" in result.error_message
+    assert errand.stages == [Stage.WAIT]
+
+
+def standing(content: dict[str, Any]) -> None:
+    """Leave the navigator out: the charger stands still."""
+    content["nodes"].remove("mock_navigator_node")
+    del content["parameters"]["mock_navigator_node"]
+    content["parameters"]["mission_node"] |= {"navigation": "none", "undock_timeout": 1.0}
+
+
+def test_a_charger_that_stands_still_needs_no_navigator_and_says_when_docking_is_gone(
+    made: Callable[[Scene], Robot],
+) -> None:
+    robot = made(mocked(standing))
+    result, errand = robot.run(frame="")
+    assert named(result) == (True, "NONE", True), result
+    assert not {Stage.DRIVE, Stage.RETURN} & set(errand.stages)
+    errand = robot.send(frame="", stop_after=100.0)
+    errand.reach(Stage.CHARGE)
+    assert robot.docking is not None
+    robot.docking.stop()
+    result = errand.end()
+    assert named(result) == (False, "TIMEOUT", False), result
+    assert "docking_node went away" in result.error_message
+    assert "undock_timeout" in result.error_message
+
+
+def test_a_mission_node_that_is_closed_ends_charging_and_its_goal_and_drives_nowhere(
+    made: Callable[[Scene], Robot],
+) -> None:
+    pytest.importorskip("nav2_msgs", reason=WITHOUT_NAVIGATION)
+    robot = made(mocked())
+    errand = robot.send(stop_after=100.0)
+    errand.reach(Stage.CHARGE)
+    stood = robot.place
+    mission = next(running for running in robot.composition.nodes if running.name == "mission_node")
+    closing = time.monotonic()
+    mission.node.close()
+    assert time.monotonic() - closing < DEADLINE
+    result = errand.end()
+    assert named(result) == (False, "CANCELED", False), result
+    assert "undock before you drive it" in result.error_message
+    wait_until(lambda: not robot.live, "an open contactor")
+    assert robot.place == stood
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+def test_as_a_process_it_ends_with_0(start: Callable[..., Process], context: Any, namespace: str, number: int) -> None:
+    code = "import sys; from deltacharger_mission.ros.mission_node import main; sys.exit(main())"
+    words = ["--ros-args", "-r", f"__ns:=/{namespace}"]
+    process = start(sys.executable, "-c", code, *words)
+    node = Node("waits_for_a_mission", context=context, namespace=namespace, use_global_arguments=False)
+    client: ActionClient[Any, Any, Any] = ActionClient(node, ChargeRobot, "charge_robot")
+    wait_until(client.server_is_ready, "charge_robot")
+    assert process.end(number) == 0, process.err
+    client.destroy()
+    node.destroy_node()
+
+
+def test_without_nav2_msgs_the_node_says_what_to_install(
+    context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "nav2_msgs", None)
+    monkeypatch.setitem(sys.modules, "nav2_msgs.action", None)
+    scene = parse_scene({"nodes": ["mission_node"], "parameters": {"mission_node": {"navigation": "nav2"}}}, "alone")
+    with pytest.raises(StartupError, match="make navigation"):
+        Composition(scene, context, namespace).start()

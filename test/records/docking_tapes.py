@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of dockings that never took place, for tests of what records and replays them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from deltacharger.action import Dock
+from deltacharger.msg import ChargerPower, DockingDecision, DockingState, ServoState, TactileFrame
+from rclpy.serialization import serialize_message
+
+from deltacharger_docking.codes import Code, State
+from deltacharger_docking.ros.messages import unknown
+from deltacharger_records.recording.docking_recorder import ABOUT, RESULT
+from deltacharger_records.recording.docking_topics import TOPICS
+from deltacharger_records.recording.mcap_recording import McapWriter, Raw
+from deltacharger_ros.outcomes import Outcome
+from deltacharger_scenes.scene import Scene
+
+BEGAN = 1_795_000_000 * 10**9  # ns since 1970
+NAMES = {topic.name: f"/a/{topic.name}" for topic in TOPICS}
+KINDS = {NAMES[topic.name]: topic.kind for topic in TOPICS}
+MEASURED = ("angle_rad", "angle_stddev_rad", "vertical_m", "vertical_stddev_m", "horizontal_m", "horizontal_stddev_m")
+
+
+def raw(seconds: float, name: str, message: Any) -> Raw:
+    """Return a message as it came `seconds` after the tape began."""
+    time = BEGAN + round(seconds * 1e9)
+    return Raw(NAMES[name], time, time, serialize_message(message))
+
+
+def state(
+    seconds: float,
+    state: State,
+    code: Code = Code.NONE,
+    message: str = "",
+    charging: bool = False,
+    docked: bool = False,
+) -> Raw:
+    """Return a docking_state."""
+    told = DockingState(state=int(state), docked=docked, charging=charging, error_code=int(code), request_id="r/1")
+    told.error_message = message
+    return raw(seconds, "docking_state", told)
+
+
+def decision(seconds: float, state: State, kind: str, text: str = "", **values: float) -> Raw:
+    """Return a docking_decision."""
+    told = DockingDecision(request_id="r/1", state=int(state), kind=kind, text=text)
+    told.names, told.values = list(values), list(values.values())
+    return raw(seconds, "docking_decision", told)
+
+
+def measured(seconds: float, angle: float, vertical: float = 0.0, horizontal: float = 0.0, sure: bool = True) -> Raw:
+    """Return the decision that tells a measurement (degrees and m)."""
+    values = (math.radians(angle), math.radians(0.3), vertical, 1e-4, horizontal, 1e-3)
+    told = dict(zip(MEASURED, values, strict=True))
+    return decision(seconds, State.MEASURE, "measured", "sure" if sure else "unsure", **told)
+
+
+def readings(start: float, end: float, current: float = 0.0, rate: float = 100.0) -> list[Raw]:
+    """Return servo_state, tactile_frame, charger_power and feedback between two instants."""
+    found = []
+    for step in range(round((end - start) * rate)):
+        now = start + step / rate
+        servo = ServoState(name=["limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint"])
+        servo.position, servo.current, servo.valid = [0.6] * 3, [0.4] * 3, [True] * 3
+        frame = TactileFrame(sequence=step, rows=10, columns=10, pitch=4e-3, tared=True)
+        frame.left = frame.right = [3.0] * 20 + [0.0] * 80
+        found += [raw(now, "servo_state", servo), raw(now, "tactile_frame", frame)]
+        if step % 5 == 0:
+            power = ChargerPower(contactor_closed=current > 0, charge_current=current, target_voltage=24.0)
+            feedback = Dock.Impl.FeedbackMessage(feedback=Dock.Feedback(contact_current=0.45, z=0.08))
+            feedback.feedback.misalignment = unknown()
+            feedback.goal_id.uuid = [7] * 16
+            found += [raw(now, "charger_power", power), raw(now, "dock/_action/feedback", feedback)]
+    return found
+
+
+def docking(*after: Raw, until: float = 3.0, current: float = 0.0) -> list[Raw]:
+    """Return a docking up to its first measurement, and what comes after."""
+    before = [
+        state(0.0, State.IDLE),
+        decision(1.0, State.IDLE, "accepted", "electrodes as given", x_m=0.0),
+        state(1.0, State.APPROACH),
+        state(2.0, State.CONTACT),
+        decision(2.5, State.CONTACT, "contact", "the electrodes rest on the target", contact_current_A=0.45),
+        state(2.5, State.MEASURE),
+    ]
+    return in_order([*readings(0.0, until, current), *before, *after])
+
+
+def in_order(messages: Iterable[Raw]) -> list[Raw]:
+    """Return messages by the time at which they came."""
+    return sorted(messages, key=lambda message: message.received)
+
+
+def refused(code: Code, message: str, at: float = 3.0) -> list[Raw]:
+    """Return the way back of a docking that ends by an error."""
+    return [
+        decision(at, State.MEASURE, "interrupted", f"{code.name}: {message}", code=float(code)),
+        state(at, State.RETRACT, code, message),
+        decision(at + 0.9, State.RETRACT, "retracted", "the arm is home", away_m=0.0),
+        state(at + 1.0, State.IDLE, code, message),
+    ]
+
+
+def result(code: Code, message: str = "", elapsed: float = 3.0, **details: Any) -> Outcome:
+    """Return what the client was told."""
+    return Outcome("dock", code == Code.NONE, int(code), code.name, message, False, elapsed, details)
+
+
+def write(path: Path, messages: Iterable[Raw], *results: Outcome, kinds: Mapping[str, Any] = KINDS) -> Path:
+    """Write a recording of the messages."""
+    with McapWriter(path, kinds) as writer:
+        writer.tell(ABOUT, {"version": "0", "scene": "tape", "namespace": "/a", "request_id": "r/1"})
+        for message in messages:
+            if message.topic in kinds:
+                writer.add(message)
+        for each in results:
+            writer.tell(RESULT, {"action": each.action, "json": json.dumps(each.as_dict())})
+    return path
+
+
+def patient(scene: Scene) -> Scene:
+    """Return the scene with a docking that a loaded machine's pauses do not end: these tests are about other things."""
+    docking_node = {
+        **scene.parameters["docking_node"],
+        "servo_age_max": 2.0,
+        "tactile_age_max": 2.0,
+        "press_age_max": 1.0,
+    }
+    more = {"docking_node": docking_node, "misalignment_node": {"max_age": 2.0}}
+    return replace(scene, parameters={**scene.parameters, **more})

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One record per docking, whatever the disk, the docking and the recorder's own end do to it."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from .docking_tapes import (
+    BEGAN,
+    KINDS,
+    NAMES,
+    decision,
+    docking,
+    in_order,
+    measured,
+    readings,
+    refused,
+    result,
+    state,
+)
+
+pytest.importorskip("mcap", reason="records with deltacharger[record]")
+
+from deltacharger_docking.codes import Code, State
+from deltacharger_records.recording.docking_recorder import DockingRecorder, gate_for
+from deltacharger_records.recording.folder import PARTIAL, RecordFolder
+from deltacharger_records.recording.mcap_recording import McapStream, Raw
+from deltacharger_records.recording.session import LOST_AFTER
+from deltacharger_records.replay.record import Replay, replay
+from deltacharger_records.replay.words import why
+
+TILTED = "the target is tilted by 12.6°"
+
+
+def recorder(folder: Path, max_bytes: int = 10**8, rate: float = 1.0) -> DockingRecorder:
+    gate = gate_for(NAMES, 2.0, rate, max_bytes)
+    about = {"version": "0", "scene": "tape", "namespace": "/a"}
+    return DockingRecorder(RecordFolder(folder, 10, max_bytes), gate, NAMES, KINDS, about)
+
+
+def play(recorder: DockingRecorder, messages: Iterable[Raw]) -> float:
+    """Hand messages over at their pace, but at once; return the time (s) after the last."""
+    now = 0.0
+    for message in messages:
+        now = (message.received - BEGAN) * 1e-9
+        recorder.take(now, message)
+        recorder.tick(now, alive=True)
+    return now
+
+
+def finish(recorder: DockingRecorder, now: float) -> None:
+    """Let time pass until nothing more is under way."""
+    for step in range(20):
+        recorder.tick(now + 0.5 * step, alive=True)
+
+
+def only(folder: Path) -> Path:
+    (path,) = folder.iterdir()
+    return path
+
+
+def test_a_refused_docking_is_one_file_with_what_came_before_its_goal(tmp_path: Path) -> None:
+    recording = recorder(tmp_path)
+    message = f"{TILTED}: the electrodes would come too close to a short"
+    now = play(recording, docking(measured(2.9, 12.6), *refused(Code.CRITICAL_ANGLE, message)))
+    recording.take_result(result(Code.CRITICAL_ANGLE, message))
+    finish(recording, now)
+    assert only(tmp_path).name == "20261118T110641Z-r_1-CRITICAL_ANGLE.mcap"
+    found = replay(only(tmp_path))
+    assert found.is_complete
+    assert found.outcome() == {
+        "success": False,
+        "code": 403,
+        "name": "CRITICAL_ANGLE",
+        "message": message,
+    }
+    assert found.run.motion.arrays()["time"][0] == pytest.approx(-1.0, abs=0.02), "the tape began 1 s before the goal"
+    assert [phase.state for phase in found.phases] == ["idle", "approach", "contact", "measure", "retract", "idle"]
+    about = {"version": "0", "scene": "tape", "namespace": "/a", "request_id": "r/1"}
+    assert found.about == about | {"began": str(BEGAN + 10**9)}
+
+
+def charging(hours: float) -> Iterable[Raw]:
+    """Dock, charge at a slow rate of messages, and undock."""
+    long = 3600.0 * hours
+    yield from docking(state(3.0, State.CHARGING, charging=True, docked=True))
+    yield from in_order([*readings(3.0, 3.0 + long, 5.0, rate=4.0)])
+    yield from (state(3.5 + long, State.RETRACT, docked=True), state(4.5 + long, State.IDLE))
+
+
+def test_hours_of_charging_take_little_and_their_ends_are_whole(tmp_path: Path) -> None:
+    recording = recorder(tmp_path)
+    finish(recording, play(recording, charging(1.0)))
+    path = only(tmp_path)
+    assert path.name.endswith("-OK.mcap")
+    assert path.stat().st_size < 2_000_000
+    found = replay(path)
+    assert found.charged == pytest.approx(3600.0, abs=1.0)
+    times = found.run.power.arrays()["time"]
+    assert found.recording.counts["servo_state"] < 300 + 3600 + 50
+    assert times[-1] - times[0] == pytest.approx(3603.0, abs=2.0)
+    thinned = found.as_dict()["dropped"]["thinned"]
+    assert thinned[NAMES["tactile_frame"]] > 10_000
+
+
+def test_a_routine_decision_while_charging_does_not_keep_everything(tmp_path: Path) -> None:
+    recording = recorder(tmp_path)
+    checks = [decision(3.1 + 2.0 * each, State.CHARGING, "blind", times=1.0) for each in range(300)]
+    tape = docking(state(3.0, State.CHARGING, charging=True, docked=True))
+    now = play(recording, in_order([*tape, *readings(3.0, 603.0, 5.0, rate=10.0), *checks]))
+    recording.close()
+    found = replay(only(tmp_path))
+    assert len(found.run.decisions) == 300 + 2
+    assert found.recording.counts["servo_state"] < 300 + 600 + 2 * 10 * 4
+    assert now > 600.0
+
+
+def test_a_fault_while_charging_names_the_record(tmp_path: Path) -> None:
+    recording = recorder(tmp_path)
+    tape = docking(
+        state(3.0, State.CHARGING, charging=True, docked=True),
+        state(5.0, State.RETRACT, Code.NO_CONTACT, "contact was lost"),
+        state(6.0, State.IDLE, Code.NO_CONTACT, "contact was lost"),
+        until=6.0,
+        current=5.0,
+    )
+    now = play(recording, tape)
+    recording.take_result(result(Code.NONE))
+    finish(recording, now)
+    assert only(tmp_path).name.endswith("-NO_CONTACT.mcap")
+    found = replay(only(tmp_path))
+    assert found.outcome()["success"] is True
+    assert found.afterwards() == {"success": False, "code": 302, "name": "NO_CONTACT", "message": "contact was lost"}
+    assert "Charging was ended after 2.0 s by NO_CONTACT" in why(found)
+
+
+def test_an_undocking_where_nothing_was_docked_leaves_no_record(tmp_path: Path) -> None:
+    recording = recorder(tmp_path)
+    tape = [state(0.0, State.IDLE), state(1.0, State.RETRACT), state(1.1, State.IDLE), *readings(1.2, 1.4)]
+    finish(recording, play(recording, tape))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_dockings_that_follow_each_other_at_once_are_two_records(tmp_path: Path) -> None:
+    recording = recorder(tmp_path)
+    first = docking(*refused(Code.NO_CONTACT, "nothing is there"), until=4.0)
+    second = [Raw(each.topic, each.received + 4_200_000_000, each.published, each.data) for each in first[50:]]
+    finish(recording, play(recording, [*first, *second]))
+    paths = sorted(tmp_path.iterdir())
+    assert [path.name.split("-")[-1] for path in paths] == ["NO_CONTACT.mcap"] * 2
+    first_, second_ = (replay(path) for path in paths)
+    assert second_.phases[0].state == "idle"
+    assert [phase.state for phase in second_.phases[1:]] == [phase.state for phase in first_.phases[1:]]
+    assert [each.kind for each in second_.run.decisions] == [each.kind for each in first_.run.decisions]
+    assert second_.began - first_.began == 4_200_000_000
+
+
+def test_when_docking_node_is_gone_the_record_ends_and_says_where(tmp_path: Path) -> None:
+    recording = recorder(tmp_path)
+    now = play(recording, docking())
+    recording.tick(now, alive=False)
+    recording.tick(now + LOST_AFTER, alive=False)
+    assert only(tmp_path).name.endswith("-UNFINISHED.mcap")
+    assert "ends in MEASURE after 2.0 s without an outcome" in why(replay(only(tmp_path)))
+
+
+def test_a_folder_that_cannot_be_written_ends_recording_until_it_can(tmp_path: Path) -> None:
+    folder = tmp_path / "records"
+    folder.write_text("in the way")
+    recording = recorder(folder)
+    now = play(recording, docking(*refused(Code.NO_CONTACT, "nothing is there"), until=4.0))
+    assert "records" in recording.problem
+    finish(recording, now)
+    folder.unlink()
+    again = [Raw(each.topic, each.received + 20 * 10**9, each.published, each.data) for each in docking()]
+    play(recording, again)
+    assert recording.problem == ""
+    assert recording.path is not None
+
+
+def test_a_full_disk_ends_recording_and_leaves_what_is_on_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = recorder(tmp_path)
+    play(recording, docking())
+
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(McapStream, "add", full)
+    now = play(recording, [state(3.1, State.ALIGN), *readings(3.1, 3.5), state(3.6, State.RETRACT)])
+    assert "No space left" in recording.problem
+    monkeypatch.undo()
+    finish(recording, play(recording, [state(now + 0.1, State.IDLE)]))
+    assert only(tmp_path).name.endswith(PARTIAL)
+    found = replay(only(tmp_path))
+    assert found.recording.damage
+    assert found.phases[-1].state == "measure"
+
+
+_KILLED = """
+import sys, time
+from pathlib import Path
+from bringup.docking_tapes import docking
+from bringup.test_docking_recorder import play, recorder
+recording = recorder(Path(sys.argv[1]))
+now = play(recording, docking(until=5.0))
+print("written", flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(tmp_path: Path) -> None:
+    root = Path(__file__).resolve().parents[1]
+    command = [sys.executable, "-c", _KILLED, str(tmp_path)]
+    with subprocess.Popen(command, cwd=root, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "written\n"
+        process.send_signal(signal.SIGKILL)
+    path = only(tmp_path)
+    assert path.name.endswith(PARTIAL)
+    found: Replay = replay(path)
+    assert found.recording.damage == "the file ends early: its recorder was stopped"
+    assert found.outcome()["success"] is None
+    assert found.end > 3.9 - 1.1, "1 s at most is lost"
+    assert "without an outcome: the file ends early" in why(found)
+    folder = RecordFolder(tmp_path, 1, 10**8)
+    assert not folder.entries()[0].under_way

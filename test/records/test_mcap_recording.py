@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings: what came over a topic is what stands in the file, and a file is whole or not there."""
+
+from __future__ import annotations
+
+import math
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ..chargers import new_namespace, wait_until
+
+pytest.importorskip("mcap", reason="records with deltacharger[record]")
+
+from deltacharger.msg import ChargerPower, DockingState, Misalignment, ServoState, TactileFrame
+from mcap.reader import make_reader
+from rclpy.serialization import deserialize_message, serialize_message
+
+from deltacharger_records.recording.files import forget_unfinished, whole
+from deltacharger_records.recording.mcap_recording import (
+    McapFile,
+    McapWriter,
+    Raw,
+    RecordingError,
+    Topic,
+    listen,
+    require_mcap,
+    schema_text,
+    type_name,
+)
+from deltacharger_ros import qos
+
+KINDS = {"/a/tactile_frame": TactileFrame, "/a/docking_state": DockingState}
+
+
+def frame(number: int) -> TactileFrame:
+    message = TactileFrame(sequence=number, rows=10, columns=10, pitch=0.5, tared=True)
+    message.left = [math.nan, *(0.5 * number + each for each in range(99))]
+    message.right = [-1.0] * 100
+    message.header.frame_id = "end_effector"
+    message.header.stamp.sec = number
+    return message
+
+
+def test_a_stranger_reads_what_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    written = [Raw("/a/tactile_frame", 10 + n, 5 + n, serialize_message(frame(n))) for n in range(300)]
+    state = DockingState(state=DockingState.STATE_CONTACT, request_id="é")
+    with McapWriter(path, KINDS) as writer:
+        for message in written:
+            writer.add(message)
+        writer.add_message("/a/docking_state", state, 400, 399)
+        writer.tell("docking", {"attempt": "3"})
+        writer.attach("note.txt", "text/plain", b"hello")
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        found = list(reader.iter_messages())
+        assert {channel.message_encoding for _, channel, _ in found} == {"cdr"}
+        assert {schema.encoding for schema, _, _ in found if schema} == {"ros2msg"}
+        frames = [message for _, channel, message in found if channel.topic == "/a/tactile_frame"]
+        assert [(each.log_time, each.publish_time, each.data) for each in frames] == [each[1:] for each in written]
+        for number in (0, 299):
+            assert repr(deserialize_message(frames[number].data, TactileFrame)) == repr(frame(number))
+        assert [each.metadata for each in reader.iter_metadata()] == [{"attempt": "3"}]
+        assert [each.data for each in reader.iter_attachments()] == [b"hello"]
+    file = McapFile(path)
+    assert (file.metadata, file.attachments) == ({"docking": {"attempt": "3"}}, {"note.txt": b"hello"})
+    decoded = [
+        message for _, message in file.messages({"deltacharger/msg/DockingState": DockingState}, "/a/docking_state")
+    ]
+    assert decoded == [state]
+    with pytest.raises(RecordingError, match="type that is not known"):
+        list(file.messages({}))
+
+
+@pytest.mark.parametrize("kind", [TactileFrame, ServoState, ChargerPower, DockingState, Misalignment])
+def test_a_schema_holds_every_definition_that_its_message_consists_of(kind: Any) -> None:
+    first, *parts = schema_text(kind).split("=" * 80 + "\n")
+    names = [part.splitlines()[0] for part in parts]
+    assert names == ["MSG: std_msgs/Header", "MSG: builtin_interfaces/Time"]
+    for name in kind.get_fields_and_field_types():
+        assert f" {name}" in first
+    assert type_name(kind) == f"deltacharger/msg/{kind.__name__}"
+
+
+def test_what_comes_over_a_topic_is_kept(context: Any) -> None:
+    from rclpy.node import Node
+
+    from deltacharger_ros.node_support import Spinner
+
+    namespace, came, lock = new_namespace(), [], threading.Lock()
+
+    def take(message: Raw) -> None:
+        with lock:
+            came.append(message)
+
+    node = Node("listener", context=context, namespace=namespace, use_global_arguments=False)
+    topics = [Topic("tactile_frame", TactileFrame, qos.SENSOR), Topic("docking_state", DockingState, qos.STATE)]
+    listen(node, topics, take, None)
+    frames = node.create_publisher(TactileFrame, "tactile_frame", qos.SENSOR)
+    states = node.create_publisher(DockingState, "docking_state", qos.STATE)
+    spinner = Spinner(node)
+    try:
+        wait_until(lambda: frames.get_subscription_count() and states.get_subscription_count(), "discovery")
+        states.publish(DockingState(request_id="x"))
+        wait_until(lambda: came, "the state")
+
+        def heard() -> bool:
+            frames.publish(frame(7))  # best effort: one may be lost
+            return any(each.topic.endswith("tactile_frame") for each in list(came))
+
+        wait_until(heard, "a frame")
+    finally:
+        spinner.close()
+    by_topic = {message.topic: message for message in came}
+    assert set(by_topic) == {f"/{namespace}/tactile_frame", f"/{namespace}/docking_state"}
+    felt = deserialize_message(by_topic[f"/{namespace}/tactile_frame"].data, TactileFrame)
+    assert repr(felt) == repr(frame(7))  # NaN as well
+    for message in came:
+        assert 0 < message.published <= message.received + 1_000_000_000
+
+
+def test_an_exception_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"before")
+
+    def fail() -> None:
+        with McapWriter(path, KINDS) as writer:
+            writer.add(Raw("/a/tactile_frame", 1, 1, serialize_message(frame(1))))
+            raise ValueError("stop")
+
+    with pytest.raises(ValueError, match="stop"):
+        fail()
+    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
+    assert path.read_bytes() == b"before"
+    with pytest.raises(OSError, match="nowhere"):
+        McapWriter(tmp_path / "nowhere" / "run.mcap", KINDS)
+
+
+def test_a_process_killed_while_it_writes_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"before")
+    code = (
+        "import os, signal, sys, pathlib\n"
+        "from deltacharger_records.recording.files import whole\n"
+        "with whole(pathlib.Path(sys.argv[1])) as beside:\n"
+        "    beside.write_bytes(b'half')\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    child = subprocess.run([sys.executable, "-c", code, str(path)], check=False)
+    assert child.returncode == -signal.SIGKILL
+    assert path.read_bytes() == b"before"
+    assert len(list(tmp_path.iterdir())) == 2
+    forget_unfinished(tmp_path)
+    assert [each.name for each in tmp_path.iterdir()] == ["file"]
+    with whole(path) as beside:
+        beside.write_bytes(b"after")
+    assert path.read_bytes() == b"after"
+
+
+def test_a_damaged_file_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with McapWriter(path, KINDS) as writer:
+        writer.add(Raw("/a/tactile_frame", 1, 1, serialize_message(frame(1))))
+    content = path.read_bytes()
+    for broken in (b"", b"no file", content[: len(content) // 2]):
+        path.write_bytes(broken)
+        with pytest.raises(RecordingError, match=r"run\.mcap"):
+            McapFile(path)
+
+
+def test_without_mcap_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "mcap.writer", None)
+    with pytest.raises(RecordingError, match=r"install deltacharger\[record\]"):
+        require_mcap()
+    with pytest.raises(RecordingError, match="install"):
+        McapWriter(tmp_path / "run.mcap", KINDS)
+    assert not list(tmp_path.iterdir())

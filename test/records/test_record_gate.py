@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a record keeps: everything around an event, little of hours of charging, and never more than it may."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deltacharger_docking.codes import State
+from deltacharger_records.recording.gate import Gate
+from deltacharger_records.recording.session import LOST_AFTER, TAIL, Seen, Session
+
+BEFORE = 2.0
+MANY = 10**9
+
+
+class Said(NamedTuple):
+    topic: str
+    number: int
+    data: bytes = b"x" * 100
+
+
+def gate(rate: float = 1.0, budget: int = MANY) -> Gate[Said]:
+    return Gate(BEFORE, rate, budget, ["state"])
+
+
+def numbers(messages: list[Said]) -> list[int]:
+    return [message.number for message in messages]
+
+
+def test_a_record_begins_with_the_seconds_before_and_keeps_all_of_what_follows() -> None:
+    kept, tap = list[Said](), gate()
+    for number in range(1000):
+        assert tap.offer(0.01 * number, Said("servo", number)) == []
+    kept += tap.open()
+    for number in range(1000, 1500):
+        kept += tap.offer(0.01 * number, Said("servo", number))
+    kept += tap.close()
+    assert numbers(kept) == list(range(kept[0].number, 1500))
+    assert 0.01 * (999 - kept[0].number) == pytest.approx(BEFORE, abs=0.02)
+
+
+def test_the_next_record_has_its_seconds_before_although_they_stand_in_the_last_one() -> None:
+    tap = gate()
+    tap.open()
+    for number in range(300):
+        tap.offer(0.01 * number, Said("servo", number))
+    tap.close()
+    assert numbers(tap.open())[-1] == 299
+    assert len(numbers(tap.open())) > 100
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.floats(0.0, 3.0),
+            st.sampled_from(["state", "servo", "pads"]),
+            st.sampled_from(["", "rest", "wake", "stir"]),
+        ),
+        max_size=80,
+    )
+)
+def test_what_passes_is_in_order_and_every_state_passes(events: list[tuple[float, str, str]]) -> None:
+    tap, kept, now = gate(), list[Said](), 0.0
+    tap.open()
+    for number, (step, topic, act) in enumerate(events):
+        now += step
+        if act == "rest":
+            tap.rest(now)
+        elif act == "wake":
+            tap.wake()
+        elif act == "stir":
+            tap.stir(now)
+        kept += tap.offer(now, Said(topic, number))
+    kept += tap.close()
+    assert numbers(kept) == sorted(set(numbers(kept)))
+    assert [message.number for message in kept if message.topic == "state"] == [
+        number for number, (_, topic, _) in enumerate(events) if topic == "state"
+    ]
+    assert len(kept) + tap.dropped.total() == len(events)
+
+
+def charge(hours: float, budget: int = MANY) -> tuple[list[Said], Gate[Said]]:
+    """Charge for so long at 10 messages a second, to keep the test quick; the gate knows no rate."""
+    tap, kept = gate(budget=budget), list[Said]()
+    tap.open()
+    tap.rest(0.0)
+    for number in range(round(hours * 36_000)):
+        kept += tap.offer(0.1 * number, Said("servo", number))
+    return kept, tap
+
+
+def test_an_hour_of_charging_is_kept_once_a_second_and_longer_ones_ever_more_thinly() -> None:
+    hour, three, twelve = (len(charge(hours)[0]) for hours in (1.0, 3.0, 12.0))
+    assert hour == pytest.approx(3600, rel=0.1)
+    assert three - hour < 1.2 * 3600 * 1.1  # 3600 ln 3
+    assert twelve - three < 1.2 * 3600 * 1.4  # 3600 ln 4
+
+
+def test_when_something_happens_while_charging_the_seconds_around_it_are_whole() -> None:
+    kept, tap = charge(0.1)
+    now = 0.1 * 3600
+    tap.stir(now)
+    for number in range(3600, 3800):
+        kept += tap.offer(0.1 * number, Said("servo", number))
+    around = [number for number in numbers(kept) if abs(0.1 * number - now) < BEFORE - 0.2]
+    assert around == list(range(around[0], around[-1] + 1))
+    assert len(around) == pytest.approx(2 * (BEFORE - 0.2) / 0.1, abs=2)
+
+
+def test_a_record_that_has_taken_its_share_keeps_only_the_states() -> None:
+    tap, kept = gate(budget=10_000), list[Said]()
+    tap.open()
+    for number in range(1000):
+        kept += tap.offer(0.01 * number, Said("state" if number % 100 == 0 else "servo", number))
+    assert sum(len(message.data) for message in kept) < 10_000 + 200 + 10 * 100
+    assert sum(message.topic == "state" for message in kept) == 10
+    assert tap.dropped["servo"] == 990 - sum(message.topic == "servo" for message in kept)
+
+
+def seen(state: State, docked: bool = False, charging: bool = False) -> Seen:
+    return Seen(int(state), docked, charging, 0, "", "r")
+
+
+def test_a_session_lasts_from_the_first_motion_until_the_arm_is_home() -> None:
+    session = Session()
+    session.see(0.0, seen(State.IDLE))
+    assert not session.begins(seen(State.IDLE))
+    assert session.begins(seen(State.APPROACH))
+    session.begin()
+    for time, what in (
+        (1.0, seen(State.APPROACH)),
+        (2.0, seen(State.CHARGING, docked=True, charging=True)),
+        (9.0, seen(State.IDLE, docked=True)),  # a stop condition: docked without current is not over
+    ):
+        session.see(time, what)
+        assert not session.is_over(time + 100.0)
+        assert not session.begins(what)
+    session.see(20.0, seen(State.RETRACT))
+    session.see(21.0, seen(State.IDLE))
+    assert not session.is_over(21.0 + 0.9 * TAIL)
+    assert session.is_over(21.0 + TAIL)
+    assert session.begins(seen(State.APPROACH)), "the next docking does not wait for the tail of the last one"
+
+
+def test_a_docking_whose_node_is_gone_ends_and_one_whose_node_comes_back_does_not() -> None:
+    session = Session()
+    session.begin()
+    session.see(0.0, seen(State.CONTACT))
+    session.hear(1.0, alive=False)
+    assert not session.is_over(1.0 + 0.9 * LOST_AFTER)
+    session.hear(2.0, alive=True)
+    session.hear(3.0, alive=False)
+    assert not session.is_over(2.9 + LOST_AFTER)
+    assert session.is_over(3.0 + LOST_AFTER)
+
+
+def test_a_routine_decision_is_news_once_in_a_state() -> None:
+    session = Session()
+    session.see(0.0, seen(State.CHARGING, docked=True))
+    assert [session.is_news("blind"), session.is_news("blind"), session.is_news("unsafe")] == [True, False, True]
+    session.see(1.0, seen(State.RETRACT))
+    assert session.is_news("blind")

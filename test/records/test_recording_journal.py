@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a recording keeps, what it refuses, and the data set made from it; no charger."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mcap", reason="records with deltacharger[record]")
+
+from deltacharger_bringup.cli.main import main
+from deltacharger_bringup.cli.output import WRONG_INPUT
+from deltacharger_bringup.cli.tactile_options import SETS as NAMED_SETS
+from deltacharger_records.datasets.dataset import Docking, Settings
+from deltacharger_records.datasets.journal import Journal, Mismatch
+from deltacharger_records.datasets.plan import SETS, Part
+from deltacharger_records.recording.mcap_recording import RecordingError
+from deltacharger_tactile.dataset import Dataset
+
+PART = Part("reference", 0.0, 10, 0, 0.0, 0.0, 80.0)
+SETTINGS = Settings(rig=1, sensor="", frames=1, rows=2, threshold=0.5, dwell_s=0.5, simulated=False)
+
+
+def docking(attempt: int) -> Docking:
+    frames = np.full((2, 2, 10, 10), 0.4, dtype=np.float32)
+    frames[0, 0, 3, 4], frames[:, 1, 0, 0] = 2.0, np.nan
+    return Docking(attempt, 0, PART.name, attempt, 0.0, 0.0, 0.0, 1e-4, -2e-4, 0.45, 1.8e9, frames)
+
+
+def test_a_data_set_is_made_of_what_the_journal_holds_and_can_be_made_again(tmp_path: Path) -> None:
+    out = tmp_path / "F.npz"
+    with Journal(out) as journal:
+        assert journal.compose() is None
+        for attempt in range(3):
+            journal.store(docking(attempt), PART, SETTINGS, {}, [])
+        assert (journal.next_attempt, journal.next_session) == (3, 1)
+        journal.compose()
+    first = Dataset.load(out)
+    assert list(first.attempt) == [0, 0, 1, 1, 2, 2]
+    assert first.left[0, 3, 4] == 2.0
+    assert first.left.sum() == 6.0  # what is below the threshold is 0
+    assert first.dead[:, 1, 0, 0].all()
+    assert first.dead.sum() == 6
+    assert first.poses()[0] == pytest.approx((1e-4, -2e-4, 0.0))
+    assert first.meta["simulated"] is False
+    out.unlink()
+    with Journal(out) as journal:
+        journal.compose()
+    again = Dataset.load(out)
+    assert all(np.array_equal(getattr(first, name), getattr(again, name), equal_nan=True) for name in ("left", "dead"))
+    assert first.meta == again.meta
+
+
+def test_one_process_at_a_time_and_nothing_else_goes_into_a_folder(tmp_path: Path) -> None:
+    out = tmp_path / "F.npz"
+    with Journal(out) as journal:
+        journal.store(docking(0), PART, SETTINGS, {}, [])
+        with pytest.raises(Mismatch, match="another process"):
+            Journal(out)
+    with Journal(out) as journal:
+        journal.check(PART, dataclasses.replace(SETTINGS, simulated=None))
+        with pytest.raises(Mismatch, match="that is real and not simulated"):
+            journal.check(PART, dataclasses.replace(SETTINGS, simulated=True))
+        with pytest.raises(Mismatch, match=r"--z-mm 80\.0 and not 75\.0"):
+            journal.check(dataclasses.replace(PART, z_mm=75.0), SETTINGS)
+        journal.check(dataclasses.replace(PART, set="angle", z_mm=75.0), SETTINGS)
+    path = tmp_path / "F.recording" / "docking-000000.mcap"
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(RecordingError, match=r"docking-000000\.mcap"):
+        Journal(out)
+    (tmp_path / "F.recording" / "recording.json").write_text("{")
+    with pytest.raises(RecordingError, match=r"recording\.json is damaged"):
+        Journal(out)
+
+
+def test_the_command_knows_every_set() -> None:
+    assert NAMED_SETS == SETS
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ((), "give --set"),
+        (("--set", "angle"), "takes --angle-deg"),
+        (("--set", "sweep"), "takes --angle-deg"),
+        (("--set", "angle", "--angle-deg", "6"), "outside -5 to 5"),
+        (("--set", "position", "--angle-deg", "1"), "stands level"),
+        (("--set", "reference", "--offsets-mm", "1"), "no --offsets-mm"),
+        (("--set", "reference", "--out", "F.csv"), "ends in .npz"),
+        (("--set", "reference", "--out", "nowhere/F.npz"), "does not exist"),
+        (("--set", "reference", "--out", "other.npz"), "give another --out"),
+        (("--compose",), "holds no dockings"),
+    ],
+)
+def test_wrong_input_is_named(
+    words: tuple[str, ...],
+    says: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("other.npz").write_bytes(b"of somebody else")
+    assert main(["tactile", "record", "--out", "F.npz", "--json", *words]) == WRONG_INPUT
+    assert says in json.loads(capsys.readouterr().out)["error"]
+    assert [path.name for path in tmp_path.iterdir()] == ["other.npz"]

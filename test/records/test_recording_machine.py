@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sessions of touching in virtual time: the real steps of docking against the simulated world, without ROS."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from deltacharger_docking.codes import Busy, Code, State, Unreachable
+from deltacharger_docking.observation import Observation, Service
+from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
+from deltacharger_records.datasets.machine import NotKept, RecordingMachine, Touch
+from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, SETS, SUBSETS, TILTED, Part, Pose
+from deltacharger_sim.parameters import TargetParameters, WorldParameters
+from deltacharger_sim.world import Snapshot
+
+FRAMES = 12
+LIMIT = 300.0  # simulated s
+
+
+def part_of(kind: str, **changes: object) -> Part:
+    angle = 2.0 if kind in TILTED else 0.0
+    part = Part(kind, angle, 3, seed=1, x_mm=0.0, y_mm=0.0, z_mm=80.0)
+    return dataclasses.replace(part, **changes)  # type: ignore[arg-type]
+
+
+class Ear:
+    """A keeper that hears the world's frames, and knows the truth beside them."""
+
+    def __init__(self, charger: VirtualCharger) -> None:
+        self.felt: list[tuple[int, Touch, np.ndarray, Snapshot]] = []
+        self.refuse: Exception | None = None
+        self._charger = charger
+        self._frames: list[np.ndarray] = []
+        self._number = -1
+        self._truth: Snapshot | None = None
+
+    def begin(self, number: int) -> None:
+        self._number = number
+
+    def listen(self) -> None:
+        self._frames = []
+
+    def heard(self) -> bool:
+        self._frames.append(self._charger._frame.copy())
+        self._truth = self._charger.world.snapshot()
+        assert self._truth.misalignment is not None
+        return len(self._frames) == FRAMES
+
+    def keep(self, touch: Touch) -> None:
+        assert self._charger.world.snapshot().misalignment is None, "kept before the arm had let go"
+        assert self._truth is not None
+        self.felt.append((self._number, touch, np.mean(self._frames, axis=0), self._truth))
+
+    def kept(self) -> bool:
+        if self.refuse is not None:
+            raise self.refuse
+        return True
+
+
+class Bench:
+    """A virtual charger that runs sessions."""
+
+    def __init__(self, roll: float = 0.0) -> None:
+        world = WorldParameters(target=TargetParameters(roll=roll))
+        self.charger = VirtualCharger(world)
+        self.machine = RecordingMachine(self.charger.parameters)
+        self.charger.machine = self.machine
+        self.ear = Ear(self.charger)
+        self.asked: set[Service] = set()
+
+        def note(accept: Callable[..., None]) -> Callable[..., None]:
+            return lambda request: (self.asked.add(request.service), accept(request))[1]
+
+        self.charger._accept = note(self.charger._accept)  # type: ignore[method-assign]
+
+    def start(self, poses: list[Pose]) -> None:
+        commands = [(-pose.horizontal, -pose.vertical, 0.080) for pose in poses]
+        self.machine.check(commands)
+        self.charger.outcome = None
+        self.machine.start_session(commands, 0.5, FRAMES / 120.0, self.ear, self.charger.observe())
+
+    def run(self, poses: list[Pose]) -> Code:
+        self.start(poses)
+        outcome = self.charger.finish(LIMIT)
+        self.assert_safe()
+        return outcome.code
+
+    def assert_safe(self) -> None:
+        assert self.asked <= {Service.TARE, Service.TORQUE_ON, Service.TORQUE_OFF}
+        assert self.charger.world.record.energised == 0.0
+        assert not self.charger.observe().torque_enabled
+        assert not self.machine.busy
+
+
+@pytest.mark.parametrize("degrees", [0.0, -3.0])
+def test_what_is_commanded_is_where_the_target_is_felt(degrees: float) -> None:
+    roll = math.radians(degrees)
+    bench, corners = Bench(roll), [Pose(x, y, roll) for x in (-0.006, 0.006) for y in (-0.004, 0.004)]
+    assert bench.run(corners) is Code.NONE
+    assert [number for number, *_ in bench.ear.felt] == [0, 1, 2, 3]
+    for number, touch, frames, truth in bench.ear.felt:
+        assert truth.misalignment is not None
+        x, y, angle = truth.misalignment
+        pose = corners[number]
+        # A docking's jitter, four times its standard deviation, and what friction holds back.
+        assert abs(x - pose.horizontal) < 4 * 0.00095 + 0.001
+        assert abs(y - pose.vertical) < 4 * 0.00095 + 0.001
+        assert abs(angle - roll) < math.radians(0.6)
+        assert math.dist(touch.position[:2], truth.position[:2]) < 2e-4
+        assert bench.charger.parameters.current_min <= touch.current <= bench.charger.parameters.current_max
+        assert np.nanmax(frames) > 1.0
+    assert math.dist(bench.charger.world.snapshot().position, (0.0, 0.0, 0.0)) < 0.003
+
+
+def test_between_two_dockings_the_arm_stays_before_the_target_and_the_pads_are_tared_once() -> None:
+    bench = Bench()
+    bench.start([Pose(0.0, 0.0, 0.0)] * 3)
+    tares, lowest = 0, []
+    accept = bench.charger._accept
+
+    def count(request: object) -> None:
+        nonlocal tares
+        tares += request.service is Service.TARE  # type: ignore[attr-defined]
+        accept(request)  # type: ignore[arg-type]
+
+    bench.charger._accept = count  # type: ignore[method-assign]
+
+    def ended() -> bool:
+        if 0 < len(bench.ear.felt) < 3:
+            lowest.append(bench.charger.world.snapshot().position[2])
+        return bench.charger.outcome is not None
+
+    bench.charger.until(ended, LIMIT)
+    assert tares == 1
+    assert min(lowest) > 0.050
+    bench.assert_safe()
+
+
+@pytest.mark.parametrize("state", [State.APPROACH, State.CONTACT, State.MEASURE, State.RETRACT, State.ALIGN])
+def test_a_cancel_in_every_step_takes_the_arm_home_and_the_torque_off(state: State) -> None:
+    bench = Bench()
+    bench.start([Pose(0.0, 0.0, 0.0)] * 2)
+    bench.charger.until(lambda: bench.machine.status.state is state, LIMIT)
+    bench.machine.cancel()
+    assert bench.charger.finish(LIMIT).code is Code.CANCELED
+    assert math.dist(bench.charger.world.snapshot().position, (0.0, 0.0, 0.0)) < 0.003
+    bench.assert_safe()
+
+
+FAULTS = {
+    "tactile silence": ({"tactile_age": 1.0}, Code.TACTILE_STALE, True),
+    "servo silence": ({"servo_age": 1.0, "servos_valid": False}, Code.SERVO_FAULT, True),
+    "servo error": ({"hardware_error": 32}, Code.SERVO_FAULT, False),
+    "torque lost": ({"torque_enabled": False}, Code.SERVO_FAULT, False),
+}
+
+
+@pytest.mark.parametrize("state", [State.CONTACT, State.MEASURE])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_ends_the_session_safe_and_only_what_may_pass_is_worth_another(state: State, fault: str) -> None:
+    changes, code, retriable = FAULTS[fault]
+    bench = Bench()
+    bench.start([Pose(0.0, 0.0, 0.0)] * 2)
+    bench.charger.until(lambda: bench.machine.status.state is state, LIMIT)
+
+    def distort(observation: Observation) -> Observation:
+        return dataclasses.replace(observation, **changes)  # type: ignore[arg-type]
+
+    bench.charger.distort = distort
+    outcome = bench.charger.finish(LIMIT)
+    assert (outcome.code, outcome.retriable) == (code, retriable)
+    assert not bench.ear.felt
+    bench.charger.distort = lambda observation: observation
+    bench.charger.run(0.2)
+    bench.assert_safe()
+    assert bench.run([Pose(0.0, 0.0, 0.0)]) is Code.NONE, "the next session begins from wherever the last one ended"
+
+
+def test_what_cannot_be_kept_ends_the_session_with_the_arm_home() -> None:
+    bench = Bench()
+    bench.ear.refuse = NotKept("the disk is full")
+    bench.start([Pose(0.0, 0.0, 0.0)] * 2)
+    outcome = bench.charger.finish(LIMIT)
+    assert outcome.message == "the disk is full"
+    assert not outcome.retriable
+    assert len(bench.ear.felt) == 1
+    assert math.dist(bench.charger.world.snapshot().position, (0.0, 0.0, 0.0)) < 0.003
+    bench.assert_safe()
+
+
+def test_nothing_moves_toward_what_is_out_of_reach_or_while_a_session_runs() -> None:
+    bench = Bench()
+    with pytest.raises(Unreachable, match="out of the arm's reach"):
+        bench.start([Pose(0.0, 0.0, 0.0), Pose(0.2, 0.0, 0.0)])
+    assert not bench.machine.busy
+    bench.start([Pose(0.0, 0.0, 0.0)])
+    with pytest.raises(Busy):
+        bench.start([Pose(0.0, 0.0, 0.0)])
+
+
+@pytest.mark.parametrize("kind", SETS)
+def test_a_plan_is_the_same_for_the_same_arguments_and_only_for_them(kind: str) -> None:
+    part = part_of(kind)
+    assert part.poses() == part.poses() == Part.from_dict(part.as_dict()).poses()
+    angle = math.radians(part.angle_deg)
+    assert all(pose.angle == angle for pose in part.poses())
+    if kind != "reference":
+        assert part.poses() != dataclasses.replace(part, seed=2).poses()
+    assert dataclasses.replace(part, repeat=REPEATS[kind]).name == part.name
+    assert kind in SUBSETS
+
+
+def test_the_sets_are_the_papers() -> None:
+    position = part_of("position", repeat=20).poses()
+    assert len(position) == 500
+    for begin in range(0, 500, 25):
+        offsets = {(round(1e3 * pose.horizontal), round(1e3 * pose.vertical)) for pose in position[begin : begin + 25]}
+        assert offsets == {(x, y) for x in OFFSETS_MM for y in OFFSETS_MM}
+    angle = part_of("angle", repeat=100).poses()
+    assert len(angle) == 100
+    steps = np.array([(pose.horizontal, pose.vertical) for pose in angle]) / 0.0004  # a tenth of 4 mm
+    assert np.allclose(steps, np.round(steps))
+    assert np.abs(steps).max() == pytest.approx(5.0)  # a tenth of 20 mm
+    assert all(pose == Pose(0.0, 0.0, 0.0) for pose in part_of("reference").poses())
+    sweep = np.array([(pose.horizontal, pose.vertical) for pose in part_of("sweep", repeat=100).poses()])
+    assert sweep.min() < -0.008
+    assert 0.008 < sweep.max() <= 0.012

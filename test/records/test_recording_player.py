@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording played as a scene: everything comes back, in order and as old as it was, and never beside a charger."""
+
+from __future__ import annotations
+
+import dataclasses
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ..chargers import DEADLINE, Process, new_namespace, wait_until
+
+pytest.importorskip("mcap", reason="recordings need deltacharger[record]")
+
+from deltacharger.msg import ServoState
+from deltacharger.srv import PredictMisalignment
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message, serialize_message
+from trajectory_msgs.msg import JointTrajectory
+
+from deltacharger_docking.codes import Code
+from deltacharger_records.recording.docking_topics import TOPICS
+from deltacharger_records.recording.mcap_recording import McapWriter, Raw
+from deltacharger_records.recording.recording_player_node import RecordingPlayerNode
+from deltacharger_ros import qos
+from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.scene import load_scene
+
+from .docking_tapes import KINDS, decision, docking, in_order, raw, refused, write
+
+PLAYER = "recording_player_node"
+ZSTANDARD = b"\x28\xb5\x2f\xfd"  # begins a compressed piece
+AGE = 5_000_000  # ns between the sampling of what is recorded here and its arrival
+
+
+def stamped(message: Raw) -> Raw:
+    """Return a message with the stamp of a header, where it has one."""
+    content = deserialize_message(message.data, KINDS[message.topic])
+    if not hasattr(content, "header"):
+        return message
+    content.header.stamp.sec, content.header.stamp.nanosec = divmod(message.received - AGE, 10**9)
+    return message._replace(data=serialize_message(content))
+
+
+def tape() -> list[Raw]:
+    """Return a docking that is refused, with a command to the arm near its end."""
+    command = raw(3.5, "joint_trajectory", JointTrajectory(joint_names=["limb_0_arm_joint"]))
+    return [stamped(each) for each in in_order([*docking(*refused(Code.CRITICAL_ANGLE, "tilted"), command)])]
+
+
+class Audience:
+    """Hears what is played in a namespace of its own, and what the player says about it."""
+
+    def __init__(self, context: Any) -> None:
+        self.namespace = new_namespace()
+        self.heard: dict[str, list[tuple[int, Any]]] = {topic.name: [] for topic in TOPICS}
+        self.told: list[DiagnosticStatus] = []
+        self.node = Node("audience", context=context, namespace=self.namespace, use_global_arguments=False)
+        for topic in TOPICS:
+            self.node.create_subscription(topic.kind, topic.name, self._taker(topic.name), topic.qos)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self.estimates: Any = self.node.create_client(PredictMisalignment, "predict_misalignment")
+        self._spinner = Spinner(self.node, 2)
+
+    def _taker(self, name: str) -> Callable[[Any, Any], None]:
+        def take(message: Any, info: Any) -> None:
+            self.heard[name].append((int(info["source_timestamp"]), message))
+
+        return take
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self.told += [each for each in message.status if each.name == f"/{self.namespace}/{PLAYER}"]
+
+    def says(self, text: str) -> DiagnosticStatus:
+        """Return the first diagnostic with the text, once it has come."""
+        found = wait_until(lambda: [each for each in list(self.told) if text in each.message], f"'{text}'")
+        return found[0]
+
+    def values(self, name: str, field: str) -> list[Any]:
+        return [getattr(message, field) for _, message in list(self.heard[name])]
+
+    def close(self) -> None:
+        self._spinner.close()
+
+
+@pytest.fixture
+def audience(context: Any) -> Iterator[Audience]:
+    made = Audience(context)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("tape") / "refused.mcap", tape())
+
+
+def playing(path: Path, context: Any, namespace: str, **parameters: Any) -> Composition:
+    """Return the packaged scene with a file and other parameters of the player."""
+    scene = load_scene("replay")
+    told = {
+        PLAYER: {"file": str(path), "delay": 0.0, **parameters},
+        "misalignment_node": {"max_age": 5.0, "timeout": 10.0},
+    }
+    return Composition(dataclasses.replace(scene, parameters=told), context, namespace)
+
+
+def alone(path: Path, context: Any, **parameters: Any) -> RecordingPlayerNode:
+    overrides = [Parameter(name, value=value) for name, value in {"file": str(path), **parameters}.items()]
+    return RecordingPlayerNode(
+        context=context, namespace=new_namespace(), parameter_overrides=overrides, use_global_arguments=False
+    )
+
+
+def test_all_of_it_comes_in_order_at_its_pace_and_as_old_as_it_was(
+    audience: Audience, recording: Path, context: Any
+) -> None:
+    began = time.time_ns()
+    with playing(recording, context, audience.namespace, rate=2.0):
+        assert audience.says("the recording is over").level == DiagnosticStatus.OK
+        wait_until(lambda: len(audience.heard["docking_state"]) >= 6, "the last state")
+    for name, field in (("docking_state", "state"), ("docking_decision", "kind")):
+        wanted = [deserialize_message(each.data, KINDS[each.topic]) for each in tape() if each.topic == f"/a/{name}"]
+        assert audience.values(name, field) == [getattr(each, field) for each in wanted]
+    assert [list(each.uuid) for each in audience.values("dock/_action/feedback", "goal_id")[:1]] == [[7] * 16]
+    ages, stamps = [], []
+    for sent, message in audience.heard["servo_state"]:
+        stamps.append(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+        ages.append(sent - stamps[-1])
+    assert stamps[0] > began - AGE
+    assert stamps == sorted(stamps)
+    assert 1e-9 * (stamps[-1] - stamps[0]) == pytest.approx(3.0 / 2.0, abs=0.3), "twice as fast"
+    assert AGE - 1_000_000 < min(ages) < 10 * AGE
+    assert [each.stamp.sec > 0 for each in audience.values("joint_trajectory", "header")] == [True]
+
+
+def test_misalignment_is_felt_from_what_is_played_again_and_again(
+    audience: Audience, recording: Path, context: Any
+) -> None:
+    with playing(recording, context, audience.namespace, loop=True, rate=4.0) as composition:
+        assert audience.estimates.wait_for_service(DEADLINE)
+
+        def felt() -> Any:
+            asked = audience.estimates.call_async(PredictMisalignment.Request(frames=4))
+            wait_until(asked.done, "an estimate")
+            return asked.result() if asked.result().success else None
+
+        assert wait_until(felt, "frames that allow an estimate").misalignment.contact
+        wait_until(lambda: composition.node(PLAYER).passes >= 2, "a second pass")
+    states = audience.values("docking_state", "state")
+    once = [deserialize_message(each.data, KINDS[each.topic]).state for each in tape() if "docking_state" in each.topic]
+    assert states[: 2 * len(once)] == 2 * once
+
+
+def test_it_never_commands_an_arm_beside_which_it_is_played(audience: Audience, recording: Path, context: Any) -> None:
+    with playing(recording, context, audience.namespace) as composition:
+        wait_until(lambda: audience.heard["servo_state"], "the first messages")
+        servos = audience.node.create_publisher(ServoState, "servo_state", qos.LATEST)
+        assert "somebody else publishes" in audience.says("a charger runs here").message
+        assert audience.told[-1].level == DiagnosticStatus.ERROR
+        assert composition.failed() == [], "what it said last may still be looked at"
+        audience.node.destroy_publisher(servos)
+    assert audience.heard["joint_trajectory"] == []
+
+
+def test_it_does_not_begin_where_a_charger_runs(audience: Audience, recording: Path, context: Any) -> None:
+    servos = audience.node.create_publisher(ServoState, "servo_state", qos.LATEST)
+    with playing(recording, context, audience.namespace, delay=60.0) as composition:
+        audience.says("a charger runs here")
+        assert composition.node(PLAYER).passes == 0
+    assert not any(audience.heard.values())
+    audience.node.destroy_publisher(servos)
+
+
+def test_a_file_that_a_kill_cut_short_is_played_as_far_as_it_goes(
+    audience: Audience, recording: Path, context: Any, tmp_path: Path
+) -> None:
+    cut = tmp_path / "cut.mcap.partial"
+    cut.write_bytes(recording.read_bytes()[:-2000])
+    with playing(cut, context, audience.namespace, rate=20.0):
+        told = audience.says("the recording is over")
+    assert (told.level, "ends early" in told.message) == (DiagnosticStatus.WARN, True)
+
+
+def damaged(folder: Path) -> Path:
+    """Return a recording of many pieces of which the last but one is spoilt."""
+    path = folder / "damaged.mcap"
+    with McapWriter(path, KINDS) as writer:
+        for number, message in enumerate(tape()):
+            writer.add(message)
+            if number % 100 == 99:
+                writer.flush()
+    content = bytearray(path.read_bytes())
+    last = content.rindex(ZSTANDARD)
+    content[content.rindex(ZSTANDARD, 0, last) + 100] ^= 0xFF
+    path.write_bytes(content)
+    return path
+
+
+def of_two(folder: Path) -> Path:
+    other = {topic.replace("/a/", "/b/"): kind for topic, kind in KINDS.items()}
+    twins = [each._replace(topic=each.topic.replace("/a/", "/b/")) for each in tape()]
+    return write(folder / "two.mcap", in_order([*tape(), *twins]), kinds={**KINDS, **other})
+
+
+def text(folder: Path, content: str) -> Path:
+    path = folder / "file"
+    path.write_text(content)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda folder: "", "--recording FILE"),
+        (lambda folder: folder / "none.mcap", "there is no such file"),
+        (lambda folder: folder, "Is a directory"),
+        (lambda folder: text(folder, ""), "is empty"),
+        (lambda folder: text(folder, "a scene: {}\n" * 9), "is no MCAP file"),
+        (lambda folder: write(folder / "other.mcap", [decision(1.0, 0, "x")]), "tells no docking_state"),  # type: ignore[arg-type]
+        (damaged, "is damaged from here on"),
+        (of_two, "parameter 'charger'"),
+    ],
+    ids=["none named", "missing", "folder", "empty", "text", "foreign", "damaged", "two chargers"],
+)
+def test_what_cannot_be_played_is_refused_at_the_start(
+    make: Callable[[Path], Path], says: str, context: Any, tmp_path: Path
+) -> None:
+    with pytest.raises(StartupError, match=PLAYER) as caught:
+        alone(make(tmp_path), context)
+    assert says in str(caught.value)
+
+
+def test_one_charger_of_several_is_played_by_its_name(context: Any, tmp_path: Path) -> None:
+    player = alone(of_two(tmp_path), context, charger="b")
+    player.destroy_node()
+    with pytest.raises(StartupError, match=r"no docking_state of /c; there is /a, /b"):
+        alone(of_two(tmp_path), context, charger="c")
+
+
+def test_up_plays_a_recording_says_what_there_is_and_ends_in_order(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], recording: Path, namespace: str
+) -> None:
+    scene = start(*deltacharger, "up", "--recording", str(recording), "--namespace", namespace)
+    scene.wait_for_line("ready", scene.err)
+    assert any(
+        "no goal is served" in line and "docking_state" in line and "predict_misalignment" in line for line in scene.err
+    ), scene.err
+    assert scene.end(signal.SIGTERM) == 0, scene.err
+    assert not any("Traceback" in line for line in scene.err), scene.err

@@ -1,0 +1,304 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger tactile record` against a charger that runs: real nodes, real bytes, simulated world."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ..chargers import DEADLINE, Process, new_namespace, wait_until
+
+pytest.importorskip("mcap", reason="records with deltacharger[record]")
+
+from deltacharger.msg import ServoState, TactileFrame
+
+from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, WRONG_INPUT
+from deltacharger_records.datasets.journal import Journal
+from deltacharger_records.recording.mcap_recording import McapFile, type_name
+from deltacharger_ros.client import ChargerClient
+from deltacharger_ros.outcomes import DockRequest, Pose
+from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.scene import parse_scene
+from deltacharger_sim.charger.faults import Fault
+from deltacharger_sim.world import World
+from deltacharger_tactile import default_model
+from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_POSITION, Dataset
+
+QUICK = {
+    "standoff": 0.006,
+    "search_depth": 0.005,
+    "coarse_step": 0.005,
+    "contact_speed": 0.1,
+    "travel_speed": 0.5,
+    "servo_age_max": 1.0,
+    "tactile_age_max": 1.0,
+    "power_age_max": 1.0,
+}
+"""Of docking_node: large steps, and patience with a loaded machine."""
+FRAMES = 3
+NODES = ["servo_node", "tactile_node", "docking_node"]
+
+
+class Charger:
+    """A simulated charger with its target level at (0, 0, 80) mm, and the truth about it."""
+
+    def __init__(self, composition: Composition, namespace: str) -> None:
+        assert composition.charger is not None
+        self.namespace = namespace
+        self.faults: Any = composition.charger.faults
+        self.world: World = composition.charger.world
+
+    def turn(self, degrees: float) -> None:
+        """Turn the target, as a person would."""
+        target = dataclasses.replace(self.world.parameters.target, roll=math.radians(degrees))
+        self.world.parameters = dataclasses.replace(self.world.parameters, target=target)
+
+    def touches(self) -> bool:
+        return self.world.snapshot().misalignment is not None
+
+    def torque(self) -> bool:
+        return any(self.world._enabled)
+
+    def is_home(self) -> bool:
+        return math.dist(self.world.snapshot().position, (0.0, 0.0, 0.0)) < 0.003
+
+    def assert_safe(self) -> None:
+        assert self.is_home()
+        assert not self.torque()
+        assert self.world.record.energised == 0.0
+
+
+@pytest.fixture(scope="module")
+def charger(context: Any) -> Iterator[Charger]:
+    namespace = new_namespace()
+    simulation = {"seed": 3, "rig_seed": 602, "world": {"target": {"x": 0.0, "y": 0.0, "z": 0.080, "roll": 0.0}}}
+    content = {"nodes": NODES, "simulation": simulation, "parameters": {"docking_node": QUICK}}
+    with Composition(parse_scene(content, "recorded"), context, namespace) as composition:
+        with ChargerClient(namespace) as client:
+            assert client.wait_until_it_answers(DEADLINE)
+        yield Charger(composition, namespace)
+
+
+Recorder = Callable[..., Process]
+
+
+@pytest.fixture
+def record(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], charger: Charger, tmp_path: Path
+) -> Iterator[Recorder]:
+    """Start the command on the charger; F.npz is the data set unless the words say otherwise."""
+
+    def begin(*words: str) -> Process:
+        place = ("--namespace", charger.namespace, "--out", str(tmp_path / "F.npz"), "--json")
+        return start(*deltacharger, "tactile", "record", *place, *words)
+
+    yield begin
+    charger.turn(0.0)
+    charger.faults.clear()
+
+
+def answer(process: Process, code: int, number: int | None = None) -> dict[str, Any]:
+    assert process.end(number) == code, (process.out, process.err)
+    assert len(process.out) == 1
+    return dict(json.loads(process.out[0]))
+
+
+def complete(record: Recorder, *words: str) -> dict[str, Any]:
+    """Call until the set is complete: on a loaded computer servos lose their torque, and the same call goes on."""
+    for _ in range(4):
+        process = record(*words)
+        if process.end() == DONE:
+            return dict(json.loads(process.out[0]))
+        assert "SERVO_FAULT" in process.out[0], (process.out, process.err)
+    raise AssertionError("servo faults in every call")
+
+
+def test_the_papers_sets_go_into_one_file_whose_offsets_the_estimator_feels(
+    record: Recorder, charger: Charger, tmp_path: Path
+) -> None:
+    shape = ("--frames", str(FRAMES), "--rows", "2", "--rig", "7")
+    position = ("--set", "position", "--repeat", "1", "--offsets-mm", "-5", "5", *shape)
+    told = complete(record, *position)
+    assert (told["dockings"], told["remaining"], told["n"], told["simulated"]) == (4, 0, 8, True)
+    charger.assert_safe()
+
+    contacts = charger.world.record.contacts
+    again = record(*position, "--namespace", "nobody_here")  # what is complete needs no charger
+    assert answer(again, DONE)["recorded"] == 0
+    assert charger.world.record.contacts == contacts
+
+    other = record(*position, "--rig", "8", "--repeat", "2")
+    assert all(name in answer(other, WRONG_INPUT)["error"] for name in ("--rig 7 and not 8", "--repeat 1 and not 2"))
+
+    charger.turn(4.0)
+    turned = ("--set", "angle", "--angle-deg", "4", "--repeat", "1", *shape)
+    assert complete(record, *turned)["n"] == 10
+    data = Dataset.load(tmp_path / "F.npz")
+    assert list(data.attempt) == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4]
+    assert set(data.session[:8]).isdisjoint(data.session[8:])
+    assert list(data.subset) == [SUBSET_POSITION] * 8 + [SUBSET_ANGLE] * 2
+    assert set(data.rig) == {7}
+    assert (data.threshold, data.meta["recorded"], data.meta["simulated"]) == (0.25, True, True)
+    assert [(part["name"], part["recorded"], part["of"]) for part in data.meta["parts"]] == [
+        ("position", 4, 4),
+        ("angle 4°", 1, 1),
+    ]
+    assert {(round(1e3 * x), round(1e3 * y)) for x, y in zip(data.horizontal[:8], data.vertical[:8], strict=True)} == {
+        (x, y) for x in (-5, 5) for y in (-5, 5)
+    }
+    assert np.all((data.current >= 0.4) & (data.current <= 0.5))
+    assert np.isnan(data.tare).all()
+    assert np.isnan(data.contact_pose[:, 2]).all()
+    smallest = data.left[data.left > 0.0].min()
+    assert smallest >= 0.25
+    felt = [default_model().predict(left, right) for left, right in zip(*data.robot_frames(), strict=True)]
+    # Of one docking the estimate is 2 mm off (one standard deviation), of the difference of two pairs as much.
+    horizontal = np.array([each.horizontal for each in felt[:8]])
+    apart = horizontal[data.horizontal[:8] > 0.0].mean() - horizontal[data.horizontal[:8] < 0.0].mean()
+    assert apart == pytest.approx(0.010, abs=0.007)
+    assert [each.vertical for each in felt] == pytest.approx(list(data.vertical), abs=0.0045)
+    assert [each.angle for each in felt] == pytest.approx(list(data.angle), abs=math.radians(1.5))
+    assert_rows_are_in_the_raw_messages(tmp_path / "F.recording" / "docking-000000.mcap", data)
+    assert np.abs(data.poses() - np.column_stack([data.horizontal, data.vertical, data.angle])).max() < 0.001
+
+
+def assert_rows_are_in_the_raw_messages(path: Path, data: Dataset) -> None:
+    """Each row of a docking is the mean of FRAMES frames in a row, the second right after the first."""
+    kinds = {type_name(kind): kind for kind in (TactileFrame, ServoState)}
+    messages = list(
+        McapFile(path).messages(kinds, *(_full(path, f"/{name}") for name in ("tactile_frame", "servo_state")))
+    )
+    frames = np.array([each.left for raw, each in messages if raw.topic.endswith("tactile_frame")], dtype=np.float32)
+    states = [each for raw, each in messages if raw.topic.endswith("servo_state")]
+    assert len(states) > 50
+    assert all(list(each.torque_enabled) == [True] * 3 for each in states)
+    means = np.array([frames[begin : begin + FRAMES].mean(axis=0) for begin in range(len(frames) - FRAMES + 1)])
+    means[means < data.threshold] = 0.0
+    left = np.where(data.dead[:2, 0], np.nan, data.left[:2]).reshape(2, 100)
+    found = [np.flatnonzero([np.allclose(mean, row, equal_nan=True) for mean in means]) for row in left]
+    assert found[0] + FRAMES == found[1]
+    felt = np.nanmax(frames, axis=1)
+    assert felt[0] < 1.0 < felt[found[0][0]]
+    assert felt[-1] < 1.0  # until the arm has let go
+
+
+def _full(path: Path, ending: str) -> str:
+    from mcap.reader import make_reader
+
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    return next(channel.topic for channel in summary.channels.values() if channel.topic.endswith(ending))
+
+
+def test_a_kill_loses_nothing_that_was_reported_and_the_same_call_goes_on(
+    record: Recorder, charger: Charger, tmp_path: Path
+) -> None:
+    words = ("--set", "reference", "--repeat", "3", "--tare-every", "2")
+    first = record(*words)
+    first.wait_for_line("1 of 3", first.err)
+    wait_until(charger.touches, "the second contact")
+    assert first.end(signal.SIGKILL) == -signal.SIGKILL
+    assert charger.torque()
+    reported = sum(" of 3  " in line for line in first.err)
+    folder = tmp_path / "F.recording"
+    before = {path.name: path.read_bytes() for path in folder.glob("docking-*.mcap")}
+    assert len(before) >= reported >= 1
+    assert not (tmp_path / "F.npz").exists()
+    composed = record("--compose")
+    assert answer(composed, DONE)["n"] == len(before)
+
+    told = complete(record, *words)
+    assert (told["remaining"], told["n"]) == (0, 3)
+    charger.assert_safe()
+    assert {name: (folder / name).read_bytes() for name in before} == before
+    with Journal(tmp_path / "F.npz") as journal:
+        assert sorted(docking.number for docking in journal.dockings) == [0, 1, 2]
+        assert [docking.attempt for docking in journal.dockings] == [0, 1, 2]
+        assert len({docking.session for docking in journal.dockings}) >= 2
+    assert sorted(path.suffix for path in folder.iterdir()) == [".json"] + [".mcap"] * 3
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_the_arm_home_and_the_data_set_written(
+    record: Recorder, charger: Charger, tmp_path: Path, number: signal.Signals
+) -> None:
+    process = record("--set", "reference", "--repeat", "9")
+    process.wait_for_line("1 of 9", process.err)
+    wait_until(charger.touches, "the second contact")
+    told = answer(process, INTERRUPTED, number)
+    charger.assert_safe()
+    assert (told["success"], told["recorded"], told["remaining"]) == (False, 1, 8)
+    assert len(Dataset.load(tmp_path / "F.npz")) == 1
+
+
+def test_a_docking_that_begins_meanwhile_keeps_arm_and_torque(record: Recorder, charger: Charger) -> None:
+    process = record("--set", "reference")
+    process.wait_for_line("1 of 10", process.err)
+    with ChargerClient(charger.namespace) as client:
+        assert client.wait_until_it_answers(DEADLINE)
+        docked = client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), deadline=120.0)
+    assert "docking_node is at work" in answer(process, FAILED)["error"]
+    # Nobody serves estimates here: it came as far as asking for one, so nobody took its torque away.
+    assert docked.error_name == "TACTILE_STALE"
+    assert "predict_misalignment" in docked.error_message
+    charger.assert_safe()
+
+
+def test_a_silence_of_the_pads_is_tried_again_and_given_up_where_it_lasts(record: Recorder, charger: Charger) -> None:
+    process = record("--set", "reference", "--repeat", "2")
+    process.wait_for_line("1 of 2", process.err)
+    charger.faults.begin(Fault(kind="board_silent", last=2.0))
+    assert answer(process, DONE)["recorded"] == 2
+    assert any("TACTILE_STALE" in line and "trying again" in line for line in process.err)
+    charger.assert_safe()
+
+    process = record("--set", "angle", "--angle-deg", "0", "--repeat", "1")
+    process.wait_for_line("keep clear", process.err)
+    charger.faults.begin(Fault(kind="board_silent"))
+    told = answer(process, FAILED)
+    assert "failed 3 times, TACTILE_STALE" in told["error"]
+    assert (told["recorded"], told["remaining"], told["dockings"]) == (0, 1, 2)
+    charger.assert_safe()
+
+
+def test_an_arm_that_another_program_has_switched_on_is_left_alone(record: Recorder, charger: Charger) -> None:
+    import rclpy
+    from rclpy.context import Context
+
+    from deltacharger_kinematics import DeltaGeometry
+    from deltacharger_records.datasets.arm_client import ArmClient
+
+    context = Context()
+    rclpy.init(context=context, args=[])
+    try:
+        with ArmClient(context, DeltaGeometry(), charger.namespace) as arm:
+            arm.wait_until_ready(DEADLINE)
+            arm.start()
+            assert "another program moves the arm" in answer(record("--set", "reference"), FAILED)["error"]
+            assert charger.torque()
+        wait_until(lambda: not charger.torque(), "torque off")
+    finally:
+        rclpy.try_shutdown(context=context)
+
+
+def test_places_out_of_reach_are_refused_before_anything_moves(record: Recorder, charger: Charger) -> None:
+    contacts = charger.world.record.contacts
+    told = answer(record("--set", "position", "--x-mm", "80"), WRONG_INPUT)
+    assert "out of the arm's reach" in told["error"]
+    assert charger.world.record.contacts == contacts
+    charger.assert_safe()
+
+
+def test_without_a_charger_it_is_1_and_leaves_nothing(record: Recorder, tmp_path: Path) -> None:
+    told = answer(record("--set", "reference", "--namespace", "nobody_here"), FAILED)
+    assert "deltacharger up" in told["error"]
+    assert not list(tmp_path.iterdir())

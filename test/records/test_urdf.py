@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The URDF closes the loops of the delta: by forward kinematics, both ends of each rod meet arm and platform."""
+
+from __future__ import annotations
+
+import math
+import threading
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from deltacharger_kinematics import Delta, DeltaGeometry
+from deltacharger_kinematics.geometry import LimbAdjustment
+from deltacharger_kinematics.geometry_file import save_geometry
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_records.view.mechanism import ROD_SPACING, SIDES, elbows, feet, passive_joints, rods
+from deltacharger_vision.mount import Mount, look_at
+from deltacharger_vision.terminal import Terminal
+
+from ..chargers import new_namespace, wait_until
+from .urdf_tree import UrdfTree
+
+Array = NDArray[np.float64]
+
+URDF = Path(__file__).resolve().parents[2] / "urdf"
+XACRO = URDF / "deltacharger.urdf.xacro"
+BAKED = URDF / "deltacharger.urdf"
+EXACT = 1e-9  # m
+CALIBRATED = DeltaGeometry(
+    arm=0.1004,
+    z_offset=0.0948,
+    limbs=(
+        LimbAdjustment(radius_offset=0.0007, tangential_offset=-0.0004, rod=0.1803, angle_offset=0.012),
+        LimbAdjustment(height_offset=0.0006, arm=0.0997, angle_offset=-0.02),
+        LimbAdjustment(tangential_offset=0.0011, rod=0.1795),
+    ),
+)
+
+
+def poses(geometry: DeltaGeometry) -> Array:
+    """Return points of the whole workspace, its corners among them, that every limb reaches within its limits."""
+    low, high = np.array(geometry.workspace_min), np.array(geometry.workspace_max)
+    grid = np.stack(np.meshgrid(*np.linspace(low, high, 5).T, indexing="ij"), axis=-1).reshape(-1, 3)
+    drawn = np.random.default_rng(3).uniform(low, high, (75, 3))
+    return np.concatenate([grid, drawn])
+
+
+def check_loops(tree: UrdfTree, geometry: DeltaGeometry) -> None:
+    delta, scalar = Delta(geometry), ScalarDelta(geometry)
+    for point in poses(geometry):
+        angles = [float(angle) for angle in delta.inverse(point).angles]
+        joints = {f"limb_{index}_arm_joint": angle for index, angle in enumerate(angles)}
+        frames = tree.frames(joints | passive_joints(scalar, angles))
+        base = np.linalg.inv(frames["charger_base"])
+        platform = base @ frames["end_effector"]
+        np.testing.assert_allclose(platform[:3, 3], point, atol=EXACT)
+        np.testing.assert_allclose(platform[:3, :3], np.eye(3), atol=1e-12)
+        ends = rods(geometry, angles, point)
+        for index in range(3):
+            limb = geometry.limb(index)
+            for number, (side, share) in enumerate(SIDES):
+                rod = base @ frames[f"limb_{index}_rod_{side}"]
+                arm = base @ frames[f"limb_{index}_arm"]
+                at_arm = arm @ (limb.arm, share * ROD_SPACING, 0.0, 1.0)
+                at_platform = platform @ (*foot(geometry, index, share), 1.0)
+                np.testing.assert_allclose(rod[:3, 3], at_arm[:3], atol=EXACT)
+                np.testing.assert_allclose((rod @ (limb.rod, 0.0, 0.0, 1.0))[:3], at_platform[:3], atol=EXACT)
+                np.testing.assert_allclose(ends[2 * index + number], [at_arm[:3], at_platform[:3]], atol=EXACT)
+
+
+def foot(geometry: DeltaGeometry, index: int, share: float) -> Array:
+    """Where a rod ends on the platform, from the definition of a limb alone."""
+    azimuth = 2.0 * math.pi * index / 3.0
+    outward = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+    along = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+    return np.asarray(geometry.platform_radius * outward + share * ROD_SPACING * along)
+
+
+def expanded(**arguments: object) -> str:
+    xacro = pytest.importorskip("xacro", reason="`pip install xacro`, or a ROS installation")
+    words = {name: str(value) for name, value in arguments.items()}
+    return str(xacro.process_file(str(XACRO), mappings=words).toprettyxml(indent="  "))
+
+
+def test_the_rods_meet_arms_and_platform_everywhere() -> None:
+    check_loops(UrdfTree(BAKED.read_text(encoding="utf-8")), DeltaGeometry())
+
+
+def test_a_calibrated_arm_closes_as_well(tmp_path: Path) -> None:
+    save_geometry(CALIBRATED, tmp_path / "geometry.yaml")
+    check_loops(UrdfTree(expanded(geometry_file=tmp_path / "geometry.yaml")), CALIBRATED)
+
+
+def test_the_committed_urdf_is_what_the_xacro_says() -> None:
+    def plain(text: str) -> list[tuple[str, dict[str, str]]]:
+        return [(each.tag, each.attrib) for each in ElementTree.fromstring(text).iter()]
+
+    assert plain(expanded()) == plain(BAKED.read_text(encoding="utf-8"))
+
+
+def test_limits_dimensions_and_names_are_those_of_the_geometry() -> None:
+    geometry, terminal = DeltaGeometry(), Terminal()
+    tree = UrdfTree(BAKED.read_text(encoding="utf-8"))
+    for index in range(3):
+        limit = tree.joints[f"limb_{index}_arm_joint"].find("limit")
+        assert limit is not None
+        assert float(limit.attrib["lower"]) == pytest.approx(geometry.joint_min, abs=1e-12)
+        assert float(limit.attrib["upper"]) == pytest.approx(geometry.joint_max, abs=1e-12)
+    assert {"base_link", "charger_base", "delta_motor", "end_effector", "camera_color_optical_frame"} <= set(tree.links)
+    sizes = [each.attrib["size"] for each in tree.root.findall("link[@name='end_effector']/visual/geometry/box")]
+    bar = f"{terminal.bar_length:.3f} {terminal.bar_height:.3f} {terminal.bar_thickness:.3f}"
+    assert sizes.count(bar) == 2  # the electrodes
+    assert not tree.root.findall(".//mesh")
+
+
+def test_only_what_is_linear_is_mimicked() -> None:
+    mimics = UrdfTree(BAKED.read_text(encoding="utf-8")).mimics()
+    assert set(mimics) == {f"limb_{limb}_rod_right_{kind}_joint" for limb in range(3) for kind in ("pitch", "swing")}
+    assert all(mimic == (name.replace("right", "left"), 1.0, 0.0) for name, mimic in mimics.items())
+
+
+def test_frames_lie_as_the_interface_says(tmp_path: Path) -> None:
+    joints = {f"limb_{index}_arm_joint": 0.0 for index in range(3)} | passive_joints(ScalarDelta(), (0.0, 0.0, 0.0))
+    frames = UrdfTree(BAKED.read_text(encoding="utf-8")).frames(joints)
+    base = frames["charger_base"]
+    np.testing.assert_allclose(base[:3, :3] @ np.eye(3), [[0, 0, 1], [1, 0, 0], [0, 1, 0]], atol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.inv(base) @ frames["camera_color_optical_frame"], Mount.default().pose, atol=1e-9
+    )
+    np.testing.assert_allclose((np.linalg.inv(base) @ frames["delta_motor"])[:3, 3], [0.0, 0.0, -0.095], atol=1e-12)
+    other = Mount(look_at((0.02, 0.15, -0.1), (0.0, 0.0, 0.1)), Mount.default().covariance)
+    other.save(tmp_path / "mount.yaml")
+    moved = UrdfTree(expanded(mount_file=tmp_path / "mount.yaml", base_pose="0.2 0.0 0.5 0 0 0 1")).frames(joints)
+    np.testing.assert_allclose(moved["charger_base"][:3], np.c_[np.eye(3), [0.2, 0.0, 0.5]], atol=1e-12)
+    seen = np.linalg.inv(moved["charger_base"]) @ moved["camera_color_optical_frame"]
+    np.testing.assert_allclose(seen, other.pose, atol=1e-6)  # of seven and nine decimals in the file
+
+
+def test_pinocchio_reads_it_and_agrees() -> None:
+    pinocchio = pytest.importorskip("pinocchio", reason="a second reader of URDF, deltacharger[peers]")
+    text = BAKED.read_text(encoding="utf-8")
+    tree, model = UrdfTree(text), pinocchio.buildModelFromXML(text)
+    data, scalar = model.createData(), ScalarDelta()
+    for point in poses(DeltaGeometry())[::40]:
+        angles = Delta().inverse(point).angles
+        values = {f"limb_{index}_arm_joint": float(angle) for index, angle in enumerate(angles)}
+        values |= passive_joints(scalar, angles)
+        for name, (followed, _, _) in tree.mimics().items():
+            values[name] = values[followed]
+        q = np.array([values[name] for name in list(model.names)[1:]])
+        pinocchio.framesForwardKinematics(model, data, q)
+        for link, frame in tree.frames(values).items():
+            np.testing.assert_allclose(data.oMf[model.getFrameId(link)].homogeneous, frame, atol=1e-12)
+
+
+def test_angles_that_meet_nowhere_have_no_passive_joints() -> None:
+    assert passive_joints(ScalarDelta(), (math.nan, 0.0, 0.0)) == {}
+    assert elbows(DeltaGeometry(), (0.0, 0.0, 0.0)).shape == feet(DeltaGeometry()).shape == (3, 3)
+
+
+def test_the_node_publishes_them_and_nothing_while_a_servo_is_silent(context: Any) -> None:
+    from deltacharger.msg import ServoState
+    from rclpy.node import Node
+    from sensor_msgs.msg import JointState
+
+    from deltacharger_records.view.passive_joints_node import PassiveJointsNode
+    from deltacharger_ros import qos
+    from deltacharger_ros.node_support import Spinner
+
+    namespace, lock = new_namespace(), threading.Lock()
+    came: list[JointState] = []
+
+    def take(message: JointState) -> None:
+        with lock:
+            came.append(message)
+
+    spinner = Spinner(PassiveJointsNode(context=context, namespace=namespace, use_global_arguments=False), 2)
+    tester = Node("tester", context=context, namespace=namespace, use_global_arguments=False)
+    states = tester.create_publisher(ServoState, "servo_state", qos.LATEST)
+    tester.create_subscription(JointState, "joint_states", take, qos.DEFAULT_DEPTH)
+    listening = Spinner(tester, 2)
+    angles = [0.1, -0.2, 0.3]
+
+    def state(second: int, valid: bool, shift: float = 0.0) -> ServoState:
+        message = ServoState(position=[angle + shift for angle in angles], valid=[True, valid, True])
+        message.header.stamp.sec = second
+        return message
+
+    try:
+        wait_until(lambda: states.get_subscription_count(), "the node's subscription")
+        wait_until(lambda: tester.count_publishers("joint_states"), "its publisher")
+        states.publish(state(1, valid=False, shift=0.1))
+        second = iter(range(2, 10_000))
+        wait_until(lambda: states.publish(state(next(second), valid=True)) or came, "joint states")
+    finally:
+        listening.close()
+        spinner.close()
+    expected = passive_joints(ScalarDelta(), angles)
+    assert list(came[0].name) == list(expected)
+    assert list(came[0].position) == pytest.approx(list(expected.values()), abs=1e-12)
+    assert came[0].header.stamp.sec >= 2

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The client towards a charger that takes its time to answer a goal."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from deltacharger.action import Dock, Undock
+from rclpy.action.server import ActionServer, GoalResponse
+from rclpy.node import Node
+
+from deltacharger_ros import client as client_module
+from deltacharger_ros.client import ChargerClient, ClientError
+from deltacharger_ros.node_support import Spinner
+
+from ..chargers import DEADLINE
+
+
+@pytest.fixture
+def silent_charger(context: Any, namespace: str) -> Iterator[str]:
+    """Both actions of a charger that decides on no goal until the test is over; yields its namespace."""
+    over = threading.Event()
+
+    def decide(goal: Any) -> GoalResponse:
+        over.wait(DEADLINE)
+        return GoalResponse.REJECT
+
+    node = Node("docking_node", context=context, namespace=namespace, use_global_arguments=False)
+    servers = [
+        ActionServer(node, kind, name, execute_callback=lambda handle: None, goal_callback=decide)
+        for kind, name in ((Dock, "dock"), (Undock, "undock"))
+    ]
+    spinner = Spinner(node)
+    yield namespace
+    over.set()
+    for server in servers:
+        server.destroy()
+    spinner.close()
+
+
+def test_a_goal_that_nobody_answers_ends_with_an_error(
+    silent_charger: str, context: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with ChargerClient(silent_charger, context) as client:
+        assert client.wait_until_it_answers(DEADLINE)
+        monkeypatch.setattr(client_module, "_LOST_AFTER", 0.5)
+        with pytest.raises(ClientError, match="did not answer the goal 'undock'"):
+            client.undock()
+
+
+def test_a_cancel_does_not_wait_for_a_goal_that_nobody_answers(silent_charger: str, context: Any) -> None:
+    cancel = threading.Event()
+    with ChargerClient(silent_charger, context) as client:
+        assert client.wait_until_it_answers(DEADLINE)
+        cancel.set()
+        started = time.monotonic()
+        with pytest.raises(ClientError, match="did not answer the goal 'undock'"):
+            client.undock(cancel=cancel)
+        assert time.monotonic() - started < 3.0

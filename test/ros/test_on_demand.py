@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Subscriptions outside the executor: nothing runs for them until somebody asks, and then the newest is there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Int64
+
+from deltacharger_core import environment
+from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.on_demand import OnDemandSubscription, PolledTopic
+
+from ..chargers import wait_until
+
+DEPTH = 3
+QOS = QoSProfile(depth=DEPTH)
+
+
+@pytest.fixture
+def node(context: Any, namespace: str) -> Iterator[Node]:
+    node = Node("listener", context=context, namespace=namespace, use_global_arguments=False)
+    spinner = Spinner(node, 2)
+    yield node
+    spinner.close()
+    node.destroy_node()
+
+
+@pytest.fixture
+def publisher(node: Node) -> Publisher[Int64]:
+    return node.create_publisher(Int64, "counts", QOS)
+
+
+def publish(publisher: Publisher[Int64], *numbers: int) -> None:
+    wait_until(lambda: publisher.get_subscription_count() > 0, "the subscription")
+    for number in numbers:
+        publisher.publish(Int64(data=number))
+    assert publisher.wait_for_all_acked()
+
+
+def test_nothing_is_called_until_somebody_listens_and_then_the_newest_comes_first(
+    node: Node, publisher: Publisher[Int64]
+) -> None:
+    heard: list[int] = []
+    counts = OnDemandSubscription(node, Int64, "counts", lambda message: heard.append(message.data), QOS)
+    publish(publisher, 1, 2, 3)
+    assert heard == []
+    with counts.listening():
+        assert heard == [3]  # at once, in the thread that begins to listen
+        publish(publisher, 4)
+        wait_until(lambda: heard == [3, 4], "the next message")
+        with counts.listening():  # by another one, who leaves first
+            pass
+        publish(publisher, 5)
+        wait_until(lambda: heard == [3, 4, 5], "what came while one of two still listened")
+    publish(publisher, 6, 7)
+    with counts.listening():
+        assert heard == [3, 4, 5, 7]
+
+
+def test_listening_to_nobody_is_no_error(node: Node) -> None:
+    heard: list[int] = []
+    with OnDemandSubscription(node, Int64, "counts", heard.append, QOS).listening():
+        assert heard == []
+
+
+def test_a_polled_topic_keeps_as_many_as_its_depth(node: Node, publisher: Publisher[Int64]) -> None:
+    topic = PolledTopic(node, Int64, "counts", QOS)
+    assert list(topic.take()) == []
+    publish(publisher, *range(2 * DEPTH))
+    assert [message.data for message, _ in topic.take()] == list(range(DEPTH, 2 * DEPTH))
+    assert list(topic.take()) == []
+    assert topic.name == f"{node.get_namespace()}/counts"
+
+
+def test_waiting_ends_with_a_message_and_else_with_the_time(node: Node, publisher: Publisher[Int64]) -> None:
+    topic = PolledTopic(node, Int64, "counts", QOS)
+    began = time.monotonic()
+    topic.wait(0.1)
+    assert time.monotonic() - began >= 0.1
+    publish(publisher, 1)
+    began = time.monotonic()
+    topic.wait(30.0)
+    assert time.monotonic() - began < 15.0
+    assert [message.data for message, _ in topic.take()] == [1]
+
+
+def test_after_the_shutdown_of_ros_there_is_nothing_to_take(context: Any, namespace: str) -> None:
+    import rclpy
+
+    own = rclpy.Context()
+    rclpy.init(context=own, args=[])
+    node = Node("listener", context=own, namespace=namespace, use_global_arguments=False)
+    topic = PolledTopic(node, Int64, "counts", QOS)
+    topic.wait(0.01)
+    rclpy.shutdown(context=own)
+    topic.wait(0.01)
+    assert list(topic.take()) == []
+    node.destroy_node()
+
+
+@pytest.mark.parametrize("name", ["FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"])
+def test_a_user_s_settings_of_fast_dds_are_left_alone(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    import os
+
+    for each in ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"):
+        monkeypatch.delenv(each, raising=False)
+    monkeypatch.setenv(name, "mine.xml")
+    environment.announce()
+    assert [os.environ.get(each) for each in (name, "FASTDDS_DEFAULT_PROFILES_FILE")] == [
+        "mine.xml",
+        "mine.xml" if name.startswith("FASTDDS") else None,
+    ]
+
+
+def test_settings_of_fast_dds_in_the_working_directory_are_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import os
+
+    monkeypatch.setenv("FASTDDS_DEFAULT_PROFILES_FILE", "")
+    monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "DEFAULT_FASTDDS_PROFILES.xml").write_text("<dds/>")
+    environment.announce()
+    assert os.environ["FASTDDS_DEFAULT_PROFILES_FILE"] == ""
+    (tmp_path / "DEFAULT_FASTDDS_PROFILES.xml").unlink()
+    environment.announce()
+    assert Path(os.environ["FASTDDS_DEFAULT_PROFILES_FILE"]).name == "fastdds.xml"

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A double of an RGB-D driver: one image of a target at a known place, again and again, and whatever goes wrong."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from deltacharger.srv import DetectElectrodes
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image
+
+from deltacharger_vision.cameras.image_node_io import camera_info_message, color_message, depth_message
+from deltacharger_vision.images import RgbdImage
+from deltacharger_vision.mount import Mount
+from deltacharger_vision.rendering.camera import SimulatedCamera
+from deltacharger_vision.rendering.scene import Scene
+
+TARGET = (0.012, -0.009, 0.084, 0.06)
+
+
+def picture(target: bool = True) -> RgbdImage:
+    """What a camera at the default mount sees of a target at TARGET."""
+    pose = np.eye(4)
+    c, s = math.cos(TARGET[3]), math.sin(TARGET[3])
+    pose[:2, :2], pose[:3, 3] = [[c, -s], [s, c]], TARGET[:3]
+    camera_T_terminal = np.linalg.inv(Mount.default().pose) @ pose
+    return SimulatedCamera().render(Scene(target=target), camera_T_terminal, np.random.default_rng(5))
+
+
+class Driver(Node):
+    """An RGB-D driver that repeats one image at 20 Hz, with faults to order."""
+
+    def __init__(self, context: Any, namespace: str) -> None:
+        super().__init__("driver", context=context, namespace=namespace, use_global_arguments=False)
+        self.color = self.create_publisher(Image, "color/image_raw", qos_profile_sensor_data)
+        self.depth = self.create_publisher(Image, "depth/image_raw", qos_profile_sensor_data)
+        self.info = self.create_publisher(CameraInfo, "color/camera_info", qos_profile_sensor_data)
+        self.image, self.age, self.apart, self.silent = picture(), 0.0, 0.0, False
+        self.spoil: Callable[[Image, Image, CameraInfo], None] = lambda color, depth, info: None
+        self.client = self.create_client(DetectElectrodes, "detect_electrodes")
+        self.said: list[DiagnosticStatus] = []
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self.create_timer(0.05, self._publish)
+
+    @property
+    def listeners(self) -> int:
+        return sum(each.get_subscription_count() for each in (self.color, self.depth, self.info))
+
+    def ask(self, timeout: float = 0.0) -> DetectElectrodes.Response:
+        done = threading.Event()
+        seconds, rest = divmod(timeout, 1.0)
+        future = self.client.call_async(
+            DetectElectrodes.Request(timeout=Duration(sec=int(seconds), nanosec=int(1e9 * rest)))
+        )
+        future.add_done_callback(lambda _: done.set())
+        assert done.wait(30.0)
+        return future.result()
+
+    def _publish(self) -> None:
+        if self.silent:
+            return
+        now = self.get_clock().now().nanoseconds - round(1e9 * self.age)
+        messages = []
+        for make, content, late in (
+            (color_message, self.image.color, 0.0),
+            (depth_message, self.image.depth, self.apart),
+            (camera_info_message, self.image.intrinsics, 0.0),
+        ):
+            messages.append(make(content, stamp(now + round(1e9 * late))))
+        color, depth, info = messages
+        self.spoil(color, depth, info)
+        self.info.publish(info)
+        self.color.publish(color)
+        self.depth.publish(depth)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self.said += [each for each in message.status if self.get_namespace() in each.name]
+
+
+def stamp(nanoseconds: int) -> Time:
+    return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated charger with each of its nodes as a process of its own, which may be killed, stopped and started anew."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from typing import Any
+
+from deltacharger.msg import DockingState
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from deltacharger_ros.client import ChargerClient, ClientError
+from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.scene import parse_scene
+
+from ..chargers import DEADLINE, Process, wait_until
+from ..sim.fault_pulse import Pulse
+from ..sim.fault_world import CONTACTOR, RecordedCharger
+
+NODE_NAMES = ("servo_node", "tactile_node", "misalignment_node", "kinematics_node", "docking_node")
+SCENE = {
+    "nodes": [*NODE_NAMES, "mock_detector_node"],
+    "simulation": {"seed": 1, "rig_seed": 1, "world": {"servo": {"damping": 0.3}, "target": {"x": 0.006, "y": 0.006}}},
+    "parameters": {
+        # Steps are large and waits short, but slow enough that a phase is still under way when it has been told.
+        "docking_node": {
+            "servo_damping": 0.3,
+            "home_z": 0.05,
+            "standoff": 0.008,
+            "coarse_step": 0.004,
+            "contact_speed": 0.05,
+            "lift": 0.008,
+            "travel_speed": 0.1,
+            "alignment_tolerance": 0.004,
+            "landing_limit": 0.006,
+            "charge_stable_time": 0.5,
+            "servo_age_max": 1.5,  # so that a loaded machine is not taken for a broken cable
+            "tactile_age_max": 1.5,
+            "power_age_max": 1.5,
+        }
+    },
+}
+_ATTEMPTS = 4  # to come to the phase that is asked for; on a loaded machine a goal ends before
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Rig:
+    """The charger's bytes in this process, its nodes in others, and a client of both actions.
+
+    Attributes:
+        state: latest docking_state.
+        outcome: of the goal under way; None while it has none.
+        error: why the client has given the goal up; '' = it has not.
+    """
+
+    def __init__(self, context: Any, namespace: str) -> None:
+        self._namespace = namespace
+        self._scene = parse_scene(SCENE, "killed")
+        self.charger = RecordedCharger.build(self._scene, namespace)
+        self.pulse = Pulse()
+        self._processes: dict[str, Process] = {}
+        self.state: Any = None
+        self.outcome: Outcome | None = None
+        self.error = ""
+        self.phase = ""
+        self._goal: threading.Thread | None = None
+        self._give_up = threading.Event()
+        self.charger.start()
+        for name in self._scene.start_order():
+            self.start(name)
+        self.client = ChargerClient(namespace, context)
+        self.client.node.create_subscription(DockingState, "docking_state", self._on_state, LATCHED)
+        self.ready()
+
+    def start(self, name: str) -> None:
+        """Start a node."""
+        ports = {"servo": self.charger.servo_port, "board": self.charger.board_port}
+        words = [sys.executable, "-c", f"import sys; from {NODES[name].module} import main; sys.exit(main())"]
+        words += ["--ros-args", "-r", f"__ns:=/{self._namespace}"]
+        for key, value in self._scene.node_parameters(name, ports).items():
+            words += ["-p", f"{key}:={value if isinstance(value, str) else json.dumps(value)}"]
+        self._processes[name] = Process(*words)
+
+    def ready(self) -> None:
+        """Wait until all nodes are there."""
+        said = {name: each.err[-3:] for name, each in self._processes.items()}
+        assert self.client.wait_until_ready(DEADLINE), said
+        for service in ("set_torque", "probe", "predict_misalignment", "detect_electrodes"):
+            wait_until(lambda service=service: self._serves(service), service)  # type: ignore[misc]
+
+    def _serves(self, name: str) -> bool:
+        known = {each for each, _ in self.client.node.get_service_names_and_types()}
+        return f"/{self._namespace}/{name}" in known
+
+    def send(self, name: str, number: int) -> float:
+        """Send a signal to a node and return when, s of the world."""
+        at = self.charger.world.time
+        os.kill(self._processes[name].process.pid, number)
+        return at
+
+    def restart(self, name: str) -> None:
+        """Start a node anew that was killed, or let one go on that was stopped."""
+        process = self._processes[name].process
+        process.send_signal(signal.SIGCONT)
+        time.sleep(0.02)
+        if process.poll() is not None:
+            self.start(name)
+
+    def reap(self, name: str) -> None:
+        """Wait until a killed node is gone."""
+        self._processes[name].process.wait(DEADLINE)
+
+    def begin(self, phase: str) -> None:
+        """Send goals until one has come to a phase; charging and retract begin behind a docking."""
+        for left in reversed(range(_ATTEMPTS)):
+            self._dock(phase)
+            if phase in ("charging", "retract"):
+                wait_until(lambda: self.outcome or self.error, "the end of docking")
+                reached = self.outcome is not None and self.outcome.success
+            else:
+                reached = self.outcome is None
+            if reached:
+                break
+            assert left, self.outcome or self.error
+            self.go_home()
+        if phase == "retract":
+            self.outcome, self.phase = None, ""
+            self._run(lambda: self.client.undock(on_progress=self._on_progress))
+            wait_until(lambda: self.phase == phase, phase)
+
+    def _dock(self, phase: str) -> None:
+        """Send a goal, and wait for a phase on the way or for its end."""
+        self.outcome, self.error, self.phase = None, "", ""
+        request = DockRequest(None if phase == "locate" else Pose(0.0, 0.0, 0.080))
+        self._run(lambda: self.client.dock(request, self._on_progress, give_up=self._give_up))
+        wait_until(lambda: self.phase == phase or self.outcome or self.error, phase)
+
+    def _run(self, act: Any) -> None:
+        def work() -> None:
+            try:
+                self.outcome = act()
+            except ClientError as error:
+                self.error = str(error)
+
+        if self._goal is not None:
+            self._goal.join(DEADLINE)
+        self._give_up.clear()
+        self._goal = threading.Thread(target=work, daemon=True)
+        self._goal.start()
+
+    def give_up(self) -> None:
+        """Await the goal no longer: its server is known to be gone."""
+        self._give_up.set()
+        if self._goal is not None:
+            self._goal.join(DEADLINE)
+
+    def opened(self, since: float) -> float:
+        """Return how long (s of the world) after an instant the contactor opened, once it has."""
+        events = self.charger.world.events
+        times = wait_until(
+            lambda: [event.time for event in list(events) if event.time >= since and event[1:3] == (CONTACTOR, False)],
+            "an open contactor",
+            10.0,
+        )
+        return float(times[0] - since)
+
+    def wait(self, seconds: float) -> None:
+        """Let so much time of the world pass."""
+        end = self.charger.world.time + seconds
+        wait_until(lambda: self.charger.world.time >= end, "the world to go on")
+
+    @property
+    def place(self) -> tuple[float, float, float]:
+        x, y, z = self.charger.world.snapshot().position
+        return x, y, z
+
+    def assert_never_hurt(self) -> None:
+        record = self.charger.world.record
+        assert record.energised_shorts == 0
+        assert record.energised_unsafe == 0.0
+        assert record.parted_live == 0
+        assert record.unpowered_live == 0
+
+    def go_home(self) -> None:
+        """Undock until that works, as a fleet would, and see that everything is safe."""
+        said: list[str] = []
+
+        def done() -> bool:
+            outcome = self.client.undock(deadline=DEADLINE)
+            said.append(outcome.error_message)
+            return outcome.success
+
+        wait_until(done, f"the arm home {said}")
+        wait_until(lambda: not any(self.charger.world.torque), "no torque", 5.0)
+        assert not self.charger.world.circuit.closed
+
+    def close(self) -> None:
+        self._give_up.set()
+        for each in self._processes.values():
+            if each.process.poll() is None:
+                each.process.send_signal(signal.SIGCONT)
+                each.process.kill()
+                each.process.wait(DEADLINE)
+        self.client.close()
+        self.charger.stop()
+        self.pulse.close()
+
+    def _on_progress(self, progress: Progress) -> None:
+        self.phase = progress.phase
+
+    def _on_state(self, message: DockingState) -> None:
+        self.state = message

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Docking from the picture to charging, and all that a picture can say against it, on simulated camera and hardware."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from deltacharger_records.replay.recorder import Recorder
+from deltacharger_ros.client import ChargerClient
+from deltacharger_ros.outcomes import DockRequest, Outcome
+from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.scene import Scene, SceneError, load_scene, parse_scene
+
+from ..chargers import new_namespace
+
+BY_CAMERA = DockRequest(None)
+
+
+def scene(**target: Any) -> Scene:
+    """The packaged scene with another target."""
+    packaged = load_scene("camera")
+    assert packaged.simulation is not None
+    world = packaged.simulation.world
+    moved = dataclasses.replace(world, target=dataclasses.replace(world.target, **target))
+    return dataclasses.replace(packaged, simulation=dataclasses.replace(packaged.simulation, world=moved))
+
+
+@contextmanager
+def charger(context: Any, what: Scene) -> Iterator[tuple[Composition, ChargerClient]]:
+    name = new_namespace()
+    with Composition(what, context, name) as composition, ChargerClient(name) as client:
+        assert client.wait_until_ready(30.0)
+        yield composition, client
+
+
+def refused(context: Any, what: Scene) -> Outcome:
+    """Dock where nothing may move, and return why."""
+    with charger(context, what) as (composition, client):
+        assert composition.charger is not None
+        world = composition.charger.world
+        before = world.snapshot().position
+        phases: list[str] = []
+        outcome = client.dock(BY_CAMERA, lambda progress: phases.append(progress.phase), deadline=120.0)
+        assert not outcome.success
+        assert set(phases) <= {"idle", "locate", "retract"}
+        assert math.dist(world.snapshot().position, before) < 1e-4
+        assert not world.snapshot().contactor_closed
+    return outcome
+
+
+@pytest.fixture(autouse=True)
+def with_opencv() -> None:
+    pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
+
+
+def test_from_the_picture_to_charging(context: Any) -> None:
+    with charger(context, load_scene("camera")) as (composition, client):
+        phases: list[str] = []
+        with Recorder(context, client.node.get_namespace()) as recorder:
+            outcome = client.dock(BY_CAMERA, lambda progress: phases.append(progress.phase), deadline=120.0)
+        assert outcome.success, outcome
+        assert recorder.run.seen is not None
+        assert recorder.run.seen.shape == (400, 640, 3)
+        assert phases[0] == "locate"
+        assert composition.charger is not None
+        truth = composition.charger.world
+        assert truth.snapshot().contactor_closed
+        assert truth.record.energised_shorts == 0
+        assert truth.record.energised_unsafe == 0.0
+        rendered = composition.node("simulated_camera_node").rendered
+        assert 1 <= rendered < 60  # while it looked, not while it docked
+        assert client.undock(deadline=60.0).success
+
+
+def test_nothing_in_the_picture_leaves_the_arm_alone(context: Any) -> None:
+    outcome = refused(context, scene(present=False))
+    assert outcome.error_name == "ELECTRODES_NOT_FOUND"
+    assert "no electrodes in the image" in outcome.error_message
+    assert outcome.retriable
+
+
+def test_a_roll_that_could_be_critical_is_refused_before_contact(context: Any) -> None:
+    outcome = refused(context, scene(roll=math.radians(11.8)))
+    assert outcome.error_name == "CRITICAL_ANGLE"
+
+
+def test_a_target_out_of_reach_tells_where_to_stand(context: Any) -> None:
+    place = {"x": 0.02, "y": 0.01, "z": 0.22}
+    outcome = refused(context, scene(**place))
+    assert outcome.error_name == "UNREACHABLE"
+    suggested = outcome.details["suggested_base_pose"]
+    there = [place[axis] - step for axis, step in zip("xyz", suggested["position"], strict=True)]
+    assert there == pytest.approx([0.0, 0.0, 0.080], abs=0.02)  # the camera's mount is off by 2 mm and half a degree
+
+
+@pytest.mark.parametrize("name", ["simulated", "mocks"])
+def test_a_scene_without_a_camera_loads_nothing_of_one(name: str) -> None:
+    program = (
+        "import sys, rclpy\n"
+        "from rclpy.context import Context\n"
+        "from deltacharger_bringup import environment\n"
+        "environment.prepare()\n"
+        "from deltacharger_scenes.composition import Composition\n"
+        "from deltacharger_scenes.scene import load_scene\n"
+        "context = Context()\n"
+        "rclpy.init(context=context, args=[])\n"
+        f"with Composition(load_scene({name!r}), context, {new_namespace()!r}):\n"
+        "    loaded = {'cv2', 'depthai', 'mujoco', 'deltacharger_vision'} & set(sys.modules)\n"
+        "rclpy.try_shutdown(context=context)\n"
+        "print('loaded:', sorted(loaded))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=100)
+    assert "loaded: []" in done.stdout, done
+
+
+def test_a_simulated_camera_never_stands_beside_real_servos() -> None:
+    nodes = ["servo_node", "simulated_camera_node", "electrode_detector_node", "docking_node"]
+    with pytest.raises(SceneError, match="real servos would go there"):
+        parse_scene({"nodes": nodes, "ports": {"servo": "/dev/ttyUSB0"}}, "mixed")
+
+
+def test_the_simulated_camera_sees_the_world_s_target() -> None:
+    given = scene(x=0.015).node_parameters("simulated_camera_node", {})
+    assert given["target_x"] == 0.015
+    assert given["target_present"] is True
+    assert given["clutter"] == 6

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How `ros2 launch` of charger.launch.py ends: with 0 by Ctrl-C, with 1 and a reason where a part has ended or refuses.
+
+Without launch: test_up_and_dock.py has the exit codes of `deltacharger up`, test_scene_overrides.py the arguments that
+are refused, test_processes.py a node whose port is missing, test_killed_nodes.py nodes that are killed.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from deltacharger_ros.client import ChargerClient
+
+from ..chargers import DEADLINE, Process
+from .launched import FILE, PATIENCE, QUICK, QUICK_NODES, domain, need_the_package
+
+pytest.importorskip("ros2launch", reason="ros2 launch comes with a ROS installation, not from PyPI")
+COMMAND = (sys.executable, "-c", "import sys; from ros2cli.cli import main; sys.exit(main())", "launch", str(FILE))
+Launch = Callable[..., Process]
+
+
+@pytest.fixture
+def launched(start: Launch, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Launch]:
+    need_the_package()
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+    with domain(4):
+        told = {"sigterm_timeout": PATIENCE}
+        yield lambda **more: start(*COMMAND, *(f"{name}:={value}" for name, value in (told | more).items()))
+
+
+def told(process: Process) -> str:
+    return "\n".join([*process.out, *process.err])
+
+
+def pid(process: Process, name: str) -> int:
+    """Return the process id that launch tells of an executable."""
+    found = re.search(rf"\[{name}-\d+\]: process started with pid \[(\d+)\]", told(process))
+    return int(found[1]) if found else 0
+
+
+def finished_cleanly(process: Process) -> int:
+    return told(process).count("process has finished cleanly")
+
+
+def test_ctrl_c_ends_it_with_0_and_the_emulators_folder_is_gone(
+    launched: Launch, namespace: str, tmp_path: Path
+) -> None:
+    process = launched(namespace=namespace)
+    with ChargerClient(namespace) as client:
+        assert client.wait_until_ready(DEADLINE), told(process)
+        assert list(tmp_path.glob("deltacharger-*"))
+    assert process.end(signal.SIGINT) == 0, told(process)
+    assert finished_cleanly(process) == 6, told(process)  # five nodes, and the hardware
+    assert not list(tmp_path.glob("deltacharger-*"))
+
+
+def test_a_docking_node_that_is_killed_ends_the_charger_with_1(launched: Launch, namespace: str) -> None:
+    process = launched(scene=QUICK, namespace=namespace)
+    with ChargerClient(namespace) as client:
+        assert client.wait_until_ready(DEADLINE), told(process)
+        os.kill(pid(process, "docking_node"), signal.SIGKILL)
+        assert process.end() == 1, told(process)
+    assert "docking_node has ended with -9; ending the charger" in told(process)
+    assert finished_cleanly(process) == QUICK_NODES - 1, told(process)
+
+
+def test_hardware_without_its_ports_ends_with_1_and_names_the_port(
+    launched: Launch, namespace: str, tmp_path: Path
+) -> None:
+    scene = tmp_path / "mine.yaml"
+    scene.write_text("ports: {servo: /dev/no_servo, board: /dev/no_board}\n", encoding="utf-8")
+    process = launched(scene=scene, namespace=namespace)
+    assert process.end() == 1
+    assert re.search(r"/dev/no_(servo|board): there is no such port; plug the adapter in", told(process))
+    assert re.search(r"(servo|tactile)_node cannot start as configured; ending the charger", told(process))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"scene": "simulatd"}, "did you mean 'simulated'"),
+        ({"scen": "mocks"}, "did you mean 'scene'"),
+        ({"camera": "perhaps"}, "give oak, topics, none"),
+        ({"log_level": "loud"}, "give one of debug"),
+        ({"namespace": "9a-b"}, "not a ROS namespace"),
+    ],
+    ids=lambda value: "-".join(value) if isinstance(value, dict) else "",
+)
+def test_a_wrong_argument_ends_it_with_1_before_anything_starts(
+    launched: Launch, arguments: dict[str, str], says: str
+) -> None:
+    process = launched(**arguments)
+    assert process.end() == 1
+    assert says in told(process)
+    assert "process started" not in told(process)
+
+
+def test_a_node_that_may_restart_but_refuses_its_parameters_ends_the_charger(
+    launched: Launch, namespace: str, tmp_path: Path
+) -> None:
+    scene = tmp_path / "mine.yaml"
+    text = QUICK.read_text(encoding="utf-8") + "  misalignment_node: {frames: 0}\n"
+    scene.write_text(text, encoding="utf-8")
+    process = launched(scene=scene, namespace=namespace)
+    assert process.end() == 1
+    assert "misalignment_node cannot start as configured" in told(process)

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Composition: what fails to start leaves nothing behind, and the simulated charger goes last."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deltacharger_ros.node_support import StartupError
+from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.scene import Scene, parse_scene
+
+from ..chargers import wait_until
+
+
+def spinning() -> set[str]:
+    return {thread.name for thread in threading.enumerate() if thread.name.startswith("spin ")}
+
+
+def test_a_node_that_refuses_its_parameters_ends_those_that_run(context: Any, namespace: str) -> None:
+    before = spinning()
+    nodes = ["mock_servo_node", "mock_detector_node", "docking_node"]
+    scene = parse_scene({"nodes": nodes, "parameters": {"docking_node": {"standof": 0.01}}}, "broken")
+    composition = Composition(scene, context, namespace)
+    with pytest.raises(StartupError, match="did you mean 'standoff'"):
+        composition.start()
+    assert composition.nodes == []
+    assert spinning() == before
+
+
+def test_nodes_carry_their_namespace_and_parameters(context: Any, namespace: str) -> None:
+    values = {"parameters": {"mock_servo_node": {"rate": 50.0}}, "nodes": ["mock_servo_node"]}
+    with Composition(parse_scene(values, "x"), context, namespace) as composition:
+        node = composition.node("mock_servo_node")
+        assert node.get_namespace() == f"/{namespace}"
+        assert node.get_parameter("rate").value == 50.0
+        assert composition.failed() == []
+        with pytest.raises(KeyError, match="docking_node is not running"):
+            composition.node("docking_node")
+    composition.close()
+
+
+def test_they_close_in_the_reverse_order_even_if_one_fails(
+    context: Any, namespace: str, quick_scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed: list[str] = []
+    composition = Composition(quick_scene, context, namespace).start()
+    started = [running.name for running in composition.nodes]
+    for running in composition.nodes:
+        monkeypatch.setattr(running.node, "close", noting(running.node.close, running.name, closed))
+    with pytest.raises(RuntimeError, match="kinematics_node does not close"):
+        composition.close()
+    assert list(dict.fromkeys(closed)) == list(reversed(started))
+    assert closed[0] == "docking_node"
+    assert composition.nodes == []
+
+
+def noting(close: Any, name: str, closed: list[str]) -> Any:
+    def note_and_close() -> None:
+        closed.append(name)
+        close()
+        if name == "kinematics_node":
+            raise RuntimeError("kinematics_node does not close")
+
+    return note_and_close
+
+
+def test_a_simulated_charger_serves_its_own_nodes_and_removes_its_ports(context: Any, namespace: str) -> None:
+    scene = parse_scene({"nodes": ["servo_node", "tactile_node"], "simulation": {}}, "x")
+    with Composition(scene, context, namespace) as composition:
+        ports = composition.ports()
+        assert composition.node("servo_node").get_parameter("port").value == ports["servo"]
+        assert composition.node("tactile_node").get_parameter("port").value == ports["board"]
+        received: list[Any] = []
+        from deltacharger.msg import ServoState
+
+        from deltacharger_ros import qos
+
+        composition.node("servo_node").create_subscription(ServoState, "servo_state", received.append, qos.LATEST)
+        wait_until(lambda: any(all(message.valid) for message in received), "a servo_state with three servos")
+    assert not any(Path(port).exists() for port in ports.values())
+    assert composition.charger is None

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The mocks' arm and power stage keep the laws that the nodes above them rely on."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from deltacharger_driver.board.contactor_lease import LeaseRefused
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
+from deltacharger_scenes.mocks.arm import MockArm, MockTarget
+from deltacharger_scenes.mocks.power import CHARGE_CURRENT, NO_CHARGE_CURRENT, WELDED, MockPower
+
+DELTA = ScalarDelta()
+
+
+def powered(target: MockTarget | None = None) -> MockArm:
+    arm = MockArm(target or MockTarget())
+    arm.torque_enabled = [True] * 3
+    arm.bounds = [4.1] * 3
+    return arm
+
+
+def aim(arm: MockArm, position: tuple[float, float, float], stiffness: float = 15.0) -> None:
+    """Command `position` with the arm's weight led in, as docking does."""
+    held = DELTA.holding_torque(*position, GRAVITY)
+    arm.goals = [angle + torque / stiffness for angle, torque in zip(DELTA.inverse(*position), held, strict=True)]
+
+
+def push(arm: MockArm) -> float:
+    """Return the force along z on the target that the currents mean."""
+    held = DELTA.holding_torque(*arm.position, GRAVITY)
+    spare = [TORQUE_CONSTANT * current - hold for current, hold in zip(arm.currents, held, strict=True)]
+    return DELTA.force(*arm.position, (spare[0], spare[1], spare[2]))[2]
+
+
+def test_it_goes_where_it_is_told_when_its_weight_is_led_in() -> None:
+    arm = powered()
+    aim(arm, (0.01, -0.02, 0.05))
+    arm.advance(1.0)
+    assert arm.position == pytest.approx((0.01, -0.02, 0.05), abs=1e-5)
+    assert push(arm) == pytest.approx(0.0, abs=0.01)
+
+
+def test_at_rest_its_currents_carry_the_weight_and_the_push() -> None:
+    arm = powered()
+    aim(arm, (0.0, 0.0, 0.083))
+    arm.advance(2.0)
+    depth = arm.position[2] - arm.target.z
+    assert push(arm) == pytest.approx(arm.target.stiffness * depth, rel=1e-3)
+    assert 5.0 < push(arm) < 60.0
+
+
+def test_friction_carries_the_weight_once_it_rests_on_the_target() -> None:
+    arm = powered()
+    aim(arm, (0.0, 0.0, 0.083))
+    arm.advance(1.0)
+    before = arm.position
+    arm.goals = list(DELTA.inverse(0.0, 0.0, 0.083))  # the lead against gravity is gone
+    arm.advance(1.0)
+    assert abs(arm.position[1] - before[1]) < 2e-4
+
+
+def test_a_bound_clips_every_current() -> None:
+    arm = powered()
+    arm.bounds = [0.3] * 3
+    aim(arm, (0.0, 0.0, 0.11))
+    arm.advance(0.5)
+    assert max(abs(current) for current in arm.currents) <= 0.3 + 1e-12
+
+
+def test_without_torque_or_jammed_it_stays() -> None:
+    for arm in (MockArm(MockTarget()), powered()):
+        arm.jammed = all(arm.torque_enabled)
+        before = arm.position
+        aim(arm, (0.0, 0.0, 0.05))
+        arm.advance(0.5)
+        assert arm.position == before
+
+
+def leased(power: MockPower, now: float = 0.0) -> MockPower:
+    power.advance(now, True)
+    power.probe(now, True)
+    power.close("docking", 0.25, now)
+    return power
+
+
+def test_current_flows_only_while_closed_and_in_contact() -> None:
+    power = leased(MockPower())
+    power.advance(0.2, True)
+    assert 0.0 < power.current < CHARGE_CURRENT
+    power.advance(0.24, False)
+    assert power.current == 0.0
+
+
+def test_a_lease_that_nobody_renews_opens_the_contactor() -> None:
+    power = leased(MockPower())
+    power.advance(0.249, True)
+    assert power.closed
+    power.advance(0.251, True)
+    assert not power.closed
+    with pytest.raises(LeaseRefused, match="probe"):
+        power.close("docking", 0.25, 0.26)
+
+
+def test_a_short_and_a_reversed_target_refuse_the_close() -> None:
+    for misbehaviour, says in (("short", "short"), ("reverse_polarity", "polarity")):
+        power = MockPower()
+        power.misbehaviour = misbehaviour
+        power.probe(0.0, True)
+        with pytest.raises(LeaseRefused, match=says):
+            power.close("docking", 0.25, 0.0)
+
+
+def test_no_current_is_a_fault_that_opens_and_that_an_opening_clears() -> None:
+    power = MockPower()
+    power.misbehaviour = "no_charge_current"
+    leased(power)
+    for step in range(1, 8):
+        if power.closed:
+            power.lease.take("docking", 0.25, 0.1 * step - 0.01)
+        power.advance(0.1 * step, True)
+    assert (power.closed, power.fault) == (False, NO_CHARGE_CURRENT)
+    power.open()
+    assert power.fault == 0
+
+
+def test_a_welded_contactor_stays_closed_and_says_so() -> None:
+    power = leased(MockPower())
+    power.misbehaviour = "contactor_welded"
+    power.open()
+    assert (power.closed, power.fault) == (True, WELDED)
+
+
+def test_out_of_contact_the_probe_finds_an_open_circuit() -> None:
+    resistance, voltage = MockPower().probe(0.0, False)
+    assert math.isinf(resistance)
+    assert math.isnan(voltage)

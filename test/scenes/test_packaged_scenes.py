@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every packaged scene is what it says: it starts what exists, explains itself, names the device that is missing."""
+
+from __future__ import annotations
+
+import configparser
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deltacharger_bringup.cli.main import build_parser, main
+from deltacharger_bringup.cli.output import WRONG_INPUT
+from deltacharger_ros.node_support import StartupError
+from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.scene import load_scene, packaged_scenes, parse_scene
+
+from ..chargers import Process
+
+SCENES = sorted(packaged_scenes())
+HARDWARE = [name for name in SCENES if load_scene(name).touches_hardware]
+WITHOUT_DOCKING = [name for name in SCENES if not load_scene(name).docks]
+ROOT = Path(__file__).parents[2]
+
+
+def executables() -> dict[str, str]:
+    """Return module and function of every executable that an installation has."""
+    parser = configparser.ConfigParser()
+    parser.read(ROOT / "setup.cfg")
+    lines = parser["options.entry_points"]["console_scripts"].strip().splitlines()
+    return dict(line.split(" = ") for line in lines)
+
+
+def explained(name: str, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    assert main(["scene", "explain", name, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert isinstance(found, dict)
+    return found
+
+
+def test_every_use_that_is_promised_has_a_scene(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scene", "list", "--json"]) == 0
+    kinds = {each["name"]: each["kind"] for each in json.loads(capsys.readouterr().out)["scenes"]}
+    assert {
+        "simulated": "simulated",
+        "camera": "simulated",
+        "level": "simulated",
+        "mission": "simulated",
+        "bench": "hardware",
+        "oakd": "hardware",
+        "rgbd": "hardware",
+        "tactile_lab": "hardware",
+        "replay": "recording",
+        "mocks": "mocks",
+    }.items() <= kinds.items()
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_it_starts_only_what_is_installed_and_says_why_and_what_it_lacks(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, installed = load_scene(name), executables()
+    for node in scene.nodes:
+        assert installed[node] == f"{NODES[node].module}:main"
+    found = explained(name, capsys)
+    started = [part["name"] for part in found["parts"]]
+    assert [node for node in started if node in NODES] == scene.start_order()
+    assert all(part["why"] for part in found["parts"])
+    left_out = {entry["name"]: entry["why"] for entry in found["left_out"] if entry["kind"] == "node"}
+    assert set(left_out) - {"simulated charger"} == set(NODES) - set(scene.nodes)
+    for node, why in left_out.items():
+        lacks = NODES[node].lacks if node in NODES else ""
+        assert lacks in why or any(NODES[other].replaces(node) for other in scene.nodes), (node, why)
+
+
+@pytest.mark.parametrize("name", HARDWARE)
+def test_on_hardware_it_names_its_ports_and_the_one_that_is_missing(
+    name: str, context: Any, namespace: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = load_scene(name)
+    keys = {entry["key"]: entry["value"] for entry in explained(name, capsys)["keys"]}
+    ports = [NODES[node].port for node in scene.start_order() if NODES[node].port]
+    for port in ports:
+        assert keys[f"ports.{port}"].startswith("/dev/")
+    absent = dataclasses.replace(scene.ports, **{port: f"/dev/absent_{port}" for port in ports})
+    with (
+        pytest.raises(StartupError, match=rf"{ports[0]}.*: there is no such port"),
+        Composition(dataclasses.replace(scene, ports=absent), context, namespace),
+    ):
+        pass
+
+
+def test_ports_are_those_that_the_udev_rules_make() -> None:
+    rules = (ROOT / "config" / "udev" / "99-deltacharger.rules").read_text(encoding="utf-8")
+    for name in ("oakd", "rgbd", "tactile_lab"):
+        for port in filter(None, dataclasses.astuple(load_scene(name).ports)):
+            assert f'SYMLINK+="{Path(port).name}"' in rules
+
+
+def test_topics_of_any_camera_can_be_named_in_the_scene(context: Any, namespace: str) -> None:
+    pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
+    own = {"color_topic": "/front/rgb/image", "depth_topic": "/front/depth/image", "camera_info_topic": "rgb/info"}
+    told = load_scene("rgbd").parameters["electrode_detector_node"]
+    assert set(told) == set(own)
+    node = {"nodes": ["electrode_detector_node"], "parameters": {"electrode_detector_node": own}}
+    with Composition(parse_scene(node, "mine"), context, namespace) as composition:
+        names = composition.node("electrode_detector_node")._camera.names
+    assert names == ["/front/rgb/image", "/front/depth/image", f"/{namespace}/rgb/info"]
+
+
+def test_the_level_target_stands_where_recording_takes_it_to_be() -> None:
+    scene = load_scene("level")
+    assert scene.simulation is not None
+    assert scene.goal is not None
+    target = scene.simulation.world.target
+    told = build_parser().parse_args(["tactile", "record", "--set", "reference", "--out", "F.npz"])
+    assert (1e3 * target.x, 1e3 * target.y, 1e3 * target.z) == (told.x_mm, told.y_mm, told.z_mm)
+    assert target.roll == 0.0
+    for axis in ("x", "y", "z", "roll"):
+        assert getattr(scene.goal, axis) == getattr(target, axis)
+
+
+@pytest.mark.parametrize("command", ["dock", "undock"])
+@pytest.mark.parametrize("name", WITHOUT_DOCKING)
+def test_a_scene_without_docking_refuses_goals_with_the_reason(
+    name: str, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, "--scene", name]) == WRONG_INPUT
+    told = capsys.readouterr().err
+    assert f"'{name}' starts no docking_node" in told
+
+
+def test_a_recording_is_refused_by_a_scene_that_plays_none(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["up", "--scene", "mocks", "--recording", __file__]) == WRONG_INPUT
+    assert "--recording: this scene starts no recording_player_node" in capsys.readouterr().err
+
+
+def test_asking_a_camera_that_is_not_there_names_the_scenes_that_have_one(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str, tmp_path: Path
+) -> None:
+    blind = tmp_path / "blind.yaml"
+    blind.write_text(quick_file.read_text(encoding="utf-8").replace("mock_detector_node, ", ""), encoding="utf-8")
+    assert "mock_detector_node" not in load_scene(blind).nodes
+    dock = start(
+        *(*deltacharger, "dock", "--camera", "--scene", str(blind), "--namespace", namespace, "--json", "--no-picture")
+    )
+    assert dock.end() == 1
+    assert json.loads("\n".join(dock.out))["error_name"] == "ELECTRODES_NOT_FOUND"
+    assert any("--scene camera" in line for line in dock.err), dock.err

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes say exactly what is wrong with them."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from deltacharger_bringup.cli.scene import describe
+from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.scene import SceneError, Simulation, load_scene, packaged_scenes, parse_scene
+from deltacharger_sim.charger.simulated_charger import SimulatedCharger
+from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.parameters import describe as describe_world
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "mine.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "says"),
+    [
+        ("simulaton: {}", "simulaton", "did you mean 'simulation'"),
+        ("simulation: {world: {servo: {stifness: 15}}}", "simulation.world.servo.stifness", "did you mean 'stiffness'"),
+        ("simulation: {world: {servo: {stiffness: 150}}}", "simulation.world.servo.stiffness", "2.5 to 20.0 N·m/rad"),
+        ("simulation: {world: {target: {x: left}}}", "simulation.world.target.x", "'left' is not a number"),
+        ("simulation: {seed: 1.5}", "simulation.seed", "not a whole number"),
+        ("simulation: {seed: -1}", "simulation.seed", "outside 0 to"),
+        ("simulation: 3", "simulation", "give keys and values"),
+        ("simulation: {geometry_file: nowhere.yaml}", "simulation.geometry_file", "'nowhere.yaml' cannot be read"),
+        ("simulation: {faults: [{kind: servo_missin}]}", "simulation.faults[0].kind", "servo_missing"),
+        ("simulation: {faults: [{kind: board_drop, amount: 2}]}", "simulation.faults[0].amount", "share of 0 to 1"),
+        ("goal: {z: 80}\nsimulation: {}", "goal.z", "-0.1 to 0.5 m"),
+        ("goal: {zz: 0.08}\nsimulation: {}", "goal.zz", "unknown key"),
+        ("nodes: [servo_nod]", "nodes[0]", "did you mean 'servo_node'"),
+        ("nodes: [docking_node, docking_node]", "nodes[1]", "twice"),
+        ("nodes: [servo_node, mock_servo_node]\nsimulation: {}", "nodes[1]", "keep one"),
+        ("nodes: [servo_node, recording_player_node]\nsimulation: {}", "nodes[1]", "keep one"),
+        ("nodes: [recording_player_node, mock_tactile_node]", "nodes[0]", "keep one"),
+        ("nodes: servo_node", "nodes", "list"),
+        ("nodes: [docking_node]\nparameters: {servo_node: {rate: 50.0}}", "parameters.servo_node", "no such node"),
+        (
+            "nodes: [docking_node]\nparameters: {docking_node: {a: {b: 1}}}",
+            "parameters.docking_node.a",
+            "give a number",
+        ),
+        ("nodes: [docking_node]\nparameters: {docking_node: 3}", "parameters.docking_node", "parameters and values"),
+        ("nodes: [servo_node]", "ports.servo", "/dev/ttyUSB0"),
+        ("nodes: [[servo_node]]", "nodes", "list of executables"),
+        ("simulation: {}\nports: {servo: /dev/ttyUSB0}", "ports", "excludes 'simulation'"),
+        (
+            "simulation: {}\nparameters: {servo_node: {port: /dev/ttyUSB0}}",
+            "parameters.servo_node.port",
+            "must not open a port of real hardware",
+        ),
+        ("name: 3\nnodes: [docking_node]", "name", "give text"),
+        ("", "", "is empty"),
+        ("- 1", "", "is a list"),
+        ("a: [", "", "not valid YAML: line 1"),
+        ("nodes: []\nnodes: []", "", "line 2: the key 'nodes' is given twice"),
+        ("1: 2", "", "not a word"),
+    ],
+)
+def test_a_bad_scene_names_its_file_its_key_and_the_remedy(tmp_path: Path, text: str, key: str, says: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(SceneError) as caught:
+        load_scene(path)
+    assert caught.value.file == str(path)
+    assert caught.value.key == key
+    assert says in caught.value.problem
+    assert str(path) in str(caught.value)
+    assert key in str(caught.value)
+
+
+def test_a_scene_that_is_not_there_is_named_with_its_neighbours(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="did you mean 'simulated'"):
+        load_scene("simulate")
+    with pytest.raises(SceneError, match="no such file"):
+        load_scene(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize("name", sorted(packaged_scenes()))
+def test_every_packaged_scene_is_sound_and_says_what_it_is(name: str) -> None:
+    scene = load_scene(name)
+    assert scene.name == name
+    assert len(scene.description) > 20
+    assert scene.docks is (name not in ("tactile_lab", "replay"))
+
+
+def test_the_default_scene_hides_an_offset_from_its_goal() -> None:
+    scene = load_scene("simulated")
+    assert scene.simulation is not None
+    assert scene.goal is not None
+    target = scene.simulation.world.target
+    assert 0.001 < abs(target.x - scene.goal.x) < 0.01
+    assert 0.001 < abs(target.y - scene.goal.y) < 0.01
+    assert 0.01 < abs(target.roll - scene.goal.roll) < 0.12
+
+
+def test_only_a_scene_without_simulation_touches_hardware() -> None:
+    assert load_scene("bench").touches_hardware
+    assert not load_scene("simulated").touches_hardware
+    assert not load_scene("mocks").touches_hardware
+
+
+def test_the_geometry_of_the_simulated_arm_is_checked_with_the_scene(tmp_path: Path) -> None:
+    file = tmp_path / "arm.yaml"
+    file.write_text("arm: 0.101\nlimbs: [{angle_offset: 0.02}, {}, {}]\n")
+    scene = load_scene(write(tmp_path, f"simulation: {{geometry_file: {file}}}"))
+    assert scene.simulation is not None
+    assert scene.simulation.geometry() == load_geometry(file)
+    assert SimulatedCharger(scene).world.geometry == load_geometry(file)
+    file.write_text("arms: 0.101\n")
+    with pytest.raises(SceneError, match=r"arm\.yaml: arms: unknown key; did you mean 'arm'"):
+        load_scene(write(tmp_path, f"simulation: {{geometry_file: {file}}}"))
+
+
+def test_numbers_are_read_as_people_write_them(tmp_path: Path) -> None:
+    scene = load_scene(write(tmp_path, "simulation: {world: {contact: {stiffness: 1e5}}}\ngoal: {x: 1e-3, z: 8e-2}"))
+    assert scene.simulation is not None
+    assert scene.simulation.world.contact.stiffness == 1e5
+    assert scene.goal is not None
+    assert (scene.goal.x, scene.goal.z) == (1e-3, 8e-2)
+
+
+def test_who_commands_starts_last_and_so_closes_first() -> None:
+    doubles = {spec.stands_in_for for spec in NODES.values()}
+    players = {name for name, spec in NODES.items() if spec.plays}
+    scene = parse_scene({"nodes": sorted(NODES.keys() - doubles - players)}, "x")
+    assert scene.start_order()[-2:] == ["docking_node", "mission_node"]
+
+
+def test_a_node_gets_its_port_from_the_simulated_charger_or_else_from_the_scene() -> None:
+    bench = load_scene("bench")
+    assert bench.node_parameters("servo_node", {}) == {"port": bench.ports.servo}
+    assert bench.node_parameters("tactile_node", {"board": "board-port"}) == {"port": "board-port"}
+    assert bench.node_parameters("docking_node", {"board": "board-port"}) == {}
+
+
+def test_explain_shows_every_key_of_the_world_with_its_unit_and_range() -> None:
+    shown = {entry["key"]: entry for entry in describe(load_scene("simulated"))}
+    for key, _, low, high, unit, _ in describe_world(WorldParameters, "simulation.world"):
+        assert (shown[key]["minimum"], shown[key]["maximum"], shown[key]["unit"]) == (low, high, unit)
+    assert {f"simulation.{item.name}" for item in fields(Simulation)} - {"simulation.world"} <= shown.keys()

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What arguments change of a scene, the same for `deltacharger up` and charger.launch.py, and which are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from deltacharger_bringup.cli import main as cli
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.overrides import Overrides, override
+from deltacharger_scenes.scene import SceneError, load_scene
+from deltacharger_scenes.with_recorder import RECORDER
+
+from ..chargers import Process
+
+HARDWARE = "ports: {servo: /dev/no_servo, board: /dev/no_board}\nparameters: {servo_node: {port: /dev/own, rate: 50.0}}"
+
+
+@pytest.fixture
+def hardware(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.yaml"
+    path.write_text(HARDWARE, encoding="utf-8")
+    return path
+
+
+def test_without_arguments_a_scene_stays_as_it_is() -> None:
+    for name in ("simulated", "camera", "mocks", "bench"):
+        assert override(load_scene(name), Overrides()) == load_scene(name)
+
+
+def test_ports_win_over_those_of_scene_and_node(hardware: Path, tmp_path: Path) -> None:
+    servo, board = tmp_path / "servo", tmp_path / "board"
+    servo.touch()
+    board.touch()
+    scene = override(load_scene(hardware), Overrides(servo_port=str(servo), board_port=str(board)))
+    assert scene.node_parameters("servo_node", {}) == {"port": str(servo), "rate": 50.0}
+    assert scene.node_parameters("tactile_node", {}) == {"port": str(board)}
+
+
+@pytest.mark.parametrize(
+    ("scene", "camera", "here", "gone"),
+    [
+        ("bench", "oak", {"camera_node", "electrode_detector_node"}, set()),
+        ("bench", "topics", {"electrode_detector_node"}, {"camera_node"}),
+        ("camera", "topics", {"electrode_detector_node"}, {"simulated_camera_node"}),
+        ("camera", "none", set(), {"simulated_camera_node", "electrode_detector_node"}),
+        ("mocks", "oak", {"camera_node", "electrode_detector_node"}, {"mock_detector_node"}),
+        ("mocks", "none", set(), {"mock_detector_node"}),
+    ],
+)
+def test_the_camera_is_chosen_with_its_detector(scene: str, camera: str, here: set[str], gone: set[str]) -> None:
+    before = load_scene(scene)
+    after = override(before, Overrides(camera=camera))
+    assert here <= set(after.nodes)
+    assert not gone & set(after.nodes)
+    assert not gone & set(after.parameters)
+    assert set(before.nodes) - gone <= set(after.nodes)
+    assert after.start_order()[-1] == "docking_node"
+
+
+def test_files_reach_their_nodes_with_their_whole_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.npz").touch()
+    scene = override(load_scene("bench"), Overrides(model="mine.npz"))
+    assert scene.node_parameters("misalignment_node", {}) == {"model": str(tmp_path / "mine.npz")}
+    Path("one.mcap").touch()
+    scene = override(load_scene("replay"), Overrides(recording="one.mcap"))
+    assert scene.node_parameters("recording_player_node", {})["file"] == str(tmp_path / "one.mcap")
+
+
+def test_records_go_where_they_are_told_to_or_nowhere(tmp_path: Path) -> None:
+    bench = load_scene("bench")
+    recorded = override(bench, Overrides(record=str(tmp_path)))
+    assert recorded.parameters[RECORDER]["folder"] == str(tmp_path)
+    usual = override(bench, Overrides(record="true"))
+    assert RECORDER in usual.nodes
+    assert "folder" not in usual.parameters.get(RECORDER, {})
+    assert override(recorded, Overrides(record="True")) == recorded
+    assert override(recorded, Overrides(record="false")) == bench
+
+
+REFUSED = [
+    ("simulated", {"servo_port": "/dev/null"}, "brings its own ports"),
+    ("mocks", {"board_port": "/dev/null"}, "no node of this scene opens it"),
+    ("bench", {"servo_port": "/dev/no_such_servo"}, "there is no such port"),
+    ("bench", {"camera": "usb"}, "give oak, topics, none"),
+    ("replay", {"camera": "topics"}, "leave it out"),
+    ("bench", {"model": "nowhere.npz"}, "there is no such file"),
+    ("bench", {"recording": __file__}, "starts no recording_player_node"),
+    ("replay", {"recording": "nowhere.mcap"}, "there is no such file"),
+    ("bench", {"record": __file__}, "is a file"),
+]
+
+
+@pytest.mark.parametrize(("scene", "told", "says"), REFUSED, ids=lambda value: str(value)[:40])
+def test_what_does_not_fit_is_refused_by_its_name(scene: str, told: dict[str, str], says: str) -> None:
+    with pytest.raises(SceneError, match=says) as caught:
+        override(load_scene(scene), Overrides(**told))
+    assert caught.value.key == next(iter(told))
+
+
+def test_up_refuses_the_same_with_2_before_anything_starts(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["up", "--scene", "mocks", "--board-port", "/dev/null"]) == 2
+    assert "--board-port: no node of this scene opens it" in capsys.readouterr().err
+
+
+def test_up_uses_the_ports_that_it_is_told(start: Callable[..., Process], deltacharger: tuple[str, ...]) -> None:
+    """/dev/null is there but no serial port, so the node that is to open it says so."""
+    process = start(*deltacharger, "up", "--scene", "tactile_lab", "--board-port", "/dev/null", "--namespace", "lab")
+    assert process.end() == 2
+    assert any("tactile_node: /dev/null" in line for line in process.err), process.err
+
+
+def test_what_moves_or_carries_current_is_not_started_again_by_itself() -> None:
+    restarted = {name for name, spec in NODES.items() if spec.may_restart}
+    hands = {"servo_node", "tactile_node", "docking_node", "mission_node", "recording_player_node"}
+    assert not {name for name in restarted if {name, NODES[name].stands_in_for} & hands}
+    assert "electrode_detector_node" in restarted

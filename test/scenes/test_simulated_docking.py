@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Docking over the real actions, the real drivers and the real bytes, against the simulated world."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from deltacharger_ros.client import ChargerClient
+from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
+from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.scene import load_scene
+
+HERE = Pose(0.0, 0.0, 0.080)
+GOAL = DockRequest(HERE)
+PHASES = ["approach", "contact", "measure", "align", "energise"]
+
+
+@pytest.fixture(scope="module")
+def charger(context: Any) -> Iterator[Composition]:
+    with Composition(load_scene("simulated"), context, "simulated_docking") as composition:
+        yield composition
+
+
+@pytest.fixture(scope="module")
+def client(charger: Composition) -> Iterator[ChargerClient]:
+    with ChargerClient("simulated_docking") as client:
+        assert client.wait_until_ready(20.0)
+        yield client
+
+
+def assert_safe(charger: Composition) -> None:
+    """The truth, which docking never saw: open, no short ever, arm back at its start."""
+    assert charger.charger is not None
+    world = charger.charger.world
+    truth = world.snapshot()
+    assert not truth.contactor_closed
+    assert world.record.energised_shorts == 0
+    assert world.record.energised_unsafe == 0.0
+    assert math.dist(truth.position, (0.0, 0.0, 0.0)) < 0.003
+
+
+def run_until(client: ChargerClient, phase: str, act: Callable[[], None]) -> Outcome:
+    """Dock, and act once when `phase` begins."""
+    once = threading.Event()
+
+    def on_progress(progress: Progress) -> None:
+        if progress.phase == phase and not once.is_set():
+            once.set()
+            act()
+
+    outcome = client.dock(GOAL, on_progress, cancel=None, deadline=120.0)
+    assert once.is_set(), f"phase {phase} was never entered: {outcome}"
+    return outcome
+
+
+@pytest.mark.parametrize(
+    ("request_", "code"),
+    [
+        (DockRequest(Pose(math.nan, 0.0, 0.08)), "REJECTED"),
+        (DockRequest(Pose(0.0, 0.0, 0.08, math.nan)), "REJECTED"),
+        (DockRequest(Pose(0.0, 0.0, 0.08, 0.0, "map")), "REJECTED"),
+        (DockRequest(HERE, critical_angle=0.4), "REJECTED"),
+        (DockRequest(HERE, critical_angle=-0.1), "REJECTED"),
+        (DockRequest(HERE, critical_angle=math.nan), "REJECTED"),
+        (DockRequest(Pose(0.0, 0.0, 0.5)), "UNREACHABLE"),
+        (DockRequest(Pose(0.2, 0.0, 0.08)), "UNREACHABLE"),
+        (DockRequest(Pose(0.0, 0.0, 0.08, math.radians(12.5))), "CRITICAL_ANGLE"),
+        (DockRequest(None), "ELECTRODES_NOT_FOUND"),
+    ],
+)
+def test_a_goal_that_cannot_be_served_is_aborted_with_its_code_and_nothing_moves(
+    charger: Composition, client: ChargerClient, request_: DockRequest, code: str
+) -> None:
+    outcome = client.dock(request_, deadline=60.0)
+    assert not outcome.success
+    assert outcome.error_name == code
+    assert outcome.error_message
+    assert (outcome.details["suggested_base_pose"] is not None) == (code == "UNREACHABLE")
+    assert_safe(charger)
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_cancel_in_every_phase_ends_safe_and_the_next_goal_is_served(
+    charger: Composition, client: ChargerClient, phase: str
+) -> None:
+    cancel = threading.Event()
+
+    def on_progress(progress: Progress) -> None:
+        if progress.phase == phase:
+            cancel.set()
+
+    outcome = client.dock(GOAL, on_progress, cancel, deadline=120.0)
+    assert cancel.is_set(), f"phase {phase} was never entered: {outcome}"
+    assert outcome.error_name == "CANCELED"
+    assert_safe(charger)
+
+
+def test_a_second_goal_is_told_that_the_charger_is_busy(charger: Composition, client: ChargerClient) -> None:
+    answers: list[Outcome] = []
+
+    def ask() -> None:
+        with ChargerClient("simulated_docking") as other:
+            assert other.wait_until_ready(20.0)
+            answers.append(other.dock(GOAL, deadline=60.0))
+            answers.append(other.undock(deadline=60.0))
+
+    asking = threading.Thread(target=ask)
+    outcome = run_until(client, "contact", asking.start)
+    asking.join(60.0)
+    assert [answer.error_name for answer in answers] == ["REJECTED", "REJECTED"]
+    assert all(answer.retriable for answer in answers)
+    assert outcome.success, outcome.error_message
+    assert outcome.details["charge_current"] > 0.5
+    again = client.dock(GOAL, deadline=60.0)
+    assert again.success, "docking when docked succeeds"
+    assert client.undock(deadline=60.0).success
+    assert_safe(charger)
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_sigint_in_every_phase_cancels_and_exits_with_130(
+    start: Callable[..., Any], deltacharger: tuple[str, ...], phase: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "89")
+    process = start(*deltacharger, "dock", "--json")
+    process.wait_for_line(phase, process.err)
+    assert process.end(signal.SIGINT) == 130
+    answer = json.loads(process.out[-1])
+    assert answer["error_name"] == "CANCELED"
+    assert answer["simulation"]["energised_shorts"] == 0
+    assert not any("Traceback" in line for line in process.err), process.err

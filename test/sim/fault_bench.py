@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A charger that is brought into the middle of its work, and back there after every fault, without a docking each."""
+
+from __future__ import annotations
+
+import enum
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rclpy.context import Context
+from rclpy.parameter import Parameter
+
+from deltacharger_driver.board.tactile_node import TactileNode
+from deltacharger_driver.servos.servo_node import ServoNode
+from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_ros.node_support import Spinner
+from deltacharger_scenes.scene import parse_scene
+from deltacharger_sim.charger.faults import Faults
+
+from ..chargers import wait_until
+from .fault_client import PATIENCE, FaultClient
+from .fault_pulse import Pulse
+from .fault_world import CONTACTOR, RecordedCharger
+
+SCENE = {"nodes": [], "simulation": {"seed": 3, "rig_seed": 1, "world": {"target": {"y": -0.003, "z": 0.080}}}}
+_PRESSED = 0.083  # m; the goal behind the target's face, which the servos' springs turn into a push
+_NEAR, _FAR, _PERIOD = 0.010, 0.050, 1.2  # m, m, s: to and fro in free air
+_LINE = 40.0  # s of it
+_PULL = 4.0  # N·m of each servo, enough for the magnets
+_TOUCH = 1.0  # N
+_AT_REST = 0.005  # rad/s
+
+
+class Phase(enum.Enum):
+    """What the charger is doing when a fault comes."""
+
+    MOVING = "moving"
+    PRESSING = "pressing"
+    CHARGING = "charging"
+
+
+@dataclass(frozen=True)
+class Mark:
+    """An instant: s of the world, s of the monotonic clock, number of events so far, push in N."""
+
+    world: float
+    host: float
+    events: int
+    push: float
+
+
+class Bench:
+    """Both drivers on a simulated charger, with a client that stands for docking_node and for its operator."""
+
+    def __init__(self, context: Context, namespace: str) -> None:
+        self.charger = RecordedCharger.build(parse_scene(SCENE, "faults"), namespace)
+        self.world = self.charger.world
+        self._kinematics = ScalarDelta(DeltaGeometry())
+        self.pulse = Pulse()
+        self._spinners: list[Spinner] = []
+        try:
+            self.charger.start()
+            for node, port in ((TactileNode, self.charger.board_port), (ServoNode, self.charger.servo_port)):
+                overrides = [Parameter("port", value=port)]
+                built = node(
+                    context=context, namespace=namespace, parameter_overrides=overrides, use_global_arguments=False
+                )
+                self._spinners.append(Spinner(built))
+            self.client = FaultClient(context, namespace)
+            self._spinners.append(Spinner(self.client, 2))
+            self.wait(self.client.is_connected, "discovery")
+            self.tare()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def faults(self) -> Faults:
+        """What goes wrong."""
+        assert self.charger.faults is not None
+        return self.charger.faults
+
+    def close(self) -> None:
+        for spinner in reversed(self._spinners):
+            spinner.close()
+        self.charger.stop()
+        self.pulse.close()
+
+    def wait(self, condition: Callable[[], Any], what: str, patience: float = PATIENCE) -> None:
+        """Wait for a condition, at most `patience` (s)."""
+        wait_until(condition, what, patience)
+
+    def mark(self) -> Mark:
+        """Return now, and forget the largest push and the longest pause so far."""
+        self.world.record.peak_push = self.world.stood = 0.0
+        return Mark(self.world.time, time.monotonic(), len(self.world.events), self.world.push())
+
+    def reach(self, phase: Phase) -> None:
+        """Bring the charger to where `phase` is going on, from wherever it is, by what a client may ask of it."""
+        if phase is not Phase.CHARGING:
+            self.client.let_open()
+            if self.world.circuit.closed:
+                self.ask("set_contactor", close=False)
+        self.wait(lambda: all(self.client.servo.valid), "all servos to answer")
+        heard = self.client.heard["frame"]
+        self.wait(lambda: self.client.heard["frame"] > heard, "tactile frames")
+        self.ask("set_torque", data=True)
+        if phase is Phase.MOVING:
+            self._shuttle()
+            return
+        self._press()
+        if phase is Phase.CHARGING and not self.is_charging():
+            self.ask("probe")
+            answer = self.client.keep_closed()
+            assert answer.success, answer.message
+            self.wait(self.is_charging, "charge current")
+
+    def ask(self, name: str, **fields: Any) -> None:
+        """Ask a service until it does what is wanted; it may be about to finish something else."""
+        said: list[str] = []
+
+        def done() -> bool:
+            answer = self.client.call(name, **fields)
+            said.append(answer.message)
+            return bool(answer.success)
+
+        end = time.monotonic() + PATIENCE
+        while not done():
+            assert time.monotonic() < end, f"{name} {fields or ''}: {list(dict.fromkeys(said))}"
+
+    def is_charging(self) -> bool:
+        """Whether the contactor is closed and current flows."""
+        return self.world.circuit.closed and self.world.circuit.current > 0.5
+
+    def is_moving(self, since: float) -> bool:
+        """Whether all goals have changed after `since` (s of the world)."""
+        return min(self.world.turned) > since
+
+    def restore(self) -> None:
+        """Clear whatever a cell that failed has left behind, so that the next one begins like any other."""
+        self.client.let_open()
+        self.faults.clear()
+        self.wait(lambda: any(self.client.servo.valid), "a servo to answer")
+        self.ask("set_contactor", close=False)
+        self.ask("set_torque", data=False)
+        if any(self.client.servo.hardware_error) or not all(self.client.servo.valid):
+            self.ask("reboot_servos")
+        if not self.client.frame.tared:
+            self.tare()
+        self.client.untrue.clear()
+
+    def tare(self) -> None:
+        """Tare in free air, wherever the arm is."""
+        if self.world.mechanics.contact_force > 0.0:
+            self.ask("set_torque", data=True)
+            self.client.send([(0.3, self._angles(_FAR))], _PULL)
+            self.wait(lambda: self.world.mechanics.position[2] < _FAR + 0.01, "the arm off the magnets")
+        self.ask("tare")
+        self.wait(lambda: self.client.frame.tared, "tared frames")
+
+    def _angles(self, z: float) -> Sequence[float]:
+        return self._kinematics.inverse(0.0, 0.0, z)
+
+    def _shuttle(self) -> None:
+        """Go to and fro in free air for as long as a cell lasts."""
+        middle, swing = 0.5 * (_NEAR + _FAR), 0.5 * (_FAR - _NEAR)
+        times = np.arange(0.3, _LINE, 0.05)
+        places = middle + swing * np.sin((times - 0.3) * 2.0 * math.pi / _PERIOD)
+        since = self.world.time
+        self.client.send([(float(at), self._angles(float(z))) for at, z in zip(times, places, strict=True)])
+        self.wait(lambda: self.is_moving(since + 0.1), "the arm to move")
+
+    def _press(self) -> None:
+        goal = self._angles(_PRESSED)
+        self.client.send([(0.4, goal)])
+        self.wait(lambda: np.allclose(self.world._reference, goal, atol=0.002), "the goal behind the target's face")
+        self.wait(lambda: np.nanmax(self.client.taxels()) >= _TOUCH, "the pads to feel the target")
+        self.wait(lambda: max(map(abs, self.world.mechanics.rates)) < _AT_REST, "the arm at rest")
+
+
+def contactor_opened(bench: Bench, mark: Mark) -> float:
+    """Return when the contactor first opened after a mark, s of the world after it; inf where it did not."""
+    opened = bench.world.since(mark.events, CONTACTOR, False)
+    return opened[0].time - mark.world if opened else math.inf

@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of every family under real Dock goals: while the arm approaches, while it presses and while current flows.
+
+One charger serves all; no node is restarted, and every goal after a fault shows that none had to be.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from deltacharger.msg import DockingState, ServoState, TactileFrame
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from std_srvs.srv import Trigger
+
+from deltacharger_ros.client import CODES, ChargerClient
+from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
+from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.scene import parse_scene
+from deltacharger_sim.charger.faults import Fault
+
+from ..chargers import new_namespace, wait_until
+from .fault_pulse import Pulse
+
+GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
+SCENE = {
+    "simulation": {"seed": 1, "rig_seed": 1, "world": {"servo": {"damping": 0.3}}},
+    "parameters": {
+        # Steps are large and waits short, and touch is taken as aligned after one docking: neither is looked at here.
+        "docking_node": {
+            "servo_damping": 0.3,
+            "home_z": 0.05,
+            "standoff": 0.008,
+            "coarse_step": 0.004,
+            "contact_speed": 0.05,
+            "lift": 0.008,
+            "travel_speed": 0.3,
+            "alignment_tolerance": 0.01,
+            "landing_limit": 0.02,
+            "charge_stable_time": 0.2,
+        }
+    },
+}
+BY_ITSELF = ("servo_missing", "servo_overload")  # take a servo's torque at once: no driver opens before them
+BORNE = "NONE"  # the fault is lived with
+
+
+PHASES = ("approach", "contact", "charging")
+
+
+@dataclass(frozen=True)
+class Family:
+    """One fault and the code that a goal ends with when it comes in each phase, or one of several."""
+
+    kind: str
+    approach: str | tuple[str, ...]
+    contact: str
+    charging: str
+    amount: float | None = None
+    recovery: str = ""
+
+
+FAMILIES = (
+    Family("servo_missing", "SERVO_FAULT", "SERVO_FAULT", "SERVO_FAULT"),
+    Family("servo_overload", "SERVO_FAULT", "SERVO_FAULT", "SERVO_FAULT", recovery="reboot_servos"),
+    Family("servo_unplugged", "SERVO_FAULT", "SERVO_FAULT", "SERVO_FAULT"),
+    # The approach begins with a tare: a reboot before it costs nothing, one after it is found out.
+    Family("board_reboot", (BORNE, "TACTILE_STALE"), "TACTILE_STALE", "POWER_STALE"),
+    Family("board_unplugged", "TACTILE_STALE", "TACTILE_STALE", "POWER_STALE"),
+    Family("board_trip", BORNE, BORNE, "OVERCURRENT", amount=9.0),
+    Family("board_corrupt", BORNE, BORNE, BORNE, amount=0.05),
+    Family("servo_watchdog", BORNE, BORNE, BORNE),
+)
+
+
+class Charger:
+    """The whole simulated charger and its client."""
+
+    def __init__(self, composition: Composition, client: ChargerClient) -> None:
+        assert composition.charger is not None
+        self.simulated = composition.charger
+        self.client = client
+        self.pulse = Pulse()
+        self.state: Any = None
+        self._servo: Any = None
+        self._frame: Any = None
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        client.node.create_subscription(DockingState, "docking_state", self._on_state, latched)
+        client.node.create_subscription(ServoState, "servo_state", self._on_servo, QoSProfile(depth=1))
+        client.node.create_subscription(TactileFrame, "tactile_frame", self._on_frame, qos_profile_sensor_data)
+        self._reboot = client.node.create_client(Trigger, "reboot_servos")
+
+    def dock_and_suffer(self, fault: Fault, phase: str) -> Outcome:
+        """Dock, and let `fault` come when `phase` begins; that of charging with success."""
+        once = threading.Event()
+
+        def on_progress(progress: Progress) -> None:
+            if progress.phase == phase and not once.is_set():
+                once.set()
+                self.begin(fault)
+
+        outcome = self.client.dock(GOAL, on_progress, deadline=100.0)
+        if phase == "charging":
+            assert outcome.success, outcome
+            self.begin(fault)
+        else:
+            assert once.is_set(), f"{phase} was never entered: {outcome}"
+        return outcome
+
+    def begin(self, fault: Fault) -> None:
+        assert self.simulated.faults is not None
+        self.simulated.faults.begin(fault)
+
+    def recover(self, service: str) -> None:
+        """Let the fault end, do what a person would, and wait until everything is there again."""
+        assert self.simulated.faults is not None
+        self.simulated.faults.clear()
+        if service:
+            wait_until(self._is_rebooted, f"{service} to succeed", 10.0)
+        self._servo = self._frame = None
+        wait_until(lambda: self._servo and all(self._servo.valid) and self._frame, "servos and frames", 10.0)
+
+    def _is_rebooted(self) -> bool:
+        future = self._reboot.call_async(Trigger.Request())
+        wait_until(future.done, "an answer from reboot_servos")
+        return bool(future.result().success)
+
+    def assert_safe(self) -> None:
+        """The truth: the contactor opened before torque went and before the electrodes parted, and nothing shorted."""
+        record = self.simulated.world.record
+        assert not self.simulated.world.snapshot().contactor_closed
+        assert record.energised_shorts == 0
+        assert record.energised_unsafe == 0.0
+        assert record.parted_live == 0
+
+    def _on_state(self, message: DockingState) -> None:
+        self.state = message
+
+    def _on_servo(self, message: ServoState) -> None:
+        self._servo = message
+
+    def _on_frame(self, message: TactileFrame) -> None:
+        self._frame = message
+
+    def restore(self) -> None:
+        """Undo what a failed attempt has left, so that the next begins like any other."""
+        if any(self._servo.hardware_error):
+            self.recover("reboot_servos")
+        else:
+            self.recover("")
+        wait_until(lambda: self.client.undock(deadline=60.0).success, "the arm back home")
+
+
+@pytest.fixture(scope="module")
+def charger(context: Any) -> Iterator[Charger]:
+    namespace = new_namespace()
+    scene = parse_scene(SCENE, "faults")
+    with Composition(scene, context, namespace) as composition, ChargerClient(namespace) as client:
+        assert client.wait_until_ready(20.0)
+        charger = Charger(composition, client)
+        yield charger
+        charger.pulse.close()
+
+
+@pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.kind)
+@pytest.mark.parametrize("phase", PHASES)
+def test_a_goal_under_a_fault(charger: Charger, family: Family, phase: str) -> None:
+    """That the goal before had its fault, and nothing was restarted since, is what recovery means here."""
+    charger.pulse.attempt(lambda: suffer(charger, family, phase), charger.restore)
+
+
+def suffer(charger: Charger, family: Family, phase: str) -> None:
+    fault = Fault(kind=family.kind, amount=family.amount)
+    record = charger.simulated.world.record
+    let_go, expected = record.unpowered_live, getattr(family, phase)
+    codes = (expected,) if isinstance(expected, str) else expected
+    outcome = charger.dock_and_suffer(fault, phase)
+    ended, message = outcome.error_name, outcome.error_message
+    if phase == "charging" and BORNE not in codes:
+        wait_until(lambda: charger.state.error_code, f"{codes} in docking_state", 20.0)
+        wait_until(lambda: charger.state.state == DockingState.STATE_IDLE, "the arm back", 60.0)
+        ended, message = CODES[charger.state.error_code], charger.state.error_message
+    charger.recover(family.recovery)
+    if ended == BORNE:
+        assert charger.client.undock(deadline=60.0).success
+    assert message or ended == BORNE
+    charger.assert_safe()
+    assert record.unpowered_live - let_go <= (family.kind in BY_ITSELF)
+    assert ended in codes, f"{ended}: {message}"
+
+
+def test_after_all_of_them_it_docks_and_undocks(charger: Charger) -> None:
+    assert charger.client.dock(GOAL, deadline=100.0).success
+    assert charger.client.undock(deadline=60.0).success
+    charger.assert_safe()

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""simulated_camera_node on the topics of a real camera: what is in its pictures, and what it leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from deltacharger.msg import ServoState
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image
+
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
+from deltacharger_vision.cameras.ros_images import color_array, depth_array
+
+from ..chargers import wait_until
+
+CLOSE = {"rate": 60.0}
+
+
+class Viewer(Node):
+    """Keeps the newest image of each topic that it subscribes to."""
+
+    def __init__(self, context: Any, namespace: str) -> None:
+        super().__init__("viewer", context=context, namespace=namespace, use_global_arguments=False)
+        self.seen: dict[str, list[Any]] = {"color/image_raw": [], "depth/image_raw": [], "color/camera_info": []}
+
+    def watch(self, *topics: str) -> None:
+        for topic in topics:
+            kind = CameraInfo if topic.endswith("info") else Image
+            self.create_subscription(kind, topic, self.seen[topic].append, qos_profile_sensor_data)
+
+    def color(self) -> np.ndarray:
+        """Return the next colour image (H, W, 3)."""
+        images = self.seen["color/image_raw"]
+        count = len(images)
+        message = wait_until(lambda: images[count:], "a colour image")[0]
+        return color_array(message.encoding, message.height, message.width, message.step, message.data)
+
+
+@pytest.fixture
+def viewer(context: Any, namespace: str) -> Iterator[Viewer]:
+    spinner = Spinner(Viewer(context, namespace))
+    yield spinner.node
+    spinner.close()
+
+
+@pytest.fixture
+def camera(context: Any, namespace: str) -> Iterator[Callable[..., SimulatedCameraNode]]:
+    running: list[Spinner] = []
+
+    def start(**values: Any) -> SimulatedCameraNode:
+        overrides = [Parameter(key, value=value) for key, value in {**CLOSE, **values}.items()]
+        node = SimulatedCameraNode(
+            context=context, namespace=namespace, use_global_arguments=False, parameter_overrides=overrides
+        )
+        running.append(Spinner(node))
+        return node
+
+    yield start
+    for spinner in running:
+        spinner.close()
+
+
+def arm_at(viewer: Viewer, position: tuple[float, float, float]) -> None:
+    """Tell, again and again, that the platform stands at `position`."""
+    publisher = viewer.create_publisher(ServoState, "servo_state", QoSProfile(depth=1))
+    angles = list(ScalarDelta().inverse(*position))
+    viewer.create_timer(0.01, lambda: publisher.publish(ServoState(position=angles)))
+
+
+def test_a_picture_comes_with_its_depth_and_calibration(
+    camera: Callable[..., SimulatedCameraNode], viewer: Viewer
+) -> None:
+    camera(target_z=0.1)
+    viewer.watch("color/image_raw", "depth/image_raw", "color/camera_info")
+    wait_until(lambda: all(viewer.seen.values()), "one message of each topic")
+    color, depth, info = (viewer.seen[topic] for topic in viewer.seen)
+    assert (color[0].encoding, depth[0].encoding) == ("rgb8", "16UC1")
+    assert color[0].header.frame_id == depth[0].header.frame_id == "camera_color_optical_frame"
+    assert (info[0].width, info[0].height) == (color[0].width, color[0].height) == (640, 400)
+    wait_until(
+        lambda: {stamp(each) for each in color} & {stamp(each) for each in depth}, "colour and depth of one stamp"
+    )
+    first = depth[0]
+    millimetres = depth_array(first.encoding, first.height, first.width, first.step, first.data)
+    near = millimetres[200, 320] / 1e3
+    assert near == pytest.approx(np.hypot(0.12, 0.2), abs=0.05)
+
+
+def stamp(message: Image) -> tuple[int, int]:
+    return message.header.stamp.sec, message.header.stamp.nanosec
+
+
+def test_who_wants_colour_alone_gets_no_depth(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
+    node = camera()
+    viewer.watch("color/image_raw")
+    viewer.color()
+    assert node.count_subscribers("depth/image_raw") == 0
+    assert viewer.seen["depth/image_raw"] == []
+
+
+def test_the_platform_is_in_the_picture_where_the_servos_say(
+    camera: Callable[..., SimulatedCameraNode], viewer: Viewer
+) -> None:
+    camera(seed=3)
+    viewer.watch("color/image_raw")
+    without = viewer.color().astype(float)
+    arm_at(viewer, (0.0, 0.0, 0.03))
+    wait_until(
+        lambda: np.abs(viewer.color().astype(float) - without).mean() > 5.0, "the platform to come into the picture"
+    )
+
+
+def test_a_board_on_the_platform_is_seen(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
+    arm_at(viewer, (0.0, 0.0, 0.03))
+    camera(board="apriltag:36h11:7", board_size=0.03)
+    viewer.watch("color/image_raw")
+    finder = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11))
+
+    def found() -> bool:
+        numbers = finder.detectMarkers(viewer.color())[1]
+        return numbers is not None and 7 in numbers.ravel()
+
+    wait_until(found, "the tag in the picture")
+
+
+def test_the_other_renderer_shows_the_same(camera: Callable[..., SimulatedCameraNode], viewer: Viewer) -> None:
+    try:
+        camera(renderer="mujoco", seed=4)
+    except StartupError as error:
+        pytest.skip(str(error))
+    viewer.watch("color/image_raw")
+    other = viewer.color().astype(float)
+    assert other.shape == (400, 640, 3)
+    bright = other.mean(axis=2) > 120.0
+    assert 0.002 < bright[150:250, 220:420].mean() < 0.9  # bars on a dark plate in the middle
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"board": "apriltag:36h11:9999"}, "36h11"),
+        ({"board": "chess"}, "board"),
+        ({"renderer": "blender"}, "one of numpy, mujoco"),
+        ({"mount": [0.0] * 7}, "length"),
+        ({"width": 8}, "width"),
+        ({"target_zz": 1.0}, "did you mean"),
+    ],
+)
+def test_what_cannot_be_right_stops_it_at_start(
+    context: Any, namespace: str, values: dict[str, Any], words: str
+) -> None:
+    overrides = [Parameter(key, value=value) for key, value in values.items()]
+    with pytest.raises(StartupError, match=words):
+        SimulatedCameraNode(
+            context=context, namespace=namespace, use_global_arguments=False, parameter_overrides=overrides
+        )

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated hardware: two ports that answer like the robot's, in this process or in one of its own."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import serial
+
+from deltacharger_scenes.scene import Scene, load_scene, parse_scene
+from deltacharger_sim.charger.simulated_charger import SimulatedCharger
+
+from ..chargers import Process, wait_until
+
+BOARD_HELLO_TYPE = 3
+
+
+def ping(servo: int) -> bytes:
+    """Return a Protocol 2.0 ping of one servo."""
+    from dynamixel_sdk import Protocol2PacketHandler
+
+    packet = [0xFF, 0xFF, 0xFD, 0x00, servo, 3, 0, 1]
+    checksum = Protocol2PacketHandler().updateCRC(0, packet, len(packet))
+    return bytes([*packet, checksum & 0xFF, checksum >> 8])
+
+
+def answer(port: str, servo: int) -> bytes:
+    """Return the reply to a ping, 14 bytes, empty where none comes within 0.2 s."""
+    with serial.Serial(port, 1_000_000, timeout=0.2) as line:
+        line.write(ping(servo))
+        return bytes(line.read(14))
+
+
+def simulated(**simulation: object) -> Scene:
+    return parse_scene({"nodes": [], "simulation": simulation}, "test")
+
+
+def test_three_servos_and_a_board_answer(tmp_path: Path) -> None:
+    with SimulatedCharger(simulated(), tmp_path) as charger:
+        assert (charger.servo_port, charger.board_port) == (str(tmp_path / "servo"), str(tmp_path / "board"))
+        for servo in (1, 2, 3):
+            assert answer(charger.servo_port, servo)[4] == servo
+        with serial.Serial(charger.board_port, 1_000_000, timeout=0.05) as board:
+            received = bytearray()
+            wait_until(lambda: received.extend(board.read(64)) or received.count(0) >= 4, "packets of the board")
+        assert charger.errors() == []
+        assert charger.record()["energised_shorts"] == 0
+    assert list(tmp_path.iterdir()) == []
+    charger.stop()
+
+
+def test_without_a_directory_it_makes_and_removes_its_own() -> None:
+    with SimulatedCharger(simulated()) as charger:
+        folder = Path(charger.servo_port).parent
+        assert folder.is_dir()
+    assert not folder.exists()
+
+
+def test_a_scene_without_simulation_has_nothing_to_simulate() -> None:
+    with pytest.raises(ValueError, match="simulation"):
+        SimulatedCharger(load_scene("bench"))
+
+
+def test_a_scenes_faults_come_and_go_in_their_time(tmp_path: Path) -> None:
+    faults = [{"kind": "servo_missing", "servo": 2, "last": 0.5}]
+    with SimulatedCharger(simulated(faults=faults), tmp_path) as charger:
+        wait_until(lambda: not answer(charger.servo_port, 2), "servo 2 without supply")
+        assert answer(charger.servo_port, 1)
+        wait_until(lambda: answer(charger.servo_port, 2), "servo 2 back")
+
+
+def test_an_unplugged_port_disappears_and_comes_back(tmp_path: Path) -> None:
+    faults = [{"kind": "servo_unplugged", "last": 0.3}]
+    with SimulatedCharger(simulated(faults=faults), tmp_path) as charger:
+        path = Path(charger.servo_port)
+        wait_until(lambda: not path.exists(), "the port to vanish")
+        wait_until(path.exists, "the port to come back")
+        assert answer(str(path), 1)
+
+
+def test_it_waits_until_its_hosts_are_quiet(tmp_path: Path) -> None:
+    with SimulatedCharger(simulated(), tmp_path) as charger:
+        assert answer(charger.servo_port, 1)
+        assert charger.wait_until_quiet(0.1, 5.0, threading.Event())
+        hurry = threading.Event()
+        hurry.set()
+        assert answer(charger.servo_port, 1)
+        assert not charger.wait_until_quiet(5.0, 5.0, hurry)
+
+
+def test_it_says_when_its_board_last_heard_something(tmp_path: Path) -> None:
+    charger = SimulatedCharger(simulated(), tmp_path)
+    assert charger.board_heard == -math.inf
+    with charger:
+        assert answer(charger.servo_port, 1)
+        assert charger.board_heard == -math.inf
+        with serial.Serial(charger.board_port, 1_000_000) as board:
+            before = time.monotonic()
+            board.write(b"\0")
+            wait_until(lambda: charger.board_heard > before, "the byte's arrival")
+            first = charger.board_heard
+            board.write(b"\0")
+            wait_until(lambda: charger.board_heard > first, "the second byte's arrival")
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 0), (signal.SIGINT, 130)])
+def test_as_a_process_it_says_ready_and_ends_cleanly(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], tmp_path: Path, number: int, code: int
+) -> None:
+    ports, record = tmp_path / "ports", tmp_path / "record.json"
+    process = start(*deltacharger, "simulate", "--directory", str(ports), "--record", str(record))
+    process.wait_for_line("ready", process.out)
+    assert process.out[:2] == [f"servo {ports / 'servo'}", f"board {ports / 'board'}"]
+    assert answer(str(ports / "servo"), 3)[4] == 3
+    assert process.end(number) == code
+    assert list(ports.iterdir()) == []
+    assert json.loads(record.read_text())["energised_shorts"] == 0
+
+
+def test_with_json_its_ports_are_one_object(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], tmp_path: Path
+) -> None:
+    process = start(*deltacharger, "simulate", "--directory", str(tmp_path), "--json")
+    process.wait_for_line("ready", process.out)
+    assert process.end(signal.SIGTERM) == 0
+    assert json.loads("\n".join(process.out))["servo"] == str(tmp_path / "servo")
+
+
+def test_it_does_without_ros() -> None:
+    program = "import sys; import deltacharger_bringup.cli.simulate; sys.exit('rclpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

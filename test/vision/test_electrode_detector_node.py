@@ -1,0 +1,367 @@
+# SPDX-License-Identifier: Apache-2.0
+"""electrode_detector_node on real topics: what it answers, when it looks, and what it says where no image comes."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from array import array
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Duration
+from deltacharger.msg import ElectrodeDetection
+from deltacharger.srv import DetectElectrodes
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, Image
+
+from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
+from deltacharger_vision.mount import Mount
+from deltacharger_vision.rendering.camera import SimulatedCamera
+from deltacharger_vision.rendering.scene import Scene
+
+from ..chargers import wait_until
+from ..scenes.camera_driver import TARGET, Driver, picture
+
+pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
+
+from deltacharger_vision.detector.electrode_detector_node import ElectrodeDetectorNode
+
+
+def parameters(**values: Any) -> dict[str, Any]:
+    return {"parameter_overrides": [Parameter(key, value=value) for key, value in values.items()]}
+
+
+@pytest.fixture
+def detector(context: Any, namespace: str) -> Iterator[Callable[..., ElectrodeDetectorNode]]:
+    running: list[Spinner] = []
+
+    def start(**values: Any) -> ElectrodeDetectorNode:
+        node = ElectrodeDetectorNode(
+            context=context, namespace=namespace, use_global_arguments=False, **parameters(**values)
+        )
+        running.append(Spinner(node))
+        return node
+
+    yield start
+    for spinner in running:
+        spinner.close()
+
+
+@pytest.fixture
+def driver(context: Any, namespace: str) -> Iterator[Driver]:
+    spinner = Spinner(Driver(context, namespace))
+    yield spinner.node
+    spinner.close()
+
+
+def test_electrodes_are_told_in_charger_base_with_an_error_that_holds(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
+) -> None:
+    detector()
+    assert driver.client.wait_for_service(20.0)
+    answer = driver.ask(5.0)
+    assert answer.success, answer.message
+    found = answer.detection
+    place = found.pose.pose.position
+    off = np.subtract((place.x, place.y, place.z), TARGET[:3])
+    covariance = np.reshape(found.pose.covariance, (6, 6))
+    assert np.linalg.norm(off) < 0.001
+    assert off @ np.linalg.solve(covariance[:3, :3], off) < 9.0
+    assert covariance[5, 5] == pytest.approx(math.radians(0.5) ** 2, rel=0.2)  # the mount's error leads
+    assert found.roll == pytest.approx(TARGET[3], abs=0.005)
+    assert 2.0 * math.atan2(found.pose.pose.orientation.z, found.pose.pose.orientation.w) == pytest.approx(found.roll)
+    assert found.header.frame_id == "charger_base"
+    assert 0.2 < found.range < 0.3
+    assert 0.5 < found.confidence <= 1.0
+
+
+def test_it_listens_only_while_it_looks(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
+    detector()
+    assert driver.client.wait_for_service(20.0)
+    assert driver.listeners == 0
+    assert driver.ask(5.0).success
+    wait_until(lambda: driver.listeners == 0, "the detector to stop listening")
+
+
+def test_a_simulated_camera_renders_nothing_while_nobody_looks(
+    context: Any, namespace: str, detector: Callable[..., ElectrodeDetectorNode], driver: Driver
+) -> None:
+    driver.silent = True
+    for publisher in (driver.color, driver.depth, driver.info):
+        driver.destroy_publisher(publisher)
+    detector()
+    target = dict(zip(("target_x", "target_y", "target_z", "target_roll"), TARGET, strict=True))
+    camera = SimulatedCameraNode(
+        context=context, namespace=namespace, use_global_arguments=False, **parameters(rate=60.0, **target)
+    )
+    spinner = Spinner(camera)
+    try:
+        assert driver.client.wait_for_service(20.0)
+        assert driver.ask(10.0).success
+        wait_until(lambda: camera.count_subscribers("color/image_raw") == 0, "the detector to stop listening")
+        rendered = camera.rendered
+        assert rendered >= 1
+        looks = camera.looks
+        wait_until(lambda: camera.looks > looks + 5, "the camera to look for subscribers")
+        assert camera.rendered <= rendered + 1  # the image under way when the last listener left
+    finally:
+        spinner.close()
+
+
+def test_an_empty_scene_is_told_after_the_time_that_was_given(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
+) -> None:
+    driver.image = picture(target=False)
+    detector()
+    assert driver.client.wait_for_service(20.0)
+    answer = driver.ask(1.0)
+    assert not answer.success
+    assert "no electrodes in the image" in answer.message
+    assert "images in 1.0 s" in answer.message
+
+
+def test_without_a_camera_it_names_the_topics_and_diagnoses_them(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver, namespace: str
+) -> None:
+    driver.silent = True
+    for publisher in (driver.color, driver.depth, driver.info):
+        driver.destroy_publisher(publisher)
+    detector()
+    assert driver.client.wait_for_service(20.0)
+    answer = driver.ask(0.3)
+    assert not answer.success
+    for topic in ("color/image_raw", "depth/image_raw", "color/camera_info"):
+        assert f"/{namespace}/{topic}" in answer.message
+    assert "start camera_node" in answer.message
+    wait_until(lambda: any(each.level == DiagnosticStatus.WARN for each in driver.said), "a warning while idle")
+
+
+def test_images_that_stop_are_an_error_that_names_the_camera(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver, namespace: str
+) -> None:
+    detector(rate=20.0)
+    heard: list[ElectrodeDetection] = []
+    driver.create_subscription(ElectrodeDetection, "electrode_detection", heard.append, 10)
+    wait_until(lambda: len(heard) > 2, "detections at a rate")
+    driver.silent = True
+    wait_until(lambda: driver.said and driver.said[-1].level == DiagnosticStatus.ERROR, "an error once images stopped")
+    assert f"/{namespace}/color/image_raw" in driver.said[-1].message
+    assert "cable" in driver.said[-1].message
+    assert driver.said[-1].hardware_id == f"/{namespace}/color/image_raw"
+    driver.silent = False
+    count = len(heard)
+    wait_until(lambda: len(heard) > count, "detections once images came back")
+    wait_until(lambda: driver.said[-1].level == DiagnosticStatus.OK, "the error to end")
+
+
+def test_at_a_rate_it_looks_only_while_somebody_subscribes(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
+) -> None:
+    detector(rate=20.0)
+    heard: list[ElectrodeDetection] = []
+    subscription = driver.create_subscription(ElectrodeDetection, "electrode_detection", heard.append, 10)
+    wait_until(lambda: heard, "a detection")
+    driver.destroy_subscription(subscription)
+    wait_until(lambda: driver.listeners == 0, "the detector to stop listening")
+
+
+def test_what_it_saw_is_shown_annotated_to_who_wants_it(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
+) -> None:
+    detector()
+    shown: list[Image] = []
+    driver.create_subscription(Image, "electrode_detection/image", shown.append, qos_profile_sensor_data)
+    assert driver.client.wait_for_service(20.0)
+
+    def seen() -> bool:
+        assert driver.ask(5.0).success
+        return bool(shown)
+
+    wait_until(seen, "an annotated image")
+    drawn = np.frombuffer(shown[0].data, dtype=np.uint8).reshape(shown[0].height, shown[0].width, 3)
+    changed = np.any(drawn != driver.image.color, axis=2)
+    assert 100 < changed.sum() < changed.size // 4
+
+
+@pytest.mark.parametrize(("age", "words"), [(3.0, "3.0"), (-3.0, "in the future")])
+def test_a_stamp_that_is_not_now_is_refused(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver, age: float, words: str
+) -> None:
+    driver.age = age
+    detector()
+    assert driver.client.wait_for_service(20.0)
+    answer = driver.ask(1.5)
+    assert not answer.success
+    assert words in answer.message
+    assert "clocks" in answer.message
+
+
+def test_late_images_do_not_hide_what_the_others_show(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
+) -> None:
+    driver.image = picture(target=False)
+    sent = 0
+
+    def make_late(*messages: Image | CameraInfo) -> None:
+        nonlocal sent
+        sent += driver.listeners > 0
+        for message in messages:
+            message.header.stamp.sec -= 3 if sent > 5 else 0
+
+    driver.spoil = make_late
+    detector()
+    assert driver.client.wait_for_service(20.0)
+    answer = driver.ask(1.5)
+    assert "no electrodes in the image" in answer.message
+    assert " 0 of them too old" not in answer.message
+
+
+def test_depth_of_another_instant_is_no_depth(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
+    driver.apart = 0.024  # half a period: nothing nearer ever comes
+    detector()
+    assert driver.client.wait_for_service(20.0)
+    answer = driver.ask(2.5)
+    assert not answer.success
+    assert "stamp_tolerance" in answer.message
+
+
+def spoil_encoding(color: Image, depth: Image, info: CameraInfo) -> None:
+    color.encoding = "bayer_rggb8"
+
+
+def spoil_size(color: Image, depth: Image, info: CameraInfo) -> None:
+    depth.height //= 2
+    depth.data = depth.data[: depth.height * depth.step]
+
+
+def spoil_info(color: Image, depth: Image, info: CameraInfo) -> None:
+    info.k = np.full(9, np.nan)
+
+
+def spoil_calibration(color: Image, depth: Image, info: CameraInfo) -> None:
+    info.k = np.zeros(9)
+
+
+def spoil_metres(color: Image, depth: Image, info: CameraInfo) -> None:
+    depth.encoding, depth.step = "32FC1", 4 * depth.width
+    millimetres = np.frombuffer(depth.data, dtype=np.uint16).astype(np.float32)
+    depth.data = array("B", millimetres.tobytes())
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (spoil_encoding, "raw sensor"),
+        (spoil_size, "aligned to the colour"),
+        (spoil_info, "camera matrix"),
+        (spoil_calibration, "calibrate the camera first"),
+        (spoil_metres, "divide millimetres by 1000"),
+    ],
+)
+def test_what_a_driver_does_wrong_is_told(
+    detector: Callable[..., ElectrodeDetectorNode],
+    driver: Driver,
+    spoil: Callable[[Image, Image, CameraInfo], None],
+    words: str,
+) -> None:
+    driver.spoil = spoil
+    detector()
+    assert driver.client.wait_for_service(20.0)
+    answer = driver.ask(1.0)
+    assert not answer.success
+    assert words in answer.message
+
+
+def test_other_encodings_and_depth_in_metres_give_the_same_place(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
+) -> None:
+    def as_bgr_and_metres(color: Image, depth: Image, info: CameraInfo) -> None:
+        pixels = np.frombuffer(color.data, dtype=np.uint8).reshape(-1, 3)[:, ::-1]
+        color.encoding, color.data = "bgr8", array("B", pixels.tobytes())
+        metres = np.frombuffer(depth.data, dtype=np.uint16).astype(np.float32) / np.float32(1e3)
+        metres[metres == 0.0] = np.nan
+        depth.encoding, depth.step, depth.data = "32FC1", 4 * depth.width, array("B", metres.tobytes())
+
+    detector()
+    assert driver.client.wait_for_service(20.0)
+    usual = driver.ask(5.0).detection
+    driver.spoil = as_bgr_and_metres
+    other = driver.ask(5.0)
+    assert other.success, other.message
+    assert other.detection.pose.pose.position.z == pytest.approx(usual.pose.pose.position.z, abs=1e-5)
+    assert other.detection.roll == pytest.approx(usual.roll, abs=1e-5)
+
+
+def test_a_negative_timeout_is_refused(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
+    detector()
+    assert driver.client.wait_for_service(20.0)
+    assert "timeout" in driver.ask(-1.0).message
+
+
+def test_closing_releases_who_waits(context: Any, namespace: str, driver: Driver) -> None:
+    driver.silent = True
+    spinner = Spinner(ElectrodeDetectorNode(context=context, namespace=namespace, use_global_arguments=False))
+    assert driver.client.wait_for_service(20.0)
+    driver.client.call_async(DetectElectrodes.Request(timeout=Duration(sec=600)))
+    wait_until(lambda: driver.listeners == 3, "the detector to listen")
+    started = time.monotonic()
+    spinner.close()
+    assert time.monotonic() - started < 30.0
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"mount_file": "/nowhere/mount.yaml"}, "mount.yaml"),
+        ({"mount": [0.0, 0.1]}, "seven"),
+        ({"mount": [0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]}, "length"),
+        ({"bar_length": 70.0}, "bar_length"),
+        ({"rate": -1.0}, "rate"),
+        ({"mount_flie": "x"}, "did you mean 'mount_file'"),
+    ],
+)
+def test_what_cannot_be_right_stops_the_node_at_start(
+    context: Any, namespace: str, values: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(StartupError, match=words):
+        ElectrodeDetectorNode(context=context, namespace=namespace, use_global_arguments=False, **parameters(**values))
+
+
+def test_a_mount_file_replaces_the_mount(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver, tmp_path: Path
+) -> None:
+    moved = Mount.default().pose.copy()
+    moved[:3, 3] += (0.01, 0.0, 0.02)
+    Mount(moved, 1e-10 * np.eye(6)).save(tmp_path / "mount.yaml")
+    detector(mount_file=str(tmp_path / "mount.yaml"))
+    assert driver.client.wait_for_service(20.0)
+    answer = driver.ask(5.0)
+    assert answer.success, answer.message
+    place = answer.detection.pose.pose.position
+    assert (place.x, place.y, place.z) == pytest.approx((TARGET[0] + 0.01, TARGET[1], TARGET[2] + 0.02), abs=5e-4)
+    assert answer.detection.pose.covariance[0] < 1e-6
+
+
+def test_a_distorted_lens_that_is_known_gives_the_same_place(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
+) -> None:
+    lens = dataclasses.replace(picture().intrinsics, distortion=(-0.2, 0.05, 0.0, 0.0, 0.0))
+    pose = np.eye(4)
+    pose[:3, 3] = TARGET[:3]
+    driver.image = SimulatedCamera(lens).render(
+        Scene(), np.linalg.inv(Mount.default().pose) @ pose, np.random.default_rng(6)
+    )
+    detector()
+    assert driver.client.wait_for_service(20.0)
+    answer = driver.ask(5.0)
+    assert answer.success, answer.message
+    place = answer.detection.pose.pose.position
+    assert (place.x, place.y, place.z) == pytest.approx(TARGET[:3], abs=5e-4)
