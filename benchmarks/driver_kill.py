@@ -84,7 +84,7 @@ def emulate_world(folder: Path) -> None:
     from deltacharger_scenes.scene import load_scene
     from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
-    with SimulatedCharger(load_scene("simulated"), folder) as charger:
+    with SimulatedCharger(load_scene("simulated").simulation, folder) as charger:
         world = charger.world
 
         def watch_opening() -> dict[str, float]:

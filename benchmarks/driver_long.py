@@ -48,13 +48,12 @@ def emulate(folder: Path) -> None:
     from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
     from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
     from deltacharger_scenes.scene import load_scene
-    from deltacharger_sim.charger.simulated_charger import SimulatedCharger
     from deltacharger_sim.shared_world import SharedWorld
 
     processes.take_priority()
     scene = load_scene("simulated")
     assert scene.simulation is not None
-    seed, plant = scene.simulation.seed, SharedWorld(SimulatedCharger(scene).world)
+    seed, plant = scene.simulation.seed, SharedWorld(scene.simulation.build_world())
     samples, beats = array("d"), array("d")
     board: BoardEmulator = BoardEmulator(
         plant,

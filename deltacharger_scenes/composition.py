@@ -116,7 +116,7 @@ class Composition:
         if self.scene.simulation is not None:
             from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
-            self.charger = SimulatedCharger(self.scene, namespace=self._namespace).start()
+            self.charger = SimulatedCharger(self.scene.simulation, namespace=self._namespace).start()
         ports = self.ports()
         for name in self.scene.start_order():
             spec = NODES[name]

@@ -15,12 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_core import environment
-from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.yaml_text import YamlProblem, read_yaml
-from deltacharger_sim.charger.faults import Fault
-from deltacharger_sim.parameters import Bounded, ParameterError, WorldParameters, from_mapping, number
+from deltacharger_sim.charger.simulation import Simulation
+from deltacharger_sim.parameters import Bounded, ParameterError, from_mapping, number
 
 STANDARD_NODES = ("servo_node", "tactile_node", "kinematics_node", "misalignment_node", "docking_node")
 _SUFFIXES = (".yaml", ".yml")
@@ -58,32 +56,6 @@ class Ports:
 
     servo: str = field(default="", metadata={"doc": "of the servo adapter, e.g. /dev/ttyUSB0"})
     board: str = field(default="", metadata={"doc": "of the board with pads and power stage, e.g. /dev/ttyACM0"})
-
-
-@dataclass(frozen=True)
-class Simulation(Bounded):
-    """The simulated charger that takes the hardware's place."""
-
-    seed: int = number(0, 0, 2**31 - 1, "", "course of noise, jitter and faults")
-    rig_seed: int = number(0, 0, 2**31 - 1, "", "which device: gains, offsets, dead taxels, ridges")
-    world: WorldParameters = field(
-        default_factory=WorldParameters, metadata={"doc": "mechanics, contact, magnets, circuit and target"}
-    )
-    faults: tuple[Fault, ...] = field(
-        default=(), metadata={"doc": "what goes wrong with the emulated hardware, and when"}
-    )
-    geometry_file: str = field(
-        default="",
-        metadata={"doc": "YAML file with what the simulated arm's dimensions really are; empty = the usual"},
-    )
-
-    def geometry(self) -> DeltaGeometry:
-        """Return the simulated arm's dimensions.
-
-        Raises:
-            OSError, ValueError: the file cannot be read, or is refused.
-        """
-        return load_geometry(Path(self.geometry_file).expanduser()) if self.geometry_file else DeltaGeometry()
 
 
 @dataclass(frozen=True)

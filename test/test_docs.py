@@ -144,9 +144,10 @@ def is_defined(name: str) -> bool:
 
 
 def is_there(name: str) -> bool:
-    """Return whether a path of the repository exists: from its root, or a file's name alone anywhere in a package."""
+    """Return whether a path exists: from the repository's root, or the name of a file or folder/ in any package."""
     if (ROOT / name).exists():
         return True
+    name = name.removesuffix("/")
     return "/" not in name and any(True for package in PACKAGES for _ in package.rglob(name))
 
 

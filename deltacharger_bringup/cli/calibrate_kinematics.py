@@ -4,23 +4,22 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import datetime
 import hashlib
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from deltacharger_bringup.cli.measurements import encoder_of, refusing
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
 from deltacharger_kinematics.calibration.calibrate import Calibration, calibrate, describe
 from deltacharger_kinematics.calibration.checks import named
 from deltacharger_kinematics.calibration.data import Encoder, read_measurements
 from deltacharger_kinematics.calibration.plan import plan, write_plan
 from deltacharger_kinematics.calibration.problem import NAMES, Uncertainty, numbers, rms
-from deltacharger_kinematics.calibration.table import MILLIMETRE, CalibrationError
+from deltacharger_kinematics.calibration.table import MILLIMETRE
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry
 from deltacharger_kinematics.geometry_file import geometry_to_mapping, load_geometry, save_geometry
 
@@ -46,33 +45,6 @@ def kinematics(options: argparse.Namespace) -> int:
             "give DATA.csv to fit, --plan FILE to write a plan, or both --plan and --measure", WRONG_INPUT
         )
     return _fit(options)
-
-
-@contextlib.contextmanager
-def refusing(path: str) -> Iterator[None]:
-    """Turn what is wrong with a file of measurements into exit code 2 and its lines.
-
-    Raises:
-        CommandError: instead of CalibrationError.
-    """
-    try:
-        yield
-    except CalibrationError as error:
-        raise CommandError(f"{path}: {error}", WRONG_INPUT, file=path, lines=list(error.lines)) from error
-
-
-def encoder_of(options: argparse.Namespace) -> Encoder | None:
-    """Return the encoder that the options state; None where they state nothing.
-
-    Raises:
-        CommandError: a direction is not 1 or -1.
-    """
-    given = {"zero_ticks": options.zero_ticks, "direction": options.direction}
-    values = {name: tuple(value) for name, value in given.items() if value is not None}
-    try:
-        return Encoder(**values) if values else None
-    except CalibrationError as error:
-        raise CommandError(str(error), WRONG_INPUT) from error
 
 
 def _nominal(options: argparse.Namespace) -> DeltaGeometry:

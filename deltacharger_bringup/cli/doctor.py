@@ -125,13 +125,14 @@ def _hardware(options: argparse.Namespace) -> _Hardware:
 def _start_emulators(hardware: _Hardware, stack: contextlib.ExitStack) -> list[Finding]:
     """Serve a simulated scene's emulators as long as `stack` is open, and take their ports for the hardware's."""
     scene = hardware.simulated
-    if scene is None:
+    if scene is None or scene.simulation is None:
         return []
+    simulation = scene.simulation
 
     def start() -> Iterator[Finding]:
         from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
-        charger = stack.enter_context(SimulatedCharger(scene))
+        charger = stack.enter_context(SimulatedCharger(simulation))
         hardware.servo_port, hardware.board_port = charger.servo_port, charger.board_port
         there = candidates()
         remedy = "for a real charger: --scene bench, or --servo-port and --board-port"

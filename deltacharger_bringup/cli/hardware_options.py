@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The options of `deltacharger simulate`, `fault` and `doctor`; what they do stands in the cli_*.py of each."""
+"""The options of `deltacharger simulate`, `fault` and `doctor`; what they do stands in the module of each."""
 
 from __future__ import annotations
 

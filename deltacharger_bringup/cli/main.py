@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The `deltacharger` command: its commands, options and exit codes; what each does stands in the cli_*.py beside it.
+"""The `deltacharger` command: its commands, options and exit codes; what each does stands in the module beside it.
 
 Exit codes: 0 done, 1 the job failed, 2 wrong usage or input, 130 interrupted. With `--json` exactly one JSON object
 goes to stdout; progress and logs always go to stderr.

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deltacharger_bringup.cli.calibrate_kinematics import encoder_of, refusing
 from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
+from deltacharger_bringup.cli.measurements import encoder_of, refusing
 from deltacharger_bringup.cli.output import (
     DONE,
     FAILED,

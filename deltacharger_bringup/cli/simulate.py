@@ -28,7 +28,7 @@ def simulate(options: argparse.Namespace) -> int:
         )
     if options.record:
         _check_record(Path(options.record))
-    with Interrupts() as interrupts, SimulatedCharger(scene, Path(options.directory)) as charger:
+    with Interrupts() as interrupts, SimulatedCharger(scene.simulation, Path(options.directory)) as charger:
         if options.json:
             ports = {"servo": charger.servo_port, "board": charger.board_port}
             answer(options, {"ready": True, **ports, "scene": scene.name})

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import signal
@@ -13,9 +14,20 @@ from typing import Any
 from deltacharger_lab.campaigns.docking import dock_once
 from deltacharger_lab.campaigns.settings import CampaignError, scene_of, versions_of
 
+BATCH_MOST = 50  # dockings of a batch, some seconds of work: what a kill -9 may lose of each worker
+_BATCHES = 8  # per worker at least, so that none waits long for the last one
 _halt: Any = None  # event of the process that started this worker
 
 Row = dict[str, Any]
+Record = Callable[[list[Row]], None]
+Stop = Callable[[], bool]
+
+
+def batches(numbers: Sequence[int], size: int, workers: int) -> list[list[int]]:
+    """Return the numbers in batches: of `size`, or where that is 0 so that every worker gets several."""
+    suited = math.ceil(len(numbers) / (_BATCHES * workers)) if numbers else 1
+    most = size or max(1, min(BATCH_MOST, suited))
+    return [list(numbers[start : start + most]) for start in range(0, len(numbers), most)]
 
 
 def run_batch(text: str, numbers: Sequence[int], stop: Callable[[], bool] | None = None) -> list[Row]:

@@ -7,8 +7,7 @@ import itertools
 import uuid
 from typing import Any
 
-from deltacharger_lab.campaigns.batch import Row, run_batch
-from deltacharger_lab.campaigns.runner import Record, Stop, batches
+from deltacharger_lab.campaigns.batch import Record, Row, Stop, batches, run_batch
 from deltacharger_lab.campaigns.settings import CampaignError
 from deltacharger_lab.campaigns.store import Store
 

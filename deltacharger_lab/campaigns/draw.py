@@ -3,28 +3,24 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import random
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from deltacharger_docking.observation import Detection
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.campaigns.felt import EstimatorErrors
+from deltacharger_lab.campaigns.parts import NOMINAL, build_parts, nested
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.campaigns.spread import Value
-from deltacharger_sim.parameters import ParameterError, TerminalParameters, WorldParameters, from_mapping
+from deltacharger_sim.parameters import ParameterError, TerminalParameters, WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
 
-NOMINAL: Vector = (0.0, 0.0, 0.080)  # m, charger_base; where a target stands from which its offsets count
 _CAMERA: Vector = (0.0, 0.12, -0.12)  # m, charger_base; the usual mount, see deltacharger_vision.mount
-_STRENGTH = 9.81  # m/s²
 _GOAL_STDDEV_LEAST = 1e-6  # rad
 _REDRAWS = 10_000  # of vision's errors that put the goal too far from the target
-AXES = ("x", "y", "z", "roll")
 
 
 @dataclass(frozen=True)
@@ -88,28 +84,8 @@ def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
         goal=goal,
         seed=source("seed").getrandbits(31),
         rig_seed=source("rig").getrandbits(31),
-        estimator=EstimatorErrors(**_nested(values, "estimator")),
+        estimator=EstimatorErrors(**nested(values, "estimator")),
     )
-
-
-def build_parts(
-    values: Mapping[str, Value], approach: str
-) -> tuple[WorldParameters, TactileParameters, DockingParameters]:
-    """Return the parameters of world, pads and docking that these values of the scene's keys make.
-
-    Raises:
-        ValueError: a part refuses them.
-    """
-    place = {axis: float(values.get(f"target.{axis}", 0.0)) + float(values.get(f"shift.{axis}", 0.0)) for axis in AXES}
-    gravity = _gravity(float(values.get("gravity.tilt", 0.0)), float(values.get("gravity.azimuth", 0.0)))
-    content = _nested(values, "world")
-    content.setdefault("target", {}).update(place, z=NOMINAL[2] + place["z"])
-    content.update(_axes(gravity))
-    world = from_mapping(content, WorldParameters, "world")
-    told = gravity if values.get("gravity.known", False) else (0.0, -_STRENGTH, 0.0)
-    given: dict[str, Any] = {"servo_stiffness": world.servo.stiffness, "approach": approach, **_axes(told)}
-    docking = DockingParameters(**given, **_nested(values, "docking"))
-    return world, _replaced(TactileParameters(), _nested(values, "tactile")), docking
 
 
 def _goal(values: Mapping[str, Value], source: random.Random) -> Detection:
@@ -159,36 +135,3 @@ def zero_angle(vertical: float, half_gap: float, half_length: float) -> float:
     """Return the angle (rad) at which a vertical error (m) leaves no clearance: g (1 + cos a) − h sin a = |y|."""
     size = math.hypot(half_gap, half_length)
     return max(math.acos(min((abs(vertical) - half_gap) / size, 1.0)) - math.atan2(half_length, half_gap), 0.0)
-
-
-def _gravity(tilt: float, azimuth: float) -> Vector:
-    """Return gravity (m/s², charger_base) of a robot tilted by `tilt` toward `azimuth` (0 = +z, π/2 = +x)."""
-    level = _STRENGTH * math.sin(tilt)
-    return level * math.sin(azimuth), -_STRENGTH * math.cos(tilt), level * math.cos(azimuth)
-
-
-def _axes(gravity: Vector) -> dict[str, float]:
-    return {f"gravity_{axis}": value for axis, value in zip("xyz", gravity, strict=True)}
-
-
-def _nested(values: Mapping[str, Value], section: str) -> dict[str, Any]:
-    """Return a section's values as nested mappings."""
-    result: dict[str, Any] = {}
-    for name, value in values.items():
-        first, *path = name.split(".")
-        if first != section:
-            continue
-        level = result
-        for part in path[:-1]:
-            level = level.setdefault(part, {})
-        level[path[-1]] = value
-    return result
-
-
-def _replaced(part: Any, content: Mapping[str, Any]) -> Any:
-    """Return a dataclass with nested values replaced."""
-    changes = {
-        name: _replaced(getattr(part, name), value) if isinstance(value, Mapping) else value
-        for name, value in content.items()
-    }
-    return dataclasses.replace(part, **changes)

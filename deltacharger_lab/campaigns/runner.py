@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import math
 import multiprocessing
 import os
 import signal
@@ -13,19 +12,15 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 
-from deltacharger_lab.campaigns.batch import Row, begin_worker, run_batch
+from deltacharger_lab.campaigns.batch import Record, Row, Stop, batches, begin_worker, run_batch
 from deltacharger_lab.campaigns.settings import CampaignError
 from deltacharger_lab.campaigns.store import Store
 
-BATCH_MOST = 50  # dockings of a batch, some seconds of work: what a kill -9 may lose of each worker
-_BATCHES = 8  # per worker at least, so that none waits long for the last one
 _AHEAD = 2  # batches per worker that are handed out
 _POLL = 0.2  # s until an interruption is seen
 _TRIES = 3  # times that the rest is begun anew after worker processes died
 
 Report = Callable[[Sequence[Row]], None]
-Record = Callable[[list[Row]], None]
-Stop = Callable[[], bool]
 
 
 def run_missing(
@@ -83,13 +78,6 @@ def _run_again_and_again(
                 return
             tell("a worker process died; what it had not written starts again")
     raise CampaignError(f"worker processes died {_TRIES} times; is there enough memory? The same command goes on")
-
-
-def batches(numbers: Sequence[int], size: int, workers: int) -> list[list[int]]:
-    """Return the numbers in batches: of `size`, or where that is 0 so that every worker gets several."""
-    suited = math.ceil(len(numbers) / (_BATCHES * workers)) if numbers else 1
-    most = size or max(1, min(BATCH_MOST, suited))
-    return [list(numbers[start : start + most]) for start in range(0, len(numbers), most)]
 
 
 def _run_local(store: Store, workers: int, batch: int, record: Record, stop: Stop) -> None:

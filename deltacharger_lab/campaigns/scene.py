@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_lab.campaigns.keys import DERIVED, TAKEN, known_keys
+from deltacharger_lab.campaigns.parts import build_parts
 from deltacharger_lab.campaigns.spread import Key, Spread, Value, read_spread
 from deltacharger_scenes.scene import SceneError, scene_folders
 from deltacharger_scenes.yaml_text import YamlProblem, read_yaml
@@ -206,8 +207,6 @@ def _read_dockings(entries: Any, spreads: Mapping[str, Spread]) -> tuple[Mapping
 
 def _check_contradictions(scene: CampaignScene) -> None:
     """Refuse keys that have no effect or that no docking could have together."""
-    from deltacharger_lab.campaigns.draw import build_parts
-
     _without_effect(scene, "world.magnets.force", ("world.magnets.range", "world.magnets.width", "world.magnets.floor"))
     if "gravity.anywhere" not in scene.drawn():
         _without_effect(scene, "gravity.tilt", ("gravity.azimuth", "gravity.known"), unset=True)

@@ -20,17 +20,8 @@ from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 _COMPUTES = ("core", "kinematics", "sim", "docking", "tactile")  # packages, deltacharger_…
 _HERE = Path(__file__).parent
 _ALSO = (
-    "docking",
-    "draw",
-    "effort",
-    "felt",
-    "pads",
-    "paper",
-    "quick_charger",
-    "quick_motion",
-    "rest",
-    "spread",
-    "virtual_charger",
+    *("docking", "draw", "effort", "felt", "pads", "paper", "parts"),
+    *("quick_charger", "quick_motion", "rest", "spread", "virtual_charger"),
 )
 
 

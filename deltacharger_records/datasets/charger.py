@@ -39,9 +39,9 @@ from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_records.datasets.arm_client import ArmError
 from deltacharger_records.datasets.keeper import TOPICS, Tape
 from deltacharger_records.datasets.machine import RecordingMachine
-from deltacharger_records.recording.mcap_recording import listen
 from deltacharger_ros import qos
 from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.raw_topics import listen
 
 _TICK = 0.02  # s; pace where servo_state does not come
 _ANSWER = 5.0  # s for a service

@@ -22,7 +22,8 @@ import numpy as np
 from deltacharger_records.datasets.dataset import Docking, Settings, dataset
 from deltacharger_records.datasets.plan import Part
 from deltacharger_records.recording.files import forget_unfinished, make_folder, whole
-from deltacharger_records.recording.mcap_recording import McapFile, McapWriter, Raw, RecordingError
+from deltacharger_records.recording.mcap_recording import McapFile, McapWriter, RecordingError
+from deltacharger_ros.raw_topics import Raw
 from deltacharger_tactile.dataset import Dataset
 
 _JOURNAL_VERSION = 1

@@ -19,8 +19,9 @@ from deltacharger_records.datasets.dataset import Docking, Settings
 from deltacharger_records.datasets.journal import Journal
 from deltacharger_records.datasets.machine import NotKept, Touch
 from deltacharger_records.datasets.plan import Part
-from deltacharger_records.recording.mcap_recording import Raw, RecordingError, Topic
+from deltacharger_records.recording.mcap_recording import RecordingError
 from deltacharger_ros import qos
+from deltacharger_ros.raw_topics import Raw, Topic
 
 TOPICS = (
     Topic("tactile_frame", TactileFrame, qos.SENSOR),

@@ -17,9 +17,10 @@ from deltacharger_docking.codes import Code
 from deltacharger_records.recording.docking_topics import ALWAYS, DECISION, STATE
 from deltacharger_records.recording.folder import RecordFolder
 from deltacharger_records.recording.gate import Gate
-from deltacharger_records.recording.mcap_recording import McapStream, Raw
+from deltacharger_records.recording.mcap_recording import McapStream
 from deltacharger_records.recording.session import Seen, Session
 from deltacharger_ros.outcomes import Outcome
+from deltacharger_ros.raw_topics import Raw
 
 ABOUT, RESULT, PARAMETERS, END = "deltacharger", "result", "docking_parameters", "end"
 """Names of the metadata in a record: what recorded it, how each goal ended, what docking decides by, how all ended."""

@@ -20,7 +20,8 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from trajectory_msgs.msg import JointTrajectory
 
-from deltacharger_records.recording.mcap_recording import Topic, type_name
+from deltacharger_records.recording.mcap_recording import type_name
+from deltacharger_ros.raw_topics import Topic
 
 _DEPTH = 500  # a disk that hangs for seconds loses nothing
 _EVERY = QoSProfile(depth=_DEPTH)

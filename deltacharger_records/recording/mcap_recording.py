@@ -9,20 +9,17 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-from rclpy.callback_groups import CallbackGroup
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
-from rclpy.subscription import MessageInfo
 
 from deltacharger_records.recording.files import whole
+from deltacharger_ros.raw_topics import Raw
 
 _SEPARATOR = "=" * 80
 _CHUNK = 2**20  # bytes
@@ -35,52 +32,6 @@ _PLAIN = {"bool", "byte", "char", "string", "wstring", "float32", "float64"} | {
 
 class RecordingError(RuntimeError):
     """A recording cannot be written or read; the message says why and what to do."""
-
-
-class Raw(NamedTuple):
-    """A message as it came.
-
-    Attributes:
-        topic: its name as the topic's owner and reader know it.
-        received: when, ns since 1970.
-        published: when by its publisher, ns since 1970.
-        data: CDR.
-    """
-
-    topic: str
-    received: int
-    published: int
-    data: bytes
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A topic that is recorded: relative name, message class and quality of service."""
-
-    name: str
-    kind: Any
-    qos: Any
-
-
-def listen(node: Node, topics: Sequence[Topic], take: Callable[[Raw], None], group: CallbackGroup | None) -> None:
-    """Call `take` with every message of `topics` from now on, undecoded, from the node's executor.
-
-    Args:
-        node: subscribes.
-        topics: names relative to the node's namespace.
-        take: must be quick.
-        group: of the callbacks; None = the node's own.
-    """
-
-    def taker(topic: str) -> Callable[[Any, MessageInfo], None]:
-        def on_message(data: Any, info: MessageInfo) -> None:
-            take(Raw(topic, time.time_ns(), int(info["source_timestamp"]), bytes(data)))
-
-        return on_message
-
-    for topic in topics:
-        full = node.resolve_topic_name(topic.name)
-        node.create_subscription(topic.kind, topic.name, taker(full), topic.qos, callback_group=group, raw=True)
 
 
 class McapStream:

@@ -25,9 +25,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from deltacharger_core import environment
 from deltacharger_records.recording.docking_topics import STATE, TOPICS
-from deltacharger_records.recording.mcap_recording import RecordingError, Topic
+from deltacharger_records.recording.mcap_recording import RecordingError
 from deltacharger_records.replay.file import CUT_SHORT, Recording, decoded, messages, survey
 from deltacharger_ros import node_support, qos
+from deltacharger_ros.raw_topics import Topic
 
 _COMMANDS = "joint_trajectory"
 _NEWEST = ("servo_state", "charger_power", _COMMANDS)

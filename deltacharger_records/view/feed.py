@@ -16,11 +16,11 @@ from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.recording.docking_topics import DECISION, STATE
 from deltacharger_records.recording.docking_topics import TOPICS as RECORDED
-from deltacharger_records.recording.mcap_recording import Topic
 from deltacharger_records.view.log import ViewLog
 from deltacharger_records.view.pictures import pad_picture
 from deltacharger_ros import qos
 from deltacharger_ros.client import CODES, PHASES
+from deltacharger_ros.raw_topics import Topic
 
 SERVOS, PADS, POWER, FELT, SEEN = (
     "servo_state", "tactile_frame", "charger_power", "misalignment", "electrode_detection",

@@ -15,8 +15,8 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
-from deltacharger_records.recording.mcap_recording import Topic
 from deltacharger_records.view.feed import ViewFeed
+from deltacharger_ros.raw_topics import Topic
 
 
 class Listener:

@@ -7,8 +7,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from deltacharger_records.recording.mcap_recording import McapFile, Raw, RecordingError, Topic, type_name
+from deltacharger_records.recording.mcap_recording import McapFile, RecordingError, type_name
 from deltacharger_records.view.feed import TOPICS, ViewFeed
+from deltacharger_ros.raw_topics import Raw, Topic
 
 
 class OtherRecording(ValueError):

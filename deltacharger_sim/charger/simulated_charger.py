@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scene's simulated hardware: one world behind emulated servos and an emulated board, each on a pseudo-terminal.
+"""The simulated hardware: one world behind emulated servos and an emulated board, each on a pseudo-terminal.
 
 What opens the two ports cannot tell them from the robot's. A socket beside them takes faults to order (fault_channel).
 Nothing here knows ROS.
@@ -21,22 +21,20 @@ from deltacharger_core.environment import domain
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.pseudo_terminal import ByteDevice, PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_scenes.scene import Scene
 from deltacharger_sim.charger.fault_channel import SOCKET, ControlServer, Registration, answer, registered
 from deltacharger_sim.charger.faults import Faults, Hardware
+from deltacharger_sim.charger.simulation import Simulation
 from deltacharger_sim.shared_world import SharedWorld
-from deltacharger_sim.world import World
-from deltacharger_tactile.source import ContactSource
 
 _log = logging.getLogger(__name__)
 _SERVO, _BOARD = "servo", "board"  # names of the ports
 
 
 class SimulatedCharger:
-    """Serve the emulated servo bus and board of a scene until stopped.
+    """Serve the emulated servo bus and board until stopped.
 
     Args:
-        scene: one with the key `simulation`.
+        simulation: what is simulated.
         directory: where the ports appear, as `servo` and `board`, and the socket `control` for faults; None makes a
             temporary one and removes it again.
         namespace: of the charger, under which `deltacharger fault` finds it.
@@ -45,15 +43,10 @@ class SimulatedCharger:
         servo_port: path of the servo bus.
         board_port: path of the board.
         faults: what goes wrong with the hardware; None where it is not running.
-
-    Raises:
-        ValueError: the scene is not a simulated one.
     """
 
-    def __init__(self, scene: Scene, directory: Path | None = None, namespace: str = "") -> None:
-        if scene.simulation is None:
-            raise ValueError(f"scene '{scene.name}' has no key 'simulation': there is nothing to simulate")
-        self._simulation = scene.simulation
+    def __init__(self, simulation: Simulation, directory: Path | None = None, namespace: str = "") -> None:
+        self._simulation = simulation
         self._directory = directory
         self._namespace = namespace
         self._temporary: Path | None = None
@@ -64,7 +57,7 @@ class SimulatedCharger:
         self.faults: Faults | None = None
         self.servo_port = ""
         self.board_port = ""
-        self.world = _build_world(scene)
+        self.world = simulation.build_world()
 
     def start(self) -> SimulatedCharger:
         """Open both ports."""
@@ -170,10 +163,3 @@ class _Tap:
 
     def next_event(self, now: float) -> float:
         return self._device.next_event(now)
-
-
-def _build_world(scene: Scene) -> World:
-    simulation = scene.simulation
-    assert simulation is not None
-    source = ContactSource(None, simulation.rig_seed, simulation.seed)
-    return World(simulation.world, source, simulation.seed, simulation.geometry())

@@ -23,7 +23,7 @@ from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 from ..chargers import Process, wait_until
 from ..sim.test_simulated_charger import answer, ping
 
-SCENE = parse_scene({"nodes": [], "simulation": {}}, "test")
+SIMULATED = parse_scene({"nodes": [], "simulation": {}}, "test").simulation
 
 
 @pytest.fixture(autouse=True)
@@ -35,7 +35,7 @@ def private(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def charger(tmp_path: Path) -> Iterator[SimulatedCharger]:
-    with SimulatedCharger(SCENE, tmp_path / "ports") as charger:
+    with SimulatedCharger(SIMULATED, tmp_path / "ports") as charger:
         yield charger
 
 
@@ -194,7 +194,10 @@ def test_where_nothing_runs_an_order_fails_and_the_list_does_not(
 
 def test_each_namespace_and_each_folder_has_its_own(fault: Callable[..., Said], tmp_path: Path) -> None:
     deep = tmp_path / ("a" * 100) / "ports"  # longer than a socket's address
-    with SimulatedCharger(SCENE, deep, "robot_1") as one, SimulatedCharger(SCENE, tmp_path / "two", "robot_2") as two:
+    with (
+        SimulatedCharger(SIMULATED, deep, "robot_1") as one,
+        SimulatedCharger(SIMULATED, tmp_path / "two", "robot_2") as two,
+    ):
         assert fault("servo_missing", "--servo", "1", "--namespace", "robot_1").code == 0
         assert fault("servo_missing", "--servo", "2", "--directory", str(tmp_path / "two")).code == 0
         assert silent(one.servo_port, 1)
@@ -210,8 +213,8 @@ def test_a_charger_keeps_its_name_until_it_ends_and_nothing_remains_of_it(
     fault: Callable[..., Said], tmp_path: Path
 ) -> None:
     place = registered(int(os.environ["ROS_DOMAIN_ID"]), "")
-    first = SimulatedCharger(SCENE, tmp_path / "one").start()
-    second = SimulatedCharger(SCENE, tmp_path / "two").start()
+    first = SimulatedCharger(SIMULATED, tmp_path / "one").start()
+    second = SimulatedCharger(SIMULATED, tmp_path / "two").start()
     assert fault("servo_missing").code == 0
     assert silent(first.servo_port, 2)
     assert answers(second.servo_port, 2)
@@ -222,7 +225,7 @@ def test_a_charger_keeps_its_name_until_it_ends_and_nothing_remains_of_it(
     assert list((tmp_path / "one").iterdir()) == list((tmp_path / "two").iterdir()) == []
     place.symlink_to(tmp_path / "two" / "control")  # as one that was killed leaves it
     assert fault("--clear").code == 1
-    with SimulatedCharger(SCENE, tmp_path / "two"):
+    with SimulatedCharger(SIMULATED, tmp_path / "two"):
         assert fault("--clear").code == 0
 
 
@@ -251,7 +254,7 @@ def test_the_socket_survives_whoever_does_not_speak_its_language(
 
 def test_a_folder_of_somebody_else_is_not_used(tmp_path: Path, fault: Callable[..., Said]) -> None:
     registered(0, "").parent.symlink_to(tmp_path)  # as somebody might prepare in a folder that all may write
-    with SimulatedCharger(SCENE, tmp_path / "ports") as charger:
+    with SimulatedCharger(SIMULATED, tmp_path / "ports") as charger:
         assert fault("--clear").code == 1
         assert fault("servo_missing", "--directory", str(tmp_path / "ports")).code == 0
         assert silent(charger.servo_port, 2)

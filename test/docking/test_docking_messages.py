@@ -76,7 +76,7 @@ class Rig:
 
     def __init__(self, start: Callable[..., Process], context: Any, namespace: str) -> None:
         scene = load_scene("simulated")
-        self.charger = SimulatedCharger(scene).start()
+        self.charger = SimulatedCharger(scene.simulation).start()
         ports = {"servo": self.charger.servo_port, "board": self.charger.board_port}
         self.nodes: dict[str, Process] = {}
         for name in ("servo_node", "tactile_node", "docking_node"):

@@ -17,10 +17,10 @@ import yaml
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.campaigns import batch, docking
-from deltacharger_lab.campaigns.batch import run_batch
+from deltacharger_lab.campaigns.batch import batches, run_batch
 from deltacharger_lab.campaigns.docking import RESULTS, columns, dock_once
 from deltacharger_lab.campaigns.draw import draw
-from deltacharger_lab.campaigns.runner import batches, run_missing
+from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused
 from deltacharger_lab.campaigns.store import Store, read_results
 from deltacharger_lab.campaigns.summary import summarise, wilson

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_lab.campaigns.draw import build_parts, draw, zero_angle
+from deltacharger_lab.campaigns.draw import draw, zero_angle
 from deltacharger_lab.campaigns.felt import EstimatorErrors
 from deltacharger_lab.campaigns.keys import TAKEN, known_keys
+from deltacharger_lab.campaigns.parts import build_parts
 from deltacharger_lab.campaigns.scene import load_campaign_scene, packaged_campaigns, parse_campaign_scene
 from deltacharger_lab.campaigns.settings import meaning
 from deltacharger_lab.campaigns.spread import Key, read_spread

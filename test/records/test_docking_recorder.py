@@ -33,10 +33,11 @@ pytest.importorskip("mcap", reason="records with deltacharger[record]")
 from deltacharger_docking.codes import Code, State
 from deltacharger_records.recording.docking_recorder import DockingRecorder, gate_for
 from deltacharger_records.recording.folder import PARTIAL, RecordFolder
-from deltacharger_records.recording.mcap_recording import McapStream, Raw
+from deltacharger_records.recording.mcap_recording import McapStream
 from deltacharger_records.recording.session import LOST_AFTER
 from deltacharger_records.replay.record import Replay, replay
 from deltacharger_records.replay.words import why
+from deltacharger_ros.raw_topics import Raw
 
 TILTED = "the target is tilted by 12.6°"
 

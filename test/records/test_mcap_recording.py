@@ -25,15 +25,13 @@ from deltacharger_records.recording.files import forget_unfinished, whole
 from deltacharger_records.recording.mcap_recording import (
     McapFile,
     McapWriter,
-    Raw,
     RecordingError,
-    Topic,
-    listen,
     require_mcap,
     schema_text,
     type_name,
 )
 from deltacharger_ros import qos
+from deltacharger_ros.raw_topics import Raw, Topic, listen
 
 KINDS = {"/a/tactile_frame": TactileFrame, "/a/docking_state": DockingState}
 

@@ -26,10 +26,11 @@ from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_docking.codes import Code
 from deltacharger_records.recording.docking_topics import TOPICS
-from deltacharger_records.recording.mcap_recording import McapWriter, Raw
+from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_records.recording.recording_player_node import RecordingPlayerNode
 from deltacharger_ros import qos
 from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_ros.raw_topics import Raw
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import load_scene
 

@@ -12,7 +12,6 @@ from deltacharger_bringup.cli.scene import describe
 from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import SceneError, Simulation, load_scene, packaged_scenes, parse_scene
-from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.parameters import describe as describe_world
 
@@ -115,7 +114,7 @@ def test_the_geometry_of_the_simulated_arm_is_checked_with_the_scene(tmp_path: P
     scene = load_scene(write(tmp_path, f"simulation: {{geometry_file: {file}}}"))
     assert scene.simulation is not None
     assert scene.simulation.geometry() == load_geometry(file)
-    assert SimulatedCharger(scene).world.geometry == load_geometry(file)
+    assert scene.simulation.build_world().geometry == load_geometry(file)
     file.write_text("arms: 0.101\n")
     with pytest.raises(SceneError, match=r"arm\.yaml: arms: unknown key; did you mean 'arm'"):
         load_scene(write(tmp_path, f"simulation: {{geometry_file: {file}}}"))

@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 import serial
 
-from deltacharger_scenes.scene import Scene, load_scene, parse_scene
+from deltacharger_scenes.scene import parse_scene
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
+from deltacharger_sim.charger.simulation import Simulation
 
 from ..chargers import Process, wait_until
 
@@ -40,8 +41,10 @@ def answer(port: str, servo: int) -> bytes:
         return bytes(line.read(14))
 
 
-def simulated(**simulation: object) -> Scene:
-    return parse_scene({"nodes": [], "simulation": simulation}, "test")
+def simulated(**keys: object) -> Simulation:
+    simulation = parse_scene({"nodes": [], "simulation": keys}, "test").simulation
+    assert simulation is not None
+    return simulation
 
 
 def test_three_servos_and_a_board_answer(tmp_path: Path) -> None:
@@ -63,11 +66,6 @@ def test_without_a_directory_it_makes_and_removes_its_own() -> None:
         folder = Path(charger.servo_port).parent
         assert folder.is_dir()
     assert not folder.exists()
-
-
-def test_a_scene_without_simulation_has_nothing_to_simulate() -> None:
-    with pytest.raises(ValueError, match="simulation"):
-        SimulatedCharger(load_scene("bench"))
 
 
 def test_a_scenes_faults_come_and_go_in_their_time(tmp_path: Path) -> None:

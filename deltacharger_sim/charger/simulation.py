@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a scene says of the simulated charger."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_sim.charger.faults import Fault
+from deltacharger_sim.parameters import Bounded, WorldParameters, number
+from deltacharger_sim.world import World
+from deltacharger_tactile.source import ContactSource
+
+
+@dataclass(frozen=True)
+class Simulation(Bounded):
+    """The simulated charger that takes the hardware's place."""
+
+    seed: int = number(0, 0, 2**31 - 1, "", "course of noise, jitter and faults")
+    rig_seed: int = number(0, 0, 2**31 - 1, "", "which device: gains, offsets, dead taxels, ridges")
+    world: WorldParameters = field(
+        default_factory=WorldParameters, metadata={"doc": "mechanics, contact, magnets, circuit and target"}
+    )
+    faults: tuple[Fault, ...] = field(
+        default=(), metadata={"doc": "what goes wrong with the emulated hardware, and when"}
+    )
+    geometry_file: str = field(
+        default="",
+        metadata={"doc": "YAML file with what the simulated arm's dimensions really are; empty = the usual"},
+    )
+
+    def geometry(self) -> DeltaGeometry:
+        """Return the simulated arm's dimensions.
+
+        Raises:
+            OSError, ValueError: the file cannot be read, or is refused.
+        """
+        return load_geometry(Path(self.geometry_file).expanduser()) if self.geometry_file else DeltaGeometry()
+
+    def build_world(self) -> World:
+        """Return the world behind the ports, with the pads of its rig."""
+        return World(self.world, ContactSource(None, self.rig_seed, self.seed), self.seed, self.geometry())
