@@ -3,7 +3,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 SCENE ?= simulated
 INSTALLED := $(VENV)/.installed
-SOURCES := pyproject.toml setup.py setup.cfg package.xml CMakeLists.txt $(wildcard msg/*.msg srv/*.srv action/*.action)
+SOURCES := pyproject.toml setup.py setup.cfg package.xml CMakeLists.txt \
+  $(wildcard deltacharger_*/__init__.py msg/*.msg srv/*.srv action/*.action)
 COLCON := build/colcon
 NAVIGATION := build/nav2_msgs
 WHEEL := build/wheel

@@ -22,7 +22,7 @@ from deltacharger_lab.pages.parameters import every_node
 
 _EVERY_NODES = ("/parameter_events", "/rosout", "/clock")  # topics that every ROS node has
 _EVERY_NODES_TYPES = ("rcl_interfaces", "type_description_interfaces")  # of services that every ROS node has
-_ROOT = Path(__file__).parents[1]
+_ROOT = Path(__file__).parents[2]
 _FOLDERS = {"msg": "Messages", "srv": "Services", "action": "Actions"}
 _NOTICED = 10.0  # s for a node to notice that somebody wants what it publishes
 _WHILE_HEARD = "kinematics_node"  # subscribes only then; here the recorder hears it all the time

@@ -209,8 +209,8 @@ def test_a_full_disk_ends_recording_and_leaves_what_is_on_it(tmp_path: Path, mon
 _KILLED = """
 import sys, time
 from pathlib import Path
-from bringup.docking_tapes import docking
-from bringup.test_docking_recorder import play, recorder
+from records.docking_tapes import docking
+from records.test_docking_recorder import play, recorder
 recording = recorder(Path(sys.argv[1]))
 now = play(recording, docking(until=5.0))
 print("written", flush=True)
