@@ -94,3 +94,7 @@ def test_every_package_has_its_place() -> None:
     assert {package_of(path) for path in FILES} == set(BELOW)
     order = list(BELOW)
     assert all(order.index(below) < order.index(package) for package in BELOW for below in BELOW[package].split())
+
+
+def test_no_module_is_longer_than_one_idea() -> None:
+    assert not {str(path.relative_to(ROOT)): n for path in FILES if (n := len(path.read_text().splitlines())) > 355}

@@ -7,7 +7,6 @@ says so.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import struct
 import threading
@@ -16,14 +15,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from deltacharger_driver.board.errors import BoardMismatch, CommandRefused
+from deltacharger_driver.board.greeting import check_hello, explain_silence, refuse_servos
 from deltacharger_driver.board.heartbeat import Heartbeat
 from deltacharger_driver.board.payloads import Hello, decode_probe, encode_rate
 from deltacharger_driver.board.port import BoardPort
 from deltacharger_driver.board.protocol import (
-    COLUMNS,
     LONGEST_PING,
-    ROWS,
-    VERSION,
     AckError,
     DecoderCounters,
     Packet,
@@ -34,8 +31,7 @@ from deltacharger_driver.board.protocol import (
 from deltacharger_driver.board.receiver import BoardReceiver
 from deltacharger_driver.board.requests import Request, Requests
 from deltacharger_driver.board.samples import LinkCounters, PowerSample, ProbeResult, TactileSample
-from deltacharger_driver.errors import NoAnswer, PortError, PortGone, WrongDevice
-from deltacharger_driver.port_identity import find_servos
+from deltacharger_driver.errors import NoAnswer, PortGone
 from deltacharger_driver.rate_meter import Lateness
 
 
@@ -114,43 +110,16 @@ class BoardLink:
         except BaseException as error:
             self.close()
             if isinstance(error, NoAnswer | BoardMismatch) and self._decoder.counters.packets == before.packets:
-                self._refuse_servos()
+                refuse_servos(self.port, self.baud_rate)
             raise
-
-    def _refuse_servos(self) -> None:
-        """Say so where servos answer at the port's speed or as from the factory."""
-        with contextlib.suppress(PortError):
-            port = BoardPort(self.port, self.baud_rate)
-            try:
-                found = find_servos(port, dict.fromkeys((self.baud_rate, 57600)), ids=())
-            finally:
-                port.close()
-            if found:
-                raise WrongDevice(self.port, "the board with the pads and the power stage", "the servos")
 
     def _greet(self, before: DecoderCounters) -> Hello:
         try:
             hello = self.hello()
         except NoAnswer as error:
-            raise self._explain(before, error) from error
-        if hello.major != VERSION:
-            raise BoardMismatch(self.port, f"the board speaks version {hello.major}.{hello.minor}")
-        if (hello.rows, hello.columns) != (ROWS, COLUMNS):
-            raise BoardMismatch(self.port, f"the board has {hello.rows} x {hello.columns} taxels per pad")
+            raise explain_silence(self.port, before, self._decoder.counters, error) from error
+        check_hello(self.port, hello)
         return hello
-
-    def _explain(self, before: DecoderCounters, error: NoAnswer) -> Exception:
-        now = self._decoder.counters
-        if now.version_errors > before.version_errors:
-            return BoardMismatch(self.port, f"the board speaks version {now.refused_version}")
-        if now.packets > before.packets:
-            return NoAnswer(f"{self.port}: the board sends but does not hear", error.action, error.timeout)
-        if now.bytes > before.bytes:
-            return BoardMismatch(
-                self.port,
-                f"{now.bytes - before.bytes} bytes came, but no intact packet: wrong baud rate or device",
-            )
-        return error
 
     def close(self) -> None:
         """Stop both threads and release the port; a closed contactor then opens for want of a heartbeat.

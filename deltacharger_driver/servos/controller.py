@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import queue
 import threading
 import time
 from collections import deque
@@ -19,16 +18,15 @@ from collections.abc import Callable
 from deltacharger_driver.errors import DriverError, PortError, PortGone, TrajectoryRefused
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.goals import ServoGoals
+from deltacharger_driver.servos.reconnection import Reconnection
 from deltacharger_driver.servos.report import Phase, ServoMemory, ServoReport, find_faults
-from deltacharger_driver.servos.requests import Contactor, NoContactor, Request
+from deltacharger_driver.servos.requests import Contactor, NoContactor, Request, Requests, wait_until_open
 from deltacharger_driver.servos.restarts import ServoRestarts
 from deltacharger_driver.servos.snapshot import BusSettings, Snapshot
 from deltacharger_driver.servos.trajectory import Trajectory
 
 STOP_TIME = 0.5  # s from "goal := present position" to torque off
 OPENING_TIME = 0.3  # s that torque stays on at most, by request, until the contactor is seen open
-_OPENING_LOOK = 0.005  # s between two looks at the contactor where no cycle does it
-_BACKOFF_FIRST, _BACKOFF_LONGEST = 0.25, 0.5  # s between two attempts to open a port that vanished
 _TRIPS, _TRIPS_WITHIN = 3, 2.0  # so many watchdog trips within so many s are a fault
 
 
@@ -44,8 +42,9 @@ class ServoController:
         contactor: opened before torque goes off.
 
     Attributes:
+        stop_reason: why the servos were stopped last; it and the next may be read from any thread.
+        unasked_stop: why torque went off without being asked for, until it is on again; '' where it did not.
         watchdog_trips: how often the servos stopped because they heard nothing.
-        reconnections: how often a port that vanished was opened again.
     """
 
     def __init__(
@@ -58,7 +57,6 @@ class ServoController:
         contactor: Contactor | None = None,
     ) -> None:
         self.watchdog_trips = 0
-        self.reconnections = 0
         self.bus = ServoBus(settings)
         self._ids = settings.ids
         self._goals = ServoGoals(len(settings.ids), current_bound, torque_constant)
@@ -67,14 +65,11 @@ class ServoController:
         self._contactor = contactor or NoContactor()
         self._phase = Phase.DISCONNECTED
         self._lock = threading.Lock()
-        self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
+        self._requests = Requests()
         self._submitted: tuple[Trajectory, float] | None = None
         self._stop_at = math.inf
-        self._stop_reason = self._unasked_stop = ""
-        self._releasing: list[Request] = []  # wait until the contactor is open, then for torque off
-        self._reopen_at = 0.0
-        self._backoff = _BACKOFF_FIRST
-        self._connection_fault = ""
+        self.stop_reason = self.unasked_stop = ""
+        self._reconnection = Reconnection(self.bus, notify, clock)
         self._restarts = ServoRestarts(self.bus, notify, clock)
         self._trips: deque[float] = deque([-math.inf] * _TRIPS, maxlen=_TRIPS)
         self._snapshot: Snapshot | None = None
@@ -86,24 +81,19 @@ class ServoController:
         return self._phase
 
     @property
-    def stop_reason(self) -> str:
-        """Why the servos were stopped last."""
-        return self._stop_reason
-
-    @property
-    def unasked_stop(self) -> str:
-        """Why torque went off without being asked for, until it is on again; '' where it did not."""
-        return self._unasked_stop
+    def reconnections(self) -> int:
+        """How often a port that vanished was opened again."""
+        return self._reconnection.count
 
     @property
     def is_asked(self) -> bool:
         """Whether the next cycle will serve a request."""
-        return not self._requests.empty()
+        return self._requests.are_there
 
     @property
     def is_releasing(self) -> bool:
         """Whether the torque is about to go off because somebody asked for it."""
-        return bool(self._releasing)
+        return self._requests.are_held
 
     def open(self) -> None:
         """Open the port and set the servos up, torque off.
@@ -122,10 +112,7 @@ class ServoController:
         there is time.
         """
         if self.bus.is_open and self._phase in (Phase.ON, Phase.STOPPING):
-            self._contactor.ask_open()
-            end = time.monotonic() + OPENING_TIME
-            while not self._contactor.is_open() and time.monotonic() < end:
-                time.sleep(_OPENING_LOOK)
+            wait_until_open(self._contactor, OPENING_TIME)
             with contextlib.suppress(DriverError):
                 self.bus.disable_torque()
         self.bus.close()
@@ -145,21 +132,19 @@ class ServoController:
         """
         with self._lock:
             if self._phase is not Phase.ON:
-                reason = f": {self._stop_reason}" if self._phase is Phase.STOPPING else ""
+                reason = f": {self.stop_reason}" if self._phase is Phase.STOPPING else ""
                 raise TrajectoryRefused(f"{self._phase.value}{reason}; call set_torque first")
             self._submitted = trajectory, start
 
     def request(self, action: str) -> Request:
         """Ask for "torque_on", "torque_off" or "reboot"; the servos' thread carries it out and finishes the request."""
-        request = Request(action)
-        self._requests.put(request)
-        return request
+        return self._requests.put(action)
 
     def stop(self, reason: str) -> None:
         """Goal := present position and contactor open now, torque off after `STOP_TIME`; in the servos' thread only."""
         if self._phase is Phase.ON:
             self._begin_stop(reason, STOP_TIME)
-            self._unasked_stop = reason
+            self.unasked_stop = reason
             self._notify("error", f"stopping all servos: {reason}")
 
     def _begin_stop(self, reason: str, seconds: float) -> None:
@@ -167,7 +152,7 @@ class ServoController:
         with self._lock:
             self._phase = Phase.STOPPING
             self._submitted = None
-        self._stop_reason = reason
+        self.stop_reason = reason
         self._stop_at = self._clock() + seconds
         self._goals.hold(self._memory.angles)
         self._contactor.ask_open()
@@ -206,8 +191,7 @@ class ServoController:
     def _stop_on_faults(self, snapshot: Snapshot) -> None:
         """Stop where something stands in the way of moving, and tell the servos in this cycle already."""
         faults = self._faults()
-        known = zip(self._ids, snapshot.valid, snapshot.torque_enabled, strict=True)
-        lost = [servo for servo, valid, torque in known if valid and not torque]
+        lost = snapshot.with_torque(self._ids, False)
         if lost:
             faults.append(f"servo {lost[0]} has switched its torque off by itself")
         if faults:
@@ -217,22 +201,21 @@ class ServoController:
     def _restore(self, snapshot: Snapshot) -> None:
         """Set up again what has restarted; that may be why torque went."""
         for servo in self._restarts.restore(snapshot):
-            if self._unasked_stop:
-                self._unasked_stop += f"; servo {servo} has restarted by itself"
+            if self.unasked_stop:
+                self.unasked_stop += f"; servo {servo} has restarted by itself"
         if self._restarts.is_rebooting:
             self._restarts.look(snapshot, self._faults())
 
     def _keep_off(self, snapshot: Snapshot) -> None:
         """Switch off a servo that did not hear it when it was told, as soon as it answers again."""
-        known = zip(self._ids, snapshot.valid, snapshot.torque_enabled, strict=True)
-        on = [servo for servo, valid, torque in known if valid and torque]
+        on = snapshot.with_torque(self._ids, True)
         if on:
             self._notify("warning", f"servos {on} have torque that nobody ordered; switching it off")
             self.bus.disable_torque()
 
     def _may_let_go(self) -> bool:
         """Whether torque may go off now: its time has come, or it was asked for and the contactor is open."""
-        return self._clock() >= self._stop_at or (bool(self._releasing) and self._contactor.is_open())
+        return self._clock() >= self._stop_at or (self.is_releasing and self._contactor.is_open())
 
     def _advance(self) -> None:
         """Take what was submitted, and the goal and the bounds of this instant."""
@@ -248,15 +231,7 @@ class ServoController:
         if not tripped:
             return
         if self._phase is Phase.ON:
-            self.watchdog_trips += 1
-            now = self._clock()
-            self._trips.append(now)
-            sentence = f"the bus fell silent and servos {tripped} stopped by their watchdog"
-            if now - self._trips[0] < _TRIPS_WITHIN:
-                self.stop(f"{sentence} again and again; this computer is overloaded")
-            else:
-                self._goals.resume_at(self._memory.angles, now)
-                self._notify("warning", f"{sentence}; going on from where they stopped")
+            self._go_on_after_silence(f"the bus fell silent and servos {tripped} stopped by their watchdog")
         try:
             self.bus.restart_watchdogs()
         except PortGone:
@@ -264,36 +239,44 @@ class ServoController:
         except DriverError as error:
             self.stop(f"a tripped watchdog cannot be cleared: {error}")
 
+    def _go_on_after_silence(self, what: str) -> None:
+        self.watchdog_trips += 1
+        now = self._clock()
+        self._trips.append(now)
+        if now - self._trips[0] < _TRIPS_WITHIN:
+            self.stop(f"{what} again and again; this computer is overloaded")
+        else:
+            self._goals.resume_at(self._memory.angles, now)
+            self._notify("warning", f"{what}; going on from where they stopped")
+
     def _faults(self) -> list[str]:
         """Return what stands in the way of moving, by the last snapshot."""
         if self._phase is Phase.DISCONNECTED:
-            return [self._connection_fault or "not connected"]
+            return [self._reconnection.fault]
         return find_faults(self._ids, self._snapshot) if self._snapshot is not None else []
 
     def _serve_requests(self) -> None:
-        while not self._requests.empty():
-            request = self._requests.get_nowait()
+        while request := self._requests.next():
             try:
                 if self._phase is Phase.DISCONNECTED:
-                    request.finish(False, self._connection_fault or "not connected")
+                    request.finish(False, self._reconnection.fault)
                 elif request.action == "torque_on":
                     self._switch_on(request)
                 elif request.action == "torque_off":
                     self._let_go(request)
                 else:
                     self._reboot(request)
-            except PortGone as error:
-                request.finish(False, str(error))
-                raise
             except DriverError as error:
                 request.finish(False, str(error))
+                if isinstance(error, PortGone):
+                    raise
 
     def _switch_on(self, request: Request) -> None:
         if self._phase is Phase.ON:
             request.finish(True, "torque is already on")
             return
         if self._phase is Phase.STOPPING:
-            request.finish(False, f"stopping: {self._stop_reason}")
+            request.finish(False, f"stopping: {self.stop_reason}")
             return
         faults = self._faults()
         if faults or self._restarts.is_rebooting:
@@ -302,7 +285,7 @@ class ServoController:
         snapshot = self.bus.enable_torque(self._goals.default)
         self._memory.learn(snapshot)
         self._goals.begin_at(snapshot.angle)
-        self._unasked_stop = ""
+        self.unasked_stop = ""
         with self._lock:
             self._submitted = None
             self._phase = Phase.ON
@@ -311,7 +294,7 @@ class ServoController:
 
     def _let_go(self, request: Request) -> None:
         """Switch torque off once the contactor is open, or after `OPENING_TIME`."""
-        self._releasing.append(request)
+        self._requests.hold(request)
         if self._phase is Phase.ON:
             self._begin_stop("torque is being switched off on request", OPENING_TIME)
         elif self._phase is Phase.STOPPING:
@@ -333,9 +316,9 @@ class ServoController:
                 self._notify("warning", "torque off; the contactor was not seen open before, check tactile_node")
             elif was is not Phase.OFF:
                 self._notify("info", "torque off")
-        for request in self._releasing:
-            request.finish(True, "torque is off" + ("; the contactor was not seen open before" if unseen else ""))
-        self._releasing.clear()
+        self._requests.finish_held(
+            True, "torque is off" + ("; the contactor was not seen open before" if unseen else "")
+        )
 
     def _reboot(self, request: Request) -> None:
         if self._phase is Phase.OFF:
@@ -344,45 +327,24 @@ class ServoController:
             request.finish(False, f"{self._phase.value}; call set_torque with false first")
 
     def _reopen(self) -> None:
-        now = self._clock()
-        if now < self._reopen_at:
-            return
-        try:
-            self.bus.open(scan=False)
-        except DriverError as error:
-            self._backoff = min(2.0 * self._backoff, _BACKOFF_LONGEST)
-            self._reopen_at = self._clock() + self._backoff
-            if str(error) != self._connection_fault:
-                self._connection_fault = str(error)
-                self._notify("error", str(error))
-            return
-        self._phase = Phase.OFF
-        self._connection_fault = ""
-        self._backoff = _BACKOFF_FIRST
-        self.reconnections += 1
-        self._notify("info", "connected again; torque is off")
+        if self._reconnection.attempt():
+            self._phase = Phase.OFF
+            self._notify("info", "connected again; torque is off")
 
     def _disconnect(self, error: PortError) -> None:
         self.bus.close()
         if self._phase in (Phase.ON, Phase.STOPPING):
-            self._unasked_stop = str(error)
+            self.unasked_stop = str(error)
             self._contactor.ask_open()
         with self._lock:
             self._phase = Phase.DISCONNECTED
             self._submitted = None
         self._snapshot = None
-        self._connection_fault = str(error)
-        self._backoff = _BACKOFF_FIRST
-        self._reopen_at = self._clock() + self._backoff
+        self._reconnection.lost(error)
         self._memory.forget()
         self._refuse_all(str(error))
         self._notify("error", str(error))
 
     def _refuse_all(self, reason: str) -> None:
         self._restarts.refuse(reason)
-        for request in self._releasing:
-            request.finish(False, reason)
-        self._releasing.clear()
-        with contextlib.suppress(queue.Empty):
-            while True:
-                self._requests.get_nowait().finish(False, reason)
+        self._requests.refuse_all(reason)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -178,3 +179,8 @@ class Snapshot(NamedTuple):
     def complete(self) -> bool:
         """Whether every servo gave a good reply."""
         return all(self.valid)
+
+    def with_torque(self, ids: Sequence[int], on: bool) -> list[int]:
+        """Return which of the servos `ids` answered that their torque is on, or off."""
+        known = zip(ids, self.valid, self.torque_enabled, strict=True)
+        return [servo for servo, valid, torque in known if valid and torque == on]

@@ -29,6 +29,7 @@ from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import Mount, Place
 from deltacharger_mission.ros import messages as io
+from deltacharger_mission.ros.others import Others
 from deltacharger_ros import node_support
 
 GoalHandle = ServerGoalHandle[Any, Any, Any]
@@ -125,7 +126,7 @@ class MissionNode(Node):
         self._drives = navigate_to_pose is not None
         home = Place(settings.home_x, settings.home_y, settings.home_yaw, map_frame) if self._drives else None
         self._machine = MissionMachine(settings, mount, home)
-        self._others = io.Others(self, navigate_to_pose, trees)
+        self._others = Others(self, navigate_to_pose, trees)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._lock = threading.RLock()
         self._mission: _Mission | None = None

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who is on the port: the board's introduction checked, and its silence explained."""
+
+from __future__ import annotations
+
+import contextlib
+
+from deltacharger_driver.board.errors import BoardMismatch
+from deltacharger_driver.board.payloads import Hello
+from deltacharger_driver.board.port import BoardPort
+from deltacharger_driver.board.protocol import COLUMNS, ROWS, VERSION, DecoderCounters
+from deltacharger_driver.errors import NoAnswer, PortError, WrongDevice
+from deltacharger_driver.port_identity import find_servos
+
+
+def check_hello(port: str, hello: Hello) -> None:
+    """Refuse a board of another kind.
+
+    Raises:
+        BoardMismatch: it speaks another version or has other arrays.
+    """
+    if hello.major != VERSION:
+        raise BoardMismatch(port, f"the board speaks version {hello.major}.{hello.minor}")
+    if (hello.rows, hello.columns) != (ROWS, COLUMNS):
+        raise BoardMismatch(port, f"the board has {hello.rows} x {hello.columns} taxels per pad")
+
+
+def explain_silence(port: str, before: DecoderCounters, now: DecoderCounters, error: NoAnswer) -> Exception:
+    """Return what the bytes that came since `before` say about a board that did not answer."""
+    if now.version_errors > before.version_errors:
+        return BoardMismatch(port, f"the board speaks version {now.refused_version}")
+    if now.packets > before.packets:
+        return NoAnswer(f"{port}: the board sends but does not hear", error.action, error.timeout)
+    if now.bytes > before.bytes:
+        count = now.bytes - before.bytes
+        return BoardMismatch(port, f"{count} bytes came, but no intact packet: wrong baud rate or device")
+    return error
+
+
+def refuse_servos(port: str, baud_rate: int) -> None:
+    """Look for servos at the port's speed and as from the factory.
+
+    Raises:
+        WrongDevice: they answer.
+    """
+    with contextlib.suppress(PortError):
+        opened = BoardPort(port, baud_rate)
+        try:
+            found = find_servos(opened, dict.fromkeys((baud_rate, 57600)), ids=())
+        finally:
+            opened.close()
+        if found:
+            raise WrongDevice(port, "the board with the pads and the power stage", "the servos")

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A servo port that vanished is opened again, sooner at first, and why it is not there is told once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from deltacharger_driver.errors import DriverError
+from deltacharger_driver.servos.bus import ServoBus
+
+_FIRST, _LONGEST = 0.25, 0.5  # s between two attempts
+
+
+class Reconnection:
+    """Opens a bus again.
+
+    Args:
+        bus: to open.
+        notify: called with (severity, sentence) where the reason changes.
+        clock: monotonic time, s.
+
+    Attributes:
+        fault: why it is not connected.
+        count: how often it was opened again.
+    """
+
+    def __init__(self, bus: ServoBus, notify: Callable[[str, str], None], clock: Callable[[], float]) -> None:
+        self._bus = bus
+        self._notify = notify
+        self._clock = clock
+        self._pause = _FIRST
+        self._next = 0.0
+        self.fault = "not connected"
+        self.count = 0
+
+    def lost(self, error: Exception) -> None:
+        """Begin anew: the port has just vanished."""
+        self.fault = str(error)
+        self._pause = _FIRST
+        self._next = self._clock() + self._pause
+
+    def attempt(self) -> bool:
+        """Open the bus where it is time to; return whether it is open now."""
+        if self._clock() < self._next:
+            return False
+        try:
+            self._bus.open(scan=False)
+        except DriverError as error:
+            self._pause = min(2.0 * self._pause, _LONGEST)
+            self._next = self._clock() + self._pause
+            if str(error) != self.fault:
+                self.fault = str(error)
+                self._notify("error", self.fault)
+            return False
+        self._pause = _FIRST
+        self.count += 1
+        return True

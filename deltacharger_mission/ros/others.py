@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the mission asks of other nodes: their actions, the detector, and docking's state."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from deltacharger.action import Dock, Undock
+from deltacharger.msg import DockingState
+from deltacharger.srv import DetectElectrodes
+from rclpy.action.client import ActionClient
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from deltacharger_docking.codes import State
+from deltacharger_docking.ros.messages import duration
+from deltacharger_mission.dialogue import Docking, End, Observation, Reply, Request, Task
+from deltacharger_mission.ros.messages import fill_pose, read_dock, read_drive, read_undock, unknown_dock, vector
+
+_LOST_AFTER = 5.0  # s without a server in the graph before what it served counts as lost
+_ENDS = {
+    GoalStatus.STATUS_SUCCEEDED: End.DONE,
+    GoalStatus.STATUS_CANCELED: End.CANCELED,
+    GoalStatus.STATUS_ABORTED: End.FAILED,
+}
+
+Put = Callable[[Reply], None]
+
+
+class _Call:
+    """One goal on its way; callbacks fill it, the node's loop looks at it."""
+
+    def __init__(self, number: int, goal: Any) -> None:
+        self.number = number
+        self.goal = goal
+        self.sent = self.unwanted = self.cancel_sent = False
+        self.handle: Any = None
+        self.heard: Any = None  # latest feedback
+        self.lost_since = math.inf
+
+
+class ActionCaller:
+    """Sends one goal at a time to an action and tells its end; a server that is not there yet is waited for.
+
+    Args:
+        node: that it belongs to.
+        kind: the action.
+        name: its name.
+        group: of the callbacks.
+        put: takes the reply.
+        read: makes the reply of number, end, result message and latest feedback.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        kind: Any,
+        name: str,
+        group: ReentrantCallbackGroup,
+        put: Put,
+        read: Callable[[int, End, Any, Any], Reply],
+    ) -> None:
+        self._client: ActionClient[Any, Any, Any] = ActionClient(node, kind, name, callback_group=group)
+        self._put = put
+        self._read = read
+        self._lock = threading.RLock()
+        self._calls: dict[int, _Call] = {}
+
+    @property
+    def is_served(self) -> bool:
+        """Whether somebody serves the action now."""
+        return bool(self._client.server_is_ready())
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether every goal has ended or heard that it is called off."""
+        with self._lock:
+            return all(call.cancel_sent for call in self._calls.values())
+
+    def send(self, number: int, goal: Any) -> None:
+        """Take a goal; it leaves with `tick`."""
+        with self._lock:
+            self._calls[number] = _Call(number, goal)
+
+    def cancel(self, number: int) -> None:
+        """Call a goal off: now, or as soon as its server has taken it."""
+        with self._lock:
+            call = self._calls.get(number)
+            if call is not None:
+                call.unwanted = True
+                self._cancel(call)
+
+    def tick(self) -> None:
+        """Send what waits, and notice servers that went away."""
+        now, served = time.monotonic(), self.is_served
+        with self._lock:
+            for call in list(self._calls.values()):
+                if not call.sent:
+                    if call.unwanted:
+                        self._end(call, End.CANCELED)
+                    elif served:
+                        self._send(call)
+                    continue
+                call.lost_since = math.inf if served else min(call.lost_since, now)
+                if now - call.lost_since > _LOST_AFTER:
+                    self._end(call, End.LOST)
+
+    def destroy(self) -> None:
+        """Release the ROS side."""
+        self._client.destroy()
+
+    def _send(self, call: _Call) -> None:
+        call.sent = True
+
+        def on_feedback(message: Any) -> None:
+            call.heard = message.feedback
+
+        sent = self._client.send_goal_async(call.goal, feedback_callback=on_feedback)
+        sent.add_done_callback(lambda future: self._on_response(call, future))
+
+    def _on_response(self, call: _Call, future: Any) -> None:
+        handle = _value(future)
+        with self._lock:
+            if handle is None or not handle.accepted:
+                self._end(call, End.REFUSED)
+                return
+            call.handle = handle
+            handle.get_result_async().add_done_callback(lambda done: self._on_result(call, done))
+            if call.unwanted:  # also one that was given up long ago: nobody watches over it any more
+                self._cancel(call)
+
+    def _on_result(self, call: _Call, future: Any) -> None:
+        answer = _value(future)
+        with self._lock:
+            if answer is None:
+                self._end(call, End.LOST)
+            else:
+                self._end(call, _ENDS.get(answer.status, End.FAILED), answer.result)
+
+    def _cancel(self, call: _Call) -> None:
+        if call.handle is not None and not call.cancel_sent:
+            call.cancel_sent = True
+            call.handle.cancel_goal_async()
+
+    def _end(self, call: _Call, end: End, result: Any = None) -> None:
+        if self._calls.pop(call.number, None) is not None:
+            self._put(self._read(call.number, end, result, call.heard))
+
+
+class Detector:
+    """Calls detect_electrodes, as `ActionCaller` does an action."""
+
+    def __init__(self, node: Node, group: ReentrantCallbackGroup, put: Put) -> None:
+        self._client: Any = node.create_client(DetectElectrodes, "detect_electrodes", callback_group=group)
+        self._put = put
+
+    @property
+    def is_served(self) -> bool:
+        """Whether somebody serves it now."""
+        return bool(self._client.service_is_ready())
+
+    def send(self, number: int, timeout: float) -> None:
+        """Let the camera look for so long (s)."""
+        if not self.is_served:
+            self._put(Reply(number, End.LOST))
+            return
+        future = self._client.call_async(DetectElectrodes.Request(timeout=duration(timeout)))
+        future.add_done_callback(lambda done: self._on_answer(number, done))
+
+    def _on_answer(self, number: int, future: Any) -> None:
+        answer = _value(future)
+        if answer is None:
+            self._put(Reply(number, End.LOST))
+        elif answer.success:
+            self._put(Reply(number, End.DONE, electrodes=vector(answer.detection.pose.pose.position)))
+        else:
+            self._put(Reply(number, End.FAILED, message=answer.message))
+
+
+class Others:
+    """All that a mission asks of other nodes, and what they say.
+
+    Args:
+        node: that it belongs to.
+        navigate_to_pose: the action of that name; None where nobody drives.
+        trees: behaviour trees for a drive and for a small move near the target; empty = the navigator's own.
+    """
+
+    def __init__(self, node: Node, navigate_to_pose: Any, trees: tuple[str, str]) -> None:
+        group = ReentrantCallbackGroup()
+        self._navigate_to_pose = navigate_to_pose
+        self._trees = trees
+        self._lock = threading.Lock()
+        self._replies: list[Reply] = []
+        self._docking: Docking | None = None
+        self.dock_result = unknown_dock()
+        self._detector = Detector(node, group, self._put)
+        self._callers = {
+            Task.DOCK: ActionCaller(node, Dock, "dock", group, self._put, self._read_dock),
+            Task.UNDOCK: ActionCaller(node, Undock, "undock", group, self._put, read_undock),
+        }
+        if navigate_to_pose is not None:
+            self._callers[Task.DRIVE] = ActionCaller(
+                node, navigate_to_pose, "navigate_to_pose", group, self._put, read_drive
+            )
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node.create_subscription(DockingState, "docking_state", self._on_state, latched, callback_group=group)
+
+    @property
+    def is_at_work(self) -> bool:
+        """Whether something was not told yet that it is called off, or current still flows."""
+        charging = self._docking is not None and self._docking.charging
+        return charging or not all(caller.is_settled for caller in self._callers.values())
+
+    def observe(self) -> Observation:
+        """Return what is known now; every reply is told once."""
+        for caller in self._callers.values():
+            caller.tick()
+        served = {task for task, caller in self._callers.items() if caller.is_served}
+        if self._detector.is_served:
+            served.add(Task.DETECT)
+        with self._lock:
+            replies, self._replies = tuple(self._replies), []
+        return Observation(time.monotonic(), frozenset(served), self._docking, replies)
+
+    def carry_out(self, request: Request) -> None:
+        """Send a request."""
+        if request.task is Task.DETECT:
+            self._detector.send(request.number, request.timeout)
+        else:
+            self._callers[request.task].send(request.number, self._message(request))
+
+    def cancel(self, number: int) -> None:
+        """Call a request off."""
+        for caller in self._callers.values():
+            caller.cancel(number)
+
+    def destroy(self) -> None:
+        """Release the ROS side."""
+        for caller in self._callers.values():
+            caller.destroy()
+
+    def _message(self, request: Request) -> Any:
+        if request.task is Task.UNDOCK:
+            return Undock.Goal()
+        if request.task is Task.DOCK:
+            assert request.goal is not None
+            self.dock_result = unknown_dock()
+            return Dock.Goal(  # an empty frame_id: docking asks the camera once more, at rest and close by
+                hold=True,
+                stop_energy=request.goal.stop_energy,
+                stop_after=duration(request.goal.stop_after),
+                request_id=request.goal.request_id,
+            )
+        assert request.place is not None
+        goal = self._navigate_to_pose.Goal(behavior_tree=self._trees[request.precise])
+        fill_pose(goal.pose, request.place)  # stamp 0: the newest transform that there is
+        return goal
+
+    def _put(self, reply: Reply) -> None:
+        with self._lock:
+            self._replies.append(reply)
+
+    def _on_state(self, message: DockingState) -> None:
+        self._docking = Docking(State(message.state), message.docked, message.charging)
+
+    def _read_dock(self, number: int, end: End, result: Any, heard: Any) -> Reply:
+        if result is not None:
+            self.dock_result = result
+        return read_dock(number, end, result)
+
+
+def _value(future: Any) -> Any:
+    """Return a future's result; None where it failed, as it does when a node is shut down meanwhile."""
+    return None if future.exception() is not None else future.result()
