@@ -13,15 +13,25 @@ WHEEL := build/wheel
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_DOMAIN_ID ?= 87
 
-.PHONY: dock test check lint types colcon wheel trainers navigation optional bench clean
+PYTEST := $(BIN)/python -m pytest
+SIDE_BY_SIDE := -n 2 --dist loadfile
+
+.PHONY: dock test test-rest test-all check lint types colcon wheel trainers navigation optional bench clean
 
 dock: $(INSTALLED)  ## dock in simulation and draw the run
 	$(BIN)/deltacharger dock --scene $(SCENE) --picture dock.png
 
-test: $(INSTALLED)  ## every test
-	$(BIN)/python -m pytest
+test: $(INSTALLED)  ## what a change needs, in 10 minutes on two cores; what is judged by real time runs alone
+	$(PYTEST) $(SIDE_BY_SIDE) -m 'not slow and not realtime'
+	$(PYTEST) -m 'not slow and realtime'
 
-check: lint types test  ## what CI runs, but the colcon build and the wheel
+test-rest: $(INSTALLED)  ## what `make test` leaves out
+	$(PYTEST) $(SIDE_BY_SIDE) -m 'slow and not realtime'
+	$(PYTEST) -m 'slow and realtime'
+
+test-all: test test-rest  ## every test, in 30 minutes
+
+check: lint types test  ## what a change needs; `.ci/run` adds the rest
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .

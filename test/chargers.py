@@ -19,8 +19,9 @@ import pytest
 from deltacharger_core import environment
 from deltacharger_scenes.scene import Scene, load_scene
 
-os.environ.setdefault("ROS_DOMAIN_ID", "88")
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+from .workers import stay_apart
+
+stay_apart()
 environment.prepare()
 
 DEADLINE = 60.0  # s; far longer than anything takes, so that a loaded machine fails no test

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
+from typing import Any
 
 import pytest
 from _pytest.runner import runtestprotocol
@@ -37,8 +38,15 @@ class StallWatch:
     def pytest_sessionstart(self) -> None:
         self._thread.start()
 
-    def pytest_sessionfinish(self) -> None:
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
         self._end.set()
+        if hasattr(session.config, "workeroutput"):  # of a worker, which has no terminal
+            session.config.workeroutput["repeated"] = self._repeated
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any) -> None:
+        """Take over what a worker repeated."""
+        self._repeated += getattr(node, "workeroutput", {}).get("repeated", [])
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: pytest.Item, nextitem: pytest.Item | None) -> bool:

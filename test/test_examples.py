@@ -15,6 +15,8 @@ import pytest
 
 from deltacharger_core.environment import LARGEST_DOMAIN
 
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 DEADLINE = 110.0  # s; far longer than any takes, and inside of the suite's own limit
 _domains = itertools.count(os.getpid())

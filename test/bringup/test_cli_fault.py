@@ -23,6 +23,8 @@ from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 from ..chargers import Process, wait_until
 from ..sim.test_simulated_charger import answer, ping
 
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
 SIMULATED = parse_scene({"nodes": [], "simulation": {}}, "test").simulation
 
 

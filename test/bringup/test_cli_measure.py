@@ -22,6 +22,8 @@ from deltacharger_kinematics.calibration.plan import Pose, write_plan
 
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
 
+pytestmark = pytest.mark.ros
+
 NOMINAL = DeltaGeometry()
 MEASURE = ("calibrate", "kinematics")
 

@@ -34,6 +34,8 @@ from deltacharger_vision.rendering.camera import OAK_D
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
 from ..vision.hand_eye_rig import ARM, Rig, squared
 
+pytestmark = pytest.mark.ros
+
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 SCENE = """

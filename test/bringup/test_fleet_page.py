@@ -24,6 +24,8 @@ from deltacharger_scenes.scene import parse_scene
 from ..chargers import Process
 from ..docking.mock_docking import MockDocking
 
+pytestmark = pytest.mark.ros
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "fleet.md").read_text(encoding="utf-8")
 CLIENT = ROOT / "examples" / "charge_robot.py"

@@ -13,6 +13,8 @@ import pytest
 
 from ..chargers import Process
 
+pytestmark = pytest.mark.ros
+
 
 def up(start: Callable[..., Process], deltacharger: tuple[str, ...], scene: Path, namespace: str) -> Process:
     process = start(*deltacharger, "up", "--scene", str(scene), "--namespace", namespace)

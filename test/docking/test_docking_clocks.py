@@ -23,6 +23,8 @@ from deltacharger_scenes.scene import Scene
 from ..chargers import wait_until
 from .hostile import Hostile
 
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
 JUMPS = [-3600.0, -1.0, 1.0, 3600.0]
 STALE = {"SERVO_FAULT", "TACTILE_STALE", "POWER_STALE", "ESTIMATE_UNSURE"}
 _TICK = 0.01  # s

@@ -28,6 +28,8 @@ from deltacharger_scenes.scene import Scene
 from ..chargers import DEADLINE, new_namespace, wait_until
 from ..records.docking_tapes import patient
 
+pytestmark = pytest.mark.ros
+
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 states = st.sampled_from(list(State))
 

@@ -31,6 +31,8 @@ from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
 from ..chargers import DEADLINE, Process, wait_until
 
+pytestmark = pytest.mark.ros
+
 SPEED = 0.02  # m/s; the way to the standoff then takes 5 s, of which most is left when the sender is struck
 STRUCK_AT = 0.015  # m
 

@@ -22,6 +22,8 @@ from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, new_namespace, wait_until
 
+pytestmark = pytest.mark.ros
+
 PLACE = Pose(0.0, 0.0, 0.080)
 MOCKS = ("mock_servo_node", "mock_tactile_node", "mock_detector_node")
 

@@ -17,6 +17,8 @@ from deltacharger_ros.node_support import Spinner
 
 from ..chargers import wait_until
 
+pytestmark = pytest.mark.ros
+
 
 @pytest.fixture
 def node(context: Any, namespace: str) -> Iterator[Node]:

@@ -24,6 +24,8 @@ from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, new_namespace, wait_until
 
+pytestmark = pytest.mark.ros
+
 PLACE = DockRequest(Pose(0.0, 0.0, 0.080))
 NAN, INF, HUGE = math.nan, math.inf, 1e308
 EARLY = ("REJECTED", "UNREACHABLE", "CRITICAL_ANGLE")

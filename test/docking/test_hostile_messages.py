@@ -22,6 +22,8 @@ from deltacharger_scenes.scene import Scene
 from ..chargers import wait_until
 from .hostile import Defects, Distortion, Hostile
 
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
 NAN, INF = math.nan, math.inf
 SERVO, PADS, POWER = "servo_state", "tactile_frame", "charger_power"
 OPENS = 0.35 + 0.65  # s: the limit, and what a busy machine and ten times as patient parameters of the mocks' scene add

@@ -98,6 +98,7 @@ def test_the_guarded_approach_rests_in_the_band_whatever_the_stiffness_and_depth
     assert 0.4 <= outcome.contact_current <= 0.5
 
 
+@pytest.mark.slow
 def test_paper_steps_overshoot_the_band_on_a_stiff_arm_and_guarded_ones_do_not() -> None:
     resting = {"paper": [], "guarded": []}
     for approach, found in resting.items():

@@ -25,6 +25,8 @@ from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.errors import NoAnswer, PortBusy, PortDenied, PortGone, PortMissing
 
+pytestmark = pytest.mark.realtime
+
 
 def wait_for(condition: Callable[[], object], timeout: float = 3.0) -> None:
     deadline = time.monotonic() + timeout

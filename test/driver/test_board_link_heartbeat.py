@@ -6,11 +6,15 @@ from __future__ import annotations
 import math
 import time
 
+import pytest
+
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 
 from .servo_bench import until
+
+pytestmark = pytest.mark.realtime
 
 
 def test_how_late_heartbeats_were_is_told_while_there_is_a_connection(board: BoardEmulator) -> None:

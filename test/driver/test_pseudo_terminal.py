@@ -17,6 +17,8 @@ from deltacharger_driver.emulators.pads import EmulatedPads
 from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal, terminal_speed
 from deltacharger_tactile.source import ContactSource
 
+pytestmark = pytest.mark.realtime
+
 
 class Echo:
     """Answers what it hears and counts how often it was let work."""

@@ -18,6 +18,8 @@ from deltacharger_driver.servos.snapshot import BusSettings
 
 from .servo_bench import BOUND, OVERLOAD, until
 
+pytestmark = pytest.mark.realtime
+
 
 def test_torque_goes_on_where_the_arm_is(bus: ServoBus, arm: BenchArm, emulator: ServoBusEmulator) -> None:
     emulator.servo(1).table.set("goal_position", 3000)

@@ -19,6 +19,8 @@ from deltacharger_driver.servos.snapshot import BusSettings
 from .servo_bench import OVERLOAD
 from .servo_rig import DEFAULT, START, Rig
 
+pytestmark = pytest.mark.realtime
+
 
 def test_it_starts_without_torque_and_reports_everything(rig: Rig) -> None:
     report = rig.cycle()

@@ -15,6 +15,8 @@ from deltacharger_driver.servos.trajectory import Waypoint, check
 
 from .servo_rig import DEFAULT, LIMITS, NAMES, START, Rig
 
+pytestmark = pytest.mark.realtime
+
 
 def test_a_trajectory_without_torque_is_refused(rig: Rig) -> None:
     rig.cycle()

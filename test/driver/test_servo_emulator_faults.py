@@ -27,6 +27,8 @@ from deltacharger_driver.servos.snapshot import BusSettings
 from .servo_bench import OVERLOAD
 from .servo_host import Host, parse, words
 
+pytestmark = pytest.mark.realtime
+
 
 def test_a_latched_error_takes_the_torque_and_only_a_reboot_clears_it(host: Host) -> None:
     host.write(1, "operating_mode", 5)

@@ -14,6 +14,8 @@ from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortBusy, PortDenied, PortError, PortMissing
 from deltacharger_driver.servos.link import ServoLink
 
+pytestmark = pytest.mark.realtime
+
 
 def test_a_second_program_finds_the_port_busy(terminal: PseudoTerminal, link: ServoLink) -> None:
     with pytest.raises(PortBusy, match="in use"):

@@ -35,6 +35,8 @@ from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK, TORQUE_CONSTANT
 from deltacharger_driver.servos.servo_node import JOINTS, ServoNode
 from deltacharger_ros.node_support import Spinner, StartupError
 
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
 START = (-0.7, -0.5, 0.2)
 VOLTAGE, OVERLOAD = 1 << 0, 1 << 5  # the former does not make the servo let go by itself
 DOMAIN = 1 + os.getpid() % 200  # so that nothing else on this machine answers

@@ -32,6 +32,8 @@ from deltacharger_driver.servos.port import ServoPort
 from deltacharger_driver.servos.protocol import ServoProtocol, crc16, sync_write_packet
 from deltacharger_driver.servos.snapshot import BusSettings
 
+pytestmark = pytest.mark.realtime
+
 POSITION = REGISTERS["present_position"].address
 SPARE = 650  # indirect data that nothing maps: plain memory
 STUFFING = bytes.fromhex("fffffd01fffdfd00")

@@ -17,6 +17,8 @@ from deltacharger_driver.servos.control_table import ControlTable
 from deltacharger_driver.servos.mx64 import TICK
 from deltacharger_driver.servos.snapshot import BusSettings
 
+pytestmark = pytest.mark.realtime
+
 
 def test_after_opening_torque_is_off_and_every_register_is_as_it_should(
     bus: ServoBus, emulator: ServoBusEmulator

@@ -18,6 +18,8 @@ from deltacharger_driver.servos.snapshot import READ_LENGTH, decode_block, has_r
 
 from .servo_bench import until
 
+pytestmark = pytest.mark.realtime
+
 GOOD_BLOCK = (1, 0, -119, 5, 2048, 120, 30, 6, 2, 0)
 
 

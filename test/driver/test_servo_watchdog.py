@@ -10,6 +10,8 @@ from deltacharger_driver.servos.mx64 import TICK
 
 from .servo_host import Host
 
+pytestmark = pytest.mark.realtime
+
 
 def test_the_watchdog_watches_only_while_torque_is_on(host: Host) -> None:
     host.write(1, "bus_watchdog", 6)

@@ -36,6 +36,8 @@ from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_ros.node_support import Spinner, StartupError
 
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
 _domains = itertools.count(os.getpid() % 50 * 4)
 
 

@@ -17,6 +17,8 @@ from deltacharger_driver.board.protocol import Fault
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_driver.errors import PortGone
 
+pytestmark = pytest.mark.realtime
+
 
 def wait_for(condition: Callable[[], object], timeout: float = 3.0) -> None:
     deadline = time.monotonic() + timeout

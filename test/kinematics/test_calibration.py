@@ -77,6 +77,7 @@ def test_the_derivatives_are_those_of_the_geometry() -> None:
     assert np.allclose(Problem(rows, NOMINAL, STATED).sensitivity(x), expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_what_a_calibration_wins() -> None:
     """Trial figures of the design note: 2.37 mm uncalibrated, 0.71 with angle offsets only, 0.048 with 18 numbers."""
     arms = [drawn_arm(seed) for seed in range(8)]

@@ -31,6 +31,8 @@ from deltacharger_ros.node_support import Spinner, StartupError
 
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
 
+pytestmark = pytest.mark.ros
+
 DELTA = ScalarDelta()
 
 

@@ -31,7 +31,11 @@ from deltacharger_scenes.scene import load_scene, packaged_scenes
 
 from ..chargers import DEADLINE, wait_until
 
-pytestmark = pytest.mark.skipif(bool(footprint_process.unsupported()), reason="only Linux tells what a process uses")
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.realtime,
+    pytest.mark.skipif(bool(footprint_process.unsupported()), reason="only Linux tells what a process uses"),
+]
 MEGA = 1_000_000
 PAUSE = "\nimport sys\nprint('ready', flush=True)\nsys.stdin.read()"
 

@@ -109,6 +109,7 @@ def test_with_nothing_that_trains_it_says_what_to_install(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_an_interruption_ends_it_without_a_traceback(tmp_path: Path) -> None:
     pytest.importorskip("sklearn", reason="measures with deltacharger[train]")
     running = subprocess.Popen(

@@ -34,6 +34,8 @@ from deltacharger_scenes.yaml_text import read_yaml
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
 from ..docking.mock_docking import MockDocking
 
+pytestmark = pytest.mark.ros
+
 WITHOUT_NAVIGATION = "nav2_msgs is not installed: it comes with Nav2, or `make navigation` builds a stand-in"
 HOME = Place(-1.0, 0.0, 0.0)
 REAL = Path(__file__).with_name("mission.yaml")

@@ -33,6 +33,8 @@ from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
 from deltacharger_scenes.with_recorder import RECORDER, recorder_alone, with_recorder
 
+pytestmark = pytest.mark.ros
+
 PLACE = Pose(0.0, 0.0, 0.080)
 
 

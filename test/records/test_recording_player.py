@@ -36,6 +36,8 @@ from deltacharger_scenes.scene import load_scene
 
 from .docking_tapes import KINDS, decision, docking, in_order, raw, refused, write
 
+pytestmark = pytest.mark.ros
+
 PLAYER = "recording_player_node"
 ZSTANDARD = b"\x28\xb5\x2f\xfd"  # begins a compressed piece
 AGE = 5_000_000  # ns between the sampling of what is recorded here and its arrival

@@ -32,6 +32,8 @@ from deltacharger_sim.world import World
 from deltacharger_tactile import default_model
 from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_POSITION, Dataset
 
+pytestmark = pytest.mark.ros
+
 QUICK = {
     "standoff": 0.006,
     "search_depth": 0.005,
@@ -121,6 +123,7 @@ def complete(record: Recorder, *words: str) -> dict[str, Any]:
     raise AssertionError("servo faults in every call")
 
 
+@pytest.mark.slow
 def test_the_papers_sets_go_into_one_file_whose_offsets_the_estimator_feels(
     record: Recorder, charger: Charger, tmp_path: Path
 ) -> None:
@@ -199,6 +202,7 @@ def _full(path: Path, ending: str) -> str:
     return next(channel.topic for channel in summary.channels.values() if channel.topic.endswith(ending))
 
 
+@pytest.mark.slow
 def test_a_kill_loses_nothing_that_was_reported_and_the_same_call_goes_on(
     record: Recorder, charger: Charger, tmp_path: Path
 ) -> None:
@@ -253,6 +257,7 @@ def test_a_docking_that_begins_meanwhile_keeps_arm_and_torque(record: Recorder, 
     charger.assert_safe()
 
 
+@pytest.mark.slow
 def test_a_silence_of_the_pads_is_tried_again_and_given_up_where_it_lasts(record: Recorder, charger: Charger) -> None:
     process = record("--set", "reference", "--repeat", "2")
     process.wait_for_line("1 of 2", process.err)

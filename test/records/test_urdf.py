@@ -24,6 +24,8 @@ from deltacharger_vision.terminal import Terminal
 from ..chargers import new_namespace, wait_until
 from .urdf_tree import UrdfTree
 
+pytestmark = pytest.mark.ros
+
 Array = NDArray[np.float64]
 
 URDF = Path(__file__).resolve().parents[2] / "urdf"

@@ -22,6 +22,8 @@ from deltacharger_kinematics.geometry import DeltaGeometry
 
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
 
+pytestmark = pytest.mark.ros
+
 rr = pytest.importorskip("rerun", reason="`deltacharger view` needs deltacharger[view]")
 pyarrow = pytest.importorskip("pyarrow", reason="comes with rerun")
 pytest.importorskip("mcap", reason="recordings need deltacharger[record]")

@@ -19,6 +19,8 @@ from deltacharger_ros.node_support import Spinner
 
 from ..chargers import DEADLINE
 
+pytestmark = pytest.mark.ros
+
 
 @pytest.fixture
 def silent_charger(context: Any, namespace: str) -> Iterator[str]:

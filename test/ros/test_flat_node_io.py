@@ -23,6 +23,8 @@ from deltacharger_ros.flat_messages import FlatPublisher, Stamps
 
 from ..chargers import wait_until
 
+pytestmark = pytest.mark.ros
+
 FIELDS = ("position", "voltage", "hardware_error", "valid")
 ROWS = (
     array("d", [1.5, float("nan"), -float("inf")]),

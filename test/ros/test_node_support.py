@@ -23,6 +23,8 @@ from deltacharger_ros.node_support import Spinner, StartupError
 
 from ..chargers import DEADLINE, wait_until
 
+pytestmark = pytest.mark.ros
+
 
 @pytest.fixture
 def node(context: Any, namespace: str) -> Iterator[Node]:

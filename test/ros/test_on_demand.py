@@ -20,6 +20,8 @@ from deltacharger_ros.on_demand import OnDemandSubscription, PolledTopic
 
 from ..chargers import wait_until
 
+pytestmark = pytest.mark.ros
+
 DEPTH = 3
 QOS = QoSProfile(depth=DEPTH)
 

@@ -21,6 +21,8 @@ from deltacharger_scenes.scene import Scene, SceneError, load_scene, parse_scene
 
 from ..chargers import new_namespace
 
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
 BY_CAMERA = DockRequest(None)
 
 

@@ -11,6 +11,8 @@ import threading
 import unittest
 from typing import Any
 
+import pytest
+
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 
@@ -23,6 +25,8 @@ from .launched import (
     launch_testing,
     run_launch_tests,
 )
+
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 NAMESPACE = f"launch_{os.getpid()}"
 PLACE = Pose(0.0, 0.0, 0.080)

@@ -21,6 +21,8 @@ from deltacharger_ros.client import ChargerClient
 from ..chargers import DEADLINE, Process
 from .launched import FILE, PATIENCE, QUICK, QUICK_NODES, domain, need_the_package
 
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
 pytest.importorskip("ros2launch", reason="ros2 launch comes with a ROS installation, not from PyPI")
 COMMAND = (sys.executable, "-c", "import sys; from ros2cli.cli import main; sys.exit(main())", "launch", str(FILE))
 Launch = Callable[..., Process]

@@ -12,6 +12,7 @@ import signal
 import unittest
 from typing import Any
 
+import pytest
 from deltacharger.srv import SolveForwardKinematics
 
 from deltacharger_ros.client import ChargerClient
@@ -26,6 +27,8 @@ from .launched import (
     launch_testing,
     run_launch_tests,
 )
+
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 NAMESPACE = f"launch_killed_{os.getpid()}"
 KILLED = ("mock_detector_node", "misalignment_node", "kinematics_node")

@@ -10,6 +10,7 @@ import os
 import unittest
 from typing import Any
 
+import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.signals import SignalHandlerOptions
@@ -23,6 +24,8 @@ from .launched import (
     run_launch_tests,
 )
 from .test_two_chargers import Watched
+
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 NAMES = [f"launch_{side}_{os.getpid()}" for side in ("left", "right")]
 

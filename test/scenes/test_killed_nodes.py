@@ -24,6 +24,8 @@ from deltacharger_ros.client import CODES
 from ..chargers import new_namespace, wait_until
 from .killed import NODE_NAMES, Rig
 
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
 KILL, STOP = signal.SIGKILL, signal.SIGSTOP
 PHASES = ("locate", "approach", "contact", "measure", "align", "energise", "charging", "retract")
 LIMITS = {"servo_node": 0.35, "tactile_node": 0.1, "docking_node": 0.35}  # s until the contactor is open
@@ -56,6 +58,7 @@ _CHILD = "DELTACHARGER_STRIKES_NODES"
 in_a_child = pytest.mark.skipif(_CHILD not in os.environ, reason="run by test_nodes_are_struck")
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(3600 if "DELTACHARGER_WHOLE_MATRIX" in os.environ else 600)
 @pytest.mark.skipif(_CHILD in os.environ, reason="this is the child")
 def test_nodes_are_struck() -> None:

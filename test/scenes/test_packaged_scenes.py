@@ -21,6 +21,8 @@ from deltacharger_scenes.scene import load_scene, packaged_scenes, parse_scene
 
 from ..chargers import Process
 
+pytestmark = pytest.mark.ros
+
 SCENES = sorted(packaged_scenes())
 HARDWARE = [name for name in SCENES if load_scene(name).touches_hardware]
 WITHOUT_DOCKING = [name for name in SCENES if not load_scene(name).docks]

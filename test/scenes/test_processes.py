@@ -17,6 +17,8 @@ from deltacharger_scenes.scene import Scene, parse_scene
 
 from ..chargers import DEADLINE, Process
 
+pytestmark = pytest.mark.ros
+
 
 def arguments(scene: Scene, name: str, namespace: str) -> list[str]:
     """Return the command line of one node of a scene."""

@@ -20,6 +20,8 @@ from deltacharger_scenes.scene import Scene, load_scene, parse_scene
 
 from ..chargers import new_namespace
 
+pytestmark = pytest.mark.ros
+
 # Starts a scene, lets it answer a goal that it refuses before any motion, and tells which modules were loaded.
 LOADED = """
 import dataclasses, json, sys

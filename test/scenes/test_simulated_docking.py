@@ -17,6 +17,8 @@ from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import load_scene
 
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
 HERE = Pose(0.0, 0.0, 0.080)
 GOAL = DockRequest(HERE)
 PHASES = ["approach", "contact", "measure", "align", "energise"]

@@ -23,6 +23,8 @@ from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
 
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 
 

@@ -18,6 +18,8 @@ from .fault_bench import Bench, Phase
 from .fault_cell import suffer
 from .fault_table import BOARD_ROWS, SERVO_ROWS, Row
 
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
 ROWS = SERVO_ROWS + BOARD_ROWS
 
 

@@ -25,6 +25,8 @@ from deltacharger_sim.charger.faults import Fault
 from ..chargers import new_namespace, wait_until
 from .fault_pulse import Pulse
 
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 SCENE = {
     "simulation": {"seed": 1, "rig_seed": 1, "world": {"servo": {"damping": 0.3}}},

@@ -21,6 +21,8 @@ from deltacharger_vision.cameras.ros_images import color_array, depth_array
 
 from ..chargers import wait_until
 
+pytestmark = pytest.mark.ros
+
 CLOSE = {"rate": 60.0}
 
 

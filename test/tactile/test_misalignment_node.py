@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from array import array
@@ -13,9 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-os.environ.setdefault("ROS_DOMAIN_ID", "57")
 
 rclpy = pytest.importorskip("rclpy")
 pytest.importorskip("deltacharger.msg")
@@ -34,6 +30,8 @@ from deltacharger_tactile.classifiers import files  # noqa: E402
 from deltacharger_tactile.generator import generate_paper  # noqa: E402
 from deltacharger_tactile.misalignment_node import MisalignmentNode  # noqa: E402
 from deltacharger_tactile.source import ContactSource  # noqa: E402
+
+pytestmark = pytest.mark.ros
 
 TRUTH = (0.001, 0.003, 0.08)
 

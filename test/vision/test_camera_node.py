@@ -37,6 +37,8 @@ from deltacharger_vision.cameras.oak_pipeline import OakImage, OakSettings
 from deltacharger_vision.cameras.ros_images import color_array, depth_array
 from deltacharger_vision.images import Intrinsics, RgbdImage
 
+pytestmark = pytest.mark.ros
+
 environment.prepare()
 
 DEADLINE = 60.0  # s; far longer than anything takes

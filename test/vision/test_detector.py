@@ -44,6 +44,7 @@ def one_thread() -> None:
     cv2.setNumThreads(1)
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_the_covariance_says() -> None:
     squares, across, along, rolls = [], [], [], []
     frames = 200

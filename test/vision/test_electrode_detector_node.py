@@ -34,6 +34,8 @@ pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 from deltacharger_vision.detector.electrode_detector_node import ElectrodeDetectorNode
 
+pytestmark = pytest.mark.ros
+
 
 def parameters(**values: Any) -> dict[str, Any]:
     return {"parameter_overrides": [Parameter(key, value=value) for key, value in values.items()]}

@@ -86,6 +86,7 @@ def test_the_derivatives_are_those_of_the_residuals() -> None:
     np.testing.assert_allclose(by_position[:, :, 0], change, rtol=1e-4, atol=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "pixel", "arm"), [(5, 0.05, 1e-4), (12, 0.3, 1e-5), (12, 0.05, 4e-4)])
 def test_errors_are_as_large_as_the_covariance_says(count: int, pixel: float, arm: float) -> None:
     pose, point, dock = [], [], []

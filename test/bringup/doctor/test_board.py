@@ -15,6 +15,8 @@ from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 
 from .found import one, only
 
+pytestmark = pytest.mark.realtime
+
 
 def board_findings(port: str, watched: float = 0.5) -> list[Finding]:
     return list(examine_board(port, 1_000_000, watched))

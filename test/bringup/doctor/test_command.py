@@ -18,6 +18,8 @@ from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 
 from ...emulated_ports import IDS
 
+pytestmark = pytest.mark.realtime
+
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[str, Any]]:
     try:

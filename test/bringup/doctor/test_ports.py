@@ -17,6 +17,8 @@ from deltacharger_driver.serial_open import open_serial
 
 from .found import one
 
+pytestmark = pytest.mark.realtime
+
 
 def test_a_busy_port_names_who_has_it(board_port: str) -> None:
     script = "import sys, serial; port = serial.Serial(sys.argv[1], exclusive=True); print('open', flush=True); input()"

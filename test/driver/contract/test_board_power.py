@@ -16,6 +16,8 @@ from deltacharger_driver.board.protocol import POWER_RATE, Fault
 from .host import BoardHost
 from .sites import BoardSite, holds
 
+pytestmark = pytest.mark.realtime
+
 LARGEST_VOLTAGE = 60.0  # V
 LEAKAGE = 0.5  # A that an open contactor may seem to let through
 

@@ -19,7 +19,7 @@ from deltacharger_driver.servos.snapshot import WATCHDOG, Snapshot
 
 from .sites import ServoSite, until
 
-pytestmark = pytest.mark.usefixtures("may_move")
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("may_move")]
 
 STEP = math.radians(5.0)
 BOUND = 0.5  # A, less than docking presses with; 0.7 N·m

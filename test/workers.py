@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Processes that run tests side by side (`pytest -n 2`): none hears another's nodes or takes its locks and sockets."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+from deltacharger_core.environment import LARGEST_DOMAIN
+
+DOMAIN = "88"
+"""ROS domain of the tests where the user has chosen none."""
+APART = 10
+"""Domains between two workers; some tests take the next ones too."""
+
+
+def stay_apart() -> None:
+    """Give a worker a ROS domain and folders of its own; call before the first import of rclpy."""
+    os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    worker = os.environ.get("PYTEST_XDIST_WORKER")
+    if worker is None:
+        return
+    number = int(os.environ["ROS_DOMAIN_ID"]) + APART * (1 + int(worker.removeprefix("gw")))
+    folder = tempfile.mkdtemp(prefix=f"deltacharger-{worker}-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    os.environ["ROS_DOMAIN_ID"] = str(number % (LARGEST_DOMAIN + 1))
+    os.environ["XDG_RUNTIME_DIR"] = folder
+    os.environ["ROS_LOG_DIR"] = str(Path(os.environ.get("ROS_LOG_DIR", folder), worker))
