@@ -18,7 +18,7 @@ from deltacharger_bringup.cli import main as cli
 
 ROOT = Path(__file__).resolve().parents[1]
 LICENCE = "SPDX-License-Identifier: Apache-2.0"
-SOURCES = (".py", ".c", ".h", ".cpp", ".ino", ".msg", ".srv", ".action", ".xacro")
+SOURCES = (".py", ".c", ".h", ".cpp", ".ino", ".msg", ".srv", ".action", ".xacro", ".j2")
 NOT_OURS = ("build", "install", "log", ".venv")
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 HARD = {  # distribution: rosdep key
@@ -56,8 +56,10 @@ RELEASED = {
 }
 OF_THE_SYSTEM = {
     "python3-hypothesis",
+    "python3-jinja2",
     "python3-matplotlib",
     "python3-opencv",
+    "python3-psutil",
     "python3-pytest",
     "python3-pytest-timeout",
     "python3-scipy",

@@ -32,7 +32,7 @@ from deltacharger_bringup.cli.vision_options import add_vision
 DEFAULT_SCENE = "simulated"
 DEFAULT_PICTURE = "dock.png"
 
-_EXTRA_OF = {"scipy": "calibrate"}
+_EXTRA_OF = {"scipy": "calibrate", "jinja2": "report", "markdown_it": "report", "psutil": "report"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

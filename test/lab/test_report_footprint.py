@@ -14,9 +14,7 @@ from typing import Any
 import pytest
 
 from deltacharger_bringup.cli.main import main
-from deltacharger_lab.reports.footprint import (
-    page as footprint_page,
-)
+from deltacharger_lab.reports import formats
 from deltacharger_lab.reports.footprint import (
     plan as footprint_plan,
 )
@@ -94,11 +92,15 @@ def test_children_and_threads_count_and_so_does_the_time_of_children_that_have_e
 
 
 def test_a_process_that_has_ended_is_an_error_and_not_nothing(child: Child) -> None:
+    import psutil
+
     process = child("")
     process.kill()
-    process.wait(DEADLINE)
-    with pytest.raises(OSError, match=str(process.pid)):
-        footprint_process.usage([process.pid])
+    wait_until(lambda: psutil.Process(process.pid).status() == psutil.STATUS_ZOMBIE, "its end")
+    for _ in ("nobody has asked how it ended", "somebody has"):
+        with pytest.raises(psutil.NoSuchProcess, match=str(process.pid)):
+            footprint_process.usage([process.pid])
+        process.wait(DEADLINE)
 
 
 def test_a_library_in_memory_is_found_and_none_where_none_is(child: Child) -> None:
@@ -220,9 +222,9 @@ def test_targets_are_judged_by_the_bench_scene_in_one_process() -> None:
 def test_figures_of_several_runs_are_median_and_spread() -> None:
     runs = [{"a": value, "libraries": [], "docking_problem": ""} for value in (3.0, 1.0, float("nan"), 2.0)]
     assert footprint_report.summary(runs)["a"] == [2.0, 1.0, 3.0]
-    assert footprint_page._figure([2.0, 1.0, 3.0], 1) == "2.0 (1.0–3.0)"
-    assert footprint_page._figure([2.0, 2.01, 1.99], 1) == "2.0"
-    assert footprint_page._figure([float("nan")] * 3, 1) == "–"
+    assert formats.median([2.0, 1.0, 3.0], 1) == "2.0 (1.0–3.0)"
+    assert formats.median([2.0, 2.01, 1.99], 1) == "2.0"
+    assert formats.median([float("nan")] * 3, 1) == "–"
 
 
 @pytest.mark.parametrize("words", [("--repeats", "0"), ("--repeats", "1.5"), ("--seed", "1"), ("--quik",), ("more",)])
@@ -256,8 +258,8 @@ def test_with_nothing_to_measure_it_says_why(capsys: pytest.CaptureFixture[str],
 
 
 def test_elsewhere_than_on_linux_it_says_so(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(footprint_process, "_PROC", tmp_path)
+    monkeypatch.setattr(sys, "platform", "darwin")
     assert main(("report", "footprint", "--json")) == 1
     assert "only Linux" in json.loads(capsys.readouterr().out)["error"]

@@ -15,10 +15,10 @@ import pytest
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.reports.html import write_html
+from deltacharger_lab.reports.pool import Task, work
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import splits as tactile_splits
 from deltacharger_lab.reports.tactile.pictures import NAMES
-from deltacharger_lab.reports.tactile.pool import Task, work
 from deltacharger_lab.reports.tactile.shifts import SHIFTS
 from deltacharger_lab.reports.tactile.summary import FIRES, HOLDS, NEITHER, accuracies, shifts
 

@@ -119,9 +119,11 @@ def _named(when: str, rates: dict[str, float]) -> dict[str, float]:
 
 
 def _use(started: Started) -> process.Usage:
+    import psutil
+
     started.check()
     try:
         return process.usage(started.pids)
-    except OSError as error:
+    except psutil.NoSuchProcess as error:
         started.check()
         raise CannotRun(f"a process ended while it was measured ({error})") from error

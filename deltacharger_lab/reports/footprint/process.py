@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What processes use, read from outside, as Linux tells it in /proc: processor time, memory, threads, libraries."""
+"""What processes use, read from outside: processor time, memory, threads, libraries."""
 
 from __future__ import annotations
 
-import os
+import contextlib
 import re
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-_PROC = Path("/proc")
-_TICKS = 100 if sys.platform == "win32" else os.sysconf("SC_CLK_TCK")
+if TYPE_CHECKING:
+    import psutil
 
 LIBRARIES = {
     "torch": r"/torch/",
@@ -54,71 +54,55 @@ class Usage:
 
 def unsupported() -> str:
     """Return why nothing can be measured on this computer; '' where it can."""
-    try:
-        usage([os.getpid()])
-    except OSError as error:
-        return f"only Linux tells what a process uses ({error.filename or error} cannot be read)"
-    return ""
+    return "" if sys.platform == "linux" else "only Linux tells what a process uses"
 
 
-def family(roots: Iterable[int]) -> list[int]:
-    """Return the processes `roots` and all that they have started and that still run."""
-    parents: dict[int, list[int]] = {}
-    for entry in _PROC.iterdir():
-        if entry.name.isdigit():
-            try:
-                parents.setdefault(int(_stat(int(entry.name))[1]), []).append(int(entry.name))
-            except (OSError, IndexError):  # ended meanwhile
-                continue
-    found, left = [], list(roots)
-    while left:
-        process = left.pop()
-        if process not in found:
-            found.append(process)
-            left += parents.get(process, [])
-    return found
+def family(roots: Iterable[int]) -> list[psutil.Process]:
+    """Return the processes `roots` and all that they have started and that still run.
+
+    Raises:
+        psutil.NoSuchProcess: one of `roots` has ended.
+    """
+    import psutil
+
+    found: dict[int, psutil.Process] = {}
+    for root in map(psutil.Process, roots):
+        found |= {process.pid: process for process in (root, *root.children(recursive=True))}
+    return list(found.values())
 
 
 def usage(roots: Iterable[int]) -> Usage:
     """Return what the processes `roots` and those that they have started use.
 
     Raises:
-        OSError: one of `roots` has ended, or this is not Linux.
+        psutil.NoSuchProcess: one of `roots` has ended.
     """
+    import psutil
+
     roots = list(roots)
-    each = [_one(process) for process in roots]
-    for process in set(family(roots)) - set(roots):
+    each = []
+    for process in family(roots):
         try:
-            each.append(_one(process))
-        except OSError:  # ended meanwhile; its parent has its processor time
-            continue
+            with process.oneshot():
+                if process.status() == psutil.STATUS_ZOMBIE:
+                    raise psutil.ZombieProcess(process.pid)
+                cpu, memory = sum(process.cpu_times()[:4]), process.memory_full_info()
+                each.append((process.num_threads(), cpu, memory.pss, memory.rss))
+        except psutil.NoSuchProcess:
+            if process.pid in roots:
+                raise  # of another, the parent has its processor time
     threads, cpu, pss, rss = (sum(values) for values in zip(*each, strict=True))
-    return Usage(len(each), int(threads), cpu, int(pss), int(rss))
-
-
-def _one(process: int) -> tuple[int, float, int, int]:
-    """Return threads, processor time (s), PSS and RSS (bytes) of one process."""
-    fields = _stat(process)
-    if fields[0] == "Z":
-        raise ProcessLookupError(2, "has ended", f"/proc/{process}")
-    memory = dict(re.findall(r"^(\w+): +(\d+) kB$", (_PROC / str(process) / "smaps_rollup").read_text("ascii"), re.M))
-    cpu = sum(int(ticks) for ticks in fields[11:15]) / _TICKS
-    return int(fields[17]), cpu, 1024 * int(memory["Pss"]), 1024 * int(memory["Rss"])
-
-
-def _stat(process: int) -> list[str]:
-    """Return the fields of /proc/PID/stat behind the name, from the state on."""
-    return (_PROC / str(process) / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+    return Usage(len(each), threads, cpu, pss, rss)
 
 
 def mapped(roots: Iterable[int]) -> set[str]:
     """Return those of `LIBRARIES` of which a process of these has a file in its memory: nothing that is there hides."""
+    import psutil
+
     text = ""
     for process in family(roots):
-        try:
-            text += (_PROC / str(process) / "maps").read_text("utf-8", "replace")
-        except OSError:
-            continue
+        with contextlib.suppress(psutil.NoSuchProcess):
+            text += "\n".join(each.path for each in process.memory_maps())
     return {name for name, pattern in LIBRARIES.items() if re.search(pattern, text)}
 
 

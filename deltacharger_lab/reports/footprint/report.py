@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-import datetime
 import importlib.util
-import json
 import math
 import os
 import statistics
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,12 +15,11 @@ from typing import Any
 from rclpy.context import Context
 
 from deltacharger_lab.reports.footprint.measure import measure
-from deltacharger_lab.reports.footprint.page import write_page
 from deltacharger_lab.reports.footprint.plan import Plan
 from deltacharger_lab.reports.footprint.process import LIBRARIES
 from deltacharger_lab.reports.footprint.start import ONE, CannotRun
-from deltacharger_lab.reports.machine import machine
-from deltacharger_ros.outcomes import json_ready
+from deltacharger_lab.reports.report import Report
+from deltacharger_lab.reports.targets import at_least, at_most, none
 
 PAGE, FIGURES = "footprint.md", "footprint.json"
 BENCH = "bench"
@@ -39,26 +35,20 @@ def build(
         OSError: a file cannot be written.
         KeyboardInterrupt: interrupted; nothing was written.
     """
-    started = time.monotonic()
-    results: dict[str, Any] = {
-        "machine": {**machine(("ros_rclpy", "numpy")), "nice": os.getpriority(os.PRIO_PROCESS, 0)},
-        "command": command,
-        "date": datetime.date.today().isoformat(),
+    report = Report("footprint", command, ("ros_rclpy", "numpy"))
+    results = report.results
+    results["machine"]["nice"] = os.getpriority(os.PRIO_PROCESS, 0)
+    results |= {
         "quick": plan.quick,
         "repeats": plan.repeats,
         "rest_s": plan.rest_s,
         "left_out": dict(plan.left_out),
         "installed": [name for name in LIBRARIES if importlib.util.find_spec(name) is not None],
-        "absent": {},
-        "pictures": [],
-        "missing_pictures": {},
     }
     results["rows"] = _measure(plan, context, results["left_out"], progress)
-    results["elapsed_s"] = time.monotonic() - started
     results["targets"] = targets(results["rows"])
-    (directory / FIGURES).write_text(json.dumps(json_ready(results), indent=1, ensure_ascii=False) + "\n", "utf-8")
-    write_page(results, directory / PAGE)
-    return results
+    report.draw({}, directory)
+    return report.write(directory, looked_for=list(LIBRARIES))
 
 
 def _measure(
@@ -106,26 +96,16 @@ def targets(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     def median(key: str) -> float:
         return math.nan if row is None else float(row[key][0])
 
-    loaded = math.nan if row is None else float(len(set(row["libraries"]) & set(NEVER)))
+    loaded = math.nan if row is None else len(set(row["libraries"]) & set(NEVER))
     what = f"{BENCH}, {ONE}"
     found = [
-        _target(f"{what}: memory, RSS", "≤ 180", median("rss_mb"), "MB", upper=180.0),
-        _target(f"{what}: CPU at rest", "≤ 25", median("rest_percent"), "% of a core", upper=25.0),
-        _target(f"{what}: CPU while docking", "≤ 25", median("docking_percent"), "% of a core", upper=25.0),
+        at_most(f"{what}: memory, RSS", median("rss_mb"), 180.0, "MB"),
+        at_most(f"{what}: CPU at rest", median("rest_percent"), 25.0, "% of a core"),
+        at_most(f"{what}: CPU while docking", median("docking_percent"), 25.0, "% of a core"),
     ]
-    for when in ("rest", "docking"):
+    for when, at in (("rest", "at rest"), ("docking", "while docking")):
         for name, rate in (("tactile_frame", 120.0), ("servo_state", 100.0)):
-            at = "at rest" if when == "rest" else "while docking"
-            value = median(f"{when}_{name}_hz")
-            found.append(_target(f"{what}: {name} {at}", f"≥ {0.99 * rate:g}", value, "Hz", lower=0.99 * rate))
-    found.append(_target(f"{what}: says ready", "≤ 5", median("says_ready_s"), "s", upper=5.0))
-    found.append(_target(f"{what}: found by a client outside", "≤ 5", median("ready_s"), "s", upper=5.0))
-    found.append(_target(f"{what}: of {', '.join(NEVER)}", "= 0", loaded, "loaded", upper=0.0))
-    return found
-
-
-def _target(
-    name: str, wanted: str, measured: float, unit: str, upper: float = math.inf, lower: float = -math.inf
-) -> dict[str, Any]:
-    met = None if math.isnan(measured) else lower <= measured <= upper
-    return {"name": name, "wanted": wanted, "measured": measured, "unit": unit, "met": met}
+            found.append(at_least(f"{what}: {name} {at}", median(f"{when}_{name}_hz"), 0.99 * rate, "Hz"))
+    found.append(at_most(f"{what}: says ready", median("says_ready_s"), 5.0, "s"))
+    found.append(at_most(f"{what}: found by a client outside", median("ready_s"), 5.0, "s"))
+    return [*found, none(f"{what}: of {', '.join(NEVER)}", loaded, "loaded")]

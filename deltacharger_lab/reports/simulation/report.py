@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_lab.reports.machine import machine
+from deltacharger_lab.reports.pool import Task, joined, work
 from deltacharger_lab.reports.simulation import (
     energy as simulation_energy,
 )
@@ -37,7 +38,6 @@ from deltacharger_lab.reports.simulation.page import write_page
 from deltacharger_lab.reports.simulation.pictures import draw_all
 from deltacharger_lab.reports.simulation.plan import MUJOCO, Plan
 from deltacharger_lab.reports.simulation.scenes import LIGHT
-from deltacharger_lab.reports.tactile.pool import Task, joined, work
 from deltacharger_ros.outcomes import json_ready
 
 PAGE, FIGURES = "simulation.md", "simulation.json"

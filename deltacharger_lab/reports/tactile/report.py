@@ -13,6 +13,7 @@ from typing import Any
 
 from deltacharger_lab.reports.html import write_html
 from deltacharger_lab.reports.machine import machine
+from deltacharger_lab.reports.pool import Task, joined, work
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import splits as tactile_splits
 from deltacharger_lab.reports.tactile import summary as tactile_summary
@@ -21,7 +22,6 @@ from deltacharger_lab.reports.tactile.measure import WINDOWS, judge_rig
 from deltacharger_lab.reports.tactile.page import write_page
 from deltacharger_lab.reports.tactile.pictures import draw_all
 from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, Plan
-from deltacharger_lab.reports.tactile.pool import Task, joined, work
 from deltacharger_lab.reports.tactile.timing import timing
 from deltacharger_ros.outcomes import json_ready
 from deltacharger_tactile.parameters import TactileParameters

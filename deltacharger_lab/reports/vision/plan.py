@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from deltacharger_lab.reports.tactile.pool import Task
+from deltacharger_lab.reports.pool import Task
 from deltacharger_lab.reports.vision import conditions
 from deltacharger_lab.reports.vision.conditions import CONDITIONS, Condition, key
 from deltacharger_lab.reports.vision.measure import judge, times

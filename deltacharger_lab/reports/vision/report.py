@@ -12,7 +12,7 @@ from typing import Any
 
 from deltacharger_lab.reports.html import write_html
 from deltacharger_lab.reports.machine import machine
-from deltacharger_lab.reports.tactile.pool import work
+from deltacharger_lab.reports.pool import work
 from deltacharger_lab.reports.vision import mount as vision_mount
 from deltacharger_lab.reports.vision import summary as vision_summary
 from deltacharger_lab.reports.vision.measure import FIELDS

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every report ends with: figures as JSON, a page rendered from exactly these, one HTML file to send around."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import re
+import textwrap
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from deltacharger_lab.reports import formats
+from deltacharger_ros.outcomes import json_ready
+
+_TEMPLATES = Path(__file__).parent / "templates"
+_FILTERS = (
+    *(formats.fixed, formats.short, formats.number, formats.power),
+    *(formats.percent, formats.verdict, formats.cell, formats.median),
+)
+_WIDTH = 125
+_NO_PROSE = ("#", "|", "- ", "![")  # blocks that keep their lines
+_STYLE = """
+body { max-width: 960px; margin: 2em auto; padding: 0 1em; font: 15px/1.5 system-ui, sans-serif; color: #22303c; }
+img { max-width: 100%; }
+table { border-collapse: collapse; font-size: 13px; display: block; overflow-x: auto; }
+td, th { padding: 3px 9px; border-bottom: 1px solid #dbe1e7; text-align: left; }
+th { background: #f6f7f8; }
+code { background: #f0f2f4; padding: 0 3px; }
+"""
+
+
+def write(results: Mapping[str, Any], directory: Path, subject: str, indent: int | None, **more: Any) -> None:
+    """Write SUBJECT.json and the page SUBJECT.md beside it.
+
+    Args:
+        results: of the report; NaN and infinity become null.
+        directory: of the report, with its pictures.
+        subject: of the report and of its template.
+        indent: of the JSON; None = all in one line.
+        more: what the template needs besides.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    figures = json_ready(dict(results))
+    (directory / f"{subject}.json").write_text(json.dumps(figures, indent=indent, ensure_ascii=False) + "\n", "utf-8")
+    (directory / f"{subject}.md").write_text(render(subject, figures, **more), "utf-8")
+
+
+def render(subject: str, figures: Mapping[str, Any], **more: Any) -> str:
+    """Return the page of figures as they stand in JSON.
+
+    Raises:
+        ModuleNotFoundError: jinja2 is missing.
+        jinja2.TemplateError: the template asks for what is not there.
+    """
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_TEMPLATES),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update({each.__name__: each for each in _FILTERS})
+    environment.globals.update({"is_known": formats.is_known, **figures, **more})
+    blocks = re.split(r"\n\s*\n", environment.get_template(f"{subject}.md.j2").render().strip())
+    return "\n\n".join(map(_wrapped, blocks)) + "\n"
+
+
+def _wrapped(block: str) -> str:
+    """Return prose as one paragraph, wrapped between words."""
+    if block.startswith(_NO_PROSE):
+        return block
+    return textwrap.fill(" ".join(block.split()), _WIDTH, break_long_words=False, break_on_hyphens=False)
+
+
+def write_html(page: Path, path: Path) -> None:
+    """Write a Markdown page as one file with its pictures inside.
+
+    Raises:
+        ModuleNotFoundError: markdown-it-py is missing.
+        OSError: a file cannot be read or written.
+    """
+    from markdown_it import MarkdownIt
+
+    markdown = MarkdownIt("js-default")
+    text = page.read_text("utf-8")
+    tokens = markdown.parse(text)
+    for token in (child for each in tokens for child in each.children or ()):
+        if token.type == "image":
+            inside = base64.b64encode((page.parent / str(token.attrs["src"])).read_bytes()).decode()
+            token.attrs["src"] = f"data:image/png;base64,{inside}"
+    title = html.escape(text.partition("\n")[0].lstrip("# "))
+    path.write_text(
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+        f"<style>{_STYLE}</style></head>\n<body>\n"
+        f"{markdown.renderer.render(tokens, markdown.options, {})}</body></html>\n",
+        "utf-8",
+    )
