@@ -17,9 +17,9 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 from deltacharger_sim.parameters import (
     ContactParameters,
     MagnetParameters,

@@ -6,11 +6,11 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.observation import NAN3
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import LIMB_COUNT, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 
 _WINDOW = 0.12  # s; a median over at least 100 ms suppresses current noise and single bad replies
 

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.release_script import take_off
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 
 _LEFT_BASELINE = 0.06  # A of contact current either way that tell contact or the pull of the magnets from free air
 _CAUTION = 0.7  # of the way to the band that one step may take, so that it is entered from below

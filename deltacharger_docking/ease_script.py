@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import math
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.codes import State
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.observation import Waypoint
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 
 _ENOUGH = 0.015  # A that a servo's current may be off
 _COOL, _SPARED = 0.57, 0.03  # A to which the common current is led, at most so far below the middle of the band

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import math
 
+from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_docking.codes import DockingError, Rejected, Unreachable
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Detection, DockGoal
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
-
-_DOCK_DISTANCE = 0.080  # m; where the electrodes should stand before the robot (paper: (0, 0, 80) mm)
 
 
 def check_goal(goal: DockGoal, planner: Planner, parameters: DockingParameters) -> None:
@@ -41,7 +40,7 @@ def check_place(electrodes: Detection, planner: Planner, parameters: DockingPara
         raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
     wrong = planner.reachable((x, y, z), (x, y, z - parameters.standoff))
     if wrong:
-        dx, dy, dz = (f"{1000 * value:+.0f}" for value in (x, y, z - _DOCK_DISTANCE))
+        dx, dy, dz = (f"{1000 * value:+.0f}" for value in (x, y, z - DOCK_DISTANCE))
         raise Unreachable(
             f"the electrodes are out of the arm's reach, {wrong}; move the robot by ({dx}, {dy}, {dz}) mm of "
             "charger_base, to suggested_base_pose",
@@ -54,4 +53,4 @@ def suggested_base(error: DockingError) -> Vector | None:
     if not isinstance(error, Unreachable) or error.electrodes is None:
         return None
     x, y, z = error.electrodes
-    return x, y, z - _DOCK_DISTANCE
+    return x, y, z - DOCK_DISTANCE

@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+from deltacharger_core.machine import BAR_GAP, BAR_LENGTH, GRAVITY, SERVO_DAMPING, SERVO_STIFFNESS, STALL_CURRENT
 from deltacharger_kinematics.geometry import Vector
 
 APPROACHES = ("guarded", "paper")
@@ -31,11 +32,11 @@ class DockingParameters:
 
     approach: str = _choice("guarded", APPROACHES, "step rule: guarded, or the paper's constant steps")
     current_signal: str = _choice("contact", SIGNALS, "what counts as current: contact, or the raw maximum or sum")
-    servo_stiffness: float = _number(15.0, 1.0, 50.0, "servo stiffness in position mode, N·m/rad")
-    servo_damping: float = _number(0.91, 0.0, 10.0, "servo damping, N·m·s/rad")
-    gravity_x: float = _number(0.0, -20.0, 20.0, "gravity along x of charger_base, m/s²")
-    gravity_y: float = _number(-9.81, -20.0, 20.0, "gravity along y of charger_base, m/s²")
-    gravity_z: float = _number(0.0, -20.0, 20.0, "gravity along z of charger_base, m/s²")
+    servo_stiffness: float = _number(SERVO_STIFFNESS, 1.0, 50.0, "servo stiffness in position mode, N·m/rad")
+    servo_damping: float = _number(SERVO_DAMPING, 0.0, 10.0, "servo damping, N·m·s/rad")
+    gravity_x: float = _number(GRAVITY[0], -20.0, 20.0, "gravity along x of charger_base, m/s²")
+    gravity_y: float = _number(GRAVITY[1], -20.0, 20.0, "gravity along y of charger_base, m/s²")
+    gravity_z: float = _number(GRAVITY[2], -20.0, 20.0, "gravity along z of charger_base, m/s²")
     home_x: float = _number(0.0, -0.06, 0.06, "where the arm rests, x, m")
     home_y: float = _number(0.0, -0.06, 0.06, "where the arm rests, y, m")
     home_z: float = _number(0.0, 0.0, 0.11, "where the arm rests, z, m")
@@ -52,14 +53,16 @@ class DockingParameters:
     band_margin: float = _number(0.015, 0.0, 0.04, "how far inside the band a reading must lie to be accepted, A")
     overshoot_back_off: float = _number(0.35, 0.05, 1.0, "contact current to give back after an overshoot, A")
     push_current: float = _number(0.6, 0.1, 2.0, "current bound of each servo above its free-motion current, A")
-    release_current: float = _number(2.8, 0.5, 4.1, "current bound of each servo while it pulls off the magnets, A")
+    release_current: float = _number(
+        2.8, 0.5, STALL_CURRENT, "current bound of each servo while it pulls off the magnets, A"
+    )
     release_time: float = _number(1.0, 0.1, 2.0, "longest pull on the magnets, s")
     hard_current: float = _number(1.0, 0.5, 4.0, "contact current that ends any phase, A")
     critical_angle: float = _number(
         math.radians(12.0), 0.01, math.radians(12.05), "angle from which the electrodes would short, rad"
     )
-    electrode_half_gap: float = _number(0.0037, 0.0005, 0.02, "half the gap between the two bars, m")
-    electrode_half_length: float = _number(0.035, 0.005, 0.1, "half the length of a bar, m")
+    electrode_half_gap: float = _number(0.5 * BAR_GAP, 0.0005, 0.02, "half the gap between the two bars, m")
+    electrode_half_length: float = _number(0.5 * BAR_LENGTH, 0.005, 0.1, "half the length of a bar, m")
     clearance_min: float = _number(0.0003, 0.0, 0.005, "clearance that must remain at three standard deviations, m")
     alignment_tolerance: float = _number(0.001, 0.0001, 0.01, "filtered misalignment that counts as aligned, m")
     landing_limit: float = _number(

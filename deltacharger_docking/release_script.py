@@ -6,11 +6,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.codes import DockingError, Stuck
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.trajectory_feed import PULL_HORIZON, pull
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 
 _RELEASED = 0.001  # m of retreat that tells the magnets have let go, where the pads feel nothing any more
 _SPRING_TRAVEL = 0.004  # m of retreat that electrodes on springs cannot follow, whatever the pads say

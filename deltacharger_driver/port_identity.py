@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from deltacharger_core.machine import BAUD_RATE, SERVO_IDS
 from deltacharger_driver.board.payloads import Hello, decode_hello
 from deltacharger_driver.board.port import BoardPort
 from deltacharger_driver.board.protocol import (
@@ -26,10 +27,8 @@ from deltacharger_driver.servos.mx64 import MODEL, MODEL_PROTOCOL_1, SPEEDS
 from deltacharger_driver.servos.port import latency_timer
 from deltacharger_driver.servos.protocol import crc16
 
-BOARD_SPEED = 1_000_000
-SERVO_SPEEDS = (1_000_000, 57600, *(speed for speed in SPEEDS.values() if speed not in (1_000_000, 57600)))
+SERVO_SPEEDS = (BAUD_RATE, 57600, *(speed for speed in SPEEDS.values() if speed not in (BAUD_RATE, 57600)))
 """Every speed of a servo, the likely ones first, bit/s."""
-_IDS = (1, 2, 3)
 _PATIENCE = 0.05  # s; servos with ids up to about 15 answer a ping to all within it
 _LISTEN = 2.4 / POWER_RATE  # s in which a board, which sends its power unasked, is heard twice
 _HELLO_WAIT = 0.15  # s
@@ -95,7 +94,7 @@ class PortIdentity:
 def identify(
     path: str,
     speeds: Iterable[int] = SERVO_SPEEDS,
-    ids: Iterable[int] = _IDS,
+    ids: Iterable[int] = SERVO_IDS,
     patience: float = _PATIENCE,
 ) -> PortIdentity:
     """Find out which device is on a port: listen, greet a board, then ping servos at every speed.
@@ -110,7 +109,7 @@ def identify(
         PortMissing, PortNotSerial, PortBusy, PortDenied, PortError: it cannot be opened, and why.
         PortGone: it vanished meanwhile.
     """
-    port = BoardPort(path, BOARD_SPEED)
+    port = BoardPort(path, BAUD_RATE)
     try:
         board, heard = _find_board(port)
         if board is not None:
@@ -160,7 +159,7 @@ def _receive(port: BoardPort, duration: float) -> bytes:
 def find_servos(
     port: BoardPort,
     speeds: Iterable[int],
-    ids: Iterable[int] = _IDS,
+    ids: Iterable[int] = SERVO_IDS,
     patience: float = _PATIENCE,
 ) -> list[FoundServo]:
     """Ping all servos at each speed; arguments as in `identify`. The port is left at the last speed.

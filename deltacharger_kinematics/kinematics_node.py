@@ -28,10 +28,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
+from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
 from deltacharger_ros import node_support
 
 _DEFAULT_DEPTH = 10

@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Generator
 
+from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, ElectrodesNotFound, PhaseTimeout, Rejected
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.context import DockFailed, MissionContext, Script, code_of, dock_failure
 from deltacharger_mission.dialogue import Command, End, Goal, Observation, Outcome, Stage, Status, Task
 from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.places import DOCK_DISTANCE, Mount, Place, views
+from deltacharger_mission.places import Mount, Place, views
 
 _FUTILE = 0.005  # m, and
 _FUTILE_TURN = 0.02  # rad, of correction that are nothing to a mobile base: what is out of reach then stays so

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.parameters import MissionParameters
 
-DOCK_DISTANCE = 0.080  # m; z of the electrodes in charger_base where the robot stands right, as docking suggests it
 _LEVEL = 0.5  # horizontal share of charger_base's z axis below which it has no heading worth the name
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_core import environment
+from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.yaml_text import YamlProblem, read_yaml
 from deltacharger_sim.charger.simulation import Simulation
@@ -46,7 +47,7 @@ class Goal(Bounded):
 
     x: float = number(0.0, -0.3, 0.3, "m", "midpoint of the electrodes")
     y: float = number(0.0, -0.3, 0.3, "m", "midpoint of the electrodes, +y up")
-    z: float = number(0.080, -0.1, 0.5, "m", "midpoint of the electrodes, +z from the robot to the target")
+    z: float = number(DOCK_DISTANCE, -0.1, 0.5, "m", "midpoint of the electrodes, +z from the robot to the target")
     roll: float = number(0.0, -1.5708, 1.5708, "rad", "of the electrodes about z, from +x to +y")
 
 

@@ -18,9 +18,10 @@ from __future__ import annotations
 
 import math
 
+from deltacharger_core.machine import NOMINAL_VOLTAGE
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, DeltaGeometry, Vector
 from deltacharger_sim.linkage import Linkage
-from deltacharger_sim.parameters import NOMINAL_VOLTAGE, WorldParameters
+from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.touch import Touch
 
 GEAR_BRISTLE = 400.0  # N·m/rad; a gear yields 0.15 mrad before it slips

@@ -12,12 +12,27 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from deltacharger_core.machine import (
+    BAR_GAP,
+    BAR_HEIGHT,
+    BAR_LENGTH,
+    DOCK_DISTANCE,
+    GRAVITY,
+    MAGNET_FLOOR,
+    MAGNET_FORCE,
+    MAGNET_WIDTH,
+    NOMINAL_VOLTAGE,
+    SERVO_DAMPING,
+    SERVO_STIFFNESS,
+    STALL_TORQUE,
+    TORQUE_CONSTANT,
+)
+
 T = TypeVar("T")
 
 SOFT = 1e4  # N/m per electrode; softer springs let the magnets pull the electrodes in by more than their travel
 DEEPEST_SOFT_STOP = 0.002  # m of travel that soft springs may have before their stop
-_LEVER = 0.038  # m of dz/dθ at the dock: what a servo's torque presses with
-NOMINAL_VOLTAGE = 12.0  # V, at which the servos' stall torque is told
+LEVER = 0.038  # m of dz/dθ at the dock: what a servo's torque presses with
 
 
 class ParameterError(ValueError):
@@ -64,16 +79,16 @@ class Bounded:
 class ServoParameters(Bounded):
     """MX-64 at 12 V in position mode, seen at its horn."""
 
-    stiffness: float = number(15.0, 2.5, 20.0, "N·m/rad", "position loop as a spring")
-    damping: float = number(0.91, 0.05, 5.0, "N·m·s/rad", "position loop and back-EMF as a damper")
-    stall_torque: float = number(6.0, 0.5, 12.0, "N·m", "largest torque whatever the current bound")
-    torque_constant: float = number(6.0 / 4.1, 0.5, 3.0, "N·m/A", "torque per current")
+    stiffness: float = number(SERVO_STIFFNESS, 2.5, 20.0, "N·m/rad", "position loop as a spring")
+    damping: float = number(SERVO_DAMPING, 0.05, 5.0, "N·m·s/rad", "position loop and back-EMF as a damper")
+    stall_torque: float = number(STALL_TORQUE, 0.5, 12.0, "N·m", "largest torque whatever the current bound")
+    torque_constant: float = number(TORQUE_CONSTANT, 0.5, 3.0, "N·m/A", "torque per current")
     friction: float = number(0.06, 0.0, 1.0, "N·m", "Coulomb friction of the gear while powered")
     unpowered_friction: float = number(0.6, 0.0, 3.0, "N·m", "torque that turns the unpowered gear")
     backlash: float = number(0.0, 0.0, 0.05, "rad", "play between encoder and arm, from stop to stop")
     inertia: float = number(0.004, 0.0001, 0.05, "kg·m²", "rotor, reflected through the gear")
     current_noise: float = number(0.008, 0.0, 0.2, "A", "standard deviation of one current reading")
-    supply_voltage: float = number(12.0, 9.5, 16.0, "V", "regulator's output")
+    supply_voltage: float = number(NOMINAL_VOLTAGE, 9.5, 16.0, "V", "regulator's output")
     supply_resistance: float = number(0.05, 0.0, 1.0, "Ω", "of regulator and cable, common to the servos")
     stall_sag: float = number(0.0, 0.0, 1.0, "", "share of the stall torque that goes with the voltage below 12 V")
     command_latency: float = number(0.0, 0.0, 0.2, "s", "from a command to the servo's obeying it")
@@ -97,19 +112,19 @@ class ContactParameters(Bounded):
 class MagnetParameters(Bounded):
     """Six magnets together: F = force/(1 + g/range)² · max(floor, 1/(1 + (r/width)²)), gap g, lateral offset r."""
 
-    force: float = number(60.0, 0.0, 300.0, "N", "at contact, without lateral offset")
+    force: float = number(MAGNET_FORCE, 0.0, 300.0, "N", "at contact, without lateral offset")
     range: float = number(0.002, 0.0002, 0.02, "m", "gap at which the pull has fallen to a quarter")
-    width: float = number(0.008, 0.001, 0.1, "m", "lateral offset at which the pull has fallen to a half")
-    floor: float = number(0.2, 0.0, 1.0, "", "share of the pull that remains far off")
+    width: float = number(MAGNET_WIDTH, 0.001, 0.1, "m", "lateral offset at which the pull has fallen to a half")
+    floor: float = number(MAGNET_FLOOR, 0.0, 1.0, "", "share of the pull that remains far off")
 
 
 @dataclass(frozen=True)
 class TerminalParameters(Bounded):
     """The two bars of charger and target alike."""
 
-    length: float = number(0.070, 0.01, 0.2, "m", "of a bar, along x")
-    height: float = number(0.010, 0.002, 0.05, "m", "of a bar, along y")
-    gap: float = number(0.0074, 0.001, 0.05, "m", "between the bars")
+    length: float = number(BAR_LENGTH, 0.01, 0.2, "m", "of a bar, along x")
+    height: float = number(BAR_HEIGHT, 0.002, 0.05, "m", "of a bar, along y")
+    gap: float = number(BAR_GAP, 0.001, 0.05, "m", "between the bars")
 
 
 @dataclass(frozen=True)
@@ -127,7 +142,7 @@ class TargetParameters(Bounded):
     present: bool = True
     x: float = number(0.0, -0.2, 0.2, "m", "midpoint between the electrodes")
     y: float = number(0.0, -0.2, 0.2, "m", "midpoint between the electrodes")
-    z: float = number(0.080, 0.0, 1.0, "m", "touched faces")
+    z: float = number(DOCK_DISTANCE, 0.0, 1.0, "m", "touched faces")
     roll: float = number(0.0, -0.8, 0.8, "rad", "about z, from +x to +y")
     tilt_x: float = number(0.0, -0.1, 0.1, "rad", "of the touched faces about x, relative to the platform")
     tilt_y: float = number(0.0, -0.1, 0.1, "rad", "of the touched faces about y, relative to the platform")
@@ -165,9 +180,9 @@ class WorldParameters(Bounded):
     platform: PlatformParameters = field(default_factory=PlatformParameters)
     target: TargetParameters = field(default_factory=TargetParameters)
     circuit: CircuitParameters = field(default_factory=CircuitParameters)
-    gravity_x: float = number(0.0, -20.0, 20.0, "m/s²", "gravity along x of charger_base")
-    gravity_y: float = number(-9.81, -20.0, 20.0, "m/s²", "gravity along y of charger_base")
-    gravity_z: float = number(0.0, -20.0, 20.0, "m/s²", "gravity along z of charger_base")
+    gravity_x: float = number(GRAVITY[0], -20.0, 20.0, "m/s²", "gravity along x of charger_base")
+    gravity_y: float = number(GRAVITY[1], -20.0, 20.0, "m/s²", "gravity along y of charger_base")
+    gravity_z: float = number(GRAVITY[2], -20.0, 20.0, "m/s²", "gravity along z of charger_base")
     step: float = number(0.005, 0.0001, 0.1, "s", "integration step")
 
     def __post_init__(self) -> None:
@@ -210,7 +225,7 @@ def _contact(world: WorldParameters) -> Iterator[tuple[str, Any, str]]:
             f"{contact.hard_stop!r} m is too deep for contact.stiffness {contact.stiffness:g} N/m: below {SOFT:g} N/m "
             f"the magnets pull the electrodes in until they stop; give at most {DEEPEST_SOFT_STOP} m",
         )
-    strongest = world.magnets.force + 3.0 * world.servo.stall_torque / _LEVER
+    strongest = world.magnets.force + 3.0 * world.servo.stall_torque / LEVER
     bottoms = 2.0 * contact.stiffness * contact.hard_stop < strongest
     if bottoms and contact.hard_stop_stiffness < 2.0 * contact.stiffness:
         yield (

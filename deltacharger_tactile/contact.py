@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deltacharger_tactile.parameters import COLUMNS, PADS, ROWS, ContactParameters
+from deltacharger_core.machine import COLUMNS, PADS, ROWS
+from deltacharger_tactile.parameters import ContactParameters
 
 Array = NDArray[np.float64]
 

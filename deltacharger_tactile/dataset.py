@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.machine import COLUMNS, PADS, ROWS
 from deltacharger_tactile import npz
 from deltacharger_tactile.errors import DatasetError
-from deltacharger_tactile.parameters import COLUMNS, PADS, ROWS
 
 Array = NDArray[np.float64]
 

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, ROWS
 from deltacharger_tactile import features, npz
 from deltacharger_tactile.dataset import ANGLE_LIMIT, POSITION_LIMIT
 from deltacharger_tactile.errors import ModelError
 from deltacharger_tactile.estimate import Estimate, Limits, angle_classes, position_classes
 from deltacharger_tactile.expert import Expert
 from deltacharger_tactile.network import Network
-from deltacharger_tactile.parameters import COLUMNS, CONTACT_THRESHOLD, ROWS
 from deltacharger_tactile.support import Support
 
 Array = NDArray[np.float64]
@@ -155,7 +155,7 @@ class PoseEstimator:
     def _feel(self, frames: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_], Array, Array]:
         """Return inputs of the mirror images, whether both pads hold the ridge, contact, pose and its spread (N, 3)."""
         inputs, holds, touched = self._prepare(frames)
-        contact = np.asarray(np.any(frames >= CONTACT_THRESHOLD, axis=(1, 2, 3)))  # NaN is not
+        contact = np.asarray(np.any(frames >= CONTACT_FORCE, axis=(1, 2, 3)))  # NaN is not
         mean, spread = np.full((len(frames), 3), np.nan), np.full((len(frames), 3), np.nan)
         for name, rows in zip(_EXPERTS, (holds & contact, touched & contact & ~holds), strict=True):
             if rows.any():

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_tactile.errors import FrameError
-from deltacharger_tactile.parameters import COLUMNS, ROWS, ContactParameters
+from deltacharger_tactile.parameters import ContactParameters
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_tactile.parameters import FRAME_RATE
+from deltacharger_core.machine import FRAME_RATE
 
 Array = NDArray[np.float64]
 

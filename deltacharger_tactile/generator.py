@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.machine import CONTACT_FORCE, FRAME_RATE
 from deltacharger_tactile.contact import ContactModel
 from deltacharger_tactile.dataset import (
     ANGLE_CLASSES,
@@ -28,7 +29,7 @@ from deltacharger_tactile.dataset import (
     Dataset,
 )
 from deltacharger_tactile.errors import DatasetError
-from deltacharger_tactile.parameters import CONTACT_THRESHOLD, FRAME_RATE, DockingParameters, TactileParameters
+from deltacharger_tactile.parameters import DockingParameters, TactileParameters
 from deltacharger_tactile.sensor import SHAPE, Dockings, Rig, Sensor
 
 Array = NDArray[np.float64]
@@ -43,7 +44,7 @@ def generate_paper(
     rigs: Sequence[int] = (0,),
     seed: int = 0,
     frames: int = 1,
-    threshold: float = CONTACT_THRESHOLD,
+    threshold: float = CONTACT_FORCE,
     rows: int = 1,
 ) -> Dataset:
     """Generate the paper's protocol on each rig: 600 dockings by angle and 500 by position.
@@ -77,7 +78,7 @@ def generate_continuous(
     count: int = 400,
     seed: int = 0,
     frames: int = 1,
-    threshold: float = CONTACT_THRESHOLD,
+    threshold: float = CONTACT_FORCE,
     position_limit: float = POSITION_LIMIT,
     angle_limit: float = ANGLE_LIMIT,
     rows: int = 1,

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from deltacharger.msg import Misalignment, TactileFrame
 
+from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.estimate import Estimate
 from deltacharger_tactile.frame_window import Frame
-from deltacharger_tactile.parameters import COLUMNS, ROWS
 
 
 def to_frame(message: TactileFrame) -> Frame:

@@ -14,14 +14,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
+from deltacharger_core.machine import MAGNET_FLOOR, MAGNET_FORCE, MAGNET_WIDTH
 from deltacharger_tactile.errors import ParameterError
-
-ROWS = 10
-COLUMNS = 10
-PADS = 2
-FRAME_RATE = 120.0
-CONTACT_THRESHOLD = 1.0
-"""Smallest force that the published sensor reports, N: below it everywhere is no contact."""
 
 _DEGREE = math.pi / 180.0
 
@@ -72,9 +66,9 @@ class DockingParameters(_Bounded):
     angle_jitter: float = _value(
         0.19 * _DEGREE, 0.0, 2.0 * _DEGREE, "rad", "standard deviation of the angle, per docking"
     )
-    magnet_force: float = _value(60.0, 0.0, 300.0, "N", "all magnets together in contact at zero offset")
-    magnet_width: float = _value(8e-3, 1e-3, 1.0, "m", "lateral offset that halves the magnets' pull")
-    magnet_floor: float = _value(0.2, 0.0, 1.0, "", "smallest fraction of the magnets' pull")
+    magnet_force: float = _value(MAGNET_FORCE, 0.0, 300.0, "N", "all magnets together in contact at zero offset")
+    magnet_width: float = _value(MAGNET_WIDTH, 1e-3, 1.0, "m", "lateral offset that halves the magnets' pull")
+    magnet_floor: float = _value(MAGNET_FLOOR, 0.0, 1.0, "", "smallest fraction of the magnets' pull")
     magnet_spread: float = _value(0.05, 0.0, 0.3, "", "relative standard deviation of the magnets, per rig")
     push_per_ampere: float = _value(38.4, 1.0, 200.0, "N/A", "push of the servos per contact current")
     push_spread: float = _value(0.05, 0.0, 0.5, "", "lognormal spread of the push, per docking")

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.machine import COLUMNS, PADS, ROWS
 from deltacharger_tactile.contact import Waviness
-from deltacharger_tactile.parameters import COLUMNS, PADS, ROWS, SensorParameters, TactileParameters
+from deltacharger_tactile.parameters import SensorParameters, TactileParameters
 
 Array = NDArray[np.float64]
 SHAPE = (PADS, ROWS, COLUMNS)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.errors import MountError
 from deltacharger_vision.poses import cross_matrix
@@ -22,7 +23,7 @@ Array = NDArray[np.float64]
 FRAME, CAMERA_FRAME = "charger_base", "camera_color_optical_frame"
 POSITION_STDDEV, ROTATION_STDDEV = 0.002, math.radians(0.5)
 """Error of a mount that says nothing of it, per axis: m and rad. What a calibration by hand reaches (assumed)."""
-_PLACE, _DOCK = (0.0, 0.12, -0.12), (0.0, 0.0, 0.080)
+_PLACE, _DOCK = (0.0, 0.12, -0.12), (0.0, 0.0, DOCK_DISTANCE)
 _FARTHEST = 5.0  # m
 _UNIT = 1e-3
 _KEYS = ("frame", "camera_frame", "position", "orientation", "covariance", "calibration")

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH
 from deltacharger_vision.bounded import Bounded, value
 from deltacharger_vision.errors import ParameterError, TerminalError
 
@@ -32,9 +33,9 @@ class Terminal(Bounded):
         ParameterError: a length is out of bounds.
     """
 
-    bar_length: float = value(0.070, 0.005, 1.0, "m", "along x (paper)")
-    bar_height: float = value(0.010, 0.001, 0.5, "m", "of one bar along y (paper)")
-    gap: float = value(0.0074, 0.0005, 0.5, "m", "between the bars along y (paper)")
+    bar_length: float = value(BAR_LENGTH, 0.005, 1.0, "m", "along x (paper)")
+    bar_height: float = value(BAR_HEIGHT, 0.001, 0.5, "m", "of one bar along y (paper)")
+    gap: float = value(BAR_GAP, 0.0005, 0.5, "m", "between the bars along y (paper)")
     bar_thickness: float = value(0.006, 0.0, 0.1, "m", "of the bars above the plate (assumed)")
 
     @property

@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 
 from deltacharger_bringup.calibrate.camera_views import VIEWS, Seen
+from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.hand_eye.calibrate import Calibration
 from deltacharger_vision.hand_eye.checks import held_out_rms
 from deltacharger_vision.mount import quaternion
 
 MILLIMETRE = 1e-3
-DOCK = (0.0, 0.0, 0.080)
+DOCK = (0.0, 0.0, DOCK_DISTANCE)
 """Point of charger_base (m) at which the mount's error is told: the dock."""
 
 

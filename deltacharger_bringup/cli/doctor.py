@@ -22,11 +22,11 @@ from deltacharger_bringup.doctor.ports import candidates, examine_port, same_dev
 from deltacharger_bringup.doctor.servos import examine_servos
 from deltacharger_bringup.doctor.set_baud import set_baud
 from deltacharger_core import environment
+from deltacharger_core.machine import BAUD_RATE, SERVO_IDS
 
 if TYPE_CHECKING:
     from deltacharger_scenes.scene import Scene
 
-_SPEED = 1_000_000  # bit/s, default of both nodes
 _CURRENT_MAX = 3.0  # A, default of servo_node
 
 
@@ -38,9 +38,9 @@ class _Hardware:
     simulated: Scene | None = None
     servo_port: str = ""
     board_port: str = ""
-    servo_speed: int = _SPEED
-    board_speed: int = _SPEED
-    ids: tuple[int, ...] = (1, 2, 3)
+    servo_speed: int = BAUD_RATE
+    board_speed: int = BAUD_RATE
+    ids: tuple[int, ...] = SERVO_IDS
     current_max: float = _CURRENT_MAX
     problems: list[Finding] = field(default_factory=list)
 
@@ -112,13 +112,13 @@ def _hardware(options: argparse.Namespace) -> _Hardware:
     if "servo_node" in scene.nodes:
         values = scene.node_parameters("servo_node", {})
         hardware.servo_port = hardware.servo_port or str(values.get("port", ""))
-        hardware.servo_speed = int(values.get("baud_rate", _SPEED))
+        hardware.servo_speed = int(values.get("baud_rate", BAUD_RATE))
         hardware.ids = tuple(values.get("ids", hardware.ids))
         hardware.current_max = float(values.get("current_max", _CURRENT_MAX))
     if "tactile_node" in scene.nodes:
         values = scene.node_parameters("tactile_node", {})
         hardware.board_port = hardware.board_port or str(values.get("port", ""))
-        hardware.board_speed = int(values.get("baud_rate", _SPEED))
+        hardware.board_speed = int(values.get("baud_rate", BAUD_RATE))
     return hardware
 
 

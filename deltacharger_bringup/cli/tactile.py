@@ -21,14 +21,14 @@ _CALIBRATED = 0.8  # share of the dockings that are learnt from; the rest tells 
 
 def generate(options: argparse.Namespace) -> int:
     """Write a simulated data set."""
+    from deltacharger_core.machine import CONTACT_FORCE
     from deltacharger_tactile.estimator import THRESHOLD
     from deltacharger_tactile.generator import generate_continuous, generate_paper
-    from deltacharger_tactile.parameters import CONTACT_THRESHOLD
 
     out = _writable(options.out)
     rigs = range(options.first_rig, options.first_rig + options.rigs)
     paper = options.protocol == "paper"
-    threshold = options.threshold if options.threshold is not None else CONTACT_THRESHOLD if paper else THRESHOLD
+    threshold = options.threshold if options.threshold is not None else CONTACT_FORCE if paper else THRESHOLD
     common = {"rigs": rigs, "seed": options.seed, "frames": options.frames, "threshold": threshold}
     if paper:
         if options.dockings is not None:
@@ -66,16 +66,16 @@ def train(options: argparse.Namespace) -> int:
 
 
 def _train_class(options: argparse.Namespace, data: Dataset, out: Path) -> dict[str, Any]:
+    from deltacharger_core.machine import CONTACT_FORCE
     from deltacharger_tactile.classifiers.classifier import Classifier
     from deltacharger_tactile.classifiers.labels import examples
     from deltacharger_tactile.classifiers.splits import by_docking
     from deltacharger_tactile.estimator import THRESHOLD
-    from deltacharger_tactile.parameters import CONTACT_THRESHOLD
 
     rows = examples(data, options.target)
     learns, checks = by_docking(rows, options.seed, _CALIBRATED)
     cut = data.threshold
-    model = Classifier(options.model, options.target, max(cut, THRESHOLD) if cut >= 0.0 else CONTACT_THRESHOLD)
+    model = Classifier(options.model, options.target, max(cut, THRESHOLD) if cut >= 0.0 else CONTACT_FORCE)
     model.about = {"data": data.meta, "seed": options.seed, "dockings": len(np.unique(rows.groups[learns]))}
     model.fit(rows.frames[learns], rows.labels[learns], options.seed, _Progress())
     model.calibrate(rows.frames[checks], rows.labels[checks], rows.frames[learns])

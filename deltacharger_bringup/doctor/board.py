@@ -106,7 +106,7 @@ def _pads(frames: list[Any]) -> Iterator[Finding]:
     """Yield dead taxels, what presses on a pad, and whether the pads are tared."""
     import numpy as np
 
-    from deltacharger_driver.board.protocol import CONTACT_FORCE
+    from deltacharger_core.machine import CONTACT_FORCE
     from deltacharger_tactile.estimate import Limits
 
     limit = Limits().pad_dead

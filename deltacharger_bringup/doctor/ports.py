@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deltacharger_bringup.doctor.findings import Finding, failed, hint, ok, wrong
+from deltacharger_core.machine import BAUD_RATE
 
 RULES = "config/udev/99-deltacharger.rules"
 _RULES_ADVICE = f"install {RULES} as docs/hardware.md says"
 _SLOW_LATENCY = 2e-3  # s; above it 100 Hz with three servos is out of reach
-_SPEED = 1_000_000
 
 
 def examine_port(part: str, path: str) -> Iterator[Finding]:
@@ -30,7 +30,7 @@ def examine_port(part: str, path: str) -> Iterator[Finding]:
     from deltacharger_driver.serial_open import open_serial
 
     try:
-        open_serial(path, _SPEED).close()
+        open_serial(path, BAUD_RATE).close()
     except PortMissing as error:
         yield failed(part, error, _what_there_is())
     except PortDenied as error:

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from deltacharger_bringup.doctor.findings import Finding, ok, wrong
+from deltacharger_core.machine import SERVO_IDS
 
 if TYPE_CHECKING:
     from deltacharger_driver.port_identity import FoundServo
@@ -34,7 +35,7 @@ def set_baud(path: str, baud: int, ids: Sequence[int] | None, speeds: Sequence[i
     from deltacharger_driver.port_identity import SERVO_SPEEDS, identify
 
     wanted = None if ids is None else list(dict.fromkeys(ids))
-    found = identify(path, speeds or SERVO_SPEEDS, wanted or (1, 2, 3), _PATIENCE)
+    found = identify(path, speeds or SERVO_SPEEDS, wanted or SERVO_IDS, _PATIENCE)
     if found.kind == "board":
         yield wrong("servos", f"{path}: here is the board, not the servos", "give the servos' port")
         return

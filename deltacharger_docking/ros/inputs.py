@@ -14,12 +14,11 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 
+from deltacharger_core.machine import CONTACT_FORCE, JOINTS
 from deltacharger_docking.observation import Observation, Reply
-from deltacharger_docking.ros.messages import JOINTS
 from deltacharger_ros.on_demand import PolledTopic
 
 _PER_SERVO = ("position", "current", "hardware_error", "torque_enabled", "valid")
-CONTACT_FORCE = 1.0  # N; the pads' smallest reading (paper: 1–9 N)
 
 
 class Inputs:

@@ -14,12 +14,12 @@ from deltacharger.msg import Misalignment
 from geometry_msgs.msg import Pose, PoseStamped
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from deltacharger_core.machine import JOINTS
 from deltacharger_docking.clearance import Estimate
 from deltacharger_docking.codes import Rejected
 from deltacharger_docking.observation import Detection, Waypoint
 from deltacharger_kinematics.geometry import Vector
 
-JOINTS = ("limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint")
 _QUOTED = 60  # characters of what a client sent that a message repeats
 _UNIT = (0.9, 1.1)  # norm of a quaternion that somebody meant
 _LEAN_MAX = math.radians(30.0)  # of the electrodes' z axis from charger_base's; what is docked to is the roll alone

@@ -15,10 +15,11 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
 from deltacharger_driver.board.errors import CommandRefused
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.protocol import CONTACT_FORCE, fault_name
+from deltacharger_driver.board.protocol import fault_name
 from deltacharger_driver.board.samples import PowerSample, ProbeResult, TactileSample
 from deltacharger_driver.errors import DriverError, NoAnswer
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import contextlib
 
+from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board.errors import BoardMismatch
 from deltacharger_driver.board.payloads import Hello
 from deltacharger_driver.board.port import BoardPort
-from deltacharger_driver.board.protocol import COLUMNS, ROWS, VERSION, DecoderCounters
+from deltacharger_driver.board.protocol import VERSION, DecoderCounters
 from deltacharger_driver.errors import NoAnswer, PortError, WrongDevice
 from deltacharger_driver.port_identity import find_servos
 

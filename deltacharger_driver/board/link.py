@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+from deltacharger_core.machine import BAUD_RATE
 from deltacharger_driver.board.errors import BoardMismatch, CommandRefused
 from deltacharger_driver.board.greeting import check_hello, explain_silence, refuse_servos
 from deltacharger_driver.board.heartbeat import Heartbeat
@@ -55,7 +56,7 @@ class BoardLink:
     def __init__(
         self,
         port: str,
-        baud_rate: int = 1_000_000,
+        baud_rate: int = BAUD_RATE,
         on_tactile: Callable[[TactileSample], None] | None = None,
         on_power: Callable[[PowerSample], None] | None = None,
         on_boot: Callable[[], None] | None = None,

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board.protocol import (
-    COLUMNS,
     FULL_SCALE,
     LONGEST_PING,
-    ROWS,
     SHORT_RESISTANCE,
     TAXELS,
     Fault,

@@ -14,22 +14,21 @@ import zlib
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from deltacharger_core.machine import COLUMNS, FRAME_RATE, ROWS
 from deltacharger_driver.board import cobs
 from deltacharger_driver.errors import DriverError
 
 VERSION = 1
 MINOR = 0
-ROWS = COLUMNS = 10
 TAXELS = ROWS * COLUMNS
 FULL_SCALE = 10.0  # N, the code one below the top
-DEFAULT_RATE = 120.0  # Hz, after every boot
+DEFAULT_RATE = FRAME_RATE  # Hz, after every boot
 POWER_RATE = 20.0  # Hz
 HEARTBEAT_PERIOD = 0.020  # s
 HEARTBEAT_TIMEOUT = 0.100  # s without one opens the contactor
 PROBE_LIFETIME = 2.0  # s a probe answer allows a close
 PROBE_DEADLINE = 0.250  # s until a probe is answered at the latest
 SHORT_RESISTANCE = 1.0  # ohm, below it the electrodes are shorted
-CONTACT_FORCE = 1.0  # N, one live taxel at or above it is contact
 LONGEST_PING = 64  # bytes
 
 _HEADER = struct.Struct("<BBHQBBH")

@@ -26,6 +26,7 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
+from deltacharger_core.machine import BAUD_RATE, FRAME_RATE
 from deltacharger_driver.board.contactor_guard import STALE_FRAME, STALE_POWER
 from deltacharger_driver.board.keeper import BoardKeeper
 from deltacharger_driver.board.port import BoardPort
@@ -51,9 +52,9 @@ class TactileNode(Node):
         super().__init__("tactile_node", **kwargs)
         port = node_support.declare(self, "port", "/dev/ttyACM0", "serial port of the board")
         baud_rate = node_support.declare(
-            self, "baud_rate", 1_000_000, "speed on a UART (baud); any on USB", 9600, 4_000_000
+            self, "baud_rate", BAUD_RATE, "speed on a UART (baud); any on USB", 9600, 4_000_000
         )
-        rate = node_support.declare(self, "rate", 120.0, "tactile frames per second (Hz)", 1.0, 200.0)
+        rate = node_support.declare(self, "rate", FRAME_RATE, "tactile frames per second (Hz)", 1.0, 200.0)
         pitch = node_support.declare(self, "pitch", 0.0024, "distance between neighbouring taxels (m)", 0.0001, 0.1)
         node_support.reject_unknown(self)
         try:  # a port that cannot be opened now is a wrong set-up; one that vanishes later is waited for

@@ -9,7 +9,7 @@ from deltacharger.msg import ChargerPower, TactileFrame
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
-from deltacharger_driver.board.protocol import COLUMNS, ROWS
+from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
 

@@ -12,10 +12,8 @@ import threading
 import time
 from collections.abc import Callable
 
-from deltacharger_driver.servos.mx64 import TORQUE_CONSTANT
+from deltacharger_core.machine import NOMINAL_VOLTAGE, SERVO_DAMPING, SERVO_STIFFNESS, TORQUE_CONSTANT
 
-STIFFNESS = 15.0  # N·m/rad of the position loop
-DAMPING = 0.91  # N·m·s/rad
 _STEP = 1e-3  # s
 _LONGEST = 1.0  # s; a longer pause is not caught up
 
@@ -41,7 +39,7 @@ class BenchArm:
         self, angles: tuple[float, ...] = (-0.7, -0.7, -0.7), clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.load = [0.0] * len(angles)
-        self.voltage = [12.0] * len(angles)
+        self.voltage = [NOMINAL_VOLTAGE] * len(angles)
         self.supply_resistance = 0.0
         self.temperature = [30.0] * len(angles)
         self.commands: list[tuple[bool, float, float] | None] = [None] * len(angles)
@@ -98,11 +96,13 @@ class BenchArm:
         _, reference, current_limit = command
         limit = TORQUE_CONSTANT * current_limit
         # Implicit in the angle, so that no stiffness makes it unstable; where that is clipped, the torque is known.
-        change = (STIFFNESS * (reference - self._angle[index]) + self.load[index]) / (DAMPING / _STEP + STIFFNESS)
-        torque = STIFFNESS * (reference - self._angle[index] - change)
+        change = (SERVO_STIFFNESS * (reference - self._angle[index]) + self.load[index]) / (
+            SERVO_DAMPING / _STEP + SERVO_STIFFNESS
+        )
+        torque = SERVO_STIFFNESS * (reference - self._angle[index] - change)
         if abs(torque) > limit:
             torque = math.copysign(limit, torque)
-            change = (torque + self.load[index]) * _STEP / DAMPING
+            change = (torque + self.load[index]) * _STEP / SERVO_DAMPING
         self._angle[index] += change
         self._velocity[index] = change / _STEP
         self._current[index] = torque / TORQUE_CONSTANT

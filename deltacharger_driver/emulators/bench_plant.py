@@ -15,7 +15,8 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from deltacharger_driver.board.protocol import COLUMNS, ROWS, Fault
+from deltacharger_core.machine import COLUMNS, ROWS
+from deltacharger_driver.board.protocol import Fault
 
 PRECHARGE_TIME = 0.060  # s from the command to the contactor
 RAMP = 100.0  # A/s

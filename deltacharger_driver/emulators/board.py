@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
+from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board.payloads import (
     Ack,
     Hello,
@@ -25,13 +26,11 @@ from deltacharger_driver.board.payloads import (
     encode_samples,
 )
 from deltacharger_driver.board.protocol import (
-    COLUMNS,
     DEFAULT_RATE,
     FLAG_OVERRUN,
     FLAG_TARED,
     MINOR,
     POWER_RATE,
-    ROWS,
     VERSION,
     AckError,
     DecoderCounters,

@@ -9,7 +9,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from deltacharger_driver.board.protocol import COLUMNS, CONTACT_FORCE, ROWS, AckError
+from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, ROWS
+from deltacharger_driver.board.protocol import AckError
 
 TARE_SAMPLES = 8
 TARE_PERIOD = 0.004  # s between the samples of a tare: 28 ms in all

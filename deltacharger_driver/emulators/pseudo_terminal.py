@@ -14,10 +14,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
+from deltacharger_driver.servos.mx64 import SPEEDS
+
 _LONGEST_WAIT = 0.5  # s, so that stop() is noticed even where the wake-up pipe fails
 
 
-_SPEEDS = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)  # bit/s
+_SPEEDS = tuple(SPEEDS.values())
 
 
 def terminal_speed(path: str) -> int:

@@ -13,6 +13,7 @@ import random
 import threading
 from collections.abc import Callable, Sequence
 
+from deltacharger_core.machine import SERVO_IDS
 from deltacharger_driver.emulators.pseudo_terminal import terminal_speed
 from deltacharger_driver.emulators.servo_faults import FAULTS, ServoFaults, collide
 from deltacharger_driver.emulators.servo_firmware import ServoFirmware, ServoPlant
@@ -61,7 +62,7 @@ class ServoBusEmulator:
     def __init__(
         self,
         plant: ServoPlant,
-        ids: Sequence[int] = (1, 2, 3),
+        ids: Sequence[int] = SERVO_IDS,
         paced: bool = False,
         line_speed: Callable[[], int] | None = None,
         seed: int = 0,

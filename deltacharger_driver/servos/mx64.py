@@ -25,8 +25,6 @@ VOLTAGE_UNIT = 0.1  # V
 RETURN_DELAY_UNIT = 2e-6  # s
 WATCHDOG_UNIT = 0.02  # s
 WATCHDOG_TRIPPED = 255  # −1 in one byte
-STALL_CURRENT = 4.1  # A, at 12 V
-TORQUE_CONSTANT = 6.0 / STALL_CURRENT  # N·m/A, stall torque over stall current at 12 V
 EXTENDED_TICKS = 1_048_575
 """Largest goal position of modes 4 and 5, ± 256 turns."""
 

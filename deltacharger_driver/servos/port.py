@@ -17,6 +17,7 @@ from pathlib import Path
 import serial
 from dynamixel_sdk.port_handler import PortHandler
 
+from deltacharger_core.machine import BAUD_RATE
 from deltacharger_driver.board.protocol import PacketDecoder
 from deltacharger_driver.errors import PortGone, WrongDevice
 from deltacharger_driver.serial_open import HANG_UPS, open_serial
@@ -57,7 +58,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         margin: the same, for the packets to come.
     """
 
-    def __init__(self, port: str, baud_rate: int = 1_000_000, reply_margin: float = REPLY_MARGIN) -> None:
+    def __init__(self, port: str, baud_rate: int = BAUD_RATE, reply_margin: float = REPLY_MARGIN) -> None:
         super().__init__(port)
         self.is_open: bool = False
         self.ser: serial.Serial | None = None

@@ -32,14 +32,14 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from deltacharger_core.machine import BAUD_RATE, CURRENT_BOUND, JOINTS, SERVO_IDS, STALL_CURRENT, TORQUE_CONSTANT
 from deltacharger_driver.errors import DriverError, TrajectoryRefused
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.diagnostics import DiagnosticEntry, bus_entry, servo_entry
-from deltacharger_driver.servos.mx64 import TORQUE_CONSTANT
 from deltacharger_driver.servos.port import REPLY_MARGIN
 from deltacharger_driver.servos.report import Phase, ServoReport
-from deltacharger_driver.servos.servo_node_io import JOINTS, ContactorClient, Mailbox, StatePublishers, age, waypoint
+from deltacharger_driver.servos.servo_node_io import ContactorClient, Mailbox, StatePublishers, age, waypoint
 from deltacharger_driver.servos.snapshot import BusSettings
 from deltacharger_driver.servos.trajectory import JointLimits, check, check_age
 from deltacharger_ros import node_support
@@ -102,14 +102,16 @@ class ServoNode(Node):
             return node_support.declare(self, name, default, text, low, high)
 
         port = declare("port", "/dev/ttyUSB0", "serial port of the servos")
-        baud_rate = declare("baud_rate", 1_000_000, "speed of the servos' bus (bit/s)", 9600, 4_000_000)
-        ids = declare("ids", [1, 2, 3], "servo ids of limbs 0, 1, 2", 0, 252)
+        baud_rate = declare("baud_rate", BAUD_RATE, "speed of the servos' bus (bit/s)", 9600, 4_000_000)
+        ids = declare("ids", list(SERVO_IDS), "servo ids of limbs 0, 1, 2", 0, 252)
         rate = declare("rate", 100.0, "bus cycles per second (Hz)", 20.0, 200.0)
         zero = declare("zero_ticks", [2048, 2048, 2048], "encoder count at arm angle 0, per limb", -1048575, 1048575)
         sign = declare("direction", [1, 1, 1], "1 or -1 per limb: whether the count rises with the angle", -1, 1)
         constant = declare("torque_constant", TORQUE_CONSTANT, "torque per current of a servo (N·m/A)", 0.1, 10.0)
-        bound = declare("current_bound", 0.83, "current bound where a trajectory sets none (A)", 0.0, 4.1)
-        largest = declare("current_max", 3.0, "largest current bound a trajectory may set (A)", 0.0, 4.1)
+        bound = declare(
+            "current_bound", CURRENT_BOUND, "current bound where a trajectory sets none (A)", 0.0, STALL_CURRENT
+        )
+        largest = declare("current_max", 3.0, "largest current bound a trajectory may set (A)", 0.0, STALL_CURRENT)
         low = declare("joint_min", math.radians(-65.0), "smallest arm angle (rad)", -math.pi, math.pi)
         high = declare("joint_max", math.radians(70.0), "largest arm angle (rad)", -math.pi, math.pi)
         margin = declare("reply_margin", REPLY_MARGIN, "time until a reply is missing (s)", 0.002, 0.1)

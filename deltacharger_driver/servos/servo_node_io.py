@@ -20,11 +20,11 @@ from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
+from deltacharger_core.machine import JOINTS
 from deltacharger_driver.servos.report import ServoReport
 from deltacharger_driver.servos.trajectory import Waypoint
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
 
-JOINTS = ("limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint")
 _FRAME = "charger_base"
 _STATE_FIELDS = (
     "position",

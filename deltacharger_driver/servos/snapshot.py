@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from deltacharger_core.machine import BAUD_RATE, SERVO_IDS, STALL_CURRENT
 from deltacharger_driver.errors import DriverError, RangeError
 from deltacharger_driver.servos.mx64 import (
     CURRENT_UNIT,
     LARGEST_CURRENT,
     REGISTERS,
-    STALL_CURRENT,
     VOLTAGE_UNIT,
     WATCHDOG_TRIPPED,
     indirect_data,
@@ -73,8 +73,8 @@ class BusSettings:
     """
 
     port: str
-    baud_rate: int = 1_000_000
-    ids: tuple[int, ...] = (1, 2, 3)
+    baud_rate: int = BAUD_RATE
+    ids: tuple[int, ...] = SERVO_IDS
     zero_ticks: tuple[int, ...] = (2048, 2048, 2048)
     direction: tuple[int, ...] = (1, 1, 1)
     watchdog: int = WATCHDOG

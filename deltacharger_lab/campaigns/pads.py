@@ -8,8 +8,9 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.machine import FRAME_RATE
 from deltacharger_tactile.contact import ContactModel
-from deltacharger_tactile.parameters import FRAME_RATE, ContactParameters, TactileParameters
+from deltacharger_tactile.parameters import ContactParameters, TactileParameters
 from deltacharger_tactile.sensor import Dockings, Rig, Sensor
 
 Array = NDArray[np.float64]

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_docking.clearance import Estimate
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.classifiers.labels import TARGETS, centres, examples
-from deltacharger_tactile.parameters import CONTACT_THRESHOLD
 
 FOLDER = "DELTACHARGER_PAPER_CLASSES"
 """Environment variable: the folder of the trained classifiers, for worker processes."""
@@ -94,7 +94,7 @@ class PaperClasses:
             vertical_stddev=0.0,
             horizontal=told["horizontal"],
             horizontal_stddev=0.0,
-            contact=bool(np.nanmax(frame) >= CONTACT_THRESHOLD),
+            contact=bool(np.nanmax(frame) >= CONTACT_FORCE),
         )
 
 

@@ -8,15 +8,15 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from deltacharger_core.machine import DOCK_DISTANCE, GRAVITY, GRAVITY_STRENGTH
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.campaigns.spread import Value
 from deltacharger_sim.parameters import WorldParameters, from_mapping
 from deltacharger_tactile.parameters import TactileParameters
 
-NOMINAL: Vector = (0.0, 0.0, 0.080)  # m, charger_base; where a target stands from which its offsets count
+NOMINAL: Vector = (0.0, 0.0, DOCK_DISTANCE)  # m, charger_base; where a target stands from which its offsets count
 AXES = ("x", "y", "z", "roll")
-_STRENGTH = 9.81  # m/s²
 
 
 def build_parts(
@@ -33,7 +33,7 @@ def build_parts(
     content.setdefault("target", {}).update(place, z=NOMINAL[2] + place["z"])
     content.update(_axes(gravity))
     world = from_mapping(content, WorldParameters, "world")
-    told = gravity if values.get("gravity.known", False) else (0.0, -_STRENGTH, 0.0)
+    told = gravity if values.get("gravity.known", False) else GRAVITY
     given: dict[str, Any] = {"servo_stiffness": world.servo.stiffness, "approach": approach, **_axes(told)}
     docking = DockingParameters(**given, **nested(values, "docking"))
     return world, _replaced(TactileParameters(), nested(values, "tactile")), docking
@@ -55,8 +55,8 @@ def nested(values: Mapping[str, Value], section: str) -> dict[str, Any]:
 
 def _gravity(tilt: float, azimuth: float) -> Vector:
     """Return gravity (m/s², charger_base) of a robot tilted by `tilt` toward `azimuth` (0 = +z, π/2 = +x)."""
-    level = _STRENGTH * math.sin(tilt)
-    return level * math.sin(azimuth), -_STRENGTH * math.cos(tilt), level * math.cos(azimuth)
+    level = GRAVITY_STRENGTH * math.sin(tilt)
+    return level * math.sin(azimuth), -GRAVITY_STRENGTH * math.cos(tilt), level * math.cos(azimuth)
 
 
 def _axes(gravity: Vector) -> dict[str, float]:

@@ -15,18 +15,18 @@ import math
 
 import numpy as np
 
+from deltacharger_core.machine import CONTACT_FORCE, TORQUE_CONSTANT
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Reply, Service, Waypoint
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 from deltacharger_lab.campaigns.pads import Pads
 from deltacharger_lab.campaigns.quick_motion import QuickPlanner, WholeFeed
 from deltacharger_lab.campaigns.virtual_charger import TICK, Pending, VirtualCharger, counts
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.shared_world import SharedWorld
 from deltacharger_sim.world import World
-from deltacharger_tactile.parameters import CONTACT_THRESHOLD, TactileParameters
+from deltacharger_tactile.parameters import TactileParameters
 
 MOVING, STANDING = 8, 13  # ticks that one step of the machine may last
 SETTLING = 2  # ticks that one step of the world may last where the platform only comes after its goal
@@ -178,7 +178,7 @@ class QuickCharger(VirtualCharger):
             frame = self._pads.frames(self.world.time, pose, force, 1, 0.0, self.world.mechanics.pad_share)[0]
             self._most_felt = float(np.nanmax(frame - self._tare))
             self._felt_at = known = (*pose, force, float(self.world.record.contacts))
-        return self._most_felt * force >= CONTACT_THRESHOLD * known[3]
+        return self._most_felt * force >= CONTACT_FORCE * known[3]
 
     def _is_known(self, known: tuple[float, ...], pose: tuple[float, float, float], force: float) -> bool:
         """Return whether what was felt tells what is: same contact and place, and same force or far from threshold."""
@@ -187,7 +187,7 @@ class QuickCharger(VirtualCharger):
             return False
         if abs(pose[0] - x) > _SAME_PLACE or abs(pose[1] - y) > _SAME_PLACE:
             return False
-        far = abs(self._most_felt * force / pressed - CONTACT_THRESHOLD) > _SURELY
+        far = abs(self._most_felt * force / pressed - CONTACT_FORCE) > _SURELY
         return far or abs(force - pressed) < _SAME_FORCE * pressed
 
     def _reply(self, pending: Pending) -> Reply:

@@ -7,6 +7,7 @@ import functools
 import math
 from itertools import pairwise
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Waypoint
 from deltacharger_docking.parameters import DockingParameters
@@ -14,7 +15,6 @@ from deltacharger_docking.trajectory_feed import Piece, TrajectoryFeed
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.line import PEAK_SPEED, REFUSED
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 
 _SHORT, _SLOW = 0.008, 0.04  # m and m/s up to which the arms' own limits never bind well inside the workspace
 _MARGIN = 0.02  # share of the reach that both ends must keep from its edge

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from deltacharger_core.machine import CURRENT_BOUND, DOCK_DISTANCE, FRAME_RATE, TORQUE_CONSTANT
 from deltacharger_docking.clearance import Estimate
 from deltacharger_docking.codes import State
 from deltacharger_docking.machine import DockingMachine
@@ -30,8 +31,8 @@ from deltacharger_docking.observation import (
     Waypoint,
 )
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_driver.servos.mx64 import CURRENT_UNIT
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.shared_world import SharedWorld
 from deltacharger_sim.world import TactileSource, World
@@ -39,8 +40,8 @@ from deltacharger_tactile import PoseEstimator, default_model
 from deltacharger_tactile.source import ContactSource
 
 TICK = 0.01
-FRAME = 1.0 / 120.0
-GOAL = Detection((0.0, 0.0, 0.080), 0.0)
+FRAME = 1.0 / FRAME_RATE
+GOAL = Detection((0.0, 0.0, DOCK_DISTANCE), 0.0)
 
 
 class PoseModel(Protocol):
@@ -57,8 +58,8 @@ def packaged_model() -> PoseEstimator:
 
 
 def counts(current: float) -> float:
-    """Return a current (A) as the servo's register resolves it: counts of 3.36 mA."""
-    return round(current / 0.00336) * 0.00336
+    """Return a current (A) as the servo's register resolves it."""
+    return round(current / CURRENT_UNIT) * CURRENT_UNIT
 
 
 @dataclass
@@ -108,7 +109,7 @@ class VirtualCharger:
         self._started = 0.0
         self._goal = [0.0, 0.0, 0.0]
         self._from = [0.0, 0.0, 0.0]
-        self._bound = [0.83] * 3
+        self._bound = [CURRENT_BOUND] * 3
         self._pending: list[Pending] = []
         self._replies: list[Reply] = []
         self._energised = False

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from deltacharger.msg import ChargerPower, DockingDecision, DockingState, Misalignment, ServoState, TactileFrame
 
+from deltacharger_core.machine import CONTACT_FORCE, GRAVITY, TORQUE_CONSTANT
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
 from deltacharger_records.replay.run_record import Decided, Run, Touch
 from deltacharger_ros.client import PHASES
 
@@ -19,7 +19,6 @@ _MEASURED = (
     *("horizontal_m", "vertical_m", "angle_rad"),
     *("horizontal_stddev_m", "vertical_stddev_m", "angle_stddev_rad"),
 )
-_CONTACT = 1.0  # N on one taxel: what the package calls contact
 
 
 class RunBuilder:
@@ -66,7 +65,7 @@ class RunBuilder:
         shape = (message.rows, message.columns)
         left = np.array(message.left, dtype=np.float64).reshape(shape)
         right = np.array(message.right, dtype=np.float64).reshape(shape)
-        if np.isnan(left).all() or np.isnan(right).all() or max(np.nanmax(left), np.nanmax(right)) < _CONTACT:
+        if np.isnan(left).all() or np.isnan(right).all() or max(np.nanmax(left), np.nanmax(right)) < CONTACT_FORCE:
             return
         self.run.frames = (left, right)
 

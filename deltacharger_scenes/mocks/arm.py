@@ -11,8 +11,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from deltacharger_core.machine import (
+    CURRENT_BOUND,
+    DOCK_DISTANCE,
+    GRAVITY,
+    MAGNET_FORCE,
+    SERVO_DAMPING,
+    SERVO_STIFFNESS,
+    TORQUE_CONSTANT,
+)
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
 
 Vector = tuple[float, float, float]
 
@@ -33,11 +41,11 @@ class MockTarget:
 
     x: float = 0.0
     y: float = 0.0
-    z: float = 0.080
+    z: float = DOCK_DISTANCE
     angle: float = 0.0
     stiffness: float = 2e4
     friction: float = 0.3
-    grip: float = 60.0
+    grip: float = MAGNET_FORCE
 
 
 class MockArm:
@@ -60,8 +68,8 @@ class MockArm:
     def __init__(
         self,
         target: MockTarget,
-        stiffness: float = 15.0,
-        damping: float = 0.91,
+        stiffness: float = SERVO_STIFFNESS,
+        damping: float = SERVO_DAMPING,
         position: Vector = (0.0, 0.0, 0.0),
     ) -> None:
         self.target = target
@@ -70,7 +78,7 @@ class MockArm:
         self._damping = damping
         self.angles = list(self._delta.inverse(*position))
         self.goals = list(self.angles)
-        self.bounds = [0.83, 0.83, 0.83]
+        self.bounds = [CURRENT_BOUND] * 3
         self.torque_enabled = [False, False, False]
         self.jammed = False
         self._velocity = [0.0, 0.0, 0.0]

@@ -23,6 +23,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
 
+from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_ros import node_support, qos
 from deltacharger_scenes.mocks.parameters import FaultSwitch
 
@@ -40,7 +41,7 @@ class MockDetectorNode(Node):
         super().__init__("electrode_detector_node", **kwargs)
         self._x = node_support.declare(self, "x", 0.0, "electrodes along x of charger_base (m)", -1.0, 1.0)
         self._y = node_support.declare(self, "y", 0.0, "electrodes along y of charger_base (m)", -1.0, 1.0)
-        self._z = node_support.declare(self, "z", 0.080, "electrodes along z of charger_base (m)", -1.0, 1.0)
+        self._z = node_support.declare(self, "z", DOCK_DISTANCE, "electrodes along z of charger_base (m)", -1.0, 1.0)
         self._roll = node_support.declare(
             self, "roll", 0.0, "of the electrodes about z (rad)", -math.pi / 2, math.pi / 2
         )

@@ -30,13 +30,20 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from deltacharger_core.machine import (
+    CURRENT_BOUND,
+    JOINTS,
+    NOMINAL_VOLTAGE,
+    SERVO_DAMPING,
+    SERVO_STIFFNESS,
+    STALL_CURRENT,
+    TORQUE_CONSTANT,
+)
 from deltacharger_kinematics import DeltaGeometry
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 from deltacharger_ros import node_support, qos
 from deltacharger_scenes.mocks.arm import MockArm
 from deltacharger_scenes.mocks.parameters import FaultSwitch, declare_target
 
-JOINTS = tuple(f"limb_{limb}_arm_joint" for limb in range(3))
 FAULTS = ("none", "silence", "nan_current", "missing", "hardware_error", "jam")
 _BROKEN = 1  # index of the servo that the faults concern
 _OLDEST_STAMP = 0.5  # s
@@ -48,9 +55,15 @@ class MockServoNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("servo_node", **kwargs)
         self._rate = node_support.declare(self, "rate", 100.0, "cycles per second (Hz)", 1.0, 500.0)
-        stiffness = node_support.declare(self, "stiffness", 15.0, "of a servo's position loop (N·m/rad)", 1.0, 50.0)
-        damping = node_support.declare(self, "damping", 0.91, "of a servo's position loop (N·m·s/rad)", 0.2, 5.0)
-        self._default_bound = node_support.declare(self, "current_bound", 0.83, "bound without effort (A)", 0.0, 4.1)
+        stiffness = node_support.declare(
+            self, "stiffness", SERVO_STIFFNESS, "of a servo's position loop (N·m/rad)", 1.0, 50.0
+        )
+        damping = node_support.declare(
+            self, "damping", SERVO_DAMPING, "of a servo's position loop (N·m·s/rad)", 0.2, 5.0
+        )
+        self._default_bound = node_support.declare(
+            self, "current_bound", CURRENT_BOUND, "bound without effort (A)", 0.0, STALL_CURRENT
+        )
         geometry = DeltaGeometry()
         self._joint_min, self._joint_max = geometry.joint_min, geometry.joint_max
         target = declare_target(self)
@@ -154,7 +167,7 @@ class MockServoNode(Node):
         message.position = array.array("d", position)
         message.velocity = array.array("d", velocity)
         message.current = array.array("d", current)
-        message.voltage = array.array("f", [12.0] * 3)
+        message.voltage = array.array("f", [NOMINAL_VOLTAGE] * 3)
         message.temperature = array.array("f", [35.0] * 3)
         message.hardware_error = array.array("B", self._error)
         message.torque_enabled = list(self._arm.torque_enabled)

@@ -34,13 +34,13 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from deltacharger_core.machine import CONTACT_FORCE, GRAVITY, PADS, TORQUE_CONSTANT
 from deltacharger_driver.board.contactor_lease import LeaseRefused
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
 from deltacharger_ros import node_support, qos
 from deltacharger_scenes.mocks.parameters import FaultSwitch, declare_target
 from deltacharger_scenes.mocks.power import BATTERY, TARGET, MockPower
-from deltacharger_tactile.parameters import CONTACT_THRESHOLD, PADS, TactileParameters
+from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.source import ContactSource
 
 POWER_FAULTS = (
@@ -199,7 +199,7 @@ class MockTactileNode(Node):
 
     def _on_tare(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._lock:
-            pressed = self._tare is not None and bool(np.nanmax(self._newest) >= CONTACT_THRESHOLD)
+            pressed = self._tare is not None and bool(np.nanmax(self._newest) >= CONTACT_FORCE)
             if self._fault.active() == "tare_refusal" or pressed or self._touching():
                 response.success = False
                 response.message = "the pads are in contact; lift the end effector before taring"
@@ -252,7 +252,7 @@ class MockTactileNode(Node):
         """Return why a close is refused by touch, as tactile_node does; empty where it is not."""
         if self._fault.active() == "silence":
             return "tactile frames are stale; the contactor stays open"
-        if not np.nanmax(self._newest) >= CONTACT_THRESHOLD:
+        if not np.nanmax(self._newest) >= CONTACT_FORCE:
             return "no tactile contact; the contactor stays open"
         return ""
 

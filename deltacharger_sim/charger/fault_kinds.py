@@ -12,6 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from deltacharger_core.machine import JOINTS
+from deltacharger_driver.servos.mx64 import SPEEDS
+
 if TYPE_CHECKING:
     from deltacharger_driver.emulators.board import BoardEmulator
     from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
@@ -20,9 +23,9 @@ if TYPE_CHECKING:
 
 ONE, SOME = "one", "some"
 """Whom a fault of the servos concerns: one of them (the second where none is named), or all where none is named."""
-SERVOS = 3
+SERVOS = len(JOINTS)
 _WIRE = ("drop", "corrupt", "truncate", "duplicate", "garbage")
-_SPEEDS = {9600: 0, 57600: 1, 115200: 2, 1_000_000: 3, 2_000_000: 4, 3_000_000: 5, 4_000_000: 6}
+_SPEEDS = {speed: value for value, speed in SPEEDS.items()}
 _HARDWARE_ERRORS = {"voltage": 0, "overheating": 2, "encoder": 3, "shock": 4, "overload": 5}  # bits of the MX-64
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from rclpy.node import Node
 
+from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_ros import node_support
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import LARGEST, SMALLEST, Board, parse_board
@@ -52,7 +53,7 @@ def declare_target(node: Node) -> Array:
     """Declare where the electrodes are and return charger_base_T_terminal (4, 4)."""
     place = [
         node_support.declare(node, f"target_{axis}", default, f"electrodes along {axis} of charger_base (m)", -2.0, 2.0)
-        for axis, default in (("x", 0.0), ("y", 0.0), ("z", 0.080))
+        for axis, default in (("x", 0.0), ("y", 0.0), ("z", DOCK_DISTANCE))
     ]
     roll, about_x, about_y = (
         node_support.declare(node, f"target_{name}", 0.0, f"of the electrodes about {axis} (rad)", -1.6, 1.6)

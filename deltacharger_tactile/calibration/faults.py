@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, ROWS
 from deltacharger_tactile.calibration.rig import SHAPE, SensorCalibrationError
 from deltacharger_tactile.dataset import Dataset
-from deltacharger_tactile.parameters import COLUMNS, ROWS, ContactParameters
+from deltacharger_tactile.parameters import ContactParameters
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -23,7 +24,6 @@ _DEAD_SHARE = 0.05  # of the dockings in which the board told a taxel dead; a gl
 _EVENTS = 3  # dockings that must have shown it
 _SILENT_SHARE = 0.8  # of the dockings that pressed its neighbours
 _SILENT = 0.1  # of what the neighbours read
-_PRESSED = 1.0  # N
 _AWAY = 0.010  # m from the ridge's line: half its height, its spread in the skin, three jitters, half a taxel
 _LOUD = 0.5  # N where nothing presses: ten times what a contact leaves behind
 _NOISY = 0.25  # N, scatter of one docking's reading where nothing presses; the model believes readings from here on
@@ -162,7 +162,7 @@ def _silent(frames: Array, threshold: float) -> Mask:
     beside[..., 1:-1] = np.minimum(live[..., :-2], live[..., 2:])
     beside[..., 0] = np.minimum(live[..., 1], live[..., 2])
     beside[..., -1] = np.minimum(live[..., -2], live[..., -3])
-    pressed = beside >= max(_PRESSED, 3.0 * threshold)
+    pressed = beside >= max(CONTACT_FORCE, 3.0 * threshold)
     nothing = pressed & (live < _SILENT * beside)
     count = pressed.sum(axis=0)
     return np.asarray((count >= _EVENTS) & (nothing.sum(axis=0) >= _SILENT_SHARE * count))

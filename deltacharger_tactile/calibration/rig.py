@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from deltacharger_core.machine import COLUMNS, PADS, ROWS
 from deltacharger_tactile.dataset import ANGLE_LIMIT, POSITION_LIMIT
 from deltacharger_tactile.errors import FrameError, TactileError
 from deltacharger_tactile.estimate import Estimate, Limits, angle_classes, position_classes
-from deltacharger_tactile.parameters import COLUMNS, PADS, ROWS
 
 Array = NDArray[np.float64]
 

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, PADS, ROWS
 from deltacharger_tactile import PoseEstimator, default_model, features
 from deltacharger_tactile.classifiers import files, labels, reliability
 from deltacharger_tactile.classifiers.reliability import Reliability
 from deltacharger_tactile.classifiers.runtime import KINDS
 from deltacharger_tactile.errors import ModelError
-from deltacharger_tactile.parameters import COLUMNS, CONTACT_THRESHOLD, PADS, ROWS
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -79,7 +79,7 @@ class Classifier:
         ModelError: there is no such classifier or target.
     """
 
-    def __init__(self, name: str, target: str, threshold: float = CONTACT_THRESHOLD) -> None:
+    def __init__(self, name: str, target: str, threshold: float = CONTACT_FORCE) -> None:
         if name not in NAMES or target not in labels.TARGETS:
             raise ModelError(name, f"known are {', '.join(NAMES)} for {', '.join(labels.TARGETS)}, not '{target}'")
         self.name = name

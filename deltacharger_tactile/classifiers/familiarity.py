@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_tactile.parameters import ROWS, ContactParameters
+from deltacharger_core.machine import ROWS
+from deltacharger_tactile.parameters import ContactParameters
 
 Array = NDArray[np.float64]
 

@@ -17,10 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.machine import JOINTS
 from deltacharger_vision.hand_eye.fit import Fit, fit, set_apart
 from deltacharger_vision.hand_eye.model import ANGLES, BOARD, CAMERA, SCALE, SHIFT, State
 from deltacharger_vision.hand_eye.start import Start, start
-from deltacharger_vision.hand_eye.views import FEWEST, JOINTS, Beliefs, Corners, HandEyeError, View
+from deltacharger_vision.hand_eye.views import FEWEST, Beliefs, Corners, HandEyeError, View
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.poses import cross_matrix
@@ -174,7 +175,7 @@ def count_places(positions: Array) -> int:
 
 
 def _state(first: Start, scale: float) -> State:
-    return State(first.camera, first.shift, first.board, np.zeros(JOINTS), scale)
+    return State(first.camera, first.shift, first.board, np.zeros(len(JOINTS)), scale)
 
 
 def _mount(found: Fit, beliefs: Beliefs) -> Mount:
@@ -195,7 +196,7 @@ def _surprise(found: Fit, beliefs: Beliefs) -> float:
     if not beliefs.joint_stddev:
         return 0.0
     errors = found.state.joints / beliefs.joint_stddev
-    told = np.eye(JOINTS) - found.covariance[ANGLES, ANGLES] / beliefs.joint_stddev**2
+    told = np.eye(len(JOINTS)) - found.covariance[ANGLES, ANGLES] / beliefs.joint_stddev**2
     values, axes = np.linalg.eigh(told)
     return float(np.sum((errors @ axes) ** 2 / np.maximum(values, _TOLD)))
 

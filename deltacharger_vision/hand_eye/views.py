@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.machine import JOINTS
 from deltacharger_vision.bounded import Bounded, value
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import Sighting
@@ -18,7 +19,6 @@ from deltacharger_vision.projection import rays
 
 Array = NDArray[np.float64]
 
-JOINTS = 3
 FEWEST = 5
 """Views that a calibration needs, one of them to judge the others."""
 _FARTHEST = 10.0
@@ -57,7 +57,7 @@ class View:
     slope: Array
 
     def __post_init__(self) -> None:
-        if np.shape(self.position) != (3,) or np.shape(self.slope) != (3, JOINTS):
+        if np.shape(self.position) != (3,) or np.shape(self.slope) != (3, len(JOINTS)):
             raise HandEyeError("a view needs a position (3,) and its slope (3, 3)")
         numbers = (self.position, self.slope, self.sighting.corners, self.sighting.pixels)
         if not all(np.isfinite(each).all() for each in numbers) or np.abs(self.position).max() > _FARTHEST:

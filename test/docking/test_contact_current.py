@@ -8,10 +8,10 @@ import random
 
 import pytest
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.contact_current import ContactCurrent
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 
 
 @pytest.mark.parametrize("gravity", [(0.0, -9.81, 0.0), (3.0, -5.0, 7.0)])

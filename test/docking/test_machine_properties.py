@@ -18,6 +18,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.clearance import Estimate, Verdict, judge
 from deltacharger_docking.codes import Code, DockingError, State
 from deltacharger_docking.energy_script import CONTACT_LOST
@@ -35,7 +36,6 @@ from deltacharger_docking.observation import (
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 from deltacharger_lab.campaigns.quick_motion import QuickPlanner
 
 TICK = 0.05  # s; coarse, as the model has no dynamics

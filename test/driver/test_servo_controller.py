@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.errors import PortMissing, TrajectoryRefused
 from deltacharger_driver.servos.controller import OPENING_TIME, STOP_TIME, ServoController
-from deltacharger_driver.servos.mx64 import TICK, TORQUE_CONSTANT
+from deltacharger_driver.servos.mx64 import TICK
 from deltacharger_driver.servos.report import Phase
 from deltacharger_driver.servos.snapshot import BusSettings
 

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 
 import pytest
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.errors import TrajectoryRefused
-from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK, TORQUE_CONSTANT
+from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
 from deltacharger_driver.servos.report import Phase, ServoReport
 from deltacharger_driver.servos.trajectory import Waypoint, check
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
@@ -20,7 +21,7 @@ from deltacharger_driver.errors import DriverError, HandshakeError
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.control_table import OK, RANGE, RESULT_FAIL
 from deltacharger_driver.servos.controller import ServoController
-from deltacharger_driver.servos.mx64 import REGISTERS, TORQUE_CONSTANT, indirect_address, indirect_data
+from deltacharger_driver.servos.mx64 import REGISTERS, indirect_address, indirect_data
 from deltacharger_driver.servos.packets import BROADCAST, PING, READ, REBOOT, SYNC_READ, SYNC_WRITE, WRITE
 from deltacharger_driver.servos.snapshot import BusSettings
 

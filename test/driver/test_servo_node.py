@@ -25,14 +25,15 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from deltacharger_core.machine import JOINTS, TORQUE_CONSTANT
 from deltacharger_driver.board.tactile_node import TactileNode
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, terminal_speed
-from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK, TORQUE_CONSTANT
-from deltacharger_driver.servos.servo_node import JOINTS, ServoNode
+from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
+from deltacharger_driver.servos.servo_node import ServoNode
 from deltacharger_ros.node_support import Spinner, StartupError
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]

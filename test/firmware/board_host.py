@@ -12,8 +12,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board import cobs
-from deltacharger_driver.board.protocol import COLUMNS, ROWS, SampleFormat
+from deltacharger_driver.board.protocol import SampleFormat
 from deltacharger_driver.emulators.wire_faults import WireFaults
 
 

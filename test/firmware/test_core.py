@@ -10,6 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from deltacharger_core import machine
+from deltacharger_driver.board import protocol
+
 from .conftest import FIRMWARE
 
 CORE = FIRMWARE / "deltacharger_board" / "src"
@@ -34,6 +37,18 @@ def test_the_core_calls_nothing_but_memory_functions(compiler: str, tmp_path: Pa
     assert {name for name in called if not name.startswith("__")} <= ALLOWED_FUNCTIONS
     # Every byte of state is in the caller's dc_board: two boards can share a processor.
     assert not re.findall(r" [bBdDC] (\w+)", listing)
+
+
+def test_the_numbers_of_the_firmware_are_those_of_the_host() -> None:
+    text = "".join(path.read_text() for path in CORE.glob("*.h"))
+    written = {name: float(value) for name, value in re.findall(r"#define DC_(\w+) ([\d.]+)[uf]?\b", text)}
+    host = vars(protocol) | vars(machine)
+    shared = {name: value for name, value in written.items() if name in host}
+    assert shared == {name: host[name] for name in shared}
+    assert shared.keys() >= {"ROWS", "COLUMNS", "CONTACT_FORCE", "FULL_SCALE", "DEFAULT_RATE", "SHORT_RESISTANCE"}
+    micros = {name.removesuffix("_US"): value * 1e-6 for name, value in written.items() if name.endswith("_US")}
+    for name in ("HEARTBEAT_TIMEOUT", "PROBE_LIFETIME", "PROBE_DEADLINE"):
+        assert micros[name] == pytest.approx(host[name])
 
 
 def test_every_header_stands_alone_in_c_and_in_cpp(compiler: str, tmp_path: Path) -> None:

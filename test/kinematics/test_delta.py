@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_kinematics import (
     AHEAD,
     BEHIND,
@@ -22,7 +23,6 @@ from deltacharger_kinematics import (
     Status,
 )
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 from deltacharger_kinematics.status import NO_ANSWER
 
 DELTA = Delta()

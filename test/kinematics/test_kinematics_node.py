@@ -20,12 +20,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import Header
 
+from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
 from deltacharger_docking.ros.docking_node import DockingNode
 from deltacharger_kinematics import Delta, Status
 from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_kinematics.kinematics_node import KinematicsNode
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
 from deltacharger_ros import qos
 from deltacharger_ros.node_support import Spinner, StartupError
 

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_kinematics import Delta, DeltaGeometry, KinematicsError, Status
 from deltacharger_kinematics.geometry import LimbAdjustment
 from deltacharger_kinematics.line import PEAK_SPEED, REFUSED, ArmLimits, Line, LineRefused, plan_line
 from deltacharger_kinematics.modes import KNEE_OUT
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 from deltacharger_sim.parameters import ServoParameters
 
 DELTA = Delta()

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
 from deltacharger_docking.goal_check import suggested_base
 from deltacharger_mission.dialogue import Docking, End, Goal, Reply, Request, Stage, Task
 from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.places import DOCK_DISTANCE, Mount, Place, views, wrapped
+from deltacharger_mission.places import Mount, Place, views, wrapped
 
 from .missions import FORWARD, HOME, TARGET, Answer, Truth, World, ends, fails, silent
 

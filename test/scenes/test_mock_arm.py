@@ -7,9 +7,9 @@ import math
 
 import pytest
 
+from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
 from deltacharger_driver.board.contactor_lease import LeaseRefused
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.statics import GRAVITY, TORQUE_CONSTANT
 from deltacharger_scenes.mocks.arm import MockArm, MockTarget
 from deltacharger_scenes.mocks.power import CHARGE_CURRENT, NO_CHARGE_CURRENT, WELDED, MockPower
 

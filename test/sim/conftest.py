@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import pytest
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import TactileSource, World
 

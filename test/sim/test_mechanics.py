@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 from deltacharger_sim.parameters import (
     ContactParameters,
     MagnetParameters,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.machine import GRAVITY_STRENGTH
 from deltacharger_lab.campaigns.docking import CRASHED
 from deltacharger_lab.campaigns.summary import upper_bound, wilson
 
@@ -22,7 +23,6 @@ UPRIGHT = 7.0  # degrees up to which all are to be charged
 NEAR = 0.0025  # m in each axis
 BAND = (0.4, 0.5)  # A
 PUSH_MOST, HOTTEST_MOST, MOVES_MOST = 25.0, 0.6, 3
-_GRAVITY = 9.81  # m/s²
 _QUANTILES = (0.5, 0.95, 0.99, 1.0)
 AXES = ("horizontal", "vertical", "angle")
 
@@ -113,7 +113,7 @@ def by_drawn(rows: Columns) -> list[dict[str, Any]]:
         ("servo stiffness, N·m/rad", rows["world.servo.stiffness"].astype(float), (2.5, 6.0, 12.0, 20.0)),
         ("contact stiffness, N/m", rows["world.contact.stiffness"].astype(float), (1e4, 1e5, 1e6, 1e7)),
         ("offset at contact, mm", offset, (0.0, 4.0, 7.0, 10.0)),
-        ("gravity along the push", rows["gravity_z"] / _GRAVITY, (-1.0, -1.0 / 3.0, 1.0 / 3.0, 1.0)),
+        ("gravity along the push", rows["gravity_z"] / GRAVITY_STRENGTH, (-1.0, -1.0 / 3.0, 1.0 / 3.0, 1.0)),
     )
     found = []
     for name, values, edges in drawn:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_kinematics import Delta, DeltaGeometry, Status
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 from deltacharger_lab.reports.kinematics.sets import plain_edge
 from deltacharger_records.plotting import INK, picture
 

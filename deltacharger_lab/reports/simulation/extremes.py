@@ -8,10 +8,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from deltacharger_core.machine import GRAVITY, MAGNET_FORCE, STALL_CURRENT, TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 from deltacharger_lab.reports.simulation.scenes import DELTA, Arm, Model, world
 from deltacharger_sim.parameters import (
+    LEVER,
     ContactParameters,
     MagnetParameters,
     ServoParameters,
@@ -75,7 +76,7 @@ def _carries(point: Vector, lead: bool = True) -> Callable[[Arm], Verdict]:
 
 def _mirrored(arm: Arm) -> Verdict:
     """The sag under the reversed gravity is the mirror image of the light model's under the usual one."""
-    usual = Arm(World(replace(arm.world.parameters, gravity_y=-9.81)), arm.step)
+    usual = Arm(World(replace(arm.world.parameters, gravity_y=GRAVITY[1])), arm.step)
     for each in (arm, usual):
         each.go((0.0, 0.0, 0.08), 3.0, lead=False)
     sag, mirrored = (1000.0 * each.world.mechanics.position[1] for each in (arm, usual))
@@ -90,7 +91,7 @@ def _impact(arm: Arm) -> Verdict:
         arm.run(arm.step)
         peak = max(peak, arm.world.mechanics.contact_force)
     speed = max(map(abs, arm.world.mechanics.velocity))
-    most = 3.0 * arm.world.parameters.servo.stall_torque / 0.038 + 60.0
+    most = 3.0 * arm.world.parameters.servo.stall_torque / LEVER + MAGNET_FORCE
     settled = arm.world.mechanics.contact_force
     return (
         speed < _CALM and 60.0 < settled < most,
@@ -141,7 +142,7 @@ def _edges(arm: Arm) -> Verdict:
     low, high, nearest = geometry.joint_min, geometry.joint_max, 1.0
     for goals in ((3.0, 3.0, 3.0), (low, high, high), (-3.0, -3.0, 3.0), (high, low, low), (low, low, low)):
         for index, goal in enumerate(goals):
-            arm.world.command(index, True, goal, 4.1)
+            arm.world.command(index, True, goal, STALL_CURRENT)
         for _ in range(max(1, round(1.0 / max(arm.step, 0.01)))):
             arm.run(max(arm.step, 0.01))
             solved = DELTA.solve_forward(*arm.world.mechanics.angles)
@@ -169,10 +170,10 @@ def _not_a_number(arm: Arm) -> Verdict:
     arm.go((0.0, 0.0, 0.05), 2.0)
     before = arm.world.mechanics.position
     for index in range(3):
-        arm.world.command(index, True, math.nan, 4.1)
+        arm.world.command(index, True, math.nan, STALL_CURRENT)
     arm.run(0.5)
     for index in range(3):
-        arm.world.command(index, True, math.inf, 4.1)
+        arm.world.command(index, True, math.inf, STALL_CURRENT)
     arm.run(0.5)
     moved = math.dist(before, arm.world.mechanics.position)
     return moved < 1e-5, f"moves by {moved:.1e} m"
@@ -202,7 +203,10 @@ SCENES = (
         "base tilted by 30°",
         "at rest the servos carry the weight",
         WorldParameters(
-            servo=_SLIPPERY, target=_FREE, gravity_y=-9.81 * math.cos(_TILT), gravity_z=-9.81 * math.sin(_TILT)
+            servo=_SLIPPERY,
+            target=_FREE,
+            gravity_y=GRAVITY[1] * math.cos(_TILT),
+            gravity_z=GRAVITY[1] * math.sin(_TILT),
         ),
         _carries((0.02, 0.01, 0.08)),
     ),
@@ -215,7 +219,7 @@ SCENES = (
     Scene(
         "gravity reversed",
         "sags the other way by as much",
-        WorldParameters(servo=_SLIPPERY, target=_FREE, gravity_y=9.81),
+        WorldParameters(servo=_SLIPPERY, target=_FREE, gravity_y=-GRAVITY[1]),
         _mirrored,
     ),
     Scene("20 mm beyond the target at full speed", "comes to rest", world(), _impact),

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from deltacharger_core.machine import SERVO_STIFFNESS, STALL_CURRENT, TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_kinematics.statics import TORQUE_CONSTANT
 from deltacharger_sim.parameters import ContactParameters, ServoParameters, WorldParameters
 from deltacharger_sim.world import World
 
@@ -53,7 +53,7 @@ class Arm:
         values = world.parameters
         self.gravity = (values.gravity_x, values.gravity_y, values.gravity_z)
 
-    def aim(self, point: Vector, bound: float = 4.1, lead: bool = True) -> None:
+    def aim(self, point: Vector, bound: float = STALL_CURRENT, lead: bool = True) -> None:
         """Command all servos toward `point` (m, charger_base) with at most `bound` A each."""
         held = DELTA.holding_torque(*point, self.gravity) if lead else (0.0, 0.0, 0.0)
         stiffness = self.world.parameters.servo.stiffness
@@ -75,7 +75,7 @@ class Arm:
                 self.trace.append(self.world.mechanics.position)
         self.used += time.process_time() - started
 
-    def go(self, point: Vector, seconds: float = 1.0, bound: float = 4.1, lead: bool = True) -> None:
+    def go(self, point: Vector, seconds: float = 1.0, bound: float = STALL_CURRENT, lead: bool = True) -> None:
         """Aim and wait."""
         self.aim(point, bound, lead)
         self.run(seconds)
@@ -127,7 +127,7 @@ def rms(trace: Sequence[Vector], exact: Sequence[Vector]) -> float:
 
 
 def world(
-    stiffness: float = 1e5, servo: float = 15.0, friction: float | None = None, **changes: Any
+    stiffness: float = 1e5, servo: float = SERVO_STIFFNESS, friction: float | None = None, **changes: Any
 ) -> WorldParameters:
     """Return parameters of a contact and servo stiffness; `friction` of the gears (N·m), None = default."""
     gears = {} if friction is None else {"friction": friction}

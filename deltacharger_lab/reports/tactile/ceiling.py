@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile.measure import accuracy, fitted, paper_set
 from deltacharger_lab.reports.tactile.plan import TARGETS, Plan
@@ -21,7 +22,7 @@ from deltacharger_tactile.classifiers.labels import Examples
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.estimator import THRESHOLD
 from deltacharger_tactile.generator import generate_paper
-from deltacharger_tactile.parameters import CONTACT_THRESHOLD, TactileParameters
+from deltacharger_tactile.parameters import TactileParameters
 
 Row = dict[str, Any]
 HOLE = 2.2e-3
@@ -66,8 +67,7 @@ def thresholds(rig: int, seed: int, plan: Plan) -> list[Row]:
     """Judge the same model with readings from 0.25 N and from the paper's 1 N on."""
     known, fresh = paper_set(rig, seed), paper_set(rig, 700 + seed)
     return [
-        _row(f"LDA, readings from {cut:g} N on", "lda", known, fresh, seed, cut)
-        for cut in (CONTACT_THRESHOLD, THRESHOLD)
+        _row(f"LDA, readings from {cut:g} N on", "lda", known, fresh, seed, cut) for cut in (CONTACT_FORCE, THRESHOLD)
     ]
 
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib.util import find_spec
 
+from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_tactile.classifiers.classifier import DEFAULT, NAMES
 from deltacharger_tactile.estimator import THRESHOLD
-from deltacharger_tactile.parameters import CONTACT_THRESHOLD
 
 TARGETS = ("angle", "vertical", "horizontal")
 SETS = {"angle": ("angle",), "position": ("vertical", "horizontal")}
@@ -95,7 +95,7 @@ def kind(name: str) -> str:
 
 def threshold(name: str) -> float:
     """Return what a model counts as nothing, N: the paper's 1 N, or that of the packaged pose model."""
-    return THRESHOLD if NAMES[name][1] == "pose" else CONTACT_THRESHOLD
+    return THRESHOLD if NAMES[name][1] == "pose" else CONTACT_FORCE
 
 
 def absent() -> dict[str, str]:

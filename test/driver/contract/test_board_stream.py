@@ -11,8 +11,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, ROWS
 from deltacharger_driver.board.errors import CommandRefused
-from deltacharger_driver.board.protocol import COLUMNS, CONTACT_FORCE, FULL_SCALE, ROWS, VERSION, AckError
+from deltacharger_driver.board.protocol import FULL_SCALE, VERSION, AckError
 from deltacharger_driver.board.samples import TactileSample
 from deltacharger_driver.port_identity import identify
 

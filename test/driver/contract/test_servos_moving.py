@@ -10,11 +10,12 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.errors import DriverError, ServoFault
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.link import ServoLink
-from deltacharger_driver.servos.mx64 import TORQUE_CONSTANT, WATCHDOG_UNIT
+from deltacharger_driver.servos.mx64 import WATCHDOG_UNIT
 from deltacharger_driver.servos.snapshot import WATCHDOG, Snapshot
 
 from .sites import ServoSite, until

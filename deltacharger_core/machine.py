@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The machine in numbers: what every package may assume of it, each with its source. SI units.
+
+Axes are those of `charger_base`: +z points at the target, +y is up. What somebody may want to change is a declared
+parameter; where its default is the machine's, it refers to here.
+"""
+
+from __future__ import annotations
+
+JOINTS = ("limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint")
+"""Names of the driven joints in the order of the limbs; those of the URDF and of every message."""
+SERVO_IDS = (1, 2, 3)
+"""On the bus, of limbs 0, 1, 2; DYNAMIXEL's own default is 1 for every servo."""
+BAUD_RATE = 1_000_000
+"""bit/s of the servos' bus and of a board on a UART."""
+
+STALL_TORQUE, STALL_CURRENT, NOMINAL_VOLTAGE = 6.0, 4.1, 12.0
+"""N·m and A of an MX-64 at that voltage, V (vendor's e-manual)."""
+TORQUE_CONSTANT = STALL_TORQUE / STALL_CURRENT
+"""N·m/A; ±5 %, and friction is extra."""
+SERVO_STIFFNESS, SERVO_DAMPING = 15.0, 0.91
+"""N·m/rad and N·m·s/rad of a servo in position mode with the vendor's gains (assumed; nobody measured them here)."""
+CURRENT_BOUND = 0.83
+"""A of a servo where a trajectory sets no bound."""
+GRAVITY_STRENGTH = 9.81
+"""m/s²."""
+GRAVITY = (0.0, -GRAVITY_STRENGTH, 0.0)
+"""m/s² in `charger_base` where the robot stands level."""
+
+PADS, ROWS, COLUMNS = 2, 10, 10
+"""Tactile pads, and the taxels of each (paper)."""
+FRAME_RATE = 120.0
+"""Hz at which both pads are sampled (paper)."""
+CONTACT_FORCE = 1.0
+"""N; a taxel at or above it is in contact: the smallest force that the published sensor tells (1–9 N)."""
+
+DOCK_DISTANCE = 0.080
+"""m; z of the electrodes where the robot stands right (paper: (0, 0, 80) mm)."""
+BAR_LENGTH, BAR_HEIGHT, BAR_GAP = 0.070, 0.010, 0.0074
+"""m; an electrode's bar along x and y, and the gap to the other bar (paper)."""
+MAGNET_FORCE, MAGNET_WIDTH, MAGNET_FLOOR = 60.0, 0.008, 0.2
+"""All magnets together: N in contact at zero offset, m of lateral offset that halves it, least share (assumed)."""
