@@ -69,176 +69,118 @@ class DockingError(Exception):
     retriable: ClassVar[bool] = False
     mended_by_docking: ClassVar[bool] = False
 
+    def __init_subclass__(
+        cls, code: Code | None = None, retriable: bool | None = None, mended_by_docking: bool | None = None
+    ) -> None:
+        """Take what the class statement says; what it leaves out is inherited."""
+        given = {"code": code, "retriable": retriable, "mended_by_docking": mended_by_docking}
+        for name, value in given.items():
+            if value is not None:
+                setattr(cls, name, value)
 
-class Rejected(DockingError):
+
+class Rejected(DockingError, code=Code.REJECTED):
     """The goal cannot be served as given. Example: a critical angle above the configured one."""
 
-    code = Code.REJECTED
 
-
-class Busy(Rejected):
+class Busy(Rejected, retriable=True):
     """Another goal is being served. Example: a second fleet manager sends a goal."""
 
-    retriable = True
 
-
-class Canceled(DockingError):
+class Canceled(DockingError, code=Code.CANCELED, retriable=True):
     """The client took its wish back."""
 
-    code = Code.CANCELED
-    retriable = True
 
-
-class PhaseTimeout(DockingError, TimeoutError):
+class PhaseTimeout(DockingError, TimeoutError, code=Code.TIMEOUT, retriable=True):
     """A phase or the whole docking took longer than its limit."""
 
-    code = Code.TIMEOUT
-    retriable = True
 
-
-class ElectrodesNotFound(DockingError):
+class ElectrodesNotFound(DockingError, code=Code.ELECTRODES_NOT_FOUND, retriable=True):
     """The camera sees no electrodes, or nobody looks."""
 
-    code = Code.ELECTRODES_NOT_FOUND
-    retriable = True
 
-
-class DetectionStale(DockingError):
+class DetectionStale(DockingError, code=Code.DETECTION_STALE, retriable=True):
     """The detection is older than allowed: robot or target may have moved."""
 
-    code = Code.DETECTION_STALE
-    retriable = True
 
-
-class Unreachable(DockingError):
+class Unreachable(DockingError, code=Code.UNREACHABLE):
     """The target lies outside the arm's workspace. The result says where the robot should stand.
 
     Attributes:
         electrodes: where they are (m, charger_base), None where the arm's own motion was out of reach.
     """
 
-    code = Code.UNREACHABLE
-
     def __init__(self, message: str, electrodes: Vector | None = None) -> None:
         self.electrodes = electrodes
         super().__init__(message)
 
 
-class NoContact(DockingError):
+class NoContact(DockingError, code=Code.NO_CONTACT, retriable=True, mended_by_docking=True):
     """The arm went as far as it may and met nothing."""
 
-    code = Code.NO_CONTACT
-    retriable = True
-    mended_by_docking = True
 
-
-class Overcurrent(DockingError):
+class Overcurrent(DockingError, code=Code.OVERCURRENT, retriable=True, mended_by_docking=True):
     """The servos pushed harder than allowed even after backing off."""
 
-    code = Code.OVERCURRENT
-    retriable = True
-    mended_by_docking = True
 
-
-class ChargeOvercurrent(Overcurrent):
+class ChargeOvercurrent(Overcurrent, retriable=False, mended_by_docking=False):
     """More charge current flowed than the power stage allows. Example: its current limiter failed."""
 
-    retriable = False
-    mended_by_docking = False
 
-
-class ServoFailure(DockingError):
+class ServoFailure(DockingError, code=Code.SERVO_FAULT):
     """A servo is missing, silent or reports a hardware error."""
 
-    code = Code.SERVO_FAULT
 
-
-class Stuck(DockingError):
+class Stuck(DockingError, code=Code.STUCK, retriable=True):
     """The magnets did not let go within the allowed pull."""
 
-    code = Code.STUCK
-    retriable = True
 
-
-class NoTactileContact(DockingError):
+class NoTactileContact(DockingError, code=Code.NO_TACTILE_CONTACT, retriable=True, mended_by_docking=True):
     """The servos push but no taxel feels anything: the pads missed the target's ridges."""
 
-    code = Code.NO_TACTILE_CONTACT
-    retriable = True
-    mended_by_docking = True
 
-
-class TactileStale(DockingError):
+class TactileStale(DockingError, code=Code.TACTILE_STALE, retriable=True):
     """Tactile frames stopped."""
 
-    code = Code.TACTILE_STALE
-    retriable = True
 
-
-class CriticalAngle(DockingError):
+class CriticalAngle(DockingError, code=Code.CRITICAL_ANGLE):
     """The target is tilted so far that the electrodes would short."""
 
-    code = Code.CRITICAL_ANGLE
 
-
-class EstimateUnsure(DockingError):
+class EstimateUnsure(DockingError, code=Code.ESTIMATE_UNSURE, retriable=True, mended_by_docking=True):
     """The tactile estimate stayed unsure after docking again."""
 
-    code = Code.ESTIMATE_UNSURE
-    retriable = True
-    mended_by_docking = True
 
-
-class Misaligned(DockingError):
+class Misaligned(DockingError, code=Code.MISALIGNED, retriable=True, mended_by_docking=True):
     """The electrodes could not be brought far enough from the wrong neighbour."""
 
-    code = Code.MISALIGNED
-    retriable = True
-    mended_by_docking = True
 
-
-class NoChargeCurrent(DockingError):
+class NoChargeCurrent(DockingError, code=Code.NO_CHARGE_CURRENT, retriable=True):
     """The contactor is closed, or would be, and no current flows."""
 
-    code = Code.NO_CHARGE_CURRENT
-    retriable = True
 
-
-class ShortCircuit(DockingError):
+class ShortCircuit(DockingError, code=Code.SHORT_CIRCUIT):
     """The probe or the power stage found a short between the electrodes."""
 
-    code = Code.SHORT_CIRCUIT
 
-
-class PowerStale(DockingError):
+class PowerStale(DockingError, code=Code.POWER_STALE, retriable=True):
     """The power stage stopped answering."""
 
-    code = Code.POWER_STALE
-    retriable = True
 
-
-class ReversePolarity(DockingError):
+class ReversePolarity(DockingError, code=Code.REVERSE_POLARITY):
     """The target's electrodes have the wrong polarity."""
 
-    code = Code.REVERSE_POLARITY
 
-
-class VoltageOutOfRange(DockingError):
+class VoltageOutOfRange(DockingError, code=Code.VOLTAGE_OUT_OF_RANGE):
     """The target's voltage is outside what the charger may feed."""
 
-    code = Code.VOLTAGE_OUT_OF_RANGE
 
-
-class ReverseCurrent(DockingError):
+class ReverseCurrent(DockingError, code=Code.REVERSE_CURRENT):
     """Current flows out of the target."""
 
-    code = Code.REVERSE_CURRENT
 
-
-class ContactorWelded(DockingError):
+class ContactorWelded(DockingError, code=Code.CONTACTOR_WELDED):
     """The contactor was told to open and current still flows."""
-
-    code = Code.CONTACTOR_WELDED
 
 
 # ChargerPower.fault to the error that docking reports, and in words: 1 to 7 are the codes 50x less 500. 8 means that

@@ -18,26 +18,20 @@ class PortError(DriverError, ConnectionError):
         reason: what the operating system said; empty where it said nothing.
     """
 
+    what = "cannot use the port"
     advice = "check the cable and the parameter 'port'"
 
     def __init__(self, port: str, reason: str = "") -> None:
         self.port = port
         self.reason = reason
-        super().__init__(f"{port}: {self.describe()}{f' ({reason})' if reason else ''}; {self.advice}")
-
-    def describe(self) -> str:
-        """Return what is wrong in a few words."""
-        return "cannot use the port"
+        super().__init__(f"{port}: {self.what}{f' ({reason})' if reason else ''}; {self.advice}")
 
 
 class PortMissing(PortError, FileNotFoundError):
     """No such port: nothing is plugged in under this name. Example: the adapter enumerated as ttyUSB1."""
 
+    what = "there is no such port"
     advice = "plug the adapter in or correct the parameter 'port'"
-
-    def describe(self) -> str:
-        """Return what is wrong in a few words."""
-        return "there is no such port"
 
 
 class PortNotSerial(PortError):
@@ -48,41 +42,29 @@ class PortNotSerial(PortError):
         reason: what it is instead.
     """
 
+    what = "this is no serial port"
     advice = "give the parameter 'port' a serial device, such as one below /dev/serial/by-id"
-
-    def describe(self) -> str:
-        """Return what is wrong in a few words."""
-        return "this is no serial port"
 
 
 class PortGone(PortError):
     """The port was open and vanished. Example: the USB cable was pulled while the bus ran."""
 
+    what = "the port disappeared"
     advice = "plug the cable back in; the driver reopens the port by itself and stays switched off"
-
-    def describe(self) -> str:
-        """Return what is wrong in a few words."""
-        return "the port disappeared"
 
 
 class PortBusy(PortError):
     """Another process owns the port. Example: a second driver or a vendor's wizard is open."""
 
+    what = "the port is in use by another program"
     advice = "close the other program (lsof names it)"
-
-    def describe(self) -> str:
-        """Return what is wrong in a few words."""
-        return "the port is in use by another program"
 
 
 class PortDenied(PortError, PermissionError):
     """The user may not open the port. Example: not a member of the group dialout."""
 
+    what = "permission denied"
     advice = "add the user to the group that owns the port, usually dialout, and log in again"
-
-    def describe(self) -> str:
-        """Return what is wrong in a few words."""
-        return "permission denied"
 
 
 class NoAnswer(DriverError, TimeoutError):
