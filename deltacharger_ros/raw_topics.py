@@ -9,29 +9,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.subscription import MessageInfo
 
+from deltacharger_core.mcap_file import Raw
 from deltacharger_ros.on_demand import PolledTopic
-
-
-class Raw(NamedTuple):
-    """A message as it came.
-
-    Attributes:
-        topic: its name as the topic's owner and reader know it.
-        received: when, ns since 1970.
-        published: when by its publisher, ns since 1970.
-        data: CDR.
-    """
-
-    topic: str
-    received: int
-    published: int
-    data: bytes
 
 
 @dataclass(frozen=True)

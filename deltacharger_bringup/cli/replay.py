@@ -11,7 +11,8 @@ from typing import Any
 
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell, write_json
 from deltacharger_core import environment
-from deltacharger_records.recording.folder import PARTIAL, SUFFIX
+from deltacharger_core.mcap_file import McapFile, RecordingError
+from deltacharger_records.recording.folder import ABOUT, END, PARTIAL, SUFFIX
 
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
 
@@ -23,18 +24,17 @@ def replay(options: argparse.Namespace) -> int:
     if not path.exists():
         raise CommandError(f"{path}: there is no such file or folder", WRONG_INPUT)
     try:
-        from deltacharger_records.recording.mcap_recording import RecordingError
-    except ImportError as error:
-        raise CommandError(f"ROS 2 or the built interfaces are missing ({error}): install the package") from error
-    try:
         return _folder(options, path) if path.is_dir() else _file(options, path)
     except RecordingError as error:
         raise CommandError(str(error), WRONG_INPUT) from error
 
 
 def _file(options: argparse.Namespace, path: Path) -> int:
-    from deltacharger_records.replay.record import replay as read
-    from deltacharger_records.replay.words import story, why
+    try:
+        from deltacharger_records.replay.record import replay as read
+        from deltacharger_records.replay.words import story, why
+    except ImportError as error:
+        raise CommandError(f"ROS 2 or the built interfaces are missing ({error}): install the package") from error
 
     picture = _picture(options)
     found = read(path, options.namespace or None)
@@ -93,19 +93,15 @@ def _folder(options: argparse.Namespace, folder: Path) -> int:
 
 
 def _entry(path: Path) -> dict[str, Any]:
-    from deltacharger_records.recording.docking_recorder import ABOUT, END
-    from deltacharger_records.recording.mcap_recording import RecordingError
-    from deltacharger_records.replay.file import span
-
     entry: dict[str, Any] = {"file": path.name, "bytes": path.stat().st_size, "problem": ""}
     try:
-        first, last, recording = span(path)
+        file = McapFile(path)
     except (RecordingError, OSError) as error:
         return entry | {"problem": str(error), "time": math.nan, "duration": math.nan, "outcome": "", "request_id": ""}
-    about, end = (recording.told(name) or [{}] for name in (ABOUT, END))
+    about, end = (file.told(name) or [{}] for name in (ABOUT, END))
     return entry | {
-        "time": first * 1e-9,
-        "duration": (last - first) * 1e-9,
+        "time": file.first * 1e-9,
+        "duration": (file.last - file.first) * 1e-9,
         "outcome": end[-1].get("ending", "unfinished"),
         "request_id": about[-1].get("request_id", ""),
     }

@@ -45,9 +45,9 @@ def record(options: argparse.Namespace) -> int:
     out, part = _out(options), None if options.compose else _part(options)
     environment.prepare()
     with _refusing():
+        from deltacharger_core.mcap_file import require_mcap
         from deltacharger_records.datasets.dataset import Settings
         from deltacharger_records.datasets.journal import Journal
-        from deltacharger_records.recording.mcap_recording import require_mcap
 
         require_mcap()
         with Journal(out) as journal:
@@ -78,8 +78,8 @@ def record(options: argparse.Namespace) -> int:
 def _refusing() -> Iterator[None]:
     """Turn what the files refuse into an end of the command."""
     try:
+        from deltacharger_core.mcap_file import RecordingError
         from deltacharger_records.datasets.journal import Mismatch
-        from deltacharger_records.recording.mcap_recording import RecordingError
     except ImportError as error:
         raise CommandError(f"{error.name} is missing: install the package or source its workspace") from error
     try:

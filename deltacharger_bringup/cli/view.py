@@ -197,19 +197,19 @@ def _tell_silence(feed: ViewFeed, namespace: str) -> list[str]:
 def _show_recording(rr: Any, options: argparse.Namespace) -> int:
     scene = load_for_command(options.scene or DEFAULT_SCENE)
     environment.prepare()
-    from deltacharger_records.recording.mcap_recording import RecordingError
-    from deltacharger_records.view.recording import OtherRecording, Recorded
+    from deltacharger_core.mcap_file import RecordingError
+    from deltacharger_records.view.recording import ShownRecording
 
     began = time.monotonic()
     try:
-        recorded = Recorded(Path(options.recording), options.namespace)
+        recorded = ShownRecording(Path(options.recording), options.namespace)
         with Interrupts() as interrupts:
             recording, feed = _open(rr, options, scene)
             try:
                 recorded.play(feed, interrupts.event.is_set)
             finally:
                 _close(recording)
-    except (OtherRecording, RecordingError) as error:
+    except RecordingError as error:
         raise CommandError(str(error), WRONG_INPUT) from error
     _report(options, feed, time.monotonic() - began)
     return interrupts.exit_code(DONE)

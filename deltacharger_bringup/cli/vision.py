@@ -16,8 +16,9 @@ import numpy as np
 from deltacharger_bringup.calibrate import vision_results
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
 from deltacharger_core import environment
+from deltacharger_core.mcap_file import RecordingError
 from deltacharger_vision.cameras.camera_info import load_camera_info
-from deltacharger_vision.cameras.recording import CameraRecording, CameraRecordingError, CameraTopics
+from deltacharger_vision.cameras.recording import CameraRecording, CameraTopics
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.detector.detector import ElectrodeDetector
@@ -69,10 +70,10 @@ def detect(options: argparse.Namespace) -> int:
         finder = _Finder(options)
         return _one(options, finder) if options.path is None else _many(options, finder)
     except ModuleNotFoundError as error:
-        if error.name not in ("cv2", "mcap"):
+        if error.name != "cv2":
             raise
         raise CommandError(str(error), WRONG_INPUT) from error  # FAILED would say that there are no electrodes
-    except VisionError as error:
+    except (VisionError, RecordingError) as error:
         raise CommandError(str(error), WRONG_INPUT) from error
     except FileNotFoundError as error:
         raise CommandError(f"{error.filename}: there is no such file", WRONG_INPUT) from error
@@ -143,7 +144,7 @@ def _many(options: argparse.Namespace, finder: _Finder) -> int:
                 write_picture(pictures / f"{each.name}.png", annotated(image, found))
             results.append({"name": each.name, **fields})
             progress.looked(found is not None)
-    except CameraRecordingError as error:  # what came before the damage counts
+    except RecordingError as error:  # what came before the damage counts
         if not results:
             raise
         say(str(error))

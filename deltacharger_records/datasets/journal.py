@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_core.mcap_file import McapFile, Raw, RecordingError
 from deltacharger_records.datasets.dataset import Docking, Settings, dataset
 from deltacharger_records.datasets.plan import Part
 from deltacharger_records.recording.files import forget_unfinished, make_folder, whole
-from deltacharger_records.recording.mcap_recording import McapFile, McapWriter, RecordingError
-from deltacharger_ros.raw_topics import Raw
+from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_tactile.dataset import Dataset
 
 _JOURNAL_VERSION = 1
@@ -213,10 +213,12 @@ def _docking(path: Path) -> Docking:
     """
     file = McapFile(path)
     try:
-        values = {key: json.loads(text) for key, text in file.metadata[_RECORD].items()}
-        frames = np.load(io.BytesIO(file.attachments[_FRAMES]), allow_pickle=False)
+        if file.damage:
+            raise ValueError(file.damage)
+        values = {key: json.loads(text) for key, text in file.told(_RECORD)[0].items()}
+        frames = np.load(io.BytesIO(file.attachments()[_FRAMES]), allow_pickle=False)
         if frames.ndim != 4 or frames.shape[1:] != (2, 10, 10):
             raise ValueError(f"frames of shape {frames.shape}")
         return Docking(frames=frames, **values)
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, LookupError, TypeError) as error:
         raise RecordingError(f"{path} holds no docking ({error}): remove it, and it is recorded again") from error

@@ -14,14 +14,14 @@ from deltacharger.msg import ChargerPower, DockingState, ServoState, TactileFram
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
+from deltacharger_core.mcap_file import Raw, RecordingError
 from deltacharger_docking.codes import TactileStale
 from deltacharger_records.datasets.dataset import Docking, Settings
 from deltacharger_records.datasets.journal import Journal
 from deltacharger_records.datasets.machine import NotKept, Touch
 from deltacharger_records.datasets.plan import Part
-from deltacharger_records.recording.mcap_recording import RecordingError
 from deltacharger_ros import qos
-from deltacharger_ros.raw_topics import Raw, Topic
+from deltacharger_ros.raw_topics import Topic
 
 TOPICS = (
     Topic("tactile_frame", TactileFrame, qos.SENSOR),

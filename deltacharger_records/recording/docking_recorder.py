@@ -13,17 +13,14 @@ from typing import Any, BinaryIO
 
 from rclpy.serialization import deserialize_message
 
+from deltacharger_core.mcap_file import Raw, RecordingError
 from deltacharger_docking.codes import Code
 from deltacharger_records.recording.docking_topics import ALWAYS, DECISION, STATE
-from deltacharger_records.recording.folder import RecordFolder
+from deltacharger_records.recording.folder import ABOUT, END, PARAMETERS, RESULT, RecordFolder
 from deltacharger_records.recording.gate import Gate
-from deltacharger_records.recording.mcap_recording import McapStream
+from deltacharger_records.recording.mcap_recording import McapStream, pack
 from deltacharger_records.recording.session import Seen, Session
 from deltacharger_ros.outcomes import Outcome
-from deltacharger_ros.raw_topics import Raw
-
-ABOUT, RESULT, PARAMETERS, END = "deltacharger", "result", "docking_parameters", "end"
-"""Names of the metadata in a record: what recorded it, how each goal ended, what docking decides by, how all ended."""
 
 _FLUSH = 1.0  # s between what a killed recorder loses
 _PRUNE = 10.0  # s between looks at the folder's size while recording
@@ -147,7 +144,7 @@ class DockingRecorder:
         held = self._gate.open()
         try:
             path, stream = self._folder.create(message.received * 1e-9, seen.request_id)
-            self._file = _File(path, stream, McapStream(stream, self._kinds))
+            self._file = _File(path, stream, McapStream(stream, self._kinds, live=True))
         except OSError as error:
             self.fail(error)
         self._tell(ABOUT, {**self._about, "request_id": seen.request_id, "began": str(message.received)})
@@ -167,7 +164,9 @@ class DockingRecorder:
                 if last.at_home and not (self._code or self._session.went_out):  # undocked where nothing was docked
                     file.path.unlink(missing_ok=True)
                 else:
-                    self._folder.finish(file.path, ending)
+                    path = self._folder.finish(file.path, ending)
+                    with contextlib.suppress(OSError, RecordingError):  # then it stays as large as it is
+                        pack(path, self._kinds)
                 file.stream.close()
                 self._folder.prune()
             except OSError as error:
@@ -197,7 +196,6 @@ class DockingRecorder:
         if self._file is None:
             return
         try:
-            self._file.mcap.flush()
             self._file.mcap.tell(name, values)
         except OSError as error:
             self.fail(error)

@@ -24,13 +24,14 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
 from deltacharger_core import environment
+from deltacharger_core.mcap_file import Raw, RecordingError, require_mcap
 from deltacharger_records.recording.docking_recorder import DockingRecorder, gate_for
 from deltacharger_records.recording.docking_topics import ACTIONS, STATE, TOPICS
 from deltacharger_records.recording.folder import RecordFolder
-from deltacharger_records.recording.mcap_recording import RecordingError, require_mcap, schema_text
+from deltacharger_records.recording.mcap_recording import schema_text
 from deltacharger_ros import node_support
 from deltacharger_ros.client import to_outcome
-from deltacharger_ros.raw_topics import PolledTopics, Raw
+from deltacharger_ros.raw_topics import PolledTopics
 
 _POLL = 0.02  # s between looks at the topics
 _TICK = 0.2  # s between looks at the clock

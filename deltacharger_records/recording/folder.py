@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of records: their names, and a bound on how many there are and how much they take."""
+"""The folder of records: names in and of them, and a bound on how many there are and how much they take."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from deltacharger_records.recording.files import sync_folder
 
 SUFFIX = ".mcap"
 PARTIAL = ".mcap.partial"
+ABOUT, RESULT, PARAMETERS, END = "deltacharger", "result", "docking_parameters", "end"
+"""Names of a record's metadata: what recorded it, how each goal ended, what docking decides by, how all ended."""
 _STAMP = "%Y%m%dT%H%M%SZ"
 _NAME = re.compile(r"^(?P<time>\d{8}T\d{6}Z)(?:-(?P<rest>[^/]+?))?\.mcap(?P<partial>\.partial)?$")
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.]+")

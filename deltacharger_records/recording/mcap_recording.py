@@ -18,20 +18,14 @@ from typing import Any, BinaryIO
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rclpy.serialization import deserialize_message, serialize_message
 
+from deltacharger_core.mcap_file import McapFile, Raw, RecordingError, require_mcap
 from deltacharger_records.recording.files import whole
-from deltacharger_ros.raw_topics import Raw
 
 _SEPARATOR = "=" * 80
-_CHUNK = 2**20  # bytes
-_END_CHUNK = "_Writer__finalize_chunk"
 _FIELD = re.compile(r"^\s*([A-Za-z]\w*(?:/\w+)?)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")
 _PLAIN = {"bool", "byte", "char", "string", "wstring", "float32", "float64"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
-
-
-class RecordingError(RuntimeError):
-    """A recording cannot be written or read; the message says why and what to do."""
 
 
 class McapStream:
@@ -40,18 +34,20 @@ class McapStream:
     Args:
         stream: to write to.
         kinds: message class of each topic, by its full name.
+        live: write message by message, so that what was flushed outlives this process; False = in chunks.
 
     Raises:
         RecordingError: mcap is not installed, or the .msg files of a message are not.
         OSError: the file cannot be written.
     """
 
-    def __init__(self, stream: BinaryIO, kinds: Mapping[str, Any]) -> None:
+    def __init__(self, stream: BinaryIO, kinds: Mapping[str, Any], *, live: bool) -> None:
+        require_mcap()
+        from mcap.writer import Writer
+
         self._stream = stream
         self._channels: dict[str, int] = {}
-        kind = _mcap().writer.Writer
-        # The writer ends a chunk by its size alone; without that method every message becomes a chunk of its own.
-        self._writer = kind(stream, chunk_size=_CHUNK if hasattr(kind, _END_CHUNK) else 1)
+        self._writer: Any = Writer(stream, use_chunking=not live)
         self._writer.start(profile="ros2", library="deltacharger")
         for topic, message in kinds.items():
             schema = self._writer.register_schema(type_name(message), "ros2msg", schema_text(message).encode())
@@ -75,8 +71,7 @@ class McapStream:
         self._writer.add_attachment(now, now, name, media_type, data)
 
     def flush(self) -> None:
-        """Hand what was written to the operating system, so that it outlives this process."""
-        getattr(self._writer, _END_CHUNK, lambda: None)()
+        """Hand what was written live to the operating system."""
         self._stream.flush()
 
     def finish(self) -> None:
@@ -102,7 +97,7 @@ class McapWriter(McapStream):
     def __init__(self, path: Path, kinds: Mapping[str, Any]) -> None:
         self._exit = ExitStack()
         with ExitStack() as undo:
-            super().__init__(undo.enter_context(undo.enter_context(whole(path)).open("wb")), kinds)
+            super().__init__(undo.enter_context(undo.enter_context(whole(path)).open("wb")), kinds, live=False)
             self._exit = undo.pop_all()
 
     def __enter__(self) -> McapWriter:
@@ -120,52 +115,35 @@ class McapWriter(McapStream):
         self._exit.__exit__(kind, error, trace)
 
 
-class McapFile:
-    """What stands in an MCAP file.
+def pack(path: Path, kinds: Mapping[str, Any]) -> None:
+    """Rewrite what McapStream wrote one by one in chunks: a third of the size, and `ros2 bag` plays it by time.
+
+    Args:
+        path: of the file, which stays as it is until the new one is on the disk.
+        kinds: message class of each topic, by its full name.
 
     Raises:
-        RecordingError: mcap is not installed, or the file is no whole MCAP file.
-        OSError: it cannot be read.
+        RecordingError: it is damaged.
+        OSError: the disk does not take it.
     """
-
-    def __init__(self, path: Path) -> None:
-        mcap = _mcap()
-        self._path, self._mcap = path, mcap
-        with path.open("rb") as stream:
-            try:
-                reader = self._reader(stream)
-                self.metadata = {each.name: dict(each.metadata) for each in reader.iter_metadata()}
-                self.attachments = {each.name: each.data for each in reader.iter_attachments()}
-            except Exception as error:  # a damaged file raises what zlib, struct or mcap raise
-                raise RecordingError(f"{path} is damaged or no MCAP file: {error}") from error
-
-    def messages(self, kinds: Mapping[str, Any], *topics: str) -> Iterator[tuple[Raw, Any]]:
-        """Yield each message, raw and decoded, in the order of their arrival.
-
-        Args:
-            kinds: message class by type name, such as deltacharger/msg/TactileFrame.
-            topics: full names; none = all.
-
-        Raises:
-            RecordingError: the file is damaged, or the class of a message is not among `kinds`.
-        """
-        with self._path.open("rb") as stream:
-            try:
-                for schema, channel, message in self._reader(stream).iter_messages(topics or None):
-                    if schema is None or schema.name not in kinds:
-                        raise RecordingError(f"{self._path}: topic {channel.topic} has a type that is not known here")
-                    raw = Raw(channel.topic, message.log_time, message.publish_time, message.data)
-                    yield raw, deserialize_message(message.data, kinds[schema.name])
-            except self._mcap.exceptions.McapError as error:
-                raise RecordingError(f"{self._path} is damaged: {error}") from error
-
-    def _reader(self, stream: Any) -> Any:
-        return self._mcap.reader.make_reader(stream, validate_crcs=True)
+    file = McapFile(path)
+    with McapWriter(path, kinds) as writer:
+        for message in file.messages():
+            writer.add(message)
+        for name, values in file.metadata:
+            writer.tell(name, values)
 
 
-def require_mcap() -> None:
-    """Raise RecordingError where the package mcap is missing, before anything moves."""
-    _mcap()
+def decode(data: bytes, kind: Any) -> Any:
+    """Return a recorded message.
+
+    Raises:
+        RecordingError: it is none of its kind; what was written live has no checksums that told before.
+    """
+    try:
+        return deserialize_message(data, kind)
+    except Exception as error:  # rclpy raises its own private kinds
+        raise RecordingError(f"the file is damaged from here on: no {kind.__name__}: {error}") from error
 
 
 def type_name(kind: Any) -> str:
@@ -213,15 +191,3 @@ def _definition(package: str, name: str) -> str:
         return (share / "msg" / f"{name}.msg").read_text(encoding="utf-8")
     except (PackageNotFoundError, OSError) as error:
         raise RecordingError(f"the definition of {package}/msg/{name} is not installed: {error}") from error
-
-
-def _mcap() -> Any:
-    try:
-        import mcap.exceptions
-        import mcap.reader
-        import mcap.writer
-    except ImportError as error:
-        raise RecordingError(
-            f"{error.name} is not installed; install deltacharger[record], or `pip install mcap`"
-        ) from error
-    return mcap

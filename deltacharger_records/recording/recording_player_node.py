@@ -24,9 +24,9 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from deltacharger_core import environment
+from deltacharger_core.mcap_file import CUT_SHORT, RecordingError
 from deltacharger_records.recording.docking_topics import STATE, TOPICS
-from deltacharger_records.recording.mcap_recording import RecordingError
-from deltacharger_records.replay.file import CUT_SHORT, Recording, decoded, messages, survey
+from deltacharger_records.replay.file import Recording, decoded
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.raw_topics import Topic
 
@@ -59,7 +59,7 @@ class RecordingPlayerNode(Node):
         self._loop: bool = self._declare("loop", False, "begin again at the end")
         node_support.reject_unknown(self)
         environment.prepare()
-        self._recording = _survey(file, charger)
+        self._recording, self._first, self._last = _survey(file, charger)
         self.passes, self.problem = 0, ""
         self._count = 0  # messages that were played
         self._place = 0  # ns since 1970 of the message that was played last
@@ -102,7 +102,7 @@ class RecordingPlayerNode(Node):
             self.get_logger().warning(f"{recording.path}: {recording.damage}; played as far as it goes")
 
     def _length(self) -> float:
-        return 1e-9 * (self._recording.last - self._recording.first)
+        return 1e-9 * (self._last - self._first)
 
     def _run(self) -> None:
         try:
@@ -124,8 +124,8 @@ class RecordingPlayerNode(Node):
     def _play(self) -> bool:
         """Publish the recording once; return whether it came to the end."""
         started = time.monotonic()
-        for name, received, data in messages(self._recording.path, self._recording.namespace):
-            due = started + 1e-9 * (received - self._recording.first) / self._rate
+        for name, received, data in self._recording.messages():
+            due = started + 1e-9 * (received - self._first) / self._rate
             if not self._wait(due, name == _COMMANDS):
                 return False
             message = decoded(name, data)
@@ -168,7 +168,7 @@ class RecordingPlayerNode(Node):
         if not self.context.ok():
             return
         recording, length = self._recording, self._length()
-        place = max(0.0, 1e-9 * (self._place - recording.first))
+        place = max(0.0, 1e-9 * (self._place - self._first))
         level, text = DiagnosticStatus.OK, f"at {place:.1f} of {length:.1f} s" if self._count else "about to begin"
         if self.problem:
             level, text = DiagnosticStatus.ERROR, self.problem
@@ -196,8 +196,8 @@ def quality(topic: Topic) -> QoSProfile:
     return QoSProfile(depth=qos.DEFAULT_DEPTH)
 
 
-def _survey(file: str, charger: str) -> Recording:
-    """Return what the file holds.
+def _survey(file: str, charger: str) -> tuple[Recording, int, int]:
+    """Read the file through; return what it holds, and the times (ns) of its first and last message.
 
     Raises:
         StartupError: nothing can be played; says what to do.
@@ -209,7 +209,8 @@ def _survey(file: str, charger: str) -> Recording:
         )
     path = Path(file).expanduser()
     try:
-        recording = survey(path, charger or None)
+        recording = Recording(path, charger or None)
+        times = [received for _, received, _ in recording.messages()]
     except FileNotFoundError as error:
         raise node_support.StartupError(f"{who}: {path}: there is no such file") from error
     except (OSError, RecordingError) as error:
@@ -219,7 +220,7 @@ def _survey(file: str, charger: str) -> Recording:
         raise node_support.StartupError(
             f"{who}: {path}: {recording.damage}; `deltacharger replay {path}` tells what can still be read"
         )
-    return recording
+    return recording, times[0], times[-1]
 
 
 def _stamps(value: Any) -> Iterator[Time]:

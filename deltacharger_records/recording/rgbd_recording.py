@@ -57,7 +57,7 @@ def recorded_images(recording: CameraRecording) -> Iterator[RecordedImage]:
     Where the recording has no depth at all, every colour image comes without.
 
     Raises:
-        CameraRecordingError: the recording is damaged from here on.
+        RecordingError: the recording is damaged from here on.
     """
     matcher: StampMatcher[Any, Any] = StampMatcher(TOLERANCE)
     for each in recording.messages(COLOR, DEPTH):
@@ -76,7 +76,7 @@ def recorded_intrinsics(recording: CameraRecording) -> Intrinsics | None:
 
     Raises:
         CameraInfoError: they cannot be used.
-        CameraRecordingError: the recording is damaged.
+        RecordingError: the recording is damaged.
     """
     first = next(recording.messages(INFO), None) if recording.topics.info else None
     if first is None:

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_records.recording.docking_recorder import ABOUT, END, PARAMETERS, RESULT
-from deltacharger_records.replay.file import Recording, counts_missing, read
+from deltacharger_records.recording.folder import ABOUT, END, PARAMETERS, RESULT
+from deltacharger_records.replay.file import Recording, read
 from deltacharger_records.replay.run_builder import RunBuilder
 from deltacharger_records.replay.run_record import Run
 from deltacharger_ros.client import CODES, PHASES
@@ -124,7 +124,7 @@ class Replay:
             "measurements": [{k: v for k, v in vars(touch).items() if k != "frames"} for touch in felt],
             "dropped": {
                 "damage": self.recording.damage,
-                "missing": dict(counts_missing(self.recording)),
+                "missing": self.recording.missing(),
                 "thinned": json.loads((self.recording.told(END) or [{}])[-1].get("dropped", "{}")),
             },
         }

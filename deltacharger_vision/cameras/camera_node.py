@@ -26,6 +26,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
 
+from deltacharger_core.mcap_file import RecordingError
 from deltacharger_ros import node_support
 from deltacharger_vision.cameras.camera_node_io import CameraPublishers, Replay
 from deltacharger_vision.cameras.keeper import CameraKeeper, OpenCamera
@@ -83,7 +84,7 @@ class CameraNode(Node):
             return Replay(recording, self._images, loop, self._tell)
         except FileNotFoundError as error:
             raise node_support.StartupError(f"camera_node: replay: {path}: there is no such file") from error
-        except (OSError, VisionError, ModuleNotFoundError) as error:
+        except (OSError, VisionError, RecordingError) as error:
             raise node_support.StartupError(f"camera_node: replay: {error}") from error
 
     def _publish(self, taken: OakImage) -> None:

@@ -14,10 +14,11 @@ from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, Image
 
+from deltacharger_core.mcap_file import RecordingError
 from deltacharger_vision.cameras import image_node_io
 from deltacharger_vision.cameras import recording as camera_recording
 from deltacharger_vision.cameras.image_node_io import camera_info_message, color_message, depth_message
-from deltacharger_vision.cameras.recording import CameraRecording, CameraRecordingError, Recorded
+from deltacharger_vision.cameras.recording import CameraRecording, Recorded
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME
 
@@ -124,7 +125,7 @@ class Replay:
             while self._loop and not self._stop.is_set():
                 self._play()
             problem = "the recording has ended"
-        except CameraRecordingError as error:
+        except RecordingError as error:
             problem = str(error)
         if not self._stop.is_set():
             self.problem = problem
@@ -162,13 +163,13 @@ def decoded(recording: CameraRecording, each: Recorded) -> Any:
     """Return a recorded message.
 
     Raises:
-        CameraRecordingError: it is none of its topic's type.
+        RecordingError: it is none of its topic's type.
     """
     kind = CameraInfo if each.kind == camera_recording.INFO else Image
     try:
         return deserialize_message(each.data, kind)
     except Exception as error:  # rclpy raises its own private kinds
-        raise CameraRecordingError(recording.path, f"holds a message that is no {kind.__name__}: {error}") from error
+        raise RecordingError(f"{recording.path}: holds a message that is no {kind.__name__}: {error}") from error
 
 
 def stamp_ns(message: Any) -> int:

@@ -6,13 +6,12 @@ Nothing here needs ROS; who has it decodes the messages. Needs the package mcap,
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from deltacharger_vision.errors import VisionError
+from deltacharger_core.mcap_file import McapFile, RecordingError
 
 COLOR, DEPTH, INFO = "color", "depth", "info"
 """What a topic carries."""
@@ -21,20 +20,6 @@ _COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _COLOR_NAME = "color/image_raw"
 _DEPTH_NAMES = ("depth/image_raw", "aligned_depth_to_color/image_raw")
 _INFO_NAME = "camera_info"
-
-
-class CameraRecordingError(VisionError, ValueError):
-    """A recording cannot be read, or holds no images. Example: compressed images alone.
-
-    Args:
-        path: of the file.
-        reason: what is wrong and what to do.
-    """
-
-    def __init__(self, path: Path, reason: str) -> None:
-        self.path = path
-        self.reason = reason
-        super().__init__(f"{path}: {reason}")
 
 
 @dataclass(frozen=True)
@@ -82,63 +67,25 @@ class CameraRecording:
 
     Raises:
         OSError: the file cannot be read.
-        ModuleNotFoundError: mcap is not installed.
-        CameraRecordingError: it is no MCAP file, holds no raw colour images, or several cameras.
+        RecordingError: mcap is not installed, it is no MCAP file, holds no raw colour images, or several cameras.
     """
 
     def __init__(self, path: Path, asked: CameraTopics | None = None) -> None:
-        self._mcap = _mcap()
         self.path = path
-        types, counts = self._contents()
-        self.topics = _Topics(path, types).choose(asked or CameraTopics())
-        self.images = counts[self.topics.color]
+        self._file = McapFile(path)
+        self.topics = _Topics(path, self._file.types).choose(asked or CameraTopics())
+        self.images = self._file.counts[self.topics.color]
 
     def messages(self, *kinds: str) -> Iterator[Recorded]:
         """Yield the messages in the order of the file, of some kinds or of all.
 
         Raises:
-            CameraRecordingError: the file is damaged from here on.
+            RecordingError: the file ends early, or is damaged from here on.
         """
         named = {getattr(self.topics, kind): kind for kind in kinds or (COLOR, DEPTH, INFO)}
         named.pop("", None)
-        for _, channel, message in self._records(list(named)):
-            yield Recorded(named[channel.topic], message.log_time, message.data)
-
-    def _contents(self) -> tuple[dict[str, str], Counter[str]]:
-        """Return the type of each topic, and how many messages it has."""
-        types: dict[str, str] = {}
-        counts: Counter[str] = Counter()
-        with self.path.open("rb") as stream:
-            try:
-                summary = self._mcap.reader.make_reader(stream).get_summary()
-            except Exception:  # cut off, or no MCAP file at all, which reading it will tell
-                summary = None
-        if summary is not None and summary.statistics is not None and summary.channels:
-            for number, channel in summary.channels.items():
-                schema = summary.schemas.get(channel.schema_id)
-                types[channel.topic] = "" if schema is None else schema.name
-                counts[channel.topic] += summary.statistics.channel_message_counts.get(number, 0)
-            return types, counts
-        try:
-            for schema, channel, _ in self._records(None):
-                types[channel.topic] = "" if schema is None else schema.name
-                counts[channel.topic] += 1
-        except CameraRecordingError:
-            if not counts:
-                raise
-        return types, counts
-
-    def _records(self, topics: list[str] | None) -> Iterator[Any]:
-        """Yield schema, channel and message in the file's order; the index at its end, which may lack, is not used."""
-        with self.path.open("rb") as stream:
-            try:
-                reader = self._mcap.reader.NonSeekingReader(stream, validate_crcs=True)
-                yield from reader.iter_messages(topics, log_time_order=False)
-            except OSError:
-                raise
-            except Exception as error:  # a damaged file raises what lz4, zstandard, struct or mcap raise
-                what = str(error) or type(error).__name__
-                raise CameraRecordingError(self.path, f"is damaged or no MCAP file: {what}") from error
+        for each in self._file.messages(*named):
+            yield Recorded(named[each.topic], each.received, each.data)
 
 
 class _Topics:
@@ -154,7 +101,7 @@ class _Topics:
         self._types = types
 
     def choose(self, asked: CameraTopics) -> CameraTopics:
-        """Return those of the camera; CameraRecordingError where that is not clear."""
+        """Return those of the camera; RecordingError where that is not clear."""
         color = self._held(asked.color, IMAGE) if asked.color else self._color()
         depth = self._held(asked.depth, IMAGE) if asked.depth else self._depth(color)
         info = self._held(asked.info, CAMERA_INFO) if asked.info else self._beside(color, _INFO_NAME)
@@ -175,13 +122,13 @@ class _Topics:
             problem = f"no topic ends in {_COLOR_NAME}; name one of {held}"
         else:
             problem = f"holds no images, but {held}"
-        raise CameraRecordingError(self._path, problem)
+        raise RecordingError(f"{self._path}: {problem}")
 
     def _depth(self, color: str) -> str:
         found = [topic for topic in self._of(IMAGE) if topic != color and any(_ends(topic, e) for e in _DEPTH_NAMES)]
         beside = [topic for topic in found if _ends(color, _COLOR_NAME) and _camera(topic) == _camera(color)]
         if len(beside or found) > 1:
-            raise CameraRecordingError(self._path, f"several depth topics; name one of {', '.join(beside or found)}")
+            raise RecordingError(f"{self._path}: several depth topics; name one of {', '.join(beside or found)}")
         return (beside or found or [""])[0]
 
     def _beside(self, color: str, name: str) -> str:
@@ -194,10 +141,10 @@ class _Topics:
         if held == kind:
             return topic
         if held == _COMPRESSED:
-            raise CameraRecordingError(self._path, _advice(topic))
+            raise RecordingError(f"{self._path}: {_advice(topic)}")
         if held is not None:
-            raise CameraRecordingError(self._path, f"{topic} is of type {held or 'unknown'} and must be {kind}")
-        raise CameraRecordingError(self._path, f"no topic {topic}; it holds {', '.join(sorted(self._types))}")
+            raise RecordingError(f"{self._path}: {topic} is of type {held or 'unknown'} and must be {kind}")
+        raise RecordingError(f"{self._path}: no topic {topic}; it holds {', '.join(sorted(self._types))}")
 
     def _of(self, kind: str) -> list[str]:
         return sorted(topic for topic, held in self._types.items() if held == kind)
@@ -215,13 +162,3 @@ def _camera(topic: str) -> str:
 def _advice(topic: str) -> str:
     raw = topic.rpartition("/")[0]
     return f"{topic} holds compressed images; record {raw} instead, or republish it with image_transport"
-
-
-def _mcap() -> Any:
-    try:
-        import mcap.reader
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            "mcap is not installed; install it with pip install 'deltacharger[record]'", name="mcap"
-        ) from error
-    return mcap

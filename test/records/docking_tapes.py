@@ -14,13 +14,13 @@ from deltacharger.action import Dock
 from deltacharger.msg import ChargerPower, DockingDecision, DockingState, ServoState, TactileFrame
 from rclpy.serialization import serialize_message
 
+from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.ros.messages import unknown
-from deltacharger_records.recording.docking_recorder import ABOUT, RESULT
 from deltacharger_records.recording.docking_topics import TOPICS
+from deltacharger_records.recording.folder import ABOUT, RESULT
 from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_ros.outcomes import Outcome
-from deltacharger_ros.raw_topics import Raw
 from deltacharger_scenes.scene import Scene
 
 BEGAN = 1_795_000_000 * 10**9  # ns since 1970

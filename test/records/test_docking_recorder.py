@@ -30,6 +30,7 @@ from .docking_tapes import (
 
 pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
+from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
 from deltacharger_records.recording.docking_recorder import DockingRecorder, gate_for
 from deltacharger_records.recording.folder import PARTIAL, RecordFolder
@@ -37,7 +38,6 @@ from deltacharger_records.recording.mcap_recording import McapStream
 from deltacharger_records.recording.session import LOST_AFTER
 from deltacharger_records.replay.record import Replay, replay
 from deltacharger_records.replay.words import why
-from deltacharger_ros.raw_topics import Raw
 
 TILTED = "the target is tilted by 12.6°"
 

@@ -15,10 +15,10 @@ pytest.importorskip("mcap", reason="records with deltacharger[record]")
 from deltacharger_bringup.cli.main import main
 from deltacharger_bringup.cli.output import WRONG_INPUT
 from deltacharger_bringup.cli.tactile_options import SETS as NAMED_SETS
+from deltacharger_core.mcap_file import RecordingError
 from deltacharger_records.datasets.dataset import Docking, Settings
 from deltacharger_records.datasets.journal import Journal, Mismatch
 from deltacharger_records.datasets.plan import SETS, Part
-from deltacharger_records.recording.mcap_recording import RecordingError
 from deltacharger_tactile.dataset import Dataset
 
 PART = Part("reference", 0.0, 10, 0, 0.0, 0.0, 80.0)

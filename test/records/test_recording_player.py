@@ -24,13 +24,13 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from trajectory_msgs.msg import JointTrajectory
 
+from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code
 from deltacharger_records.recording.docking_topics import TOPICS
 from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_records.recording.recording_player_node import RecordingPlayerNode
 from deltacharger_ros import qos
 from deltacharger_ros.node_support import Spinner, StartupError
-from deltacharger_ros.raw_topics import Raw
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import load_scene
 
@@ -193,16 +193,13 @@ def test_a_file_that_a_kill_cut_short_is_played_as_far_as_it_goes(
 
 
 def damaged(folder: Path) -> Path:
-    """Return a recording of many pieces of which the last but one is spoilt."""
+    """Return a recording whose last piece is spoilt."""
     path = folder / "damaged.mcap"
     with McapWriter(path, KINDS) as writer:
-        for number, message in enumerate(tape()):
+        for message in tape():
             writer.add(message)
-            if number % 100 == 99:
-                writer.flush()
     content = bytearray(path.read_bytes())
-    last = content.rindex(ZSTANDARD)
-    content[content.rindex(ZSTANDARD, 0, last) + 100] ^= 0xFF
+    content[content.rindex(ZSTANDARD) + 100] ^= 0xFF
     path.write_bytes(content)
     return path
 

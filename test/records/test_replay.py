@@ -17,12 +17,12 @@ from deltacharger.msg import DockingState, ServoState
 from rclpy.serialization import serialize_message
 
 from deltacharger_bringup.cli.main import main
+from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
 from deltacharger_records.recording import mcap_recording
 from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_records.replay.record import replay
 from deltacharger_records.replay.words import numbers, story, why
-from deltacharger_ros.raw_topics import Raw
 
 PNG = b"\x89PNG"
 TILTED = (
@@ -170,7 +170,7 @@ def test_a_truncated_record_is_read_as_far_as_it_goes(tmp_path: Path, share: flo
     path = tmp_path / "a.mcap.partial"
     messages = docking(*refused(Code.NO_CONTACT, "nothing is there"), until=4.0)
     with path.open("wb") as stream:
-        writer = mcap_recording.McapStream(stream, KINDS)
+        writer = mcap_recording.McapStream(stream, KINDS, live=True)
         for number, message in enumerate(messages):
             writer.add(message)
             if number % 50 == 0:
@@ -187,7 +187,7 @@ def test_a_truncated_record_is_read_as_far_as_it_goes(tmp_path: Path, share: flo
 def test_a_damaged_record_is_read_up_to_the_damage(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with path.open("wb") as stream:
-        writer = mcap_recording.McapStream(stream, KINDS)
+        writer = mcap_recording.McapStream(stream, KINDS, live=True)
         for number, message in enumerate(docking()):
             writer.add(message)
             if number % 50 == 0:

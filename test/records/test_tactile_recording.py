@@ -19,10 +19,11 @@ from ..chargers import DEADLINE, Process, new_namespace, wait_until
 pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
 from deltacharger.msg import ServoState, TactileFrame
+from rclpy.serialization import deserialize_message
 
 from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, WRONG_INPUT
+from deltacharger_core.mcap_file import McapFile
 from deltacharger_records.datasets.journal import Journal
-from deltacharger_records.recording.mcap_recording import McapFile, type_name
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.outcomes import DockRequest, Pose
 from deltacharger_scenes.composition import Composition
@@ -175,12 +176,8 @@ def test_the_papers_sets_go_into_one_file_whose_offsets_the_estimator_feels(
 
 def assert_rows_are_in_the_raw_messages(path: Path, data: Dataset) -> None:
     """Each row of a docking is the mean of FRAMES frames in a row, the second right after the first."""
-    kinds = {type_name(kind): kind for kind in (TactileFrame, ServoState)}
-    messages = list(
-        McapFile(path).messages(kinds, *(_full(path, f"/{name}") for name in ("tactile_frame", "servo_state")))
-    )
-    frames = np.array([each.left for raw, each in messages if raw.topic.endswith("tactile_frame")], dtype=np.float32)
-    states = [each for raw, each in messages if raw.topic.endswith("servo_state")]
+    frames = np.array([each.left for each in _messages(path, "tactile_frame", TactileFrame)], dtype=np.float32)
+    states = _messages(path, "servo_state", ServoState)
     assert len(states) > 50
     assert all(list(each.torque_enabled) == [True] * 3 for each in states)
     means = np.array([frames[begin : begin + FRAMES].mean(axis=0) for begin in range(len(frames) - FRAMES + 1)])
@@ -193,13 +190,10 @@ def assert_rows_are_in_the_raw_messages(path: Path, data: Dataset) -> None:
     assert felt[-1] < 1.0  # until the arm has let go
 
 
-def _full(path: Path, ending: str) -> str:
-    from mcap.reader import make_reader
-
-    with path.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert summary is not None
-    return next(channel.topic for channel in summary.channels.values() if channel.topic.endswith(ending))
+def _messages(path: Path, name: str, kind: Any) -> list[Any]:
+    file = McapFile(path)
+    (topic,) = (topic for topic in file.types if topic.endswith(f"/{name}"))
+    return [deserialize_message(each.data, kind) for each in file.messages(topic)]
 
 
 @pytest.mark.slow

@@ -34,12 +34,13 @@ def docking(tmp_path_factory: pytest.TempPathFactory, context: Any, quick_scene:
     """Return the recording of one docking of the quick scene, from its goal until it charges."""
     from rclpy.node import Node
 
+    from deltacharger_core.mcap_file import Raw
     from deltacharger_records.recording.docking_topics import TOPICS
     from deltacharger_records.recording.mcap_recording import McapWriter
     from deltacharger_ros.client import ChargerClient
     from deltacharger_ros.node_support import Spinner
     from deltacharger_ros.outcomes import DockRequest, Pose
-    from deltacharger_ros.raw_topics import Raw, listen
+    from deltacharger_ros.raw_topics import listen
     from deltacharger_scenes.composition import Composition
 
     namespace, came = new_namespace(), list[Raw]()

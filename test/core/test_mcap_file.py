@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One reader for every recording: indexed or not, in chunks or not, whole, cut short or damaged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("mcap", reason="reads with deltacharger[record]")
+
+from mcap.writer import CompressionType, IndexType, Writer
+
+from deltacharger_core.mcap_file import CUT_SHORT, DamagedRecording, McapFile, Raw, RecordingError
+
+MESSAGES = [Raw(f"/{'ab'[n % 2]}", 1000 + n, 900 + n, f"message {n}".ljust(50).encode()) for n in range(100)]
+
+
+def write(path: Path, **options: Any) -> Path:
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=600, compression=CompressionType.NONE, **options)
+        writer.start(profile="ros2", library="test")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channels = {"/a": writer.register_channel("/a", "cdr", schema), "/b": writer.register_channel("/b", "cdr", 0)}
+        for message in MESSAGES:
+            writer.add_message(channels[message.topic], message.received, message.data, message.published)
+        writer.add_metadata("about", {"scene": "tape"})
+        writer.add_attachment(0, 0, "note.txt", "text/plain", b"hello")
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"use_chunking": False},
+        {"index_types": IndexType.NONE},
+        {"use_statistics": False},
+        {"repeat_channels": False, "repeat_schemas": False},
+    ],
+)
+def test_all_that_stands_in_a_file_is_told_however_it_was_written(tmp_path: Path, options: dict[str, Any]) -> None:
+    file = McapFile(write(tmp_path / "a.mcap", **options))
+    assert list(file.messages()) == MESSAGES
+    assert list(file.messages("/b")) == MESSAGES[1::2]
+    assert file.types == {"/a": "std_msgs/msg/String", "/b": ""}
+    assert file.definitions == {"/a": "string data", "/b": ""}
+    assert file.counts == {"/a": 50, "/b": 50}
+    assert (file.first, file.last, file.damage) == (1000, 1099, "")
+    assert file.metadata == [("about", {"scene": "tape"})]
+    assert file.told("nothing") == []
+
+
+def test_attachments_come_by_name(tmp_path: Path) -> None:
+    assert McapFile(write(tmp_path / "a.mcap")).attachments() == {"note.txt": b"hello"}
+
+
+@pytest.mark.parametrize("share", [0.3, 0.7, 0.99])
+@pytest.mark.parametrize("chunks", [True, False])
+def test_what_was_cut_off_is_read_as_far_as_it_goes(tmp_path: Path, share: float, chunks: bool) -> None:
+    path = write(tmp_path / "a.mcap", use_chunking=chunks)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    file, found = McapFile(path), list[Raw]()
+    with pytest.raises(DamagedRecording, match=CUT_SHORT):
+        found.extend(file.messages())
+    assert found == MESSAGES[: len(found)]
+    assert 0.2 * share * len(MESSAGES) < len(found) == file.counts.total()
+    assert (file.damage, file.first, file.last) == (CUT_SHORT, 1000, found[-1].received)
+
+
+def test_damage_inside_ends_the_messages_and_says_so(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap")
+    data = bytearray(path.read_bytes())
+    data[data.index(b"message 50") + 3] ^= 0xFF
+    path.write_bytes(bytes(data))
+    file, found = McapFile(path), list[Raw]()
+    with pytest.raises(DamagedRecording, match=r"a\.mcap: the file is damaged from here on"):
+        found.extend(file.messages())
+    assert 30 < len(found) <= 50
+    assert found == MESSAGES[: len(found)]
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"), [(b"", "is empty"), (b"no recording at all", "no MCAP"), (b"\x89MCAP0\r\n", "no MCAP")]
+)
+def test_other_files_are_refused(tmp_path: Path, content: bytes, problem: str) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=problem):
+        McapFile(path)
+    with pytest.raises(FileNotFoundError):
+        McapFile(tmp_path / "none.mcap")
