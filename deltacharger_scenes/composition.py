@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import importlib
 import sys
-import threading
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -46,18 +45,20 @@ class Composition:
         scene: what to start.
         context: a running rclpy context.
         namespace: for every node; empty for none.
+        held: let docking_node command nothing, and its goals wait, until `release`.
 
     Raises:
         StartupError: a node refuses its parameters.
         SceneError: the scene asks for something that this installation lacks.
     """
 
-    def __init__(self, scene: Scene, context: Context, namespace: str = "") -> None:
+    def __init__(self, scene: Scene, context: Context, namespace: str = "", held: bool = False) -> None:
         self.scene = scene
         self.nodes: list[Running] = []
         self.charger: SimulatedCharger | None = None
         self._context = context
         self._namespace = namespace
+        self._held = held
 
     def start(self) -> Composition:
         """Start the simulated charger, then the nodes; does nothing where they run."""
@@ -79,6 +80,10 @@ class Composition:
                 stack.callback(charger.stop)
             for running in nodes:
                 stack.callback(running.spinner.close)
+
+    def release(self) -> None:
+        """Let docking_node work; only where it is held."""
+        self.node("docking_node").release()
 
     def __enter__(self) -> Composition:
         return self.start()
@@ -128,19 +133,16 @@ class Composition:
                     Parameter(key, value=value) for key, value in self.scene.node_parameters(name, ports).items()
                 ],
                 use_global_arguments=False,
+                **({"held": True} if self._held and name == "docking_node" else {}),
             )
             self.nodes.append(Running(name, Spinner(node)))
 
 
-def preload(scene: Scene) -> None:
-    """Begin to import what the scene's nodes are made of, beside whatever the caller waits for meanwhile."""
-
-    def load() -> None:
-        with contextlib.suppress(Exception):  # who starts the node imports it again, and hears why it fails
-            for name in scene.start_order():
-                importlib.import_module(NODES[name].module)
-
-    threading.Thread(target=load, name="preload", daemon=True).start()
+def load(scene: Scene) -> None:
+    """Import what the scene's nodes are made of; who starts them imports it again, and hears why it fails."""
+    with contextlib.suppress(Exception):
+        for name in scene.start_order():
+            importlib.import_module(NODES[name].module)
 
 
 def describe(composition: Composition) -> str:

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deltacharger_bringup.cli.charger import (
-    PhasePrinter,
+    only_charger,
     prepare,
-    report,
     require_docking,
     ros_context,
     start,
@@ -21,6 +20,7 @@ from deltacharger_bringup.cli.charger import (
 )
 from deltacharger_bringup.cli.main import DEFAULT_PICTURE
 from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, WRONG_INPUT, CommandError, Interrupts, say
+from deltacharger_bringup.cli.phases import PhasePrinter, report
 from deltacharger_core import environment
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
 from deltacharger_scenes.scene import Scene
@@ -50,6 +50,7 @@ def dock(options: argparse.Namespace) -> int:
             if options.must_run:
                 raise CommandError(f"the charger in ROS domain {environment.domain()} no longer answers")
             say(f"no charger answers in ROS domain {environment.domain()}; starting that of scene '{scene.name}'")
+            stack.enter_context(only_charger(options.namespace))
             composition = stack.enter_context(start(with_recorder(scene, options.record), context, options.namespace))
             wait_for_actions(composition, client, interrupts)
         if interrupts.event.is_set():

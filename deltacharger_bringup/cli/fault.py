@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, tell, write_json
-from deltacharger_core import environment
-from deltacharger_sim.charger.fault_channel import SOCKET, ask, registered
+from deltacharger_core import environment, runtime
+from deltacharger_sim.charger.fault_channel import SOCKET, ask
 from deltacharger_sim.charger.fault_kinds import KINDS, Kind
 from deltacharger_sim.charger.faults import Fault
 from deltacharger_sim.parameters import ParameterError
@@ -139,7 +139,7 @@ def _places(options: argparse.Namespace) -> list[Path]:
     """Return where the charger's socket may be: in its ports' folder, or where its ROS domain is registered."""
     if options.directory:
         return [Path(options.directory) / SOCKET]
-    return [registered(domain, options.namespace) for domain in _domains()]
+    return [runtime.charger(domain, options.namespace) for domain in _domains()]
 
 
 def _domains() -> list[int]:

@@ -149,7 +149,7 @@ def _add_up(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     parser = add_command(
         commands,
         "up",
-        ("deltacharger_bringup.cli.charger", "up"),
+        ("deltacharger_bringup.cli.up", "up"),
         "run a charger in this process until it is stopped; says 'ready' when its actions answer",
     )
     _add_scene_option(parser)
@@ -194,7 +194,7 @@ def _add_undock(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser = add_command(
         commands,
         "undock",
-        ("deltacharger_bringup.cli.charger", "undock"),
+        ("deltacharger_bringup.cli.undock", "undock"),
         "stop charging, let go and retract the arm of the running charger",
     )
     _add_scene_option(parser)

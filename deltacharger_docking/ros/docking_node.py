@@ -68,10 +68,15 @@ def declare_parameters(node: Node) -> DockingParameters:
 
 
 class DockingNode(Node):
-    """Serves dock and undock; see the module for topics and services, docs/docking.md for the parameters."""
+    """Serves dock and undock; see the module for topics and services, docs/docking.md for the parameters.
 
-    def __init__(self, **kwargs: Any) -> None:
-        self._closed = True  # nothing to make safe before the node is complete
+    Args:
+        held: command nothing, publish nothing and let goals wait until `release`.
+        kwargs: of rclpy's Node.
+    """
+
+    def __init__(self, held: bool = False, **kwargs: Any) -> None:
+        self._closed = True  # nothing to make safe before the node is complete and released
         super().__init__("docking_node", **kwargs)
         self._settings = declare_parameters(self)
         geometry = declare_geometry(self)
@@ -106,13 +111,23 @@ class DockingNode(Node):
             self._begun,
             self._calls.misalignment,
             (self._base_frame, self._base_pose),
+            held,
         )
-        self._closed = False
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)
+        if not held:
+            self.release()
+
+    def release(self) -> None:
+        """Begin to work, with the goals that wait."""
+        self._closed = False
         self._thread.start()
+        self._goals.release()
 
     def close(self) -> None:
-        """Open the contactor, see it open, stop the servos, end the goal and the loop. Safe to call twice."""
+        """Open the contactor, see it open, stop the servos, end the goal and the loop. Safe to call twice.
+
+        A node that was never released has commanded nothing and stays silent: another charger of its name would obey.
+        """
         if self._closed:
             return
         self._closed = True

@@ -66,6 +66,7 @@ class Goals:
             that is there at once.
         misalignment: gives the message of an estimate.
         base: name of the robot's frame, and charger_base in it (see `docking_node_io.electrodes`).
+        held: let goals that come wait for `release`.
     """
 
     def __init__(
@@ -78,6 +79,7 @@ class Goals:
         begun: Callable[[], None],
         misalignment: Callable[[Estimate | None], Misalignment],
         base: tuple[str, Sequence[float]],
+        held: bool,
     ) -> None:
         self._node = node
         self._machine = machine
@@ -89,6 +91,7 @@ class Goals:
         self._goal: Goal | None = None
         self._ended: GoalHandle | None = None  # of the goal that ended last
         self._refusal = ""
+        self._waiting: list[GoalHandle] | None = [] if held else None
         self._servers = [
             self._serve(Dock, "dock", self._execute_dock, group),
             self._serve(Undock, "undock", self._execute_undock, group),
@@ -101,6 +104,7 @@ class Goals:
             name,
             execute_callback=execute,
             goal_callback=lambda request: GoalResponse.ACCEPT,
+            handle_accepted_callback=self._on_accepted,
             cancel_callback=self._on_cancel,
             callback_group=group,
         )
@@ -109,6 +113,13 @@ class Goals:
         """Release the ROS side."""
         for server in self._servers:
             server.destroy()
+
+    def release(self) -> None:
+        """Begin the goals that wait, in their order, and from now on each as it comes."""
+        with self._lock:
+            waiting, self._waiting = self._waiting, None
+        for handle in waiting or ():
+            handle.execute()
 
     def refuse(self, reason: str) -> None:
         """Serve no goal that comes from now on."""
@@ -161,6 +172,13 @@ class Goals:
             message.charge_current = charge_current
         with contextlib.suppress(RuntimeError):  # the client may have gone between the check and the call
             goal.handle.publish_feedback(message)
+
+    def _on_accepted(self, handle: GoalHandle) -> None:
+        with self._lock:
+            if self._waiting is not None:
+                self._waiting.append(handle)
+                return
+        handle.execute()
 
     def _on_cancel(self, handle: GoalHandle) -> CancelResponse:
         """Accept unless the goal has ended: whoever hears an acceptance knows that the arm goes back."""

@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from deltacharger_core import runtime
 from deltacharger_sim.charger.faults import Fault, Faults
 from deltacharger_sim.parameters import ParameterError, from_mapping
 
@@ -32,13 +33,6 @@ _LONGEST_PATH = 100  # bytes of a socket's path that every system takes
 Answer = dict[str, Any]
 
 
-def registered(domain: int, namespace: str) -> Path:
-    """Return where a charger of a ROS domain and namespace is registered: a link to its socket."""
-    folder = Path(os.environ.get("XDG_RUNTIME_DIR") or "/tmp") / f"deltacharger-{os.getuid()}"
-    name = namespace.strip("/").replace("/", "-")
-    return folder / (f"{domain}-{name}" if name else str(domain))
-
-
 class Registration:
     """A link under which a charger's socket is found; takes the place of one whose charger is gone.
 
@@ -50,10 +44,7 @@ class Registration:
     def __init__(self, name: Path, target: Path) -> None:
         self._name = name
         self._target = str(target.absolute())
-        name.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        owner = name.parent.lstat()
-        if owner.st_uid != os.getuid() or not stat.S_ISDIR(owner.st_mode):
-            raise PermissionError(f"{name.parent} is not a folder of this user")
+        runtime.make(name.parent)
         if _listens(name):
             raise FileExistsError(f"{name} leads to another charger that runs")
         beside = name.with_name(f".{name.name}.{os.getpid()}")

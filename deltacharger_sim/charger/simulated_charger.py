@@ -17,11 +17,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from deltacharger_core import runtime
 from deltacharger_core.environment import domain
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.pseudo_terminal import ByteDevice, PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
-from deltacharger_sim.charger.fault_channel import SOCKET, ControlServer, Registration, answer, registered
+from deltacharger_sim.charger.fault_channel import SOCKET, ControlServer, Registration, answer
 from deltacharger_sim.charger.faults import Faults, Hardware
 from deltacharger_sim.charger.simulation import Simulation
 from deltacharger_sim.shared_world import SharedWorld
@@ -132,7 +133,7 @@ class SimulatedCharger:
 
     def _listen(self, faults: Faults, path: Path) -> None:
         self._control = ControlServer(path, lambda request: answer(faults, request))
-        name = registered(domain(), self._namespace)
+        name = runtime.charger(domain(), self._namespace)
         try:
             self._registration = Registration(name, path)
         except OSError as error:  # a charger that is not found by its domain is still a charger

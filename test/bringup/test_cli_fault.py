@@ -15,8 +15,9 @@ import pytest
 import serial
 
 from deltacharger_bringup.cli.main import main
+from deltacharger_core import runtime
 from deltacharger_scenes.scene import parse_scene
-from deltacharger_sim.charger.fault_channel import ask, registered
+from deltacharger_sim.charger.fault_channel import ask
 from deltacharger_sim.charger.fault_kinds import KINDS
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
@@ -214,7 +215,7 @@ def test_each_namespace_and_each_folder_has_its_own(fault: Callable[..., Said], 
 def test_a_charger_keeps_its_name_until_it_ends_and_nothing_remains_of_it(
     fault: Callable[..., Said], tmp_path: Path
 ) -> None:
-    place = registered(int(os.environ["ROS_DOMAIN_ID"]), "")
+    place = runtime.charger(int(os.environ["ROS_DOMAIN_ID"]), "")
     first = SimulatedCharger(SIMULATED, tmp_path / "one").start()
     second = SimulatedCharger(SIMULATED, tmp_path / "two").start()
     assert fault("servo_missing").code == 0
@@ -255,7 +256,7 @@ def test_the_socket_survives_whoever_does_not_speak_its_language(
 
 
 def test_a_folder_of_somebody_else_is_not_used(tmp_path: Path, fault: Callable[..., Said]) -> None:
-    registered(0, "").parent.symlink_to(tmp_path)  # as somebody might prepare in a folder that all may write
+    runtime.charger(0, "").parent.symlink_to(tmp_path)  # as somebody might prepare in a folder that all may write
     with SimulatedCharger(SIMULATED, tmp_path / "ports") as charger:
         assert fault("--clear").code == 1
         assert fault("servo_missing", "--directory", str(tmp_path / "ports")).code == 0

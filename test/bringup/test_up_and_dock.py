@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from ..chargers import Process
+from ..chargers import Process, wait_until
 
 pytestmark = pytest.mark.ros
 
@@ -54,14 +54,46 @@ def test_up_ends_with_130_on_sigint_and_with_2_where_a_node_refuses_its_paramete
     assert any("did you mean 'standoff'" in line for line in refused.err)
 
 
-def test_a_closed_terminal_ends_up_in_order_and_a_second_charger_beside_it_is_refused(
+def test_a_closed_terminal_ends_up_in_order_and_a_second_charger_beside_it_is_refused_at_once(
     start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str
 ) -> None:
     charger = up(start, deltacharger, quick_file, namespace)
     second = start(*deltacharger, "up", "--scene", str(quick_file), "--namespace", namespace)
     assert second.end() == 2
-    assert any("already answers" in line for line in second.err)
+    assert [line for line in second.err if "already answers" in line and f"process {charger.process.pid}" in line]
     assert charger.end(signal.SIGHUP) == 0
+
+
+def test_of_two_chargers_that_start_at_the_same_instant_exactly_one_runs(
+    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str
+) -> None:
+    words = (*deltacharger, "up", "--scene", str(quick_file), "--namespace", namespace)
+    both = [start(*words), start(*words)]
+    wait_until(lambda: any(each.process.poll() is not None for each in both), "the end of one")
+    refused, runs = sorted(both, key=lambda each: each.process.poll() is None)
+    assert refused.end() == 2
+    runs.wait_for_line("ready", runs.err)
+    assert runs.end(signal.SIGTERM) == 0
+
+
+def test_a_charger_that_the_lock_does_not_know_is_found_over_ros_and_not_disturbed(
+    start: Callable[..., Process],
+    deltacharger: tuple[str, ...],
+    quick_file: Path,
+    namespace: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    first = up(start, deltacharger, quick_file, namespace)
+    options = ("--scene", str(quick_file), "--namespace", namespace, "--json")
+    assert start(*deltacharger, "dock", *options, "--no-picture").end() == 0
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # as another user, or another computer, has
+    second = start(*deltacharger, "up", "--scene", str(quick_file), "--namespace", namespace)
+    assert second.end() == 1
+    assert any("already answers in ROS domain" in line for line in second.err)
+    undock = start(*deltacharger, "undock", *options)
+    assert undock.end() == 0, undock.err
+    assert first.end(signal.SIGTERM) == 0
 
 
 def test_dock_starts_a_charger_of_its_own_and_sigint_cancels_it(

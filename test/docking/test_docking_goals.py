@@ -6,20 +6,25 @@ from __future__ import annotations
 import itertools
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
+from deltacharger.action import Dock
+from deltacharger.msg import ChargerPower, ServoState
 from hypothesis import given
 from hypothesis import strategies as st
+from rclpy.action.client import ActionClient
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool
 
 from deltacharger_docking.codes import State
 from deltacharger_docking.observation import Request, Service
 from deltacharger_docking.ros.reports import changes
 from deltacharger_docking.ros.services import Services
-from deltacharger_ros.client import ChargerClient
+from deltacharger_ros.client import ChargerClient, fill_pose
 from deltacharger_ros.node_support import Spinner
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
 from deltacharger_scenes.composition import Composition
@@ -107,6 +112,59 @@ def test_a_goal_that_comes_while_the_charger_ends_is_refused_and_may_be_sent_aga
         outcome = client.dock(GOAL, deadline=DEADLINE)
         assert (outcome.error_name, outcome.retriable) == ("REJECTED", True)
         assert "shutting down" in outcome.error_message
+
+
+def test_a_held_charger_moves_nothing_and_serves_the_goals_that_wait_once_it_is_released(
+    quick_scene: Scene, context: Any
+) -> None:
+    namespace = new_namespace()
+    with (
+        Composition(patient(quick_scene), context, namespace, held=True) as composition,
+        ChargerClient(namespace, context) as client,
+    ):
+        assert client.wait_until_ready(DEADLINE)
+        goals = ActionClient(client.node, Dock, "dock")
+        request = Dock.Goal()
+        fill_pose(request.electrodes, Pose(0.0, 0.0, 0.080))
+        sent = goals.send_goal_async(request)
+        wait_until(sent.done, "the goal to be accepted")
+        torque: list[bool] = []
+        client.node.create_subscription(
+            ServoState, "servo_state", lambda state: torque.append(any(state.torque_enabled)), QoSProfile(depth=1)
+        )
+        wait_until(lambda: len(torque) >= 20, "servo_state")
+        assert not any(torque)
+        ended = sent.result().get_result_async()
+        assert not ended.done()
+        composition.release()
+        wait_until(ended.done, "the docking")
+        assert any(torque)
+        assert ended.result().result.error_code in (0, 107), ended.result().result.error_message
+        goals.destroy()
+
+
+def test_a_charger_that_is_held_to_its_end_leaves_its_neighbour_of_the_same_name_alone(
+    quick_scene: Scene, context: Any
+) -> None:
+    namespace = new_namespace()
+    with (
+        Composition(patient(quick_scene), context, namespace) as composition,
+        ChargerClient(namespace, context) as client,
+    ):
+        assert client.wait_until_ready(DEADLINE)
+        wait_until(lambda: client.dock(GOAL, deadline=DEADLINE).success, "a docking")
+        assert client.node.count_publishers("dock/_action/feedback") == 1
+        with Composition(replace(quick_scene, nodes=("docking_node",)), context, namespace, held=True):
+            wait_until(lambda: client.node.count_publishers("dock/_action/feedback") == 2, "the second charger")
+        wait_until(lambda: client.node.count_publishers("dock/_action/feedback") == 1, "its end")
+        power: list[bool] = []
+        client.node.create_subscription(
+            ChargerPower, "charger_power", lambda message: power.append(message.contactor_closed), QoSProfile(depth=1)
+        )
+        wait_until(lambda: len(power) >= 20, "charger_power")
+        assert all(power)
+        assert client.undock(deadline=DEADLINE).success
+        assert not composition.node("mock_tactile_node").contactor_closed
 
 
 @pytest.fixture

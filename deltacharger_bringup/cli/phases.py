@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How an action goes and ends, told to people or as the one JSON object."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from deltacharger_bringup.cli.output import say, tell, write_json
+from deltacharger_ros.outcomes import Outcome, Progress
+
+
+def report(outcome: Outcome, as_json: bool, more: dict[str, Any]) -> None:
+    """Print how an action ended: for people, or as the one JSON object."""
+    if as_json:
+        write_json({**outcome.as_dict(), **more})
+        return
+    if outcome.success:
+        tell(f"{outcome.action}: done in {outcome.elapsed:.1f} s")
+    else:
+        retry = "; the same goal may succeed if sent again" if outcome.retriable else ""
+        tell(f"{outcome.action}: failed, {outcome.error_code} {outcome.error_name}: {outcome.error_message}{retry}")
+        suggested = outcome.details.get("suggested_base_pose")
+        if suggested:
+            place = ", ".join(f"{1e3 * value:.1f}" for value in suggested["position"])
+            tell(f"  it could with charger_base at ({place}) mm of {suggested['frame_id']}")
+
+
+class PhasePrinter:
+    """Print one line when a phase begins and remember when each one did.
+
+    Args:
+        force: gives the contact force now (N, NaN = unknown).
+
+    Attributes:
+        phases: one mapping a phase: phase, start (s), z (m), contact_current (A), force (N), alignments.
+    """
+
+    def __init__(self, force: Any = None) -> None:
+        self._force = force
+        self.phases: list[dict[str, Any]] = []
+
+    def __call__(self, progress: Progress) -> None:
+        """Take one feedback message."""
+        if self.phases and self.phases[-1]["phase"] == progress.phase:
+            return
+        force = float("nan") if self._force is None else self._force()
+        self.phases.append(
+            {
+                "phase": progress.phase,
+                "start": progress.time,
+                "z": progress.z,
+                "contact_current": progress.contact_current,
+                "force": force,
+                "alignments": progress.alignments,
+            }
+        )
+        columns = [f"{progress.time:7.2f} s", f"{progress.phase:<9}", _number("z", 1e3 * progress.z, "mm", 1)]
+        if progress.charge_current == progress.charge_current:
+            columns.append(_number("charge", progress.charge_current, "A", 2))
+        else:
+            columns.append(_number("I_c", progress.contact_current, "A", 3))
+        if self._force is not None:
+            columns.append(_number("force", force, "N", 1))
+        say("  ".join(columns))
+
+
+def _number(name: str, value: float, unit: str, digits: int) -> str:
+    text = "–" if value != value else f"{value:.{digits}f}"
+    return f"{name} {text:>7} {unit}"

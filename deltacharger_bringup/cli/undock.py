@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger undock`: the running charger lets go and retracts its arm."""
+
+from __future__ import annotations
+
+import argparse
+
+from deltacharger_bringup.cli.charger import LOOK, prepare, require_docking, ros_context
+from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, CommandError, Interrupts
+from deltacharger_bringup.cli.phases import PhasePrinter, report
+from deltacharger_core import environment
+
+
+def undock(options: argparse.Namespace) -> int:
+    """Undock the running charger."""
+    require_docking(prepare(options, look_around=True))
+    with Interrupts() as interrupts, ros_context() as context:
+        from deltacharger_ros.client import ChargerClient, ClientError
+
+        with ChargerClient(options.namespace, context) as client:
+            if not client.wait_until_it_answers(options.discovery, interrupts.event):
+                if interrupts.event.is_set():
+                    raise CommandError("interrupted", INTERRUPTED)
+                where = "0 or " if options.discovery == LOOK else ""
+                raise CommandError(
+                    f"no charger answers in ROS domain {where}{environment.domain()}: start one with `deltacharger up`"
+                )
+            printer = PhasePrinter()
+            try:
+                outcome = client.undock(options.request_id, printer, interrupts.event, options.deadline_s)
+            except ClientError as error:
+                raise CommandError(str(error), INTERRUPTED if interrupts.event.is_set() else FAILED) from error
+        report(outcome, options.json, {"phases": printer.phases})
+        if interrupts.event.is_set():
+            return INTERRUPTED
+        return DONE if outcome.success else FAILED

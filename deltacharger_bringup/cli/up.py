@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger up`: run a scene's charger until a signal.
+
+One charger of a ROS domain and namespace is enough. A second one of this user on this machine is refused at once, by a
+lock. Others, on other machines too, are asked over ROS: before the first node starts, since most answer by then, and
+until `LOOK` has passed. So long docking_node commands nothing and its goals wait.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import time
+from typing import TYPE_CHECKING
+
+from deltacharger_bringup.cli.charger import (
+    LOOK,
+    only_charger,
+    prepare,
+    raise_if_failed,
+    refusal,
+    ros_context,
+    start,
+    wait_for_actions,
+)
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, answer, say
+from deltacharger_core import environment
+from deltacharger_scenes.overrides import Overrides, override
+from deltacharger_scenes.scene import Scene, SceneError
+
+if TYPE_CHECKING:
+    from rclpy.context import Context
+
+    from deltacharger_ros.client import ChargerClient
+    from deltacharger_scenes.composition import Composition
+
+
+def up(options: argparse.Namespace) -> int:
+    """Run a scene's charger until a signal."""
+    if options.recording and options.scene is None:
+        options.scene = "replay"
+    scene = _with_options(prepare(options), options)
+    with Interrupts() as interrupts, contextlib.ExitStack() as stack:
+        if scene.docks:
+            stack.enter_context(only_charger(options.namespace))
+        context = stack.enter_context(ros_context())
+        if scene.docks:
+            composition = _alone(scene, context, options, interrupts, stack)
+        else:
+            composition = stack.enter_context(start(scene, context, options.namespace))
+            _say_what_runs(composition)
+            say(_what_is_there(composition))
+            _say_ready(composition, options)
+        while not interrupts.event.wait(0.5):
+            raise_if_failed(composition)
+    return interrupts.exit_code(DONE)
+
+
+def _alone(
+    scene: Scene, context: Context, options: argparse.Namespace, interrupts: Interrupts, stack: contextlib.ExitStack
+) -> Composition:
+    """Start a charger that docks, and let it work once no other one has answered.
+
+    Raises:
+        CommandError: another one answers, a part broke, or a signal came before it was ready.
+    """
+    from deltacharger_ros.client import ChargerClient
+    from deltacharger_scenes.composition import load
+
+    with ChargerClient(options.namespace, context) as client:
+        asked = time.monotonic()
+        load(scene)
+        _refuse_others(client, 0)
+        composition = stack.enter_context(start(scene, context, options.namespace, held=True))
+        _say_what_runs(composition)
+        if not wait_for_actions(composition, client, interrupts):
+            raise CommandError("interrupted before it was ready", interrupts.exit_code(DONE))
+        _say_ready(composition, options)
+        while not interrupts.event.wait(0.1):
+            raise_if_failed(composition)
+            _refuse_others(client, 1)
+            if time.monotonic() >= asked + LOOK:
+                composition.release()
+                break
+    return composition
+
+
+def _refuse_others(client: ChargerClient, own: int) -> None:
+    if client.node.count_publishers("dock/_action/feedback") > own:  # one of each action server
+        raise refusal(FAILED)
+
+
+def _say_what_runs(composition: Composition) -> None:
+    from deltacharger_scenes.composition import describe
+
+    say(f"{describe(composition)}; ROS domain {environment.domain()}")
+
+
+def _say_ready(composition: Composition, options: argparse.Namespace) -> None:
+    say("ready")
+    if options.json:
+        told = {"ready": True, "scene": composition.scene.name, "domain": environment.domain()}
+        answer(options, {**told, **composition.ports()})
+
+
+def _with_options(scene: Scene, options: argparse.Namespace) -> Scene:
+    """Return the scene with what the options of `up` put in place of its own.
+
+    Raises:
+        CommandError: they do not fit the scene; exit code 2.
+    """
+    told = dataclasses.fields(Overrides)
+    try:
+        return override(scene, Overrides(**{each.name: getattr(options, each.name) or "" for each in told}))
+    except SceneError as error:
+        problem = f"{error.file}: --{error.key.replace('_', '-')}: {error.problem}"
+        raise CommandError(problem, WRONG_INPUT, file=error.file, key=error.key) from error
+
+
+def _what_is_there(composition: Composition) -> str:
+    """Return what a scene that cannot dock has instead."""
+    from deltacharger_lab.pages.topics import endpoints
+
+    found = [each for running in composition.nodes for each in endpoints(running.node) if "/_" not in each.name]
+    has = []
+    for verb in ("publishes", "serves"):
+        names = {each.name.lstrip("/") for each in found if each.verb == verb} - {"diagnostics"}
+        has += [f"{verb} {', '.join(sorted(names))}"] if names else []
+    return f"no docking_node, so no goal is served; it {' and '.join(has) or 'is silent'}"

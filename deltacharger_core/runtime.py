@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the processes of one user on this machine find each other: a private folder with a name for each charger."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+
+class Taken(Exception):
+    """Another process that lives holds the lock.
+
+    Args:
+        process: its id, or '' where it has not written it yet.
+    """
+
+    def __init__(self, process: str) -> None:
+        self.process = process
+        super().__init__(f"held by process {process}" if process else "held by another process")
+
+
+def folder() -> Path:
+    """Return the private folder: below XDG_RUNTIME_DIR, else below /tmp."""
+    base = os.environ.get("XDG_RUNTIME_DIR", "")
+    return Path(base if base and os.access(base, os.W_OK | os.X_OK) else "/tmp") / f"deltacharger-{os.getuid()}"
+
+
+def charger(domain: int, namespace: str) -> Path:
+    """Return the path in the private folder that is that of a charger, by its ROS domain and namespace."""
+    name = namespace.strip("/").replace("/", "-")  # ROS knows no names with a dash
+    return folder() / (f"{domain}-{name}" if name else str(domain))
+
+
+def make(folder: Path) -> None:
+    """Make the private folder where it is missing.
+
+    Raises:
+        OSError: it cannot be made, or belongs to somebody else.
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    found = folder.lstat()
+    if found.st_uid != os.getuid() or not stat.S_ISDIR(found.st_mode):
+        raise PermissionError(f"{folder} is not a folder of this user")
+
+
+@contextlib.contextmanager
+def only_one(domain: int, namespace: str) -> Iterator[None]:
+    """Be the only charger of a ROS domain and namespace that this user runs on this machine.
+
+    The kernel gives the lock back when the process ends, however it ends; the file stays and means nothing by itself.
+
+    Raises:
+        Taken: another process is it.
+        OSError: the private folder cannot be used.
+    """
+    path = charger(domain, namespace).with_suffix(".lock")
+    make(path.parent)
+    with open(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600), "r+") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise Taken(file.read().strip()) from None
+        file.truncate()
+        file.write(f"{os.getpid()}\n")
+        file.flush()
+        yield
