@@ -10,8 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from deltacharger_core.yaml_file import read_yaml, write_yaml
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, LimbAdjustment
 
 
@@ -22,11 +21,9 @@ def load_geometry(path: str | Path) -> DeltaGeometry:
         OSError: the file cannot be read.
         ValueError: names the file and the key; not YAML, an unknown key or an impossible value.
     """
+    content = read_yaml(path)
     try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        return geometry_from_mapping(content if content is not None else {})
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not readable as YAML: {error}") from error
+        return geometry_from_mapping({} if content is None else content)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -37,8 +34,7 @@ def save_geometry(geometry: DeltaGeometry, path: str | Path, comment: str = "") 
     Raises:
         OSError: the file cannot be written.
     """
-    head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
-    Path(path).write_text(head + yaml.safe_dump(geometry_to_mapping(geometry), sort_keys=False), encoding="utf-8")
+    write_yaml(path, geometry_to_mapping(geometry), comment)
 
 
 def geometry_to_mapping(geometry: DeltaGeometry) -> dict[str, Any]:

@@ -16,8 +16,8 @@ from typing import Any
 
 from deltacharger_core import environment
 from deltacharger_core.machine import DOCK_DISTANCE
+from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.yaml_text import YamlProblem, read_yaml
 from deltacharger_sim.charger.simulation import Simulation
 from deltacharger_sim.parameters import Bounded, ParameterError, from_mapping, number
 
@@ -164,8 +164,10 @@ def load_scene(name_or_file: str | Path) -> Scene:
     path = find_scene(name_or_file)
     try:
         content = read_yaml(path)
-    except YamlProblem as error:
-        raise SceneError(str(path), "", str(error)) from error
+    except YamlError as error:
+        raise SceneError(str(path), "", error.problem) from error
+    except OSError as error:
+        raise SceneError(str(path), "", f"cannot be read: {error}") from error
     try:
         return parse_scene(content, path.stem, str(path))
     except ParameterError as error:

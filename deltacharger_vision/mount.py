@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.machine import DOCK_DISTANCE
+from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.errors import MountError
 from deltacharger_vision.poses import cross_matrix
@@ -113,13 +114,11 @@ class Mount:
             FileNotFoundError: there is no such file.
             MountError: it is no such file.
         """
-        import yaml
-
         source = str(path)
         try:
-            found = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise MountError(source, f"not YAML ({error}); give what `deltacharger calibrate camera` wrote") from error
+            found = read_yaml(path)
+        except YamlError as error:
+            raise MountError(source, f"{error.problem}; give what `deltacharger calibrate camera` wrote") from error
         if not isinstance(found, dict):
             raise MountError(source, f"must be a mapping with {', '.join(_KEYS)}")
         unknown = [key for key in found if key not in _KEYS]
@@ -143,8 +142,6 @@ class Mount:
             path: of the file.
             about: how it was found, kept under `calibration`; plain YAML values.
         """
-        import yaml
-
         content: dict[str, Any] = {
             "frame": FRAME,
             "camera_frame": CAMERA_FRAME,
@@ -154,8 +151,7 @@ class Mount:
         }
         if about:
             content["calibration"] = dict(about)
-        text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120)
-        Path(path).write_text(text, encoding="utf-8")
+        write_yaml(path, content)
 
     def place(self, found: Detection) -> Placed:
         """Return a detection in charger_base."""

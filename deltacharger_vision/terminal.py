@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH
+from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_vision.bounded import Bounded, value
 from deltacharger_vision.errors import ParameterError, TerminalError
 
@@ -62,13 +63,11 @@ class Terminal(Bounded):
             FileNotFoundError: there is no such file.
             TerminalError: it is no such mapping; a key is unknown; a length is out of bounds.
         """
-        import yaml
-
         source = str(path)
         try:
-            found = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise TerminalError(source, f"not YAML ({error}); correct it") from error
+            found = read_yaml(path)
+        except YamlError as error:
+            raise TerminalError(source, f"{error.problem}; correct it") from error
         known = [item.name for item in dataclasses.fields(Terminal)]
         if not isinstance(found, dict) or not found:
             raise TerminalError(source, f"must be a mapping with {', '.join(known)}, each in m")

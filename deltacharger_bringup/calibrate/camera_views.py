@@ -14,14 +14,16 @@ from __future__ import annotations
 import csv
 import difflib
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.files import append_text
+from deltacharger_core.yaml_file import write_yaml
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_vision.hand_eye.board import Board
@@ -166,7 +168,7 @@ class ViewsFolder:
             return
         if any(path.name != CAMERA_INFO for path in folder.iterdir()):
             raise ViewsError(folder, f"holds other files and no {VIEWS}; name a new folder")
-        (folder / CAMERA_INFO).write_text(camera_info_text(intrinsics), encoding="utf-8")
+        write_yaml(folder / CAMERA_INFO, camera_info(intrinsics))
         self._write(f"{_IMAGE},{','.join(_ANGLES)}\n")
 
     def add(self, image: NDArray[np.uint8], angles: Vector) -> str:
@@ -189,25 +191,19 @@ class ViewsFolder:
         self.angles = [row.angles for row in rows if row.angles is not None]
 
     def _write(self, text: str) -> None:
-        with (self._folder / VIEWS).open("a", encoding="utf-8", newline="") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+        append_text(self._folder / VIEWS, text)
 
 
-def camera_info_text(intrinsics: Intrinsics) -> str:
-    """Return intrinsics as the YAML that `load_camera_info` reads."""
-    import yaml
-
+def camera_info(intrinsics: Intrinsics) -> dict[str, Any]:
+    """Return intrinsics as what `load_camera_info` reads from YAML."""
     coefficients = list(intrinsics.distortion) or [0.0] * 5
-    content = {
+    return {
         "image_width": intrinsics.width,
         "image_height": intrinsics.height,
         "camera_matrix": {"rows": 3, "cols": 3, "data": intrinsics.matrix().ravel().tolist()},
         "distortion_model": "rational_polynomial" if len(coefficients) == 8 else "plumb_bob",
         "distortion_coefficients": {"rows": 1, "cols": len(coefficients), "data": coefficients},
     }
-    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
 
 
 def _header(path: Path, line: int, names: list[str]) -> list[str]:

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
+from deltacharger_core.files import append_text
 from deltacharger_kinematics.calibration.data import Encoder
 from deltacharger_kinematics.calibration.plan import Pose
 from deltacharger_kinematics.calibration.table import (
@@ -67,7 +67,4 @@ class Recording:
         self.done.add(pose.number)
 
     def _write(self, text: str) -> None:
-        with self._path.open("a", encoding="utf-8", newline="") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+        append_text(self._path, text)

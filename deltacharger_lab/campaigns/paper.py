@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_core.files import whole
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_docking.clearance import Estimate
 from deltacharger_tactile.classifiers.classifier import Classifier
@@ -52,9 +53,8 @@ def prepare(campaign: Path, tell: Callable[[str], None]) -> None:
             known = examples(data, target)
             model = Classifier(MODEL, target).fit(known.frames, known.labels, SEED)
             model.about = {"rigs": RIGS, "first_rig": FIRST_RIG, "seed": SEED}
-            unfinished = folder / f"_unfinished-{os.getpid()}.npz"
-            model.save(unfinished)
-            unfinished.replace(_file(folder, target))
+            with whole(_file(folder, target)) as path:
+                model.save(path)
     os.environ[FOLDER] = str(folder)
 
 

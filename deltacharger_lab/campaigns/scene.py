@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_lab.campaigns.keys import DERIVED, TAKEN, known_keys
 from deltacharger_lab.campaigns.parts import build_parts
 from deltacharger_lab.campaigns.spread import Key, Spread, Value, read_spread
 from deltacharger_scenes.scene import SceneError, scene_folders
-from deltacharger_scenes.yaml_text import YamlProblem, read_yaml
 from deltacharger_sim.parameters import ParameterError
 
 DEFAULT = "default"
@@ -59,8 +59,10 @@ def load_campaign_scene(name_or_file: str) -> CampaignScene:
     path = _find(name_or_file)
     try:
         return parse_campaign_scene(read_yaml(path), path.stem, str(path))
-    except YamlProblem as error:
-        raise SceneError(str(path), "", str(error)) from error
+    except YamlError as error:
+        raise SceneError(error.file, "", error.problem) from error
+    except OSError as error:
+        raise SceneError(str(path), "", f"cannot be read: {error}") from error
     except ParameterError as error:
         raise SceneError(str(path), error.key, error.problem) from error
 

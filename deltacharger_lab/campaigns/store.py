@@ -3,21 +3,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
+from deltacharger_core.files import forget_unfinished, whole, write_text
 from deltacharger_lab.campaigns.docking import columns
 from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, Settings, scene_of
 
 SETTINGS = "_campaign.json"
 """Readers of Parquet folders pass over names that begin with _."""
 _LOCK = "_lock"
-_TEMPORARY = "_unfinished"
 
 
 def require_pyarrow() -> Any:
@@ -85,11 +83,8 @@ class Store:
         if not fresh:
             return 0
         table = self._pyarrow.Table.from_pylist([fresh[number] for number in sorted(fresh)], schema=self._schema)
-        temporary = self.folder / f"{_TEMPORARY}-{os.getpid()}"
-        with temporary.open("wb") as file:
-            self._pyarrow.parquet.write_table(table, file)
-            _flush(file)
-        temporary.replace(self.folder / f"part-{min(fresh):09d}.parquet")
+        with whole(self.folder / f"part-{min(fresh):09d}.parquet") as path:
+            self._pyarrow.parquet.write_table(table, path)
         self.done.update(fresh)
         return len(fresh)
 
@@ -105,8 +100,7 @@ class Store:
         return lock
 
     def _open(self) -> None:
-        for left in self.folder.glob(f"{_TEMPORARY}*"):
-            left.unlink()
+        forget_unfinished(self.folder)
         if (self.folder / SETTINGS).exists():
             differences = read_settings(self.folder).differences(self.settings)
             if differences:
@@ -116,11 +110,7 @@ class Store:
                     "another --out"
                 )
             self.done = {number for part in read_parts(self.folder, ["number"]) for number in part["number"]}
-        temporary = self.folder / f"{_TEMPORARY}-settings"
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(self.settings.to_json())
-            _flush(file)
-        temporary.replace(self.folder / SETTINGS)
+        write_text(self.folder / SETTINGS, self.settings.to_json())
 
 
 def read_settings(folder: Path) -> Settings:
@@ -182,9 +172,3 @@ def _schema(pyarrow: Any, settings: Settings) -> Any:
     return pyarrow.schema(
         [pyarrow.field(name, kinds[kind], metadata={"doc": about}) for name, (kind, about) in columns(scene).items()]
     )
-
-
-def _flush(file: IO[Any]) -> None:
-    file.flush()
-    with contextlib.suppress(OSError):  # not every file system can
-        os.fsync(file.fileno())

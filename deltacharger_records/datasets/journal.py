@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_core.files import forget_unfinished, make_folder, whole, write_text
 from deltacharger_core.mcap_file import McapFile, Raw, RecordingError
 from deltacharger_records.datasets.dataset import Docking, Settings, dataset
 from deltacharger_records.datasets.plan import Part
-from deltacharger_records.recording.files import forget_unfinished, make_folder, whole
 from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_tactile.dataset import Dataset
 
@@ -121,8 +121,7 @@ class Journal:
             "settings": asdict(settings),
             "parts": [each.as_dict() for each in self.parts.values()],
         }
-        with whole(self.folder / _HEADER) as path:
-            path.write_text(json.dumps(content, indent=1), encoding="utf-8")
+        write_text(self.folder / _HEADER, json.dumps(content, indent=1))
 
     def store(
         self, docking: Docking, part: Part, settings: Settings, kinds: Mapping[str, Any], messages: Iterable[Raw]
@@ -171,8 +170,7 @@ class Journal:
         if not name:
             path.unlink(missing_ok=True)
             return
-        with whole(path) as beside:
-            beside.write_text(name, encoding="utf-8")
+        write_text(path, name)
 
     def _read(self) -> None:
         path = self.folder / _HEADER

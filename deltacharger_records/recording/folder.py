@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from deltacharger_records.recording.files import sync_folder
+from deltacharger_core.files import sync_folder
 
 SUFFIX = ".mcap"
 PARTIAL = ".mcap.partial"

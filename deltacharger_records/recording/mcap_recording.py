@@ -18,8 +18,8 @@ from typing import Any, BinaryIO
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rclpy.serialization import deserialize_message, serialize_message
 
+from deltacharger_core.files import whole
 from deltacharger_core.mcap_file import McapFile, Raw, RecordingError, require_mcap
-from deltacharger_records.recording.files import whole
 
 _SEPARATOR = "=" * 80
 _FIELD = re.compile(r"^\s*([A-Za-z]\w*(?:/\w+)?)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.machine import COLUMNS, PADS, ROWS
+from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_tactile.dataset import ANGLE_LIMIT, POSITION_LIMIT
 from deltacharger_tactile.errors import FrameError, TactileError
 from deltacharger_tactile.estimate import Estimate, Limits, angle_classes, position_classes
@@ -162,11 +163,7 @@ class TactileCalibration:
         Raises:
             OSError: the file cannot be written.
         """
-        import yaml
-
-        head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
-        body = yaml.safe_dump(_as_mapping(self), sort_keys=False, default_flow_style=None, width=120)
-        Path(path).write_text(head + body, encoding="utf-8")
+        write_yaml(path, _as_mapping(self), comment)
 
     @staticmethod
     def load(path: str | Path) -> TactileCalibration:
@@ -176,19 +173,15 @@ class TactileCalibration:
             FileNotFoundError: there is no such file.
             SensorCalibrationError: names the file and the key that is unknown, missing or impossible.
         """
-        import yaml
-
         source = str(path)
         if Path(path).is_dir():
             raise SensorCalibrationError(source, "it is a folder; name a file of `deltacharger calibrate tactile`")
         if Path(path).stat().st_size > _LARGEST_FILE:
             raise SensorCalibrationError(source, "too large for a calibration; name one of `calibrate tactile`")
         try:
-            content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
-            raise SensorCalibrationError(
-                source, "not readable as YAML; make it anew with `calibrate tactile`"
-            ) from error
+            content = read_yaml(path)
+        except YamlError as error:
+            raise SensorCalibrationError(source, f"{error.problem}; make it anew with `calibrate tactile`") from error
         try:
             return _from_mapping(content)
         except SensorCalibrationError as error:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics
 
@@ -82,14 +83,11 @@ def load_camera_info(path: str | Path) -> Intrinsics:
         FileNotFoundError: there is no such file.
         CameraInfoError: it is neither, a field is missing, or `from_camera_info` refuses it.
     """
-    import yaml
-
     source = str(path)
     try:
-        # An echoed topic holds one document per message; any of them will do.
-        found = next(yaml.safe_load_all(Path(path).read_text(encoding="utf-8")), None)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise CameraInfoError(source, f"not YAML ({error}); give the file of the camera's calibration") from error
+        found = read_yaml(path, first=True)  # an echoed topic holds one document per message; any of them will do
+    except YamlError as error:
+        raise CameraInfoError(source, f"{error.problem}; give the file of the camera's calibration") from error
     if not isinstance(found, dict):
         raise CameraInfoError(source, "holds no mapping; give the file of the camera's calibration")
     _check_whole_image(source, found)

@@ -280,7 +280,7 @@ def test_wrong_intrinsics_are_named(files: Path, tmp_path: Path, run: Run, other
         ("--color k.yaml --camera-info k.yaml", "k.yaml: is no image"),
         ("--color empty.png --camera-info k.yaml", "empty.png: is empty"),
         ("--color . --camera-info k.yaml", "directory"),
-        ("--color a.png --camera-info a.png", "a.png: not YAML"),
+        ("--color a.png --camera-info a.png", "a.png: not valid YAML"),
         ("--color a.png --camera-info k.yaml --terminal none.yaml", "none.yaml: there is no such file"),
         ("--color a.png --camera-info k.yaml --terminal k.yaml", "k.yaml: unknown key"),
         ("--color a.png --camera-info k.yaml --mount k.yaml", "k.yaml: unknown key"),

@@ -269,7 +269,7 @@ def test_a_dimension_that_contradicts_the_geometry_file_stops_the_node_with_both
         ("arm: -0.1", "DeltaGeometry.arm"),
         ("arm: long", "DeltaGeometry.arm"),
         ("arm: 1.5", r"'arm'.*geometry_file"),
-        ("arm: [", "not readable as YAML"),
+        ("arm: [", "not valid YAML: line 1"),
         ("limbs: [{}, {}]", "limbs"),
         ("workspace_min: [0.1, 0.1]", "workspace_min"),
     ],

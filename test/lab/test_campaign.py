@@ -197,10 +197,10 @@ def test_one_folder_has_one_writer_and_no_row_twice(tmp_path: Path) -> None:
         assert store.add(rows) == 0
         with pytest.raises(CampaignError, match="another process"), Store(tmp_path / "s", settings(3)):
             pass
-    (tmp_path / "s" / "_unfinished-9").write_bytes(b"half a file")
+    (tmp_path / "s" / ".unfinished-9").write_bytes(b"half a file")
     with Store(tmp_path / "s", settings(3)) as store:
         assert store.done == {0, 1}
-    assert not (tmp_path / "s" / "_unfinished-9").exists()
+    assert not (tmp_path / "s" / ".unfinished-9").exists()
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.txt").touch()
     with pytest.raises(CampaignRefused, match="other files"), Store(tmp_path / "other", settings(3)):

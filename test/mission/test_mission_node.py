@@ -22,6 +22,7 @@ from rclpy.action.client import ActionClient
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from deltacharger_core.yaml_file import read_yaml
 from deltacharger_docking.ros.messages import duration
 from deltacharger_mission.dialogue import Stage
 from deltacharger_mission.places import Place
@@ -29,7 +30,6 @@ from deltacharger_ros.client import CODES, ChargerClient
 from deltacharger_ros.node_support import Spinner, StartupError
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene, load_scene, parse_scene
-from deltacharger_scenes.yaml_text import read_yaml
 
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
 from ..docking.mock_docking import MockDocking

@@ -21,8 +21,8 @@ from deltacharger.msg import ChargerPower, DockingState, Misalignment, ServoStat
 from mcap.reader import make_reader
 from rclpy.serialization import deserialize_message, serialize_message
 
+from deltacharger_core.files import forget_unfinished, whole
 from deltacharger_core.mcap_file import CUT_SHORT, DamagedRecording, McapFile, Raw, RecordingError, require_mcap
-from deltacharger_records.recording.files import forget_unfinished, whole
 from deltacharger_records.recording.mcap_recording import (
     McapStream,
     McapWriter,
@@ -169,7 +169,7 @@ def test_a_process_killed_while_it_writes_leaves_what_was_there(tmp_path: Path) 
     path.write_bytes(b"before")
     code = (
         "import os, signal, sys, pathlib\n"
-        "from deltacharger_records.recording.files import whole\n"
+        "from deltacharger_core.files import whole\n"
         "with whole(pathlib.Path(sys.argv[1])) as beside:\n"
         "    beside.write_bytes(b'half')\n"
         "    os.kill(os.getpid(), signal.SIGKILL)\n"

@@ -62,7 +62,7 @@ def write(folder: Path, text: str) -> Path:
         ("", "", "is empty"),
         ("- 1", "", "is a list"),
         ("a: [", "", "not valid YAML: line 1"),
-        ("nodes: []\nnodes: []", "", "line 2: the key 'nodes' is given twice"),
+        ("nodes: []\nnodes: []", "", "line 2, column 1: the key 'nodes' is given twice"),
         ("1: 2", "", "not a word"),
     ],
 )

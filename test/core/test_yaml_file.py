@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every file that a person writes is read alike: a key given twice is refused by file and line, 1e-3 is a number."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
+from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_lab.campaigns.scene import load_campaign_scene
+from deltacharger_scenes.scene import load_scene
+from deltacharger_tactile.calibration.rig import TactileCalibration
+from deltacharger_vision.cameras.camera_info import load_camera_info
+from deltacharger_vision.mount import Mount
+from deltacharger_vision.terminal import Terminal
+
+ROOT = Path(__file__).resolve().parents[2]
+READERS: dict[str, Callable[[Path], Any]] = {
+    "geometry": load_geometry,
+    "scene": load_scene,
+    "campaign": lambda path: load_campaign_scene(str(path)),
+    "pads": TactileCalibration.load,
+    "camera": load_camera_info,
+    "mount": Mount.load,
+    "terminal": Terminal.load,
+}
+
+
+@pytest.mark.parametrize("reader", READERS)
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("a: 1\nb: {c: 1}\na: 2\n", "line 3, column 1: the key 'a' is given twice"),
+        ("a:\n  b: 1\n  b: 1\n", "line 3, column 3: the key 'b' is given twice"),
+        ("1: a\n", "line 1, column 1: the key 1 is not a word"),
+        ("[a]: 1\n", "the key ['a'] is not a word"),
+        ("a: [", "not valid YAML: line 1"),
+        ("a: 2026-02-31", "not valid YAML"),
+    ],
+)
+def test_every_reader_refuses_alike_and_names_file_and_line(
+    tmp_path: Path, reader: str, text: str, problem: str
+) -> None:
+    path = tmp_path / "written.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=re.escape(problem)) as caught:
+        READERS[reader](path)
+    assert str(path) in str(caught.value)
+
+
+def test_numbers_as_people_write_them(tmp_path: Path) -> None:
+    path = tmp_path / "bars.yaml"
+    path.write_text("{gap: 7e-3, bar_height: 1E-2}", encoding="utf-8")
+    assert (Terminal.load(path).gap, Terminal.load(path).bar_height) == (0.007, 0.01)
+    path.write_text("[1e5, -1e-3, +2.5e+1, 1_0e2, 1e, e5, '1e5']", encoding="utf-8")
+    assert read_yaml(path) == [1e5, -1e-3, 25.0, 1000.0, "1e", "e5", "1e5"]
+
+
+def test_one_document_unless_the_first_of_several_is_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "echoed.yaml"
+    path.write_text("a: 1\n---\na: 2\n", encoding="utf-8")
+    assert read_yaml(path, first=True) == {"a": 1}
+    with pytest.raises(YamlError, match="found another document"):
+        read_yaml(path)
+
+
+def test_what_is_written_reads_back(tmp_path: Path) -> None:
+    content = {"z": 1e-7, "a": [1.0, 2.0], "limbs": [{}, {"azimuth": 0.1}], "text": "yes"}
+    write_yaml(tmp_path / "out.yaml", content, "two\nlines")
+    assert (tmp_path / "out.yaml").read_text(encoding="utf-8").startswith("# two\n# lines\nz: ")
+    assert read_yaml(tmp_path / "out.yaml") == content
+    assert [path.name for path in tmp_path.iterdir()] == ["out.yaml"]
+
+
+def test_yaml_is_read_in_one_place() -> None:
+    found = {path.name for path in ROOT.glob("deltacharger_*/**/*.py") if "import yaml" in path.read_text("utf-8")}
+    assert found == {"yaml_file.py"}
+
+
+def test_kinematics_compute_on_numpy_alone() -> None:
+    program = """
+import sys
+class NumpyAlone:
+    def find_spec(self, name, path=None, target=None):
+        there = {*sys.stdlib_module_names, "numpy", "deltacharger_kinematics", "deltacharger_core"}
+        if name.split(".")[0] not in there:
+            raise ModuleNotFoundError(f"{name} is not installed", name=name)
+sys.meta_path.insert(0, NumpyAlone())
+from deltacharger_kinematics import Delta
+from deltacharger_kinematics.scalar import ScalarDelta
+import deltacharger_kinematics.geometry_file
+solved = Delta().inverse([[0.0, 0.0, 0.08], [0.0, 0.01, 0.06]])
+back = Delta().forward(solved.angles)
+assert abs(back.position - [[0.0, 0.0, 0.08], [0.0, 0.01, 0.06]]).max() < 1e-9, back
+assert abs(ScalarDelta().inverse(0.0, 0.0, 0.08)[0] - solved.angles[0, 0]) < 1e-12
+assert "yaml" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=ROOT)
