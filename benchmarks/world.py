@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from deltacharger_core.machine import TORQUE_CONSTANT
+from deltacharger_core.parameters import declared
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.parameters import (
@@ -26,7 +27,6 @@ from deltacharger_sim.parameters import (
     ServoParameters,
     TargetParameters,
     WorldParameters,
-    describe,
 )
 from deltacharger_sim.world import World
 
@@ -279,8 +279,9 @@ def table(corner: str, rows: dict[str, dict[str, float]], form: str) -> None:
 def show_parameters() -> None:
     """Print the table of every number that a scene may set under simulation.world."""
     print("| key | default | range | unit | meaning |\n|---|---|---|---|---|")
-    for key, default, low, high, unit, doc in describe(WorldParameters):
-        print(f"| {key} | {default:.4g} | {low:g} to {high:g} | {unit} | {doc} |")
+    for each in declared(WorldParameters):
+        if each.kind is float:
+            print(f"| {each.name} | {each.default:.4g} | {each.low:g} to {each.high:g} | {each.unit} | {each.text} |")
 
 
 def main() -> int:

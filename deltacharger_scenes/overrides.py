@@ -8,9 +8,10 @@ refused before anything starts.
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
+from deltacharger_core.parameters import words
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Scene, SceneError
 from deltacharger_scenes.with_recorder import with_recorder, without
@@ -23,17 +24,14 @@ _SEEING = ("camera_node", "electrode_detector_node")
 class Overrides:
     """Arguments in place of what a scene says; the name of each is that of the launch argument."""
 
-    servo_port: str = field(default="", metadata={"doc": "serial port of the servos, in place of the scene's"})
-    board_port: str = field(default="", metadata={"doc": "serial port of the board, in place of the scene's"})
-    camera: str = field(
-        default="",
-        metadata={"doc": "what finds electrodes: oak = an OAK-D, topics = a camera that others drive, none = nothing"},
+    servo_port: str = words("", "serial port of the servos, in place of the scene's")
+    board_port: str = words("", "serial port of the board, in place of the scene's")
+    camera: str = words(
+        "", "what finds electrodes: oak = an OAK-D, topics = a camera that others drive, none = nothing"
     )
-    model: str = field(default="", metadata={"doc": "pose model (npz) of misalignment_node"})
-    recording: str = field(default="", metadata={"doc": "file that the scene replays"})
-    record: str = field(
-        default="", metadata={"doc": "keep a record of each docking in this folder; true = the usual one, false = none"}
-    )
+    model: str = words("", "pose model (npz) of misalignment_node")
+    recording: str = words("", "file that the scene replays")
+    record: str = words("", "keep a record of each docking in this folder; true = the usual one, false = none")
 
 
 def override(scene: Scene, told: Overrides) -> Scene:

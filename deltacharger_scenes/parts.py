@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
+from deltacharger_core.parameters import declaration
 from deltacharger_scenes.imports import Libraries, libraries
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Scene
@@ -97,8 +98,9 @@ def _zeros(group: Any, name: str) -> Iterator[tuple[str, str]]:
     if name in _PLACES:
         return
     for item in dataclasses.fields(group):
-        if item.metadata.get("low") == 0.0 and getattr(group, item.name) == 0.0:
-            yield item.name, str(item.metadata["doc"])
+        about = declaration(item)
+        if about is not None and about.low == 0.0 and getattr(group, item.name) == 0.0:
+            yield item.name, about.text
 
 
 def _left_out_nodes(scene: Scene) -> Iterator[Entry]:

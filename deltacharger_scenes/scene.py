@@ -16,10 +16,10 @@ from typing import Any
 
 from deltacharger_core import environment
 from deltacharger_core.machine import DOCK_DISTANCE
+from deltacharger_core.parameters import Bounded, ParameterError, from_mapping, number, words
 from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_scenes.node_table import NODES
 from deltacharger_sim.charger.simulation import Simulation
-from deltacharger_sim.parameters import Bounded, ParameterError, from_mapping, number
 
 STANDARD_NODES = ("servo_node", "tactile_node", "kinematics_node", "misalignment_node", "docking_node")
 _SUFFIXES = (".yaml", ".yml")
@@ -52,11 +52,11 @@ class Goal(Bounded):
 
 
 @dataclass(frozen=True)
-class Ports:
+class Ports(Bounded):
     """Serial ports of a scene on real hardware; a simulated scene needs none."""
 
-    servo: str = field(default="", metadata={"doc": "of the servo adapter, e.g. /dev/ttyUSB0"})
-    board: str = field(default="", metadata={"doc": "of the board with pads and power stage, e.g. /dev/ttyACM0"})
+    servo: str = words("", "of the servo adapter, e.g. /dev/ttyUSB0")
+    board: str = words("", "of the board with pads and power stage, e.g. /dev/ttyACM0")
 
 
 @dataclass(frozen=True)

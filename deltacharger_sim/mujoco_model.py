@@ -16,8 +16,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
-from deltacharger_sim.parameters import ParameterError, WorldParameters
+from deltacharger_sim.parameters import WorldParameters
 
 IMPEDANCE = 0.9  # d of contacts and joint stops: how much of the solver's motion a constraint decides
 TIGHT = 0.9999  # d of what must not give: closed loops and dry friction

@@ -1,16 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the simulated world, each with bounds and unit, and the reader of mappings that refuses bad ones."""
+"""Parameters of the simulated world, each with bounds and unit."""
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
-import math
-import types
-import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any
 
 from deltacharger_core.machine import (
     BAR_GAP,
@@ -27,52 +22,11 @@ from deltacharger_core.machine import (
     STALL_TORQUE,
     TORQUE_CONSTANT,
 )
-
-T = TypeVar("T")
+from deltacharger_core.parameters import Bounded, ParameterError, flag, number
 
 SOFT = 1e4  # N/m per electrode; softer springs let the magnets pull the electrodes in by more than their travel
 DEEPEST_SOFT_STOP = 0.002  # m of travel that soft springs may have before their stop
 LEVER = 0.038  # m of dz/dθ at the dock: what a servo's torque presses with
-
-
-class ParameterError(ValueError):
-    """A key is unknown, or a value has the wrong type or lies outside its bounds.
-
-    Attributes:
-        key: dotted path of the key.
-        value: what was given.
-        problem: what is wrong and what is allowed.
-    """
-
-    def __init__(self, key: str, value: Any, problem: str) -> None:
-        self.key = key
-        self.value = value
-        self.problem = problem
-        super().__init__(f"{key}: {problem}")
-
-
-def number(default: float, low: float, high: float, unit: str, doc: str) -> Any:
-    """Declare a field with bounds (inclusive), unit and description."""
-    return field(default=default, metadata={"low": low, "high": high, "unit": unit, "doc": doc})
-
-
-def _check_bounds(instance: Any, path: str = "") -> None:
-    for item in dataclasses.fields(instance):
-        if "low" not in item.metadata:
-            continue
-        value, low, high, unit = getattr(instance, item.name), *(item.metadata[k] for k in ("low", "high", "unit"))
-        key = f"{path}.{item.name}" if path else item.name
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ParameterError(key, value, f"{value!r} is not a number; allowed are {low} to {high} {unit}".rstrip())
-        if not low <= value <= high:
-            raise ParameterError(key, value, f"{value!r} is outside {low} to {high} {unit}".rstrip())
-
-
-class Bounded:
-    """Base of parameter groups: refuses a value outside the bounds of its field."""
-
-    def __post_init__(self) -> None:
-        _check_bounds(self)
 
 
 @dataclass(frozen=True)
@@ -139,7 +93,7 @@ class PlatformParameters(Bounded):
 class TargetParameters(Bounded):
     """Where the target's electrodes are, in charger_base."""
 
-    present: bool = True
+    present: bool = flag(True, "whether there is a target")
     x: float = number(0.0, -0.2, 0.2, "m", "midpoint between the electrodes")
     y: float = number(0.0, -0.2, 0.2, "m", "midpoint between the electrodes")
     z: float = number(DOCK_DISTANCE, 0.0, 1.0, "m", "touched faces")
@@ -162,11 +116,11 @@ class CircuitParameters(Bounded):
     target_capacity: float = number(0.0, 0.0, 1e9, "C/V", "charge that lifts that voltage by a volt; 0 = none does")
     target_resistance: float = number(0.15, 0.001, 100.0, "Ω", "inner resistance of the target")
     target_leakage: float = number(2000.0, 0.0, 1e6, "Ω", "what the probe sees of a healthy target; < 1 is a short")
-    target_accepts: bool = True
+    target_accepts: bool = flag(True, "whether the target takes current")
     contact_resistance: float = number(0.01, 0.0, 10.0, "Ω", "both electrodes fully overlapped, at 80 N")
     voltage_min: float = number(10.0, 0.0, 60.0, "V", "lowest target voltage that the stage feeds")
     voltage_max: float = number(30.0, 1.0, 80.0, "V", "highest target voltage that the stage feeds")
-    welded: bool = False
+    welded: bool = flag(False, "whether the contactor stays closed once it has closed")
 
 
 @dataclass(frozen=True)
@@ -251,82 +205,3 @@ def _circuit(world: WorldParameters) -> Iterator[tuple[str, Any, str]]:
             f"{circuit.voltage_limit!r} V is below circuit.voltage_min ({circuit.voltage_min!r} V): "
             "no target that the stage feeds could take current",
         )
-
-
-def from_mapping(mapping: Any, cls: type[T], path: str = "") -> T:
-    """Build a parameter dataclass from a mapping such as a YAML section; missing keys keep their defaults.
-
-    Args:
-        mapping: keys to values, nested like the dataclasses.
-        cls: dataclass to build.
-        path: dotted path of the mapping, for messages.
-
-    Raises:
-        ParameterError: names the key, the value and what is allowed; for an unknown key the nearest known one.
-    """
-    if not isinstance(mapping, Mapping):
-        raise ParameterError(path or "(top)", mapping, f"{mapping!r} is not a mapping of keys to values")
-    hints = typing.get_type_hints(cls)
-    names = [item.name for item in dataclasses.fields(cls)]  # type: ignore[arg-type]
-    values: dict[str, Any] = {}
-    for key, value in mapping.items():
-        where = f"{path}.{key}" if path else str(key)
-        if key not in names:
-            near = difflib.get_close_matches(str(key), names, 1)
-            hint = f"; did you mean '{near[0]}'?" if near else f"; known are {', '.join(names)}"
-            raise ParameterError(where, value, f"unknown key{hint}")
-        values[key] = _convert(value, hints[key], where)
-    try:
-        return cls(**values)
-    except ParameterError as error:
-        raise ParameterError(f"{path}.{error.key}" if path else error.key, error.value, error.problem) from None
-    except TypeError as error:
-        raise ParameterError(path or "(top)", mapping, str(error)) from None
-
-
-def _convert(value: Any, hint: Any, where: str) -> Any:
-    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-        return from_mapping(value, hint, where)
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (typing.Union, types.UnionType):
-        if value is None and type(None) in arguments:
-            return None
-        return _convert(value, next(item for item in arguments if item is not type(None)), where)
-    if origin in (tuple, list):
-        if not isinstance(value, list | tuple):
-            raise ParameterError(where, value, f"{value!r} is not a list")
-        item = arguments[0] if arguments else Any
-        return origin(_convert(entry, item, f"{where}[{index}]") for index, entry in enumerate(value))
-    if origin is dict:
-        if not isinstance(value, Mapping):
-            raise ParameterError(where, value, f"{value!r} is not a mapping of keys to values")
-        return dict(value)
-    return _convert_scalar(value, hint, where)
-
-
-def _convert_scalar(value: Any, hint: Any, where: str) -> Any:
-    if hint is float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ParameterError(where, value, f"{value!r} is not a number")
-        if not math.isfinite(value):
-            raise ParameterError(where, value, f"{value!r} is not finite")
-        return float(value)
-    if hint is int and (isinstance(value, bool) or not isinstance(value, int)):
-        raise ParameterError(where, value, f"{value!r} is not a whole number")
-    if hint is bool and not isinstance(value, bool):
-        raise ParameterError(where, value, f"{value!r} is not true or false")
-    if hint is str and not isinstance(value, str):
-        raise ParameterError(where, value, f"{value!r} is not text")
-    return value
-
-
-def describe(cls: type[Any], path: str = "") -> Iterator[tuple[str, Any, float, float, str, str]]:
-    """Yield (key, default, low, high, unit, description) of every bounded field, nested ones with dotted keys."""
-    hints = typing.get_type_hints(cls)
-    for item in dataclasses.fields(cls):
-        key = f"{path}.{item.name}" if path else item.name
-        if dataclasses.is_dataclass(hints[item.name]):
-            yield from describe(hints[item.name], key)
-        elif "low" in item.metadata:
-            bounds = item.metadata
-            yield key, item.default, bounds["low"], bounds["high"], bounds["unit"], bounds["doc"]

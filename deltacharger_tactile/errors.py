@@ -8,25 +8,6 @@ class TactileError(Exception):
     """Root of every error raised by deltacharger_tactile."""
 
 
-class ParameterError(TactileError, ValueError):
-    """A generator parameter lies outside its bounds. Example: a negative gain spread.
-
-    Args:
-        name: field of the parameter class.
-        value: the offending value.
-        low: smallest allowed value.
-        high: largest allowed value.
-        unit: unit of all three.
-    """
-
-    def __init__(self, name: str, value: float, low: float, high: float, unit: str) -> None:
-        self.name = name
-        self.value = value
-        self.low = low
-        self.high = high
-        super().__init__(f"{name} = {value!r} is outside {low:g}…{high:g} {unit}".rstrip() + "; correct it")
-
-
 class FrameError(TactileError, ValueError):
     """Taxel arrays do not have the shape of two pads. Example: a flat vector of 100 instead of 10 × 10.
 

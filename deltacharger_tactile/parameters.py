@@ -12,89 +12,72 @@ import hashlib
 import json
 import math
 from dataclasses import dataclass, field
-from typing import Any
 
 from deltacharger_core.machine import MAGNET_FLOOR, MAGNET_FORCE, MAGNET_WIDTH
-from deltacharger_tactile.errors import ParameterError
+from deltacharger_core.parameters import Bounded, number
 
 _DEGREE = math.pi / 180.0
 
 
-def _value(default: Any, low: float, high: float, unit: str, doc: str) -> Any:
-    return field(default=default, metadata={"low": low, "high": high, "unit": unit, "doc": doc})
-
-
 @dataclass(frozen=True)
-class _Bounded:
-    def __post_init__(self) -> None:
-        for item in dataclasses.fields(self):
-            if "low" not in item.metadata:
-                continue
-            value = getattr(self, item.name)
-            low, high = item.metadata["low"], item.metadata["high"]
-            if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-                raise ParameterError(item.name, value, low, high, item.metadata["unit"])
-
-
-@dataclass(frozen=True)
-class ContactParameters(_Bounded):
+class ContactParameters(Bounded):
     """Pads, ridge and elastomer; lengths in m, tilts in rad. Raises ParameterError where a value is out of bounds."""
 
-    pad_distance: float = _value(0.048, 0.02, 0.1, "m", "pad centre from the end effector's centre along x")
-    pad_side: float = _value(0.024, 0.01, 0.05, "m", "side of the square pad (10 × 10 taxels)")
-    sub_samples: int = _value(3, 1, 5, "", "contact points per taxel and axis")
-    ridge_length: float = _value(0.046, 0.01, 0.1, "m", "insulated ridge of the target along its x")
-    ridge_height: float = _value(0.006, 0.003, 0.02, "m", "the same ridge along its y")
-    edge_radius: float = _value(0.0012, 0.0001, 0.0015, "m", "rounding of the ridge's edges")
-    crown_radius: float = _value(0.060, 0.01, 10.0, "m", "radius of the ridge's crown across its height")
-    hole: float = _value(0.0, 0.0, 0.006, "m", "diameter of a round hole in the middle of each ridge; 0 = none")
-    waviness: float = _value(2e-5, 0.0, 2e-4, "m", "rms waviness along the ridge, drawn per rig")
-    stiffness: float = _value(0.9e9, 1e7, 1e11, "Pa/m", "pressure per indentation of the elastomer")
-    hardening: float = _value(1.5e-3, 1e-4, 1.0, "m", "indentation at which the pressure has doubled its slope's line")
-    spread_depth: float = _value(1.2e-3, 1e-4, 5e-3, "m", "depth of the taxels under the skin (Boussinesq)")
+    pad_distance: float = number(0.048, 0.02, 0.1, "m", "pad centre from the end effector's centre along x")
+    pad_side: float = number(0.024, 0.01, 0.05, "m", "side of the square pad (10 × 10 taxels)")
+    sub_samples: int = number(3, 1, 5, "", "contact points per taxel and axis")
+    ridge_length: float = number(0.046, 0.01, 0.1, "m", "insulated ridge of the target along its x")
+    ridge_height: float = number(0.006, 0.003, 0.02, "m", "the same ridge along its y")
+    edge_radius: float = number(0.0012, 0.0001, 0.0015, "m", "rounding of the ridge's edges")
+    crown_radius: float = number(0.060, 0.01, 10.0, "m", "radius of the ridge's crown across its height")
+    hole: float = number(0.0, 0.0, 0.006, "m", "diameter of a round hole in the middle of each ridge; 0 = none")
+    waviness: float = number(2e-5, 0.0, 2e-4, "m", "rms waviness along the ridge, drawn per rig")
+    stiffness: float = number(0.9e9, 1e7, 1e11, "Pa/m", "pressure per indentation of the elastomer")
+    hardening: float = number(1.5e-3, 1e-4, 1.0, "m", "indentation at which the pressure has doubled its slope's line")
+    spread_depth: float = number(1.2e-3, 1e-4, 5e-3, "m", "depth of the taxels under the skin (Boussinesq)")
 
 
 @dataclass(frozen=True)
-class DockingParameters(_Bounded):
+class DockingParameters(Bounded):
     """What differs between rigs and between two dockings at one commanded pose, and the total force."""
 
-    tilt_per_x: float = _value(10.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about y per horizontal offset")
-    tilt_per_y: float = _value(7.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about x per vertical offset")
-    tilt_spread: float = _value(0.009 * _DEGREE, 0.0, 1.0 * _DEGREE, "rad", "spread of both tilts, per docking")
-    tilt_bias: float = _value(0.003 * _DEGREE, 0.0, 1.0 * _DEGREE, "rad", "spread of both tilts, per rig")
-    position_jitter: float = _value(1.0e-3, 0.0, 5e-3, "m", "standard deviation of x and y in contact, per docking")
-    angle_jitter: float = _value(
+    tilt_per_x: float = number(10.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about y per horizontal offset")
+    tilt_per_y: float = number(7.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about x per vertical offset")
+    tilt_spread: float = number(0.009 * _DEGREE, 0.0, 1.0 * _DEGREE, "rad", "spread of both tilts, per docking")
+    tilt_bias: float = number(0.003 * _DEGREE, 0.0, 1.0 * _DEGREE, "rad", "spread of both tilts, per rig")
+    position_jitter: float = number(1.0e-3, 0.0, 5e-3, "m", "standard deviation of x and y in contact, per docking")
+    angle_jitter: float = number(
         0.19 * _DEGREE, 0.0, 2.0 * _DEGREE, "rad", "standard deviation of the angle, per docking"
     )
-    magnet_force: float = _value(MAGNET_FORCE, 0.0, 300.0, "N", "all magnets together in contact at zero offset")
-    magnet_width: float = _value(MAGNET_WIDTH, 1e-3, 1.0, "m", "lateral offset that halves the magnets' pull")
-    magnet_floor: float = _value(MAGNET_FLOOR, 0.0, 1.0, "", "smallest fraction of the magnets' pull")
-    magnet_spread: float = _value(0.05, 0.0, 0.3, "", "relative standard deviation of the magnets, per rig")
-    push_per_ampere: float = _value(38.4, 1.0, 200.0, "N/A", "push of the servos per contact current")
-    push_spread: float = _value(0.05, 0.0, 0.5, "", "lognormal spread of the push, per docking")
-    current_low: float = _value(0.40, 0.0, 3.0, "A", "lower end of the contact current band (paper)")
-    current_high: float = _value(0.50, 0.0, 3.0, "A", "upper end of the contact current band (paper)")
+    magnet_force: float = number(MAGNET_FORCE, 0.0, 300.0, "N", "all magnets together in contact at zero offset")
+    magnet_width: float = number(MAGNET_WIDTH, 1e-3, 1.0, "m", "lateral offset that halves the magnets' pull")
+    magnet_floor: float = number(MAGNET_FLOOR, 0.0, 1.0, "", "smallest fraction of the magnets' pull")
+    magnet_spread: float = number(0.05, 0.0, 0.3, "", "relative standard deviation of the magnets, per rig")
+    push_per_ampere: float = number(38.4, 1.0, 200.0, "N/A", "push of the servos per contact current")
+    push_spread: float = number(0.05, 0.0, 0.5, "", "lognormal spread of the push, per docking")
+    current_low: float = number(0.40, 0.0, 3.0, "A", "lower end of the contact current band (paper)")
+    current_high: float = number(0.50, 0.0, 3.0, "A", "upper end of the contact current band (paper)")
 
 
 @dataclass(frozen=True)
-class SensorParameters(_Bounded):
+class SensorParameters(Bounded):
     """The chain from force on a taxel to the number that the board reads."""
 
-    hysteresis: float = _value(0.04, 0.0, 0.3, "", "relative error of a whole pad, per docking")
-    creep: float = _value(0.03, 0.0, 0.2, "1/decade", "relative growth per decade of time in contact")
-    creep_time: float = _value(1.0, 0.01, 100.0, "s", "time constant in the logarithm of the creep")
-    gain_spread: float = _value(0.15, 0.0, 0.5, "", "relative spread of the taxels' gains, per rig")
-    cross_talk: float = _value(0.02, 0.0, 0.2, "", "share of its row's and its column's mean that a taxel picks up")
-    fixed_offset: float = _value(0.12, 0.0, 0.4, "N", "spread of the taxels' offsets, per rig")
-    docking_offset: float = _value(0.05, 0.0, 0.4, "N", "spread of the taxels' offsets, drawn anew in each contact")
-    noise: float = _value(0.08, 0.0, 1.0, "N", "noise floor of one sample")
-    noise_gain: float = _value(0.02, 0.0, 0.2, "", "noise of one sample relative to its force")
-    noise_memory: float = _value(0.3, 0.0, 1.0, "", "share of the noise variance that is AR(1)")
-    noise_time: float = _value(0.25, 0.001, 100.0, "s", "correlation time of that share")
-    pedestal: float = _value(0.5, 0.0, 1.0, "N", "reading of an unloaded taxel, so that offsets stay visible")
-    full_scale: float = _value(9.0, 1.0, 20.0, "N", "largest force that the sensor reports (paper)")
-    bits: int = _value(10, 4, 16, "bit", "resolution over pedestal plus full scale")
-    dead_taxels: int = _value(1, 0, 20, "", "taxels of a rig that read nothing (NaN)")
+    hysteresis: float = number(0.04, 0.0, 0.3, "", "relative error of a whole pad, per docking")
+    creep: float = number(0.03, 0.0, 0.2, "1/decade", "relative growth per decade of time in contact")
+    creep_time: float = number(1.0, 0.01, 100.0, "s", "time constant in the logarithm of the creep")
+    gain_spread: float = number(0.15, 0.0, 0.5, "", "relative spread of the taxels' gains, per rig")
+    cross_talk: float = number(0.02, 0.0, 0.2, "", "share of its row's and its column's mean that a taxel picks up")
+    fixed_offset: float = number(0.12, 0.0, 0.4, "N", "spread of the taxels' offsets, per rig")
+    docking_offset: float = number(0.05, 0.0, 0.4, "N", "spread of the taxels' offsets, drawn anew in each contact")
+    noise: float = number(0.08, 0.0, 1.0, "N", "noise floor of one sample")
+    noise_gain: float = number(0.02, 0.0, 0.2, "", "noise of one sample relative to its force")
+    noise_memory: float = number(0.3, 0.0, 1.0, "", "share of the noise variance that is AR(1)")
+    noise_time: float = number(0.25, 0.001, 100.0, "s", "correlation time of that share")
+    pedestal: float = number(0.5, 0.0, 1.0, "N", "reading of an unloaded taxel, so that offsets stay visible")
+    full_scale: float = number(9.0, 1.0, 20.0, "N", "largest force that the sensor reports (paper)")
+    bits: int = number(10, 4, 16, "bit", "resolution over pedestal plus full scale")
+    dead_taxels: int = number(1, 0, 20, "", "taxels of a rig that read nothing (NaN)")
 
 
 @dataclass(frozen=True)

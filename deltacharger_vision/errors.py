@@ -58,25 +58,6 @@ class MountError(_SourcedError):
     """
 
 
-class ParameterError(VisionError, ValueError):
-    """A parameter lies outside its bounds. Example: a negative exposure.
-
-    Args:
-        name: field of the parameter class.
-        value: the offending value.
-        low: smallest allowed value.
-        high: largest allowed value.
-        unit: unit of all three.
-    """
-
-    def __init__(self, name: str, value: object, low: float, high: float, unit: str) -> None:
-        self.name = name
-        self.value = value
-        self.low = low
-        self.high = high
-        super().__init__(f"{name} = {value!r} is outside {low:g}…{high:g} {unit}".rstrip() + "; correct it")
-
-
 class SceneError(_NamedError):
     """A scene cannot be rendered. Example: a pose that is not a rigid transform.
 

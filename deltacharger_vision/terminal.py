@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH
+from deltacharger_core.parameters import Bounded, ParameterError, number
 from deltacharger_core.yaml_file import YamlError, read_yaml
-from deltacharger_vision.bounded import Bounded, value
-from deltacharger_vision.errors import ParameterError, TerminalError
+from deltacharger_vision.errors import TerminalError
 
 UPPER, LOWER = 0, 1
 """Rows of `Terminal.corners`."""
@@ -34,10 +34,10 @@ class Terminal(Bounded):
         ParameterError: a length is out of bounds.
     """
 
-    bar_length: float = value(BAR_LENGTH, 0.005, 1.0, "m", "along x (paper)")
-    bar_height: float = value(BAR_HEIGHT, 0.001, 0.5, "m", "of one bar along y (paper)")
-    gap: float = value(BAR_GAP, 0.0005, 0.5, "m", "between the bars along y (paper)")
-    bar_thickness: float = value(0.006, 0.0, 0.1, "m", "of the bars above the plate (assumed)")
+    bar_length: float = number(BAR_LENGTH, 0.005, 1.0, "m", "along x (paper)")
+    bar_height: float = number(BAR_HEIGHT, 0.001, 0.5, "m", "of one bar along y (paper)")
+    gap: float = number(BAR_GAP, 0.0005, 0.5, "m", "between the bars along y (paper)")
+    bar_thickness: float = number(0.006, 0.0, 0.1, "m", "of the bars above the plate (assumed)")
 
     @property
     def spacing(self) -> float:

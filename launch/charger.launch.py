@@ -28,6 +28,7 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 
 from deltacharger_bringup.cli.types import namespace
+from deltacharger_core.parameters import declared
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.overrides import Overrides, override
 from deltacharger_scenes.scene import Scene, load_scene
@@ -40,7 +41,7 @@ OWN = {
     "namespace": ("", "of the charger"),
     "log_level": ("info", ", ".join(LEVELS)),
 }
-ARGUMENTS = OWN | {item.name: ("", item.metadata["doc"]) for item in fields(Overrides)}
+ARGUMENTS = OWN | {item.name: ("", item.text) for item in declared(Overrides)}
 REFUSED = 2  # exit code of a node that cannot start as configured; starting it again would not help
 RESPAWN_DELAY = 1.0  # s
 OF_LAUNCH = ("launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_timeout", "sigkill_timeout")

@@ -12,6 +12,7 @@ import numpy as np
 from deltacharger_bringup.calibrate.camera_report import MILLIMETRE, Judged, about, as_mapping, as_text
 from deltacharger_bringup.calibrate.camera_views import ViewsError, gather, read_pixels, read_rows
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_vision.cameras.camera_info import load_camera_info
@@ -51,7 +52,7 @@ def camera(options: argparse.Namespace) -> int:
 
             take(options, board, offset, geometry)
         return _tell(options, board, _judge(options, board, offset, geometry))
-    except (VisionError, ViewsError) as error:
+    except (VisionError, ViewsError, ParameterError) as error:
         raise CommandError(str(error), WRONG_INPUT) from error
     except ModuleNotFoundError as error:
         if error.name != "cv2":

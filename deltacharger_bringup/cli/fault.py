@@ -10,10 +10,10 @@ from typing import Any
 
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, tell, write_json
 from deltacharger_core import environment, runtime
+from deltacharger_core.parameters import ParameterError
 from deltacharger_sim.charger.fault_channel import SOCKET, ask
 from deltacharger_sim.charger.fault_kinds import KINDS, Kind
 from deltacharger_sim.charger.faults import Fault
-from deltacharger_sim.parameters import ParameterError
 
 _FLAGS = {"last": "--for-s", "servo": "--servo", "amount": "--amount"}
 

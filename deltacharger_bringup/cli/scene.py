@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 from collections.abc import Iterator
 from typing import Any
 
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_core.parameters import Declaration, declaration
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Scene, SceneError, load_scene, packaged_scenes
 from deltacharger_sim.proven import doubts
@@ -93,7 +95,7 @@ def explain(options: argparse.Namespace) -> int:
 
 def describe(scene: Scene) -> Iterator[dict[str, Any]]:
     """Yield every key of a scene with value, unit, range, meaning, and whether it differs from its default."""
-    yield _entry("nodes", list(scene.nodes), True, {"doc": "executables that it starts"})
+    yield _entry("nodes", list(scene.nodes), True, Declaration("nodes", str, (), "executables that it starts"))
     if scene.goal is not None:
         yield from _fields("goal", scene.goal, None)
     if scene.simulation is not None:
@@ -102,7 +104,7 @@ def describe(scene: Scene) -> Iterator[dict[str, Any]]:
         yield from _fields("ports", scene.ports, type(scene.ports)())
     for node, values in scene.parameters.items():
         for name, value in values.items():
-            yield _entry(f"parameters.{node}.{name}", value, True, {})
+            yield _entry(f"parameters.{node}.{name}", value, True, None)
 
 
 def _fields(key: str, instance: Any, default: Any) -> Iterator[dict[str, Any]]:
@@ -113,18 +115,18 @@ def _fields(key: str, instance: Any, default: Any) -> Iterator[dict[str, Any]]:
         if dataclasses.is_dataclass(value):
             yield from _fields(path, value, usual)
         else:
-            yield _entry(path, _data(value), default is None or value != usual, dict(item.metadata))
+            yield _entry(path, _data(value), default is None or value != usual, declaration(item))
 
 
-def _entry(key: str, value: Any, is_set: bool, metadata: dict[str, Any]) -> dict[str, Any]:
+def _entry(key: str, value: Any, is_set: bool, about: Declaration | None) -> dict[str, Any]:
     return {
         "key": key,
         "value": value,
         "set": is_set,
-        "unit": metadata.get("unit", ""),
-        "minimum": metadata.get("low"),
-        "maximum": metadata.get("high"),
-        "doc": metadata.get("doc", ""),
+        "unit": about.unit if about else "",
+        "minimum": about.low if about and math.isfinite(about.low) else None,
+        "maximum": about.high if about and math.isfinite(about.high) else None,
+        "doc": about.text if about else "",
     }
 
 

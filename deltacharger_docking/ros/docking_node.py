@@ -13,7 +13,6 @@ import math
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import fields
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -34,6 +33,7 @@ from deltacharger_docking.ros.reports import Reports
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.kinematics_node import declare_geometry
 from deltacharger_ros import node_support
+from deltacharger_ros.parameters import declare_all
 
 _TICK = 0.02  # s; pace where servo_state does not come
 _OPEN_TIMEOUT = 0.6  # s to see the contactor open when the node closes
@@ -41,30 +41,6 @@ _TORQUE_DELAY = 0.5  # s from an opening after a defect to torque off
 _LAST_REQUEST = -1  # number of the request that switches the torque off at the end
 _SHUTTING_DOWN = "the charger is shutting down"
 _TORQUE_TIMEOUT = 1.0  # s to see the torque go off; servo_node waits 0.5 s before it switches it off
-
-
-def declare_parameters(node: Node) -> DockingParameters:
-    """Declare every field of `DockingParameters` and return the given values.
-
-    Raises:
-        StartupError: a value is refused.
-    """
-    values = {}
-    for item in fields(DockingParameters):
-        bounds = item.metadata
-        values[item.name] = node_support.declare(
-            node,
-            item.name,
-            item.default,
-            bounds["description"],
-            bounds.get("low"),
-            bounds.get("high"),
-            bounds.get("choices", ()),
-        )
-    try:
-        return DockingParameters(**values)
-    except ValueError as error:
-        raise node_support.StartupError(f"{node.get_name()}: {error}") from error
 
 
 class DockingNode(Node):
@@ -78,7 +54,7 @@ class DockingNode(Node):
     def __init__(self, held: bool = False, **kwargs: Any) -> None:
         self._closed = True  # nothing to make safe before the node is complete and released
         super().__init__("docking_node", **kwargs)
-        self._settings = declare_parameters(self)
+        self._settings = declare_all(self, DockingParameters, form="{text}, {unit}")
         geometry = declare_geometry(self)
         self._base_frame = node_support.declare(
             self, "base_frame", "base_link", "the robot's frame in which goals may be given besides charger_base"

@@ -89,7 +89,7 @@ def columns(scene: CampaignScene) -> dict[str, tuple[type, str]]:
         found[f"gravity_{axis}"] = (float, "gravity, charger_base, m/s²")
     for name in scene.drawn():
         key = known_keys()[name]
-        found[name] = (key.kind, f"{key.doc}, {key.unit}" if key.unit else key.doc)
+        found[name] = (key.kind, key.description("{text}, {unit}"))
     return found | RESULTS
 
 

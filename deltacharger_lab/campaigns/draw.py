@@ -8,6 +8,7 @@ import random
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from deltacharger_core.parameters import ParameterError
 from deltacharger_docking.observation import Detection
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
@@ -15,7 +16,7 @@ from deltacharger_lab.campaigns.felt import EstimatorErrors
 from deltacharger_lab.campaigns.parts import NOMINAL, build_parts, nested
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.campaigns.spread import Value
-from deltacharger_sim.parameters import ParameterError, TerminalParameters, WorldParameters
+from deltacharger_sim.parameters import TerminalParameters, WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
 
 _CAMERA: Vector = (0.0, 0.12, -0.12)  # m, charger_base; the usual mount, see deltacharger_vision.mount

@@ -3,53 +3,104 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
-import typing
-from typing import Any
+from dataclasses import dataclass, field
 
+from deltacharger_core.parameters import Declaration, declared, flag, number
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_lab.campaigns.spread import Key
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
 
-_OWN = {
-    "target.x": Key(-0.06, 0.06, "m", "where the target stands, from (0, 0, 80 mm) of charger_base", 0.0),
-    "target.y": Key(-0.06, 0.06, "m", "the same along y, +y up", 0.0),
-    "target.z": Key(-0.04, 0.03, "m", "the same along z, away from the robot", 0.0),
-    "target.roll": Key(-0.6, 0.6, "rad", "about z, from +x to +y", 0.0),
-    "shift.x": Key(-0.03, 0.03, "m", "how far the target has moved at contact, unseen by the camera", 0.0),
-    "shift.y": Key(-0.03, 0.03, "m", "the same along y", 0.0),
-    "shift.z": Key(-0.03, 0.03, "m", "the same along z", 0.0),
-    "shift.roll": Key(-0.6, 0.6, "rad", "the same about z", 0.0),
-    "shift.limit": Key(
-        0.001, 0.06, "m", "largest offset from goal to target along x and along y; errors of vision beyond are redrawn"
-    ),
-    "shift.beyond_zero": Key(
-        -0.2, 0.2, "rad", "roll of the target beyond that of no clearance at its vertical offset, either sign"
-    ),
-    "camera.position_stddev": Key(0.0, 0.02, "m", "error of a detection, per axis, drawn for each docking", 0.0),
-    "camera.roll_stddev": Key(0.0, 0.2, "rad", "error of its roll", 0.0),
-    "hand_eye.position_stddev": Key(0.0, 0.02, "m", "error of the camera's believed place, per axis", 0.0),
-    "hand_eye.rotation_stddev": Key(0.0, 0.1, "rad", "error of its believed orientation, per axis", 0.0),
-    "gravity.tilt": Key(0.0, math.pi, "rad", "of the robot: angle between gravity and −y of charger_base", 0.0),
-    "gravity.azimuth": Key(-math.pi, math.pi, "rad", "direction of that tilt about −y: 0 = toward +z", 0.0),
-    "gravity.anywhere": Key(0.0, 1.0, "", "whether gravity points anywhere, each direction as likely", False, bool),
-    "gravity.known": Key(0.0, 1.0, "", "whether docking is told the tilt", False, bool),
-    "estimator.position_stddev": Key(0.0, 0.01, "m", "noise added to each estimate along x and y", 0.0),
-    "estimator.angle_stddev": Key(0.0, 0.2, "rad", "noise added to each estimate's angle", 0.0),
-    "estimator.bias_horizontal": Key(-0.01, 0.01, "m", "added to each estimate along x", 0.0),
-    "estimator.bias_vertical": Key(-0.01, 0.01, "m", "added to each estimate along y", 0.0),
-    "estimator.bias_angle": Key(-0.2, 0.2, "rad", "added to each estimate's angle", 0.0),
-    "estimator.stddev_scale": Key(0.1, 10.0, "", "by which each estimate's standard deviations are multiplied", 1.0),
-    "estimator.tail": Key(
-        2.1, 1e6, "", "errors are Student's t of so many degrees, as wide as the standard deviations, not the pads' own"
-    ),
-    "estimator.paper": Key(
-        0.0, 1.0, "", "whether estimates are the classes of the paper's CNN, taken as sure", False, bool
-    ),
-}
+
+@dataclass(frozen=True)
+class _Target:
+    """Where the target stands, seen by the camera."""
+
+    x: float = number(0.0, -0.06, 0.06, "m", "where the target stands, from (0, 0, 80 mm) of charger_base")
+    y: float = number(0.0, -0.06, 0.06, "m", "the same along y, +y up")
+    z: float = number(0.0, -0.04, 0.03, "m", "the same along z, away from the robot")
+    roll: float = number(0.0, -0.6, 0.6, "rad", "about z, from +x to +y")
+
+
+@dataclass(frozen=True)
+class _Shift:
+    """How the target stands elsewhere at contact than the camera saw it."""
+
+    x: float = number(0.0, -0.03, 0.03, "m", "how far the target has moved at contact, unseen by the camera")
+    y: float = number(0.0, -0.03, 0.03, "m", "the same along y")
+    z: float = number(0.0, -0.03, 0.03, "m", "the same along z")
+    roll: float = number(0.0, -0.6, 0.6, "rad", "the same about z")
+    limit: float | None = number(
+        None,
+        0.001,
+        0.06,
+        "m",
+        "largest offset from goal to target along x and along y; errors of vision beyond are redrawn",
+    )
+    beyond_zero: float | None = number(
+        None, -0.2, 0.2, "rad", "roll of the target beyond that of no clearance at its vertical offset, either sign"
+    )
+
+
+@dataclass(frozen=True)
+class _Camera:
+    """Errors of the camera, drawn for each docking."""
+
+    position_stddev: float = number(0.0, 0.0, 0.02, "m", "error of a detection, per axis, drawn for each docking")
+    roll_stddev: float = number(0.0, 0.0, 0.2, "rad", "error of its roll")
+
+
+@dataclass(frozen=True)
+class _HandEye:
+    """Errors of where the camera is believed to be."""
+
+    position_stddev: float = number(0.0, 0.0, 0.02, "m", "error of the camera's believed place, per axis")
+    rotation_stddev: float = number(0.0, 0.0, 0.1, "rad", "error of its believed orientation, per axis")
+
+
+@dataclass(frozen=True)
+class _Gravity:
+    """How the robot stands."""
+
+    tilt: float = number(0.0, 0.0, math.pi, "rad", "of the robot: angle between gravity and −y of charger_base")
+    azimuth: float = number(0.0, -math.pi, math.pi, "rad", "direction of that tilt about −y: 0 = toward +z")
+    anywhere: bool = flag(False, "whether gravity points anywhere, each direction as likely")
+    known: bool = flag(False, "whether docking is told the tilt")
+
+
+@dataclass(frozen=True)
+class _Estimator:
+    """What is added to the estimates of the misalignment."""
+
+    position_stddev: float = number(0.0, 0.0, 0.01, "m", "noise added to each estimate along x and y")
+    angle_stddev: float = number(0.0, 0.0, 0.2, "rad", "noise added to each estimate's angle")
+    bias_horizontal: float = number(0.0, -0.01, 0.01, "m", "added to each estimate along x")
+    bias_vertical: float = number(0.0, -0.01, 0.01, "m", "added to each estimate along y")
+    bias_angle: float = number(0.0, -0.2, 0.2, "rad", "added to each estimate's angle")
+    stddev_scale: float = number(1.0, 0.1, 10.0, "", "by which each estimate's standard deviations are multiplied")
+    tail: float | None = number(
+        None,
+        2.1,
+        1e6,
+        "",
+        "errors are Student's t of so many degrees, as wide as the standard deviations, not the pads' own",
+    )
+    paper: bool = flag(False, "whether estimates are the classes of the paper's CNN, taken as sure")
+
+
+@dataclass(frozen=True)
+class _Campaign:
+    """The keys of a campaign's own."""
+
+    target: _Target = field(default_factory=_Target)
+    shift: _Shift = field(default_factory=_Shift)
+    camera: _Camera = field(default_factory=_Camera)
+    hand_eye: _HandEye = field(default_factory=_HandEye)
+    gravity: _Gravity = field(default_factory=_Gravity)
+    estimator: _Estimator = field(default_factory=_Estimator)
+
+
 TAKEN = {
     "world.target.x": "give target.x (seen) and shift.x (unseen)",
     "world.target.y": "give target.y (seen) and shift.y (unseen)",
@@ -71,24 +122,8 @@ DERIVED = {"gravity.anywhere": ("gravity.tilt", "gravity.azimuth"), "shift.beyon
 
 
 @functools.cache
-def known_keys() -> dict[str, Key]:
-    """Return every key with its bounds, by its dotted name."""
-    keys = dict(_OWN)
-    for section, part in (("world", WorldParameters), ("tactile", TactileParameters), ("docking", DockingParameters)):
-        keys |= {name: key for name, key in _of_part(section, part).items() if name not in TAKEN}
-    return keys
-
-
-def _of_part(path: str, cls: Any) -> dict[str, Key]:
-    hints = typing.get_type_hints(cls)
-    keys: dict[str, Key] = {}
-    for item in dataclasses.fields(cls):
-        name, hint, about = f"{path}.{item.name}", hints[item.name], item.metadata
-        if dataclasses.is_dataclass(hint):
-            keys |= _of_part(name, hint)
-        elif hint is bool:
-            keys[name] = Key(0.0, 1.0, "", about.get("doc", about.get("description", "")), None, bool)
-        elif hint in (int, float) and "low" in about:
-            doc = about.get("doc", about.get("description", ""))
-            keys[name] = Key(about["low"], about["high"], about.get("unit", ""), doc, None, hint)
-    return keys
+def known_keys() -> dict[str, Declaration]:
+    """Return every key by its dotted name."""
+    parts = {"": _Campaign, "world": WorldParameters, "tactile": TactileParameters, "docking": DockingParameters}
+    keys = {key.name: key for section, part in parts.items() for key in declared(part, section)}
+    return {name: key for name, key in keys.items() if key.kind in (bool, int, float) and name not in TAKEN}

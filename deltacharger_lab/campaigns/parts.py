@@ -3,16 +3,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
 from typing import Any
 
 from deltacharger_core.machine import DOCK_DISTANCE, GRAVITY, GRAVITY_STRENGTH
+from deltacharger_core.parameters import from_mapping
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.campaigns.spread import Value
-from deltacharger_sim.parameters import WorldParameters, from_mapping
+from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
 
 NOMINAL: Vector = (0.0, 0.0, DOCK_DISTANCE)  # m, charger_base; where a target stands from which its offsets count
@@ -25,7 +25,7 @@ def build_parts(
     """Return the parameters of world, pads and docking that these values of the scene's keys make.
 
     Raises:
-        ValueError: a part refuses them.
+        ParameterError: a part refuses them.
     """
     place = {axis: float(values.get(f"target.{axis}", 0.0)) + float(values.get(f"shift.{axis}", 0.0)) for axis in AXES}
     gravity = _gravity(float(values.get("gravity.tilt", 0.0)), float(values.get("gravity.azimuth", 0.0)))
@@ -35,8 +35,8 @@ def build_parts(
     world = from_mapping(content, WorldParameters, "world")
     told = gravity if values.get("gravity.known", False) else GRAVITY
     given: dict[str, Any] = {"servo_stiffness": world.servo.stiffness, "approach": approach, **_axes(told)}
-    docking = DockingParameters(**given, **nested(values, "docking"))
-    return world, _replaced(TactileParameters(), nested(values, "tactile")), docking
+    docking = from_mapping(given | nested(values, "docking"), DockingParameters, "docking")
+    return world, from_mapping(nested(values, "tactile"), TactileParameters, "tactile"), docking
 
 
 def nested(values: Mapping[str, Value], section: str) -> dict[str, Any]:
@@ -61,12 +61,3 @@ def _gravity(tilt: float, azimuth: float) -> Vector:
 
 def _axes(gravity: Vector) -> dict[str, float]:
     return {f"gravity_{axis}": value for axis, value in zip("xyz", gravity, strict=True)}
-
-
-def _replaced(part: Any, content: Mapping[str, Any]) -> Any:
-    """Return a dataclass with nested values replaced."""
-    changes = {
-        name: _replaced(getattr(part, name), value) if isinstance(value, Mapping) else value
-        for name, value in content.items()
-    }
-    return dataclasses.replace(part, **changes)

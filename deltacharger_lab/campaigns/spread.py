@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from deltacharger_sim.parameters import ParameterError
+from deltacharger_core.parameters import Declaration, ParameterError
 
 Value = float | bool
 _REDRAWS = 1000  # of a normal distribution outside the bounds; then its mean
@@ -21,58 +21,18 @@ HELP = (
 
 
 @dataclass(frozen=True)
-class Key:
-    """One value that a campaign may set.
-
-    Attributes:
-        low, high: bounds, inclusive.
-        unit: of value and bounds.
-        doc: what it is.
-        default: without the key; None = what the part itself has.
-        kind: float, int or bool.
-    """
-
-    low: float
-    high: float
-    unit: str
-    doc: str
-    default: float | bool | None = None
-    kind: type = float
-
-    def check(self, value: Any, where: str) -> Value:
-        """Return the value in its own type.
-
-        Raises:
-            ParameterError: it has the wrong type or lies outside the bounds.
-        """
-        if self.kind is bool:
-            if not isinstance(value, bool):
-                raise ParameterError(where, value, f"{value!r} is not true or false")
-            return value
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise ParameterError(where, value, f"{value!r} is not a number; {HELP}")
-        if not self.low <= value <= self.high:
-            raise ParameterError(
-                where, value, f"{value!r} is outside {self.low:g} to {self.high:g} {self.unit}".rstrip()
-            )
-        if self.kind is int and value != int(value):
-            raise ParameterError(where, value, f"{value!r} is not a whole number")
-        return int(value) if self.kind is int else float(value)
-
-
-@dataclass(frozen=True)
 class Spread:
     """Where a value comes from.
 
     Attributes:
         shape: "fixed", "range", "log", "either_sign", "normal" or "choose".
         numbers: the value; low and high, of either sign those of the size; mean and standard deviation; or the choices.
-        key: bounds and kind.
+        key: bounds and kind; a number or a truth value.
     """
 
     shape: str
     numbers: tuple[Value, ...]
-    key: Key
+    key: Declaration
 
     def draw(self, source: random.Random) -> Value:
         """Return one value, which lies within the bounds."""
@@ -109,7 +69,23 @@ class Spread:
         return min(self.numbers), max(self.numbers)
 
 
-def read_spread(value: Any, key: Key, where: str) -> Spread:
+def _checked(key: Declaration, value: Any, where: str) -> Value:
+    """Return the value in the key's own type.
+
+    Raises:
+        ParameterError: it has the wrong type or lies outside the bounds.
+    """
+    if key.kind is int and isinstance(value, float) and value.is_integer():
+        value = int(value)
+    problem = "has no value" if value is None else key.problem(value)
+    if problem:
+        usage = "" if isinstance(value, int | float) else f"; {HELP}"
+        raise ParameterError(where, value, problem + usage)
+    checked: Value = key.kind(value)
+    return checked
+
+
+def read_spread(value: Any, key: Declaration, where: str) -> Spread:
     """Return the spread that a YAML value describes.
 
     Args:
@@ -127,7 +103,7 @@ def read_spread(value: Any, key: Key, where: str) -> Spread:
             choices = value["choose"]
             if not isinstance(choices, list | tuple) or not choices:
                 raise ParameterError(f"{where}.choose", choices, f"{choices!r} is not a list of values")
-            checked = (key.check(item, f"{where}.choose[{index}]") for index, item in enumerate(choices))
+            checked = (_checked(key, item, f"{where}.choose[{index}]") for index, item in enumerate(choices))
             return Spread("choose", tuple(checked), key)
         if set(value) == {"mean", "stddev"} and key.kind is float:
             return _read_normal(value, key, where)
@@ -135,19 +111,19 @@ def read_spread(value: Any, key: Key, where: str) -> Spread:
             shape, ends = next(iter(value.items()))
             return _read_scale(shape, ends, key, where)
         raise ParameterError(where, dict(value), f"{dict(value)!r} is no distribution; {HELP}")
-    return Spread("fixed", (key.check(value, where),), key)
+    return Spread("fixed", (_checked(key, value, where),), key)
 
 
-def _read_range(value: Any, key: Key, where: str) -> Spread:
+def _read_range(value: Any, key: Declaration, where: str) -> Spread:
     if len(value) != 2 or key.kind is bool:
         raise ParameterError(where, value, f"{value!r} is no range [low, high]; {HELP}")
-    low, high = (key.check(item, f"{where}[{index}]") for index, item in enumerate(value))
+    low, high = (_checked(key, item, f"{where}[{index}]") for index, item in enumerate(value))
     if low > high:
         raise ParameterError(where, value, f"{value!r} is empty: {low:g} is above {high:g}; give the lower one first")
     return Spread("range", (low, high), key)
 
 
-def _read_scale(shape: str, ends: Any, key: Key, where: str) -> Spread:
+def _read_scale(shape: str, ends: Any, key: Declaration, where: str) -> Spread:
     """Return a spread over sizes: logarithmic, or linear with either sign."""
     where = f"{where}.{shape}"
     if not isinstance(ends, list | tuple):
@@ -158,12 +134,12 @@ def _read_scale(shape: str, ends: Any, key: Key, where: str) -> Spread:
     if shape == _SIDES:
         if low < 0.0:
             raise ParameterError(where, ends, f"{low!r} is no size; give both ends from 0 on")
-        key.check(-high, where)
+        _checked(key, -high, where)
     return Spread(shape, (low, high), key)
 
 
-def _read_normal(value: Mapping[str, Any], key: Key, where: str) -> Spread:
-    mean, stddev = key.check(value["mean"], f"{where}.mean"), value["stddev"]
+def _read_normal(value: Mapping[str, Any], key: Declaration, where: str) -> Spread:
+    mean, stddev = _checked(key, value["mean"], f"{where}.mean"), value["stddev"]
     known = not isinstance(stddev, bool) and isinstance(stddev, int | float)
     if not known or not 0.0 <= stddev <= key.high - key.low:
         raise ParameterError(

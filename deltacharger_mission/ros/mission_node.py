@@ -13,7 +13,6 @@ import math
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import fields
 from typing import Any
 
 from deltacharger.action import ChargeRobot
@@ -31,6 +30,7 @@ from deltacharger_mission.places import Mount, Place
 from deltacharger_mission.ros import messages as io
 from deltacharger_mission.ros.others import Others
 from deltacharger_ros import node_support
+from deltacharger_ros.parameters import declare_all
 
 GoalHandle = ServerGoalHandle[Any, Any, Any]
 
@@ -40,26 +40,6 @@ _FEEDBACK = 1.0  # s between feedbacks without a change
 _DIAGNOSTICS = 1.0  # s
 _CLOSING = 3.0  # s for what is under way to hear that it is called off, and for the contactor to be seen open
 _WAITING_MAX = 2  # goals that wait for one mission, each in a thread of the executor
-
-
-def declare_parameters(node: Node) -> MissionParameters:
-    """Declare every field of `MissionParameters` and return the given values.
-
-    Raises:
-        StartupError: a value is refused.
-    """
-    values = {
-        item.name: node_support.declare(
-            node,
-            item.name,
-            item.default,
-            item.metadata["description"],
-            item.metadata["low"],
-            item.metadata["high"],
-        )
-        for item in fields(MissionParameters)
-    }
-    return MissionParameters(**values)
 
 
 def load_navigation(name: str) -> Any:
@@ -100,7 +80,7 @@ class MissionNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         self._closed = True  # nothing to call off before the node is complete
         super().__init__("mission_node", **kwargs)
-        self._settings = declare_parameters(self)
+        self._settings = declare_all(self, MissionParameters, form="{text}, {unit}")
         navigation = node_support.declare(
             self, "navigation", "none", "who drives: nav2, or none: the target comes to the charger", choices=NAVIGATION
         )

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_core import runtime
+from deltacharger_core.parameters import ParameterError, from_mapping
 from deltacharger_sim.charger.faults import Fault, Faults
-from deltacharger_sim.parameters import ParameterError, from_mapping
 
 SOCKET = "control"
 """Name of the socket in the ports' folder."""

@@ -6,13 +6,14 @@ from __future__ import annotations
 import functools
 import heapq
 import itertools
+import math
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
+from deltacharger_core.parameters import Bounded, ParameterError, number, words
 from deltacharger_sim.charger.fault_kinds import KINDS, ONE, SERVOS, Hardware, Kind, Order, Undo
-from deltacharger_sim.parameters import Bounded, ParameterError, number
 
 __all__ = ["KINDS", "Fault", "Faults", "Hardware"]
 
@@ -21,12 +22,12 @@ __all__ = ["KINDS", "Fault", "Faults", "Hardware"]
 class Fault(Bounded):
     """One fault."""
 
-    kind: str = field(default="", metadata={"doc": "what happens: " + ", ".join(KINDS)})
+    kind: str = words("", "what happens: " + ", ".join(KINDS))
     at: float = number(0.0, 0.0, 1e6, "s", "after the simulated charger's start")
     last: float = number(0.0, 0.0, 1e6, "s", "until it is over; 0 = for good")
     servo: int = number(0, 0, SERVOS, "", "id; 0 = servo 2 where it concerns one, all where it may concern several")
-    amount: float | None = field(
-        default=None, metadata={"doc": "share 0 to 1, s, V, bit/s, id, taxel or fault code, as its kind says"}
+    amount: float | None = number(
+        None, -math.inf, math.inf, "", "share 0 to 1, s, V, bit/s, id, taxel or fault code, as its kind says"
     )
 
     def __post_init__(self) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from rclpy.node import Node
 
 from deltacharger_core.machine import DOCK_DISTANCE
+from deltacharger_core.parameters import declared
 from deltacharger_ros import node_support
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import LARGEST, SMALLEST, Board, parse_board
@@ -93,17 +94,10 @@ def declare_camera(node: Node) -> Callable[[], Camera]:
         choices=("numpy", "mujoco"),
     )
     names = ("exposure", "defocus", "motion_x", "disparity_noise", "hole_metal", "hole_glare", "hole_matte")
-    items = {item.name: item for item in dataclasses.fields(CameraParameters)}
     defects = {
-        name: node_support.declare(
-            node,
-            name,
-            items[name].default,
-            f"{items[name].metadata['doc']} ({items[name].metadata['unit'] or 'ratio'})",
-            items[name].metadata["low"],
-            items[name].metadata["high"],
-        )
-        for name in names
+        each.name: node_support.declare(node, each.name, each.default, each.description(), each.low, each.high)
+        for each in declared(CameraParameters)
+        if each.name in names
     }
     kind = MujocoCamera if renderer == "mujoco" else SimulatedCamera
     return lambda: kind(OAK_D.scaled(width, height), CameraParameters(**defects))

@@ -6,10 +6,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from deltacharger_core.parameters import Bounded, entries, number, words
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_sim.charger.faults import Fault
-from deltacharger_sim.parameters import Bounded, WorldParameters, number
+from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import World
 from deltacharger_tactile.source import ContactSource
 
@@ -20,16 +21,9 @@ class Simulation(Bounded):
 
     seed: int = number(0, 0, 2**31 - 1, "", "course of noise, jitter and faults")
     rig_seed: int = number(0, 0, 2**31 - 1, "", "which device: gains, offsets, dead taxels, ridges")
-    world: WorldParameters = field(
-        default_factory=WorldParameters, metadata={"doc": "mechanics, contact, magnets, circuit and target"}
-    )
-    faults: tuple[Fault, ...] = field(
-        default=(), metadata={"doc": "what goes wrong with the emulated hardware, and when"}
-    )
-    geometry_file: str = field(
-        default="",
-        metadata={"doc": "YAML file with what the simulated arm's dimensions really are; empty = the usual"},
-    )
+    world: WorldParameters = field(default_factory=WorldParameters)
+    faults: tuple[Fault, ...] = entries("what goes wrong with the emulated hardware, and when")
+    geometry_file: str = words("", "YAML file with what the simulated arm's dimensions really are; empty = the usual")
 
     def geometry(self) -> DeltaGeometry:
         """Return the simulated arm's dimensions.

@@ -17,7 +17,6 @@ import argparse
 import importlib.util
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +27,12 @@ from rclpy.utilities import remove_ros_args
 
 from deltacharger_core.mcap_file import RecordingError
 from deltacharger_ros import node_support
+from deltacharger_ros.parameters import declare_all
 from deltacharger_vision.cameras.camera_node_io import CameraPublishers, Replay
 from deltacharger_vision.cameras.keeper import CameraKeeper, OpenCamera
 from deltacharger_vision.cameras.oak_pipeline import OakCamera, OakImage, OakSettings
 from deltacharger_vision.cameras.recording import CameraRecording
-from deltacharger_vision.errors import ParameterError, VisionError
+from deltacharger_vision.errors import VisionError
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
 OpenOak = Callable[[OakSettings, Callable[[], bool], Callable[[OakImage], None]], OpenCamera]
@@ -48,7 +48,7 @@ class CameraNode(Node):
 
     def __init__(self, open_camera: OpenOak | None = None, **kwargs: Any) -> None:
         super().__init__("camera_node", **kwargs)
-        self._settings = _declare_settings(self)
+        self._settings = declare_all(self, OakSettings)
         path = node_support.declare(self, "replay", "", "MCAP recording to publish in place of a camera")
         loop = node_support.declare(self, "replay_loop", False, "begin the recording again at its end")
         node_support.reject_unknown(self)
@@ -117,22 +117,6 @@ class CameraNode(Node):
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
-
-
-def _declare_settings(node: Node) -> OakSettings:
-    """Declare how the camera is set up and return it."""
-    values: dict[str, Any] = {}
-    for item in fields(OakSettings):
-        about = item.metadata
-        if about:
-            unit = f" ({about['unit']})" if about["unit"] else ""
-            bounds = (f"{about['doc']}{unit}", about["low"], about["high"])
-            values[item.name] = node_support.declare(node, item.name, item.default, *bounds)
-    values["device_id"] = node_support.declare(node, "device_id", "", "id or name of the camera; '' = any")
-    try:
-        return OakSettings(**values)
-    except ParameterError as error:
-        raise node_support.StartupError(f"{node.get_name()}: parameter {error}") from error
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_vision.bounded import Bounded, value
+from deltacharger_core.parameters import Bounded, ParameterError, number, words
 from deltacharger_vision.cameras.camera_info import from_camera_info
 from deltacharger_vision.cameras.keeper import CameraUnavailable
-from deltacharger_vision.errors import ParameterError, VisionError
+from deltacharger_vision.errors import VisionError
 from deltacharger_vision.images import RgbdImage
 
 _STEREO = (640, 400)
@@ -38,25 +38,23 @@ Take = Callable[[Any, Any], None]
 class OakSettings(Bounded):
     """How an OAK-D is set up.
 
-    Attributes:
-        device_id: id or name of the device; '' = the first that is found.
-
     Raises:
         ParameterError: a value is out of bounds, or the exposure takes longer than one image.
     """
 
-    width: int = value(640, 160, 1920, "px", "width of colour and depth")
-    height: int = value(400, 100, 1200, "px", "height of colour and depth")
-    rate: float = value(15.0, 1.0, 60.0, "Hz", "images per second")
-    exposure_us: int = value(10_000, 1, 33_000, "µs", "exposure of the colour camera (assumed)")
-    iso: int = value(400, 100, 1600, "", "sensitivity of the colour camera (assumed)")
-    lens_position: int = value(-1, -1, 255, "", "focus of the colour camera; -1 = where it was calibrated")
-    device_id: str = ""
+    width: int = number(640, 160, 1920, "px", "width of colour and depth")
+    height: int = number(400, 100, 1200, "px", "height of colour and depth")
+    rate: float = number(15.0, 1.0, 60.0, "Hz", "images per second")
+    exposure_us: int = number(10_000, 1, 33_000, "µs", "exposure of the colour camera (assumed)")
+    iso: int = number(400, 100, 1600, "", "sensitivity of the colour camera (assumed)")
+    lens_position: int = number(-1, -1, 255, "", "focus of the colour camera; -1 = where it was calibrated")
+    device_id: str = words("", "id or name of the camera; '' = any")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.exposure_us > 1e6 / self.rate:
-            raise ParameterError("exposure_us", self.exposure_us, 1, 1e6 / self.rate, "µs at this rate")
+            longest = f"{self.exposure_us} is outside 1 to {1e6 / self.rate:.0f} µs at this rate"
+            raise ParameterError("exposure_us", self.exposure_us, longest)
 
 
 @dataclass(frozen=True)

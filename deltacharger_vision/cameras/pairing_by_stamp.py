@@ -6,7 +6,7 @@ from __future__ import annotations
 import bisect
 from typing import Generic, TypeVar
 
-from deltacharger_vision.errors import ParameterError
+from deltacharger_core.parameters import ParameterError
 
 Color = TypeVar("Color")
 Depth = TypeVar("Depth")
@@ -41,7 +41,7 @@ class StampMatcher(Generic[Color, Depth]):
             ("depth", depth, 1, _LARGEST_DEPTH, "items"),
         ):
             if not low <= value <= high:
-                raise ParameterError(name, value, low, high, unit)
+                raise ParameterError(name, value, f"{value!r} is outside {low} to {high} {unit}")
         self._tolerance = tolerance_ns
         self._colors: _Waiting[Color] = _Waiting(depth)
         self._depths: _Waiting[Depth] = _Waiting(depth)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deltacharger_vision.bounded import Bounded, value
+from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.detector.judgement import Candidate, Judge, JudgementSettings
 from deltacharger_vision.detector.pairing import Pair, PairingSettings, find_pairs
@@ -37,9 +37,9 @@ class DetectorSettings(Bounded):
         ParameterError: a value is out of bounds.
     """
 
-    smoothing: float = value(0.6, 0.1, 5.0, "px", "standard deviation of the blur before edges are searched")
-    sure: float = value(0.8, 0.0, 1.0, "", "confidence at which no other pair is looked at")
-    normal_stddev: float = value(0.06, 0.001, 1.0, "rad", "largest standard deviation of a normal that is reported")
+    smoothing: float = number(0.6, 0.1, 5.0, "px", "standard deviation of the blur before edges are searched")
+    sure: float = number(0.8, 0.0, 1.0, "", "confidence at which no other pair is looked at")
+    normal_stddev: float = number(0.06, 0.001, 1.0, "rad", "largest standard deviation of a normal that is reported")
     segmentation: SegmentationSettings = field(default_factory=SegmentationSettings)
     pairing: PairingSettings = field(default_factory=PairingSettings)
     judgement: JudgementSettings = field(default_factory=JudgementSettings)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_vision.bounded import Bounded, value
+from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.outlines import Lines
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.poses import Array
@@ -34,10 +34,10 @@ class EdgeSettings(Bounded):
         ParameterError: a value is out of bounds.
     """
 
-    search: float = value(5.0, 1.0, 50.0, "px", "on either side of where a line is expected at first")
-    follow: float = value(2.5, 1.0, 50.0, "px", "the same once the pose has been refined")
-    contrast: float = value(1.0, 0.01, 100.0, "", "least step of light within a pixel, of 255")
-    share: float = value(0.3, 0.0, 1.0, "", "the same as a share of the median step")
+    search: float = number(5.0, 1.0, 50.0, "px", "on either side of where a line is expected at first")
+    follow: float = number(2.5, 1.0, 50.0, "px", "the same once the pose has been refined")
+    contrast: float = number(1.0, 0.01, 100.0, "", "least step of light within a pixel, of 255")
+    share: float = number(0.3, 0.0, 1.0, "", "the same as a share of the median step")
 
 
 @dataclass(frozen=True)

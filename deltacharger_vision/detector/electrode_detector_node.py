@@ -15,7 +15,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 from deltacharger.msg import ElectrodeDetection
@@ -27,11 +27,12 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 
 from deltacharger_ros import node_support
+from deltacharger_ros.parameters import declare_all
 from deltacharger_vision.cameras.image_node_io import CAMERA_INFO, COLOR, DEPTH, color_message
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.detector.electrode_detector_node_io import Camera, Shot, to_message
-from deltacharger_vision.errors import MountError, ParameterError, VisionError
+from deltacharger_vision.errors import MountError, VisionError
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import POSITION_STDDEV, ROTATION_STDDEV, Mount, quaternion
 from deltacharger_vision.terminal import Terminal
@@ -75,7 +76,7 @@ class ElectrodeDetectorNode(Node):
             )
         ]
         self._mount = _declare_mount(self)
-        terminal = _declare_terminal(self)
+        terminal = declare_all(self, Terminal)
         node_support.reject_unknown(self)
         self._detector = _detector(terminal)
         self._camera = Camera(self, tolerance, topics)
@@ -215,20 +216,6 @@ def _declare_mount(node: Node) -> Mount:
     try:
         return Mount.load(path) if path else Mount.from_numbers(seven, position, rotation)
     except (OSError, MountError) as error:
-        raise node_support.StartupError(f"{node.get_name()}: {error}") from error
-
-
-def _declare_terminal(node: Node) -> Terminal:
-    """Declare the lengths of the electrodes and return them."""
-    lengths = {
-        item.name: node_support.declare(
-            node, item.name, item.default, f"{item.metadata['doc']} (m)", item.metadata["low"], item.metadata["high"]
-        )
-        for item in fields(Terminal)
-    }
-    try:
-        return Terminal(**lengths)
-    except ParameterError as error:
         raise node_support.StartupError(f"{node.get_name()}: {error}") from error
 
 

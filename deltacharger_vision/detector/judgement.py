@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_vision.bounded import Bounded, value
+from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.edges import EdgeSettings, find_edges
 from deltacharger_vision.detector.outlines import visible_lines
 from deltacharger_vision.detector.pairing import Pair
@@ -50,18 +50,20 @@ class JudgementSettings(Bounded):
         ParameterError: a value is out of bounds.
     """
 
-    stereo_range: float = value(0.174, 0.0, 5.0, "m", "depth counts beyond it (OAK-D at 640 × 400, extended disparity)")
-    nearest: float = value(0.08, 0.02, 5.0, "m", "least range")
-    farthest: float = value(1.1, 0.1, 20.0, "m", "largest range: beyond it the gap is less than 3 px at f = 441 px")
-    tilt: float = value(1.1, 0.1, 1.3, "rad", "largest angle between the line of sight and the normal")
-    clear: float = value(60.0, 1.0, 1000.0, "", "squared error below which no other start is tried")
-    ambiguous: float = value(12.0, 0.0, 1000.0, "", "rise of the squared error by which a mirrored tilt is ruled out")
-    agreement: float = value(0.15, 0.01, 1.0, "", "relative difference of range by image and depth below stereo range")
-    exact: float = value(
+    stereo_range: float = number(
+        0.174, 0.0, 5.0, "m", "depth counts beyond it (OAK-D at 640 × 400, extended disparity)"
+    )
+    nearest: float = number(0.08, 0.02, 5.0, "m", "least range")
+    farthest: float = number(1.1, 0.1, 20.0, "m", "largest range: beyond it the gap is less than 3 px at f = 441 px")
+    tilt: float = number(1.1, 0.1, 1.3, "rad", "largest angle between the line of sight and the normal")
+    clear: float = number(60.0, 1.0, 1000.0, "", "squared error below which no other start is tried")
+    ambiguous: float = number(12.0, 0.0, 1000.0, "", "rise of the squared error by which a mirrored tilt is ruled out")
+    agreement: float = number(0.15, 0.01, 1.0, "", "relative difference of range by image and depth below stereo range")
+    exact: float = number(
         10.0, 0.0, 1000.0, "", "rise of the squared error with depth above which the focal length is fitted too"
     )
-    calibration: float = value(0.007, 0.0, 0.1, "", "relative standard deviation of a focal length that is fitted")
-    alone: float = value(1.7, 1.0, 100.0, "", "factor on the covariance by image alone, whose tilt nothing checks")
+    calibration: float = number(0.007, 0.0, 0.1, "", "relative standard deviation of a focal length that is fitted")
+    alone: float = number(1.7, 1.0, 100.0, "", "factor on the covariance by image alone, whose tilt nothing checks")
     edges: EdgeSettings = field(default_factory=EdgeSettings)
     refine: RefineSettings = field(default_factory=RefineSettings)
     plane: PlaneSettings = field(default_factory=PlaneSettings)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_vision.bounded import Bounded, value
+from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.segmentation import Blobs
 from deltacharger_vision.terminal import Terminal
 
@@ -23,16 +23,16 @@ class PairingSettings(Bounded):
         ParameterError: a value is out of bounds.
     """
 
-    angle: float = value(0.2, 0.0, 1.0, "rad", "largest angle between the bars")
-    near_by_length: float = value(0.55, 0.1, 1.0, "", "least spacing over length, 1 seen from the front")
-    far_by_length: float = value(1.75, 1.0, 10.0, "", "largest spacing over length")
-    near_by_width: float = value(0.55, 0.1, 1.0, "", "least spacing over width, 1 seen from the front")
-    far_by_width: float = value(1.6, 1.0, 10.0, "", "largest spacing over width")
-    widths: float = value(1.9, 1.0, 10.0, "", "largest ratio of the bars' widths")
-    whole: float = value(0.93, 0.5, 1.0, "", "least ratio of the lengths of two bars that are both taken as whole")
-    shift: float = value(0.15, 0.0, 1.0, "", "largest offset along the bars, in lengths")
-    part: float = value(0.2, 0.05, 1.0, "", "least length of a cut bar, in lengths of the whole one")
-    most: int = value(6, 1, 100, "", "pairs that are looked at, the likeliest first")
+    angle: float = number(0.2, 0.0, 1.0, "rad", "largest angle between the bars")
+    near_by_length: float = number(0.55, 0.1, 1.0, "", "least spacing over length, 1 seen from the front")
+    far_by_length: float = number(1.75, 1.0, 10.0, "", "largest spacing over length")
+    near_by_width: float = number(0.55, 0.1, 1.0, "", "least spacing over width, 1 seen from the front")
+    far_by_width: float = number(1.6, 1.0, 10.0, "", "largest spacing over width")
+    widths: float = number(1.9, 1.0, 10.0, "", "largest ratio of the bars' widths")
+    whole: float = number(0.93, 0.5, 1.0, "", "least ratio of the lengths of two bars that are both taken as whole")
+    shift: float = number(0.15, 0.0, 1.0, "", "largest offset along the bars, in lengths")
+    part: float = number(0.2, 0.05, 1.0, "", "least length of a cut bar, in lengths of the whole one")
+    most: int = number(6, 1, 100, "", "pairs that are looked at, the likeliest first")
 
 
 @dataclass(frozen=True)

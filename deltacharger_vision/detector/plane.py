@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_vision.bounded import Bounded, value
+from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.poses import Array, Pose
 from deltacharger_vision.projection import project, rays
@@ -33,18 +33,18 @@ class PlaneSettings(Bounded):
         ParameterError: a value is out of bounds.
     """
 
-    beside: float = value(0.006, 0.0, 0.2, "m", "how far beyond the bars' ends the plate is looked at")
-    above: float = value(0.020, 0.0, 0.2, "m", "the same above and below the bars")
-    metal: float = value(0.004, 0.0, 0.1, "m", "what is left out around the bars")
-    shadow: float = value(3.0, 0.0, 30.0, "px", "the same in the image: stereo smears depth")
-    most: int = value(3000, 100, 100_000, "", "depth samples that are used")
-    fewest: int = value(60, 10, 10_000, "", "samples without which there is no plane")
-    known: float = value(0.25, 0.0, 1.0, "", "share of the region's depth that must be known")
-    inliers: float = value(0.5, 0.1, 1.0, "", "share of the known depth that must lie on the plane")
-    tolerance: float = value(0.05, 0.001, 1.0, "1/m", "inverse depth that is off by more is not on the plane")
-    noise: float = value(0.002, 1e-6, 0.1, "1/m", "least standard deviation of inverse depth")
-    bias: float = value(0.001, 1e-6, 0.1, "1/m", "standard deviation of what shifts all inverse depths: 0.03 px")
-    slope_bias: float = value(0.006, 1e-6, 1.0, "1/m", "standard deviation of what tilts them, per unit ray")
+    beside: float = number(0.006, 0.0, 0.2, "m", "how far beyond the bars' ends the plate is looked at")
+    above: float = number(0.020, 0.0, 0.2, "m", "the same above and below the bars")
+    metal: float = number(0.004, 0.0, 0.1, "m", "what is left out around the bars")
+    shadow: float = number(3.0, 0.0, 30.0, "px", "the same in the image: stereo smears depth")
+    most: int = number(3000, 100, 100_000, "", "depth samples that are used")
+    fewest: int = number(60, 10, 10_000, "", "samples without which there is no plane")
+    known: float = number(0.25, 0.0, 1.0, "", "share of the region's depth that must be known")
+    inliers: float = number(0.5, 0.1, 1.0, "", "share of the known depth that must lie on the plane")
+    tolerance: float = number(0.05, 0.001, 1.0, "1/m", "inverse depth that is off by more is not on the plane")
+    noise: float = number(0.002, 1e-6, 0.1, "1/m", "least standard deviation of inverse depth")
+    bias: float = number(0.001, 1e-6, 0.1, "1/m", "standard deviation of what shifts all inverse depths: 0.03 px")
+    slope_bias: float = number(0.006, 1e-6, 1.0, "1/m", "standard deviation of what tilts them, per unit ray")
 
 
 @dataclass(frozen=True)

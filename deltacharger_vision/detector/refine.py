@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_vision.bounded import Bounded, value
+from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.edges import EdgePoints
 from deltacharger_vision.detector.plane import Plane
 from deltacharger_vision.poses import Array, Pose, cross_matrix, facing
@@ -35,14 +35,14 @@ class RefineSettings(Bounded):
         ParameterError: a value is out of bounds.
     """
 
-    bias: float = value(
+    bias: float = number(
         0.07, 0.001, 5.0, "px", "standard deviation of what shifts a whole edge (blur, glare, machining)"
     )
-    blurred: float = value(0.1, 0.0, 5.0, "", "the same per px by which edges are wider than sharp ones")
-    noise: float = value(0.12, 0.001, 5.0, "px", "least standard deviation of one edge point")
-    spread: float = value(0.05, 0.001, 5.0, "px", "standard deviation of how far light spreads over every edge")
-    glare: float = value(0.5, 0.0, 5.0, "px", "the same per saturated share of the bars, added")
-    outlier: float = value(4.7, 2.0, 20.0, "", "standard deviations beyond which a point counts for nothing (Tukey)")
+    blurred: float = number(0.1, 0.0, 5.0, "", "the same per px by which edges are wider than sharp ones")
+    noise: float = number(0.12, 0.001, 5.0, "px", "least standard deviation of one edge point")
+    spread: float = number(0.05, 0.001, 5.0, "px", "standard deviation of how far light spreads over every edge")
+    glare: float = number(0.5, 0.0, 5.0, "px", "the same per saturated share of the bars, added")
+    outlier: float = number(4.7, 2.0, 20.0, "", "standard deviations beyond which a point counts for nothing (Tukey)")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_vision.bounded import Bounded, value
+from deltacharger_core.parameters import Bounded, number
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -27,14 +27,14 @@ class SegmentationSettings(Bounded):
     """
 
     levels: tuple[int, ...] = (25, 40, 60, 90, 125, 160, 195, 230)
-    neighbourhood: int = value(61, 3, 1001, "px", "side of the window whose mean a locally bright pixel exceeds")
-    excess: int = value(12, 1, 254, "", "grey levels by which it does")
-    shortest: float = value(12.0, 2.0, 1000.0, "px", "least length of a bar")
-    thinnest: float = value(2.0, 1.0, 100.0, "px", "least width of a bar")
-    stout: float = value(1.4, 1.0, 10.0, "", "least length over width")
-    slender: float = value(14.0, 2.0, 100.0, "", "largest length over width")
-    fill: float = value(0.72, 0.3, 1.0, "", "least share of the enclosing rectangle that a blob covers")
-    most: int = value(60, 2, 1000, "", "blobs that are looked at, the most rectangular first")
+    neighbourhood: int = number(61, 3, 1001, "px", "side of the window whose mean a locally bright pixel exceeds")
+    excess: int = number(12, 1, 254, "", "grey levels by which it does")
+    shortest: float = number(12.0, 2.0, 1000.0, "px", "least length of a bar")
+    thinnest: float = number(2.0, 1.0, 100.0, "px", "least width of a bar")
+    stout: float = number(1.4, 1.0, 10.0, "", "least length over width")
+    slender: float = number(14.0, 2.0, 100.0, "", "largest length over width")
+    fill: float = number(0.72, 0.3, 1.0, "", "least share of the enclosing rectangle that a blob covers")
+    most: int = number(60, 2, 1000, "", "blobs that are looked at, the most rectangular first")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_vision.bounded import Bounded, value
+from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.edges import EdgePoints
 from deltacharger_vision.detector.refine import Fit
 from deltacharger_vision.images import Intrinsics
@@ -28,13 +28,13 @@ class SupportSettings(Bounded):
         ParameterError: a value is out of bounds.
     """
 
-    seen: float = value(0.55, 0.2, 1.0, "", "share of both outlines that must be seen")
-    whole: float = value(0.75, 0.3, 1.0, "", "share of the clearer bar's outline that must be seen")
-    part: float = value(0.15, 0.05, 1.0, "", "share of each long side of the other bar that must be seen")
-    end: float = value(0.5, 0.1, 1.0, "", "share of each end of the clearer bar that must be seen")
-    scatter: float = value(1.0, 0.05, 5.0, "px", "largest scatter of the edge points")
-    around: float = value(0.45, 0.0, 1.0, "", "largest light above and below the bars, relative to theirs")
-    disagreement: float = value(30.0, 1.0, 1000.0, "", "largest rise of the squared error when depth is added")
+    seen: float = number(0.55, 0.2, 1.0, "", "share of both outlines that must be seen")
+    whole: float = number(0.75, 0.3, 1.0, "", "share of the clearer bar's outline that must be seen")
+    part: float = number(0.15, 0.05, 1.0, "", "share of each long side of the other bar that must be seen")
+    end: float = number(0.5, 0.1, 1.0, "", "share of each end of the clearer bar that must be seen")
+    scatter: float = number(1.0, 0.05, 5.0, "px", "largest scatter of the edge points")
+    around: float = number(0.45, 0.0, 1.0, "", "largest light above and below the bars, relative to theirs")
+    disagreement: float = number(30.0, 1.0, 1000.0, "", "largest rise of the squared error when depth is added")
 
 
 def outline_shares(points: EdgePoints, fit: Fit) -> Array:

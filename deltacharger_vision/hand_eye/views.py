@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_vision.bounded import Bounded, value
+from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import Sighting
 from deltacharger_vision.images import Intrinsics
@@ -76,10 +76,10 @@ class Beliefs(Bounded):
     """
 
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    offset_stddev: float = value(0.0005, 0.0, 0.1, "m", "of each coordinate of `offset`, as measured by hand")
-    joint_stddev: float = value(0.001745, 0.0, 0.2, "rad", "of each arm's constant angle error (0.1°)")
-    arm_stddev: float = value(0.0001, 1e-6, 0.1, "m", "scatter of a position; corrected by the views")
-    pixel_stddev: float = value(0.1, 1e-3, 10.0, "px", "scatter of a corner; corrected by the views")
+    offset_stddev: float = number(0.0005, 0.0, 0.1, "m", "of each coordinate of `offset`, as measured by hand")
+    joint_stddev: float = number(0.001745, 0.0, 0.2, "rad", "of each arm's constant angle error (0.1°)")
+    arm_stddev: float = number(0.0001, 1e-6, 0.1, "m", "scatter of a position; corrected by the views")
+    pixel_stddev: float = number(0.1, 1e-3, 10.0, "px", "scatter of a corner; corrected by the views")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -12,18 +12,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deltacharger_core.parameters import Declaration, ParameterError, declared
 from deltacharger_lab.campaigns.draw import draw, zero_angle
 from deltacharger_lab.campaigns.felt import EstimatorErrors
 from deltacharger_lab.campaigns.keys import TAKEN, known_keys
 from deltacharger_lab.campaigns.parts import build_parts
 from deltacharger_lab.campaigns.scene import load_campaign_scene, packaged_campaigns, parse_campaign_scene
 from deltacharger_lab.campaigns.settings import meaning
-from deltacharger_lab.campaigns.spread import Key, read_spread
+from deltacharger_lab.campaigns.spread import read_spread
 from deltacharger_scenes.scene import SceneError
 from deltacharger_sim.clearance import overlap
-from deltacharger_sim.parameters import ParameterError, WorldParameters, describe
+from deltacharger_sim.parameters import WorldParameters
 
-METRES = Key(-0.06, 0.06, "m", "a place")
+METRES = Declaration("x", float, None, "a place", "m", -0.06, 0.06)
 
 
 @pytest.mark.parametrize(
@@ -79,7 +80,7 @@ def test_a_normal_spread_stays_within_the_bounds() -> None:
         ({"based_on": "bad"}, "based_on", "no other packaged campaign"),
         ({"target": {"x": {"mean": 0.0, "stddev": -1.0}}}, "target.x.stddev", "outside 0"),
         ({"target": {"x": {"choose": []}}}, "target.x.choose", "list of values"),
-        ({"target": {"x": float("nan")}}, "target.x", "not a number"),
+        ({"target": {"x": float("nan")}}, "target.x", "not finite"),
         ({"target": {"x": "left"}}, "target.x", "not a number"),
         ({"gravity": {"known": 1}}, "gravity.known", "true or false"),
         ({"tactile": {"sensor": {"bits": 9.5}}}, "tactile.sensor.bits", "whole number"),
@@ -89,7 +90,7 @@ def test_a_normal_spread_stays_within_the_bounds() -> None:
         ({"target": {"x": 0.0}, "dockings": [{"target": {"x": 0.01}}]}, "dockings[0].target.x", "keep one"),
         ({"world": {"magnets": {"force": 0.0, "width": 0.01}}}, "world.magnets.width", "no effect"),
         ({"gravity": {"azimuth": 1.0}}, "gravity.azimuth", "no effect"),
-        ({"docking": {"current_min": [0.40, 0.48]}}, "docking", "current_min + 2"),
+        ({"docking": {"current_min": [0.40, 0.48]}}, "docking.current_min", "current_min + 2"),
         ({"world": {"circuit": {"voltage_min": 30.0, "voltage_max": 30.0}}}, "world.circuit.voltage_min", "below"),
     ],
 )
@@ -112,8 +113,8 @@ def test_packaged_scenes_load_and_a_file_names_itself(tmp_path: Path) -> None:
 
 
 def test_every_number_of_the_world_can_be_drawn_or_says_what_to_give_instead() -> None:
-    for name, *_ in describe(WorldParameters):
-        assert f"world.{name}" in set(known_keys()) | set(TAKEN), name
+    for each in declared(WorldParameters, "world"):
+        assert each.name in set(known_keys()) | set(TAKEN), each.name
 
 
 def test_the_goal_is_what_the_camera_saw_and_the_world_what_is_there() -> None:

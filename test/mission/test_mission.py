@@ -389,7 +389,7 @@ def test_an_emergency_calls_off_what_is_under_way_and_forgets_the_goal() -> None
 
 
 def test_parameters_have_bounds() -> None:
-    with pytest.raises(ValueError, match="stands_max is 11: allowed are 0 to 10"):
+    with pytest.raises(ValueError, match="stands_max: 11 is outside 0 to 10"):
         MissionParameters(stands_max=11)
 
 

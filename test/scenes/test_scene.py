@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from deltacharger_bringup.cli.scene import describe
+from deltacharger_core.parameters import declared
 from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import SceneError, Simulation, load_scene, packaged_scenes, parse_scene
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.parameters import describe as describe_world
 
 
 def write(folder: Path, text: str) -> Path:
@@ -27,7 +27,7 @@ def write(folder: Path, text: str) -> Path:
     [
         ("simulaton: {}", "simulaton", "did you mean 'simulation'"),
         ("simulation: {world: {servo: {stifness: 15}}}", "simulation.world.servo.stifness", "did you mean 'stiffness'"),
-        ("simulation: {world: {servo: {stiffness: 150}}}", "simulation.world.servo.stiffness", "2.5 to 20.0 N·m/rad"),
+        ("simulation: {world: {servo: {stiffness: 150}}}", "simulation.world.servo.stiffness", "2.5 to 20 N·m/rad"),
         ("simulation: {world: {target: {x: left}}}", "simulation.world.target.x", "'left' is not a number"),
         ("simulation: {seed: 1.5}", "simulation.seed", "not a whole number"),
         ("simulation: {seed: -1}", "simulation.seed", "outside 0 to"),
@@ -144,6 +144,8 @@ def test_a_node_gets_its_port_from_the_simulated_charger_or_else_from_the_scene(
 
 def test_explain_shows_every_key_of_the_world_with_its_unit_and_range() -> None:
     shown = {entry["key"]: entry for entry in describe(load_scene("simulated"))}
-    for key, _, low, high, unit, _ in describe_world(WorldParameters, "simulation.world"):
-        assert (shown[key]["minimum"], shown[key]["maximum"], shown[key]["unit"]) == (low, high, unit)
+    for each in declared(WorldParameters, "simulation.world"):
+        bounds = (None, None) if each.kind is bool else (each.low, each.high)
+        found = shown[each.name]
+        assert (found["minimum"], found["maximum"], found["unit"]) == (*bounds, each.unit)
     assert {f"simulation.{item.name}" for item in fields(Simulation)} - {"simulation.world"} <= shown.keys()

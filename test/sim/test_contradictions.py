@@ -9,14 +9,13 @@ from typing import Any
 
 import pytest
 
+from deltacharger_core.parameters import ParameterError, from_mapping
 from deltacharger_sim import stability_map
 from deltacharger_sim.parameters import (
     ContactParameters,
     MagnetParameters,
-    ParameterError,
     ServoParameters,
     WorldParameters,
-    from_mapping,
 )
 from deltacharger_sim.proven import UnprovenWarning, doubts, nearest
 from deltacharger_sim.world import World

@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
+from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
 from deltacharger_sim import mujoco_model
 from deltacharger_sim.mujoco_world import MujocoMechanics, mujoco_world
 from deltacharger_sim.parameters import (
     ContactParameters,
     MagnetParameters,
-    ParameterError,
     PlatformParameters,
     ServoParameters,
     TargetParameters,

@@ -8,8 +8,8 @@ import time
 import numpy as np
 import pytest
 
+from deltacharger_core.parameters import ParameterError
 from deltacharger_tactile.contact import ContactModel, Waviness
-from deltacharger_tactile.errors import ParameterError
 from deltacharger_tactile.parameters import ContactParameters
 
 MODEL = ContactModel()

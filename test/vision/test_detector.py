@@ -11,8 +11,9 @@ import sys
 import numpy as np
 import pytest
 
+from deltacharger_core.parameters import ParameterError
 from deltacharger_vision.detector.detector import DetectorSettings, ElectrodeDetector
-from deltacharger_vision.errors import CameraInfoError, ParameterError
+from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.scene import Scene

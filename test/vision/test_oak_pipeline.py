@@ -14,9 +14,10 @@ from unittest import mock
 import numpy as np
 import pytest
 
+from deltacharger_core.parameters import ParameterError
 from deltacharger_vision.cameras.keeper import CameraKeeper, CameraUnavailable
 from deltacharger_vision.cameras.oak_pipeline import OakCamera, OakImage, OakSettings, attach, converted, find_device
-from deltacharger_vision.errors import CameraInfoError, ImageError, ParameterError
+from deltacharger_vision.errors import CameraInfoError, ImageError
 from deltacharger_vision.images import Intrinsics
 
 DEADLINE = 60.0  # s; far longer than anything takes
@@ -272,7 +273,7 @@ def test_settings_have_bounds() -> None:
     for wrong in ({"rate": 0.5}, {"iso": 50}, {"width": 8}, {"exposure_us": 0}, {"lens_position": 256}):
         with pytest.raises(ParameterError, match=next(iter(wrong))):
             OakSettings(**wrong)
-    with pytest.raises(ParameterError, match="exposure_us = 20000 is outside 1…16666"):
+    with pytest.raises(ParameterError, match="exposure_us: 20000 is outside 1 to 16667 µs"):
         OakSettings(rate=60.0, exposure_us=20_000)
 
 

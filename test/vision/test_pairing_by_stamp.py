@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deltacharger_core.parameters import ParameterError
 from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
-from deltacharger_vision.errors import ParameterError
 
 PERIOD = 33_333_333  # ns, of 30 images a second
 SECOND = 1_000_000_000

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_vision.errors import ParameterError
+from deltacharger_core.parameters import ParameterError
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.rendering.camera import SimulatedCamera
 from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
@@ -218,7 +218,7 @@ def test_defocus_is_a_gaussian() -> None:
 def test_parameters_have_bounds(wrong: dict[str, Any]) -> None:
     with pytest.raises(ParameterError) as caught:
         CameraParameters(**wrong)
-    assert caught.value.name in wrong
+    assert caught.value.key in wrong
 
 
 def test_scene_parameters_have_bounds() -> None:

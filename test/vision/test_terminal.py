@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deltacharger_vision.errors import ParameterError, TerminalError, VisionError
+from deltacharger_core.parameters import ParameterError
+from deltacharger_vision.errors import TerminalError, VisionError
 from deltacharger_vision.terminal import LOWER, UPPER, Terminal
 
 
@@ -38,7 +39,7 @@ def test_load_keeps_what_is_not_given(tmp_path: Path) -> None:
         ("bar_lenght: 0.07", "did you mean bar_length"),
         ("thickness: 0.01", "bar_thickness"),
         ("bar_length: 70", "metres"),
-        ("bar_length: .nan", "outside"),
+        ("bar_length: .nan", "not finite"),
         ("gap: wide", "not a number"),
         ("gap: true", "not a number"),
         ("- 0.07", "mapping"),
@@ -58,4 +59,4 @@ def test_a_bad_file_says_what_to_do(tmp_path: Path, text: str, words: str) -> No
 def test_lengths_have_bounds() -> None:
     with pytest.raises(ParameterError) as caught:
         Terminal(gap=-0.001)
-    assert caught.value.name == "gap"
+    assert caught.value.key == "gap"

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The declared parameter: a field of a frozen dataclass that states unit, bounds and meaning, and refuses all else.
+
+A package declares its parameters once, in its `parameters.py`. From there come the checks of its constructors, the keys
+of scenes and campaigns, the parameters of its nodes and docs/parameters.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import types
+import typing
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+_KEY = "declaration"  # in the metadata of a field
+_KINDS = {bool: "true or false", str: "text", int: "a whole number", float: "a number"}
+
+
+class ParameterError(ValueError):
+    """A key is unknown, or a value has the wrong type or lies outside its bounds.
+
+    Attributes:
+        key: dotted path of the key.
+        value: what was given.
+        problem: what is wrong and what is allowed.
+    """
+
+    def __init__(self, key: str, value: Any, problem: str) -> None:
+        self.key = key
+        self.value = value
+        self.problem = problem
+        super().__init__(f"{key}: {problem}")
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """What is known of one parameter.
+
+    Attributes:
+        name: of its field, with dots below groups.
+        kind: float, int, bool or str; object = parameter classes, which check themselves.
+        default: without a value; a tuple for several values, None where there may be none.
+        text: what it is; the unit may stand in it as {unit}.
+        unit: of value and bounds, '' for none.
+        low, high: bounds, inclusive; infinite = whatever is finite.
+        choices: the allowed texts; empty = any.
+        live: whether it may be set while its node runs.
+    """
+
+    name: str
+    kind: type
+    default: Any
+    text: str
+    unit: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+    live: bool = False
+
+    def description(self, form: str = "{text} ({unit})") -> str:
+        """Return the text with its unit, which follows in this form unless it stands in the text."""
+        if "{unit}" in self.text:
+            return self.text.replace("{unit}", self.unit)
+        return form.format(text=self.text, unit=self.unit) if self.unit else self.text
+
+    def problem(self, value: Any) -> str:
+        """Return what is wrong with a value, '' where nothing is."""
+        if self.kind is object or (value is None and self.default is None):
+            return ""
+        if not isinstance(self.default, tuple):
+            return self._problem(value)
+        if not isinstance(value, list | tuple):
+            return f"{value!r} is not a list"
+        return next((problem for item in value if (problem := self._problem(item))), "")
+
+    def _problem(self, value: Any) -> str:
+        allowed: Any = (int, float) if self.kind is float else self.kind
+        if not isinstance(value, allowed) or (isinstance(value, bool) and self.kind is not bool):
+            return f"{value!r} is not {_KINDS[self.kind]}{self._range('; allowed are ')}"
+        if self.choices and value not in self.choices:
+            return f"{value!r} is not one of {', '.join(self.choices)}"
+        if self.kind not in (int, float):
+            return ""
+        if not math.isfinite(value):
+            return f"{value!r} is not finite{self._range('; allowed are ')}"
+        return "" if self.low <= value <= self.high else f"{value!r} is outside{self._range(' ')}"
+
+    def _range(self, before: str) -> str:
+        return f"{before}{self.low:.10g} to {self.high:.10g} {self.unit}".rstrip() if math.isfinite(self.low) else ""
+
+
+def _declared(kind: type, default: Any, text: str, **about: Any) -> Any:
+    return field(default=default, metadata={_KEY: Declaration("", kind, default, text, **about)})
+
+
+def number(default: float | None, low: float, high: float, unit: str, text: str) -> Any:
+    """Declare a field with bounds (inclusive), unit and meaning; whole numbers alone where the default is one."""
+    whole = isinstance(default, int)
+    return _declared(int if whole else float, default, text, unit=unit, low=low, high=high)
+
+
+def numbers(default: tuple[float, ...], low: float, high: float, unit: str, text: str) -> Any:
+    """Declare a field of several numbers, each within the bounds; whole ones where those of the default are."""
+    whole = all(isinstance(item, int) for item in default)
+    return _declared(int if whole else float, default, text, unit=unit, low=low, high=high)
+
+
+def flag(default: bool, text: str) -> Any:
+    """Declare a field that is true or false."""
+    return _declared(bool, default, text)
+
+
+def words(default: str | tuple[str, ...], text: str, live: bool = False) -> Any:
+    """Declare a field of text, or of several texts."""
+    return _declared(str, default, text, live=live)
+
+
+def choice(default: str, choices: tuple[str, ...], text: str, live: bool = False) -> Any:
+    """Declare a field that is one of some texts."""
+    return _declared(str, default, text, choices=choices, live=live)
+
+
+def entries(text: str) -> Any:
+    """Declare a field of several parameter classes, none by default, which check themselves."""
+    return _declared(object, (), text)
+
+
+def like(cls: type[Any], name: str) -> Any:
+    """Declare a field as another class has it."""
+    item = cls.__dataclass_fields__[name]
+    return field(default=item.default, metadata=item.metadata)
+
+
+def declaration(item: dataclasses.Field[Any]) -> Declaration | None:
+    """Return the declaration of a field, None where it has none."""
+    found = item.metadata.get(_KEY)
+    return None if found is None else replace(found, name=item.name)
+
+
+def declared(cls: type[Any], path: str = "") -> Iterator[Declaration]:
+    """Yield the declaration of every parameter of a class, those of its groups with dotted names."""
+    hints = typing.get_type_hints(cls)
+    for item in dataclasses.fields(cls):
+        name, found = f"{path}.{item.name}" if path else item.name, declaration(item)
+        if dataclasses.is_dataclass(hints[item.name]):
+            yield from declared(hints[item.name], name)
+        elif found is not None:
+            yield replace(found, name=name)
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """Base of parameter classes: each refuses what its declaration does not allow.
+
+    Raises:
+        ParameterError: a value has the wrong type or lies outside its bounds.
+    """
+
+    def __post_init__(self) -> None:
+        for item in dataclasses.fields(self):
+            about = item.metadata.get(_KEY)
+            if about is not None and (problem := about.problem(value := getattr(self, item.name))):
+                raise ParameterError(item.name, value, problem)
+
+
+def did_you_mean(word: object, known: Iterable[str]) -> str:
+    """Return "; did you mean '…'?" with the nearest known name, '' where none is near."""
+    near = difflib.get_close_matches(str(word), list(known), 1)
+    return f"; did you mean '{near[0]}'?" if near else ""
+
+
+def from_mapping(mapping: Any, cls: type[T], path: str = "") -> T:
+    """Build a parameter class from a mapping such as a YAML section; missing keys keep their defaults.
+
+    Args:
+        mapping: keys to values, nested like the classes.
+        cls: dataclass to build.
+        path: dotted path of the mapping, for messages.
+
+    Raises:
+        ParameterError: names the key, the value and what is allowed; for an unknown key the nearest known one.
+    """
+    if not isinstance(mapping, Mapping):
+        raise ParameterError(path or "(top)", mapping, f"{mapping!r} is not a mapping of keys to values")
+    hints = typing.get_type_hints(cls)
+    names = [item.name for item in dataclasses.fields(cls)]  # type: ignore[arg-type]
+    known = f"; known are {', '.join(names)}"
+    values: dict[str, Any] = {}
+    for key, value in mapping.items():
+        where = f"{path}.{key}" if path else str(key)
+        if key not in names:
+            raise ParameterError(where, value, f"unknown key{did_you_mean(key, names) or known}")
+        values[key] = _convert(value, hints[key], where)
+    try:
+        return cls(**values)
+    except ParameterError as error:
+        raise ParameterError(f"{path}.{error.key}" if path else error.key, error.value, error.problem) from None
+
+
+def _convert(value: Any, hint: Any, where: str) -> Any:
+    """Return a value in the type of its field where that is another's; the field's own check follows."""
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        return from_mapping(value, hint, where)
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        return None if value is None else _convert(value, arguments[0], where)
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise ParameterError(where, value, f"{value!r} is not a list")
+        return tuple(_convert(entry, arguments[0], f"{where}[{index}]") for index, entry in enumerate(value))
+    return float(value) if hint is float and type(value) is int else value

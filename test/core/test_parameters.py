@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A declared parameter refuses what it cannot be, by name, however it is given."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from deltacharger_core.parameters import (
+    Bounded,
+    ParameterError,
+    choice,
+    declared,
+    entries,
+    flag,
+    from_mapping,
+    like,
+    number,
+    numbers,
+    words,
+)
+
+
+@dataclass(frozen=True)
+class Spring(Bounded):
+    stiffness: float = number(15.0, 2.5, 20.0, "N·m/rad", "of the joint")
+    turns: int = number(3, 1, 9, "", "of its wire")
+
+
+@dataclass(frozen=True)
+class Arm(Bounded):
+    spring: Spring = field(default_factory=Spring)
+    springs: tuple[Spring, ...] = entries("further ones")
+    name: str = words("left", "on the label")
+    files: tuple[str, ...] = words(("",), "where it is described")
+    on: bool = flag(True, "whether it is")
+    mode: str = choice("soft", ("soft", "stiff"), "how it yields")
+    corner: tuple[float, ...] = numbers((0.0, 1.0), -2.0, 2.0, "m", "of its box")
+    limit: float | None = number(None, 0.0, 1.0, "A", "{unit} at most; none = whatever comes")
+    share: float = like(Spring, "stiffness")
+
+
+WRONG: list[tuple[dict[str, Any], str, str]] = [
+    ({"spring": {"stiffness": 2.4}}, "arm.spring.stiffness", "2.4 is outside 2.5 to 20 N·m/rad"),
+    ({"spring": {"stiffness": math.nan}}, "arm.spring.stiffness", "not finite"),
+    ({"spring": {"stiffness": "15"}}, "arm.spring.stiffness", "not a number; allowed are 2.5 to 20"),
+    ({"spring": {"stiffness": True}}, "arm.spring.stiffness", "not a number"),
+    ({"spring": {"stiffness": None}}, "arm.spring.stiffness", "not a number"),
+    ({"spring": {"turns": 1.5}}, "arm.spring.turns", "not a whole number"),
+    ({"spring": {"turns": True}}, "arm.spring.turns", "not a whole number"),
+    ({"spring": {"trns": 2}}, "arm.spring.trns", "did you mean 'turns'?"),
+    ({"qqq": 2}, "arm.qqq", "known are spring, "),
+    ({"spring": 3}, "arm.spring", "not a mapping"),
+    ({"springs": "x"}, "arm.springs", "not a list"),
+    ({"springs": [{}, {"turns": 0}]}, "arm.springs[1].turns", "outside 1 to 9"),
+    ({"name": 3}, "arm.name", "not text"),
+    ({"files": ["a", 3]}, "arm.files", "3 is not text"),
+    ({"on": 1}, "arm.on", "not true or false"),
+    ({"mode": "hard"}, "arm.mode", "not one of soft, stiff"),
+    ({"corner": [0.0, 3.0]}, "arm.corner", "3.0 is outside -2 to 2 m"),
+    ({"corner": 1.0}, "arm.corner", "not a list"),
+    ({"limit": 2.0}, "arm.limit", "outside 0 to 1 A"),
+    ({"share": 0.0}, "arm.share", "outside 2.5 to 20"),
+]
+
+
+@pytest.mark.parametrize(("content", "key", "problem"), WRONG, ids=str)
+def test_what_is_refused_is_named_with_what_is_allowed(content: dict[str, Any], key: str, problem: str) -> None:
+    with pytest.raises(ParameterError) as refusal:
+        from_mapping(content, Arm, "arm")
+    assert refusal.value.key == key
+    assert problem in refusal.value.problem
+
+
+def test_a_mapping_gives_what_it_says_and_the_defaults() -> None:
+    arm = from_mapping({"spring": {"stiffness": 5}, "springs": [{"turns": 2}], "corner": [0, 1], "limit": None}, Arm)
+    assert arm == Arm(spring=Spring(5.0), springs=(Spring(turns=2),), corner=(0.0, 1.0))
+    assert isinstance(arm.spring.stiffness, float)
+    assert from_mapping({}, Arm) == Arm()
+
+
+def test_bounds_hold_in_python_too() -> None:
+    with pytest.raises(ParameterError, match="turns: 0 is outside 1 to 9"):
+        Spring(turns=0)
+
+
+def test_the_declarations_tell_name_bounds_default_and_text() -> None:
+    known = {each.name: each for each in declared(Arm, "arm")}
+    assert list(known)[:3] == ["arm.spring.stiffness", "arm.spring.turns", "arm.springs"]
+    stiffness = known["arm.spring.stiffness"]
+    assert (stiffness.default, stiffness.low, stiffness.high, stiffness.kind) == (15.0, 2.5, 20.0, float)
+    assert stiffness.description() == "of the joint (N·m/rad)"
+    assert stiffness.description("{text}, {unit}") == "of the joint, N·m/rad"
+    assert known["arm.limit"].description() == "A at most; none = whatever comes"
+    assert known["arm.mode"].choices == ("soft", "stiff")
