@@ -15,7 +15,7 @@ import pytest
 
 from deltacharger_core.environment import LARGEST_DOMAIN
 
-pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+pytestmark = pytest.mark.ros
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 DEADLINE = 110.0  # s; far longer than any takes, and inside of the suite's own limit

@@ -21,6 +21,7 @@ from deltacharger_kinematics.calibration.data import Encoder, read_measurements
 from deltacharger_kinematics.calibration.plan import Pose, write_plan
 
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
+from ..marks import slow
 
 pytestmark = pytest.mark.ros
 
@@ -204,7 +205,7 @@ def test_measured_poses_are_recorded_one_by_one_and_resumed(
     assert rows.held_out.sum() == 1
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, "end of input"])
+@pytest.mark.parametrize("how", [signal.SIGINT, slow(signal.SIGTERM), slow(signal.SIGHUP), "end of input"])
 def test_whatever_ends_it_the_torque_goes_off_and_what_was_measured_is_kept(
     operator: Callable[..., Operator], charger: Charger, short_plan: Path, how: signal.Signals | str
 ) -> None:

@@ -119,21 +119,14 @@ def test_a_refused_docking_is_1_with_its_code(
     assert result["suggested_base_pose"]
 
 
-def test_undock_without_a_charger_is_1(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], namespace: str
-) -> None:
-    undock = start(*deltacharger, "undock", "--namespace", namespace)
-    assert undock.end() == 1
-    assert any("deltacharger up" in line for line in undock.err)
-
-
-def test_without_scene_and_domain_a_charger_is_looked_for_in_both_domains(
+def test_undock_without_scene_domain_and_charger_is_1_and_names_both_domains(
     start: Callable[..., Process], deltacharger: tuple[str, ...], namespace: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
     undock = start(*deltacharger, "undock", "--namespace", namespace)
     assert undock.end() == 1
     assert any("domain 0 or 87" in line for line in undock.err)
+    assert any("deltacharger up" in line for line in undock.err)
 
 
 def test_without_scene_and_domain_a_charger_in_the_default_domain_is_used(

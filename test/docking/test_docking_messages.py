@@ -62,6 +62,8 @@ _CHILD = "DELTACHARGER_KILLS_NODES"
 in_a_child = pytest.mark.skipif(_CHILD not in os.environ, reason="run by test_motion_ends_with_its_nodes")
 
 
+@pytest.mark.slow
+@pytest.mark.realtime
 @pytest.mark.timeout(400)
 def test_motion_ends_with_its_nodes() -> None:
     """Run the tests below in a process of their own: rclpy has crashed in a client whose action server was killed."""

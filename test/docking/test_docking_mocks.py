@@ -21,6 +21,7 @@ from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, new_namespace, wait_until
+from ..marks import slow
 
 pytestmark = pytest.mark.ros
 
@@ -125,17 +126,17 @@ def test_the_camera_finds_the_place_where_no_coordinates_are_given(charger: Char
     ("node", "fault", "names"),
     [
         ("mock_servo_node", "silence", {"SERVO_FAULT"}),
-        ("mock_servo_node", "nan_current", {"SERVO_FAULT"}),
-        ("mock_servo_node", "missing", {"SERVO_FAULT"}),
+        slow("mock_servo_node", "nan_current", {"SERVO_FAULT"}),
+        slow("mock_servo_node", "missing", {"SERVO_FAULT"}),
         ("mock_servo_node", "hardware_error", {"SERVO_FAULT"}),
         ("mock_tactile_node", "silence", {"TACTILE_STALE"}),
-        ("mock_tactile_node", "zero_frames", {"NO_TACTILE_CONTACT"}),
-        ("mock_tactile_node", "unsure", {"ESTIMATE_UNSURE"}),
+        slow("mock_tactile_node", "zero_frames", {"NO_TACTILE_CONTACT"}),
+        slow("mock_tactile_node", "unsure", {"ESTIMATE_UNSURE"}),
         ("mock_tactile_node", "power_silence", {"POWER_STALE"}),
         ("mock_tactile_node", "short", {"SHORT_CIRCUIT"}),
-        ("mock_tactile_node", "open_circuit", {"NO_CHARGE_CURRENT"}),
-        ("mock_tactile_node", "reverse_polarity", {"REVERSE_POLARITY"}),
-        ("mock_tactile_node", "no_charge_current", {"NO_CHARGE_CURRENT"}),
+        slow("mock_tactile_node", "open_circuit", {"NO_CHARGE_CURRENT"}),
+        slow("mock_tactile_node", "reverse_polarity", {"REVERSE_POLARITY"}),
+        slow("mock_tactile_node", "no_charge_current", {"NO_CHARGE_CURRENT"}),
     ],
 )
 def test_a_fault_ends_docking_with_its_code_and_an_open_contactor(

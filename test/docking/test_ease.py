@@ -14,6 +14,8 @@ from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ContactParameters, ServoParameters, TargetParameters, WorldParameters
 
+from ..marks import slow
+
 MILLIMETRE = 1e-3
 DOWN = (0.0, -9.81, 0.0)
 HOURS = 4 * 3600.0
@@ -60,11 +62,11 @@ def currents(run: VirtualCharger) -> list[float]:
 SIDEWAYS = [DOWN, (9.81, 0.0, 0.0), (-7.0, 7.0, 0.0)]
 CASES = [
     *((3.0, -2.0, 15.0, gravity, None) for gravity in SIDEWAYS),
-    (-18.0, -18.0, 15.0, DOWN, None),
-    (18.0, 18.0, 10.0, DOWN, None),
-    (3.0, -2.0, 2.5, DOWN, None),
+    slow(-18.0, -18.0, 15.0, DOWN, None),
+    slow(18.0, 18.0, 10.0, DOWN, None),
+    slow(3.0, -2.0, 2.5, DOWN, None),
     (3.0, -2.0, 20.0, DOWN, 15.0),
-    (3.0, -2.0, 10.0, DOWN, 16.0),
+    slow(3.0, -2.0, 10.0, DOWN, 16.0),
 ]
 
 
@@ -141,7 +143,7 @@ def test_clearance_is_measured_after_the_arm_was_put_at_ease_and_before_it_is_pr
     assert kinds.index("close") > kinds.index("probe") > last
 
 
-@pytest.mark.parametrize("changes", [{"approach": "paper"}, {"current_signal": "max"}])
+@pytest.mark.parametrize("changes", [{"approach": "paper"}, slow({"current_signal": "max"})])
 def test_what_is_compared_as_published_is_not_eased(changes: dict[str, str]) -> None:
     world = WorldParameters(servo=ServoParameters(stiffness=2.5))
     run = VirtualCharger(world, DockingParameters(servo_stiffness=2.5, **changes))  # type: ignore[arg-type]

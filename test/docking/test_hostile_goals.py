@@ -220,7 +220,7 @@ def test_two_clients_at_once(charger: Charger) -> None:
 
 _DYING = """
 import os, sys, threading
-from deltacharger_bringup import environment
+from deltacharger_core import environment
 environment.prepare()
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.outcomes import DockRequest, Pose

@@ -20,6 +20,7 @@ from deltacharger_ros.client import CODES
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import wait_until
+from ..marks import slow
 from .hostile import Defects, Distortion, Hostile
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
@@ -119,7 +120,7 @@ def test_idle_it_bears_everything_and_then_docks(hostile: Hostile) -> None:
     hostile.charge()
 
 
-@pytest.mark.parametrize(("part", "does"), [("_machine", "step"), ("_inputs", "observation")])
+@pytest.mark.parametrize(("part", "does"), [("_machine", "step"), slow("_inputs", "observation")])
 def test_a_defect_of_docking_itself_opens_and_ends_in_a_code(
     hostile: Hostile, part: str, does: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -149,7 +150,7 @@ def assert_ends_safely(hostile: Hostile, codes: set[str]) -> None:
     assert not hostile.is_closed
 
 
-@pytest.mark.parametrize("name", ["no currents", "no torque told", "other names", "impossible angles"])
+@pytest.mark.parametrize("name", ["no currents", "impossible angles", slow("no torque told"), slow("other names")])
 def test_servo_states_that_tell_nothing_end_charging(hostile: Hostile, name: str) -> None:
     hostile.charge()
     hostile.relay.distort[SERVO] = WRONG_SERVOS[name]
@@ -157,7 +158,7 @@ def test_servo_states_that_tell_nothing_end_charging(hostile: Hostile, name: str
     assert_ends_safely(hostile, {"SERVO_FAULT"})
 
 
-@pytest.mark.parametrize("name", ["all NaN", "endless current", "unknown fault"])
+@pytest.mark.parametrize("name", ["all NaN", slow("endless current"), slow("unknown fault")])
 def test_powers_that_tell_nothing_end_charging(hostile: Hostile, name: str) -> None:
     """A current that is said to flow for ever keeps the arm where it is, with its torque: until that is healed."""
     hostile.charge()
@@ -167,7 +168,7 @@ def test_powers_that_tell_nothing_end_charging(hostile: Hostile, name: str) -> N
     assert CODES[hostile.code] in {"POWER_STALE", "OVERCURRENT", "CONTACTOR_WELDED"}
 
 
-@pytest.mark.parametrize("name", ["no taxels", "NaN taxels"])
+@pytest.mark.parametrize("name", ["NaN taxels", slow("no taxels")])
 def test_frames_that_tell_nothing_never_dock(hostile: Hostile, name: str) -> None:
     """misalignment_node and the mock of tactile_node hear the true ones: what is tested is docking's own sense."""
     hostile.relay.distort[PADS] = WRONG_PADS[name]
@@ -191,7 +192,7 @@ def test_servos_in_another_order_are_understood_or_refused_but_never_mistaken(ho
     assert furthest[0] < 0.02
 
 
-@pytest.mark.parametrize("topic", [SERVO, PADS, POWER])
+@pytest.mark.parametrize("topic", [SERVO, slow(PADS), slow(POWER)])
 def test_one_message_again_and_again_is_no_news_even_from_the_future(hostile: Hostile, topic: str) -> None:
     """A publisher that hangs and repeats itself, stamped by a clock that was an hour ahead."""
     hostile.charge()

@@ -102,6 +102,7 @@ def test_what_a_calibration_wins() -> None:
     assert mean["play"] < 0.25
 
 
+@pytest.mark.slow
 def test_the_stated_uncertainty_is_the_real_one() -> None:
     """Fitted minus true scatters by one of the standard deviations that the fit states, and the workspace error too."""
     deviations, expected, real = [], [], []

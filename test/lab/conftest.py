@@ -12,5 +12,9 @@ HERE = Path(__file__).parent
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if item.path.is_relative_to(HERE) and "quick" in getattr(item, "fixturenames", ()):
+        if (
+            item.path.parent == HERE
+            and item.path.name.startswith("test_report_")
+            and "quick" in getattr(item, "fixturenames", ())
+        ):
             item.add_marker(pytest.mark.slow)

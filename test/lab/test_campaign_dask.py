@@ -21,6 +21,7 @@ pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra campaign)
 distributed = pytest.importorskip("distributed", reason="Dask is not installed (extra dask)")
 
 
+@pytest.mark.slow
 def test_a_killed_worker_loses_and_doubles_nothing(tmp_path: Path) -> None:
     told: list[int] = []
     killed = threading.Event()

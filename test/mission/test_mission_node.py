@@ -33,6 +33,7 @@ from deltacharger_scenes.scene import Scene, load_scene, parse_scene
 
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
 from ..docking.mock_docking import MockDocking
+from ..marks import slow
 
 pytestmark = pytest.mark.ros
 
@@ -377,6 +378,7 @@ def standing(content: dict[str, Any]) -> None:
     content["parameters"]["mission_node"] |= {"navigation": "none", "undock_timeout": 1.0}
 
 
+@pytest.mark.slow
 def test_a_charger_that_stands_still_needs_no_navigator_and_says_when_docking_is_gone(
     made: Callable[[Scene], Robot],
 ) -> None:
@@ -413,7 +415,7 @@ def test_a_mission_node_that_is_closed_ends_charging_and_its_goal_and_drives_now
     assert robot.place == stood
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("number", [signal.SIGINT, slow(signal.SIGTERM)])
 def test_as_a_process_it_ends_with_0(start: Callable[..., Process], context: Any, namespace: str, number: int) -> None:
     code = "import sys; from deltacharger_mission.ros.mission_node import main; sys.exit(main())"
     words = ["--ros-args", "-r", f"__ns:=/{namespace}"]

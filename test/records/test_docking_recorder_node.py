@@ -33,6 +33,8 @@ from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
 from deltacharger_scenes.with_recorder import RECORDER, recorder_alone, with_recorder
 
+from ..marks import slow
+
 pytestmark = pytest.mark.ros
 
 PLACE = Pose(0.0, 0.0, 0.080)
@@ -160,7 +162,7 @@ def test_a_docking_is_recorded_as_its_client_saw_it(cell: Cell) -> None:
 @pytest.mark.parametrize(
     ("node", "fault", "name", "told"),
     [
-        ("mock_tactile_node", "unsure", "ESTIMATE_UNSURE", "measurements were unsure"),
+        slow("mock_tactile_node", "unsure", "ESTIMATE_UNSURE", "measurements were unsure"),
         ("mock_detector_node", "nothing", "ELECTRODES_NOT_FOUND", "move the robot"),
         ("mock_servo_node", "silence", "SERVO_FAULT", "servo_state"),
     ],
@@ -178,6 +180,7 @@ def test_a_refused_docking_says_why(cell: Cell, node: str, fault: str, name: str
     assert [each.kind for each in found.run.decisions] == cell.heard()
 
 
+@pytest.mark.slow
 def test_a_cancelled_docking_says_so(cell: Cell) -> None:
     cancel = threading.Event()
 

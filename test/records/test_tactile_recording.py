@@ -33,6 +33,8 @@ from deltacharger_sim.world import World
 from deltacharger_tactile import default_model
 from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_POSITION, Dataset
 
+from ..marks import slow
+
 pytestmark = pytest.mark.ros
 
 QUICK = {
@@ -225,7 +227,7 @@ def test_a_kill_loses_nothing_that_was_reported_and_the_same_call_goes_on(
     assert sorted(path.suffix for path in folder.iterdir()) == [".json"] + [".mcap"] * 3
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, slow(signal.SIGTERM)])
 def test_a_signal_ends_it_with_the_arm_home_and_the_data_set_written(
     record: Recorder, charger: Charger, tmp_path: Path, number: signal.Signals
 ) -> None:
@@ -238,6 +240,7 @@ def test_a_signal_ends_it_with_the_arm_home_and_the_data_set_written(
     assert len(Dataset.load(tmp_path / "F.npz")) == 1
 
 
+@pytest.mark.slow
 def test_a_docking_that_begins_meanwhile_keeps_arm_and_torque(record: Recorder, charger: Charger) -> None:
     process = record("--set", "reference")
     process.wait_for_line("1 of 10", process.err)

@@ -281,6 +281,7 @@ def test_the_viewer_beside_this_python_is_found(
     assert told == [os.pathsep.join([str(Path(sys.executable).parent), "/nowhere"])]
 
 
+@pytest.mark.slow
 def test_a_silent_charger_is_named_and_ctrl_c_ends_it(
     start: Callable[..., Process], deltacharger: tuple[str, ...], tmp_path: Path
 ) -> None:

@@ -108,7 +108,7 @@ def test_a_scene_without_a_camera_loads_nothing_of_one(name: str) -> None:
     program = (
         "import sys, rclpy\n"
         "from rclpy.context import Context\n"
-        "from deltacharger_bringup import environment\n"
+        "from deltacharger_core import environment\n"
         "environment.prepare()\n"
         "from deltacharger_scenes.composition import Composition\n"
         "from deltacharger_scenes.scene import load_scene\n"

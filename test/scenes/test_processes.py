@@ -16,6 +16,7 @@ from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Scene, parse_scene
 
 from ..chargers import DEADLINE, Process
+from ..marks import slow
 
 pytestmark = pytest.mark.ros
 
@@ -29,7 +30,7 @@ def arguments(scene: Scene, name: str, namespace: str) -> list[str]:
     return words
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("number", [signal.SIGINT, slow(signal.SIGTERM)])
 def test_nodes_in_processes_dock_and_end_with_0(
     start: Callable[..., Process], quick_scene: Scene, context: Any, namespace: str, number: int
 ) -> None:
@@ -46,7 +47,9 @@ def test_nodes_in_processes_dock_and_end_with_0(
         assert processes[name].end(number) == 0, (name, processes[name].err)
 
 
-@pytest.mark.parametrize("name", ["mock_servo_node", "mock_tactile_node", "mock_detector_node", "kinematics_node"])
+@pytest.mark.parametrize(
+    "name", ["mock_servo_node", *map(slow, ("mock_tactile_node", "mock_detector_node", "kinematics_node"))]
+)
 def test_an_unknown_parameter_ends_a_node_with_2_and_its_name(
     start: Callable[..., Process], quick_scene: Scene, namespace: str, name: str
 ) -> None:

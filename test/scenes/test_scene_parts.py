@@ -25,7 +25,7 @@ pytestmark = pytest.mark.ros
 # Starts a scene, lets it answer a goal that it refuses before any motion, and tells which modules were loaded.
 LOADED = """
 import dataclasses, json, sys
-from deltacharger_bringup import environment
+from deltacharger_core import environment
 environment.prepare()
 import rclpy
 from rclpy.context import Context

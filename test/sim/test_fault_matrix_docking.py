@@ -78,6 +78,16 @@ FAMILIES = (
 )
 
 
+QUICK = {("contact", "servo_missing"), ("charging", "servo_overload"), ("charging", "board_unplugged")}
+CELLS = [
+    pytest.param(
+        phase, each, id=f"{phase}-{each.kind}", marks=[] if (phase, each.kind) in QUICK else [pytest.mark.slow]
+    )
+    for phase in PHASES
+    for each in FAMILIES
+]
+
+
 class Charger:
     """The whole simulated charger and its client."""
 
@@ -167,8 +177,7 @@ def charger(context: Any) -> Iterator[Charger]:
         charger.pulse.close()
 
 
-@pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.kind)
-@pytest.mark.parametrize("phase", PHASES)
+@pytest.mark.parametrize(("phase", "family"), CELLS)
 def test_a_goal_under_a_fault(charger: Charger, family: Family, phase: str) -> None:
     """That the goal before had its fault, and nothing was restarted since, is what recovery means here."""
     charger.pulse.attempt(lambda: suffer(charger, family, phase), charger.restore)

@@ -53,6 +53,7 @@ def error(model: PoseEstimator, made: TactileCalibration, dockings: Dockings) ->
     return np.sqrt(np.mean((pose - dockings.truth)[usable] ** 2, axis=0))
 
 
+@pytest.mark.slow
 def test_gains_are_found_and_help_on_other_dockings(model: PoseEstimator) -> None:
     before, after = [], []
     for seed in range(650, 656):
@@ -88,6 +89,7 @@ def test_pads_that_sit_elsewhere_are_found(model: PoseEstimator) -> None:
     assert np.all(error(model, made, fresh)[1:] < 0.5 * error(model, TactileCalibration(), fresh)[1:])
 
 
+@pytest.mark.slow
 def test_jitter_of_few_dockings_is_not_taken_for_an_error(model: PoseEstimator) -> None:
     kept = []
     for seed in range(16):

@@ -21,6 +21,7 @@ from deltacharger_vision.poses import turn
 from deltacharger_vision.projection import project, rays
 from deltacharger_vision.rendering.camera import OAK_D
 
+from ..marks import slow
 from .hand_eye_rig import DOCK, OFFSET, Rig, held, squared
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
@@ -159,7 +160,7 @@ def test_a_third_of_wrong_views_is_a_doubt() -> None:
     assert np.linalg.norm(rig.dock_error(found.mount)) < 0.002
 
 
-@pytest.mark.parametrize("true_size", [0.75, 0.97, 1.03, 1.5])
+@pytest.mark.parametrize("true_size", [0.75, 0.97, 1.03, slow(1.5)])
 def test_a_wrong_size_is_told_with_the_likely_one(true_size: float) -> None:
     rig = Rig(8, true_size=true_size)
     _, said = judged(rig, rig.views(15))
@@ -176,6 +177,7 @@ def test_a_right_size_is_not_doubted() -> None:
         assert abs(found.size - 1.0) < 5.0 * found.size_stddev
 
 
+@pytest.mark.slow
 def test_joints_that_err_by_more_than_was_stated_are_told() -> None:
     wrong, right, surprise = 0, 0, []
     for seed in range(12):
@@ -281,6 +283,7 @@ def test_too_few_views_and_places_are_refused() -> None:
     assert any("6 views are few" in text for text in notes(found, names(views)))
 
 
+@pytest.mark.slow
 def test_positions_of_other_images_are_refused_or_doubted() -> None:
     rig = Rig(14)
     views = rig.views(20)
