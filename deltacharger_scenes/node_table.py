@@ -22,6 +22,8 @@ class NodeSpec:
         may_restart: whether it may be started again by itself beside the others: it moves nothing, carries no current,
             and holds nothing that its end loses.
         lacks: what a scene without it, and without one in its place, does without.
+        needs: libraries that its import loads besides messages, rclpy and what rclpy loads, such as numpy.
+        needs_when_used: libraries that some function of it loads; the parameters or the first use decide.
     """
 
     module: str
@@ -33,6 +35,8 @@ class NodeSpec:
     told_scene: bool = False
     may_restart: bool = False
     lacks: str = ""
+    needs: tuple[str, ...] = ()
+    needs_when_used: tuple[str, ...] = ()
 
     def replaces(self, name: str) -> bool:
         """Return whether it serves the names of the node `name`."""
@@ -40,7 +44,13 @@ class NodeSpec:
 
 
 NODES: dict[str, NodeSpec] = {
-    "servo_node": NodeSpec("deltacharger_driver.servos.servo_node", "ServoNode", port="servo", lacks="no arm moves"),
+    "servo_node": NodeSpec(
+        "deltacharger_driver.servos.servo_node",
+        "ServoNode",
+        port="servo",
+        lacks="no arm moves",
+        needs=("dynamixel_sdk", "serial"),
+    ),
     "mock_servo_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_servo_node", "MockServoNode", stands_in_for="servo_node"
     ),
@@ -49,6 +59,7 @@ NODES: dict[str, NodeSpec] = {
         "TactileNode",
         port="board",
         lacks="nothing is felt, nothing is charged",
+        needs=("dynamixel_sdk", "serial"),
     ),
     "mock_tactile_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_tactile_node", "MockTactileNode", stands_in_for="tactile_node"
@@ -70,6 +81,7 @@ NODES: dict[str, NodeSpec] = {
         "CameraNode",
         may_restart=True,
         lacks="no images but those of a camera's own driver",
+        needs_when_used=("depthai", "mcap"),
     ),
     "simulated_camera_node": NodeSpec(
         "deltacharger_sim.charger.simulated_camera_node",
@@ -77,12 +89,14 @@ NODES: dict[str, NodeSpec] = {
         stands_in_for="camera_node",
         sees_target=True,
         may_restart=True,
+        needs_when_used=("cv2", "mujoco"),
     ),
     "electrode_detector_node": NodeSpec(
         "deltacharger_vision.detector.electrode_detector_node",
         "ElectrodeDetectorNode",
         may_restart=True,
         lacks="docking needs coordinates",
+        needs_when_used=("cv2",),
     ),
     "mock_detector_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_detector_node",
@@ -96,16 +110,28 @@ NODES: dict[str, NodeSpec] = {
         told_scene=True,
         may_restart=True,
         lacks="dockings leave no record, unless --record asks for them",
+        needs_when_used=("mcap",),
     ),
     "recording_player_node": NodeSpec(
         "deltacharger_records.recording.recording_player_node",
         "RecordingPlayerNode",
         plays=("servo_node", "tactile_node", "kinematics_node", "electrode_detector_node", "docking_node"),
+        needs_when_used=("mcap",),
     ),
-    "mock_navigator_node": NodeSpec("deltacharger_scenes.mocks.mock_navigator_node", "MockNavigatorNode"),
+    "mock_navigator_node": NodeSpec(
+        "deltacharger_scenes.mocks.mock_navigator_node", "MockNavigatorNode", needs_when_used=("nav2_msgs",)
+    ),
     "docking_node": NodeSpec(
         "deltacharger_docking.ros.docking_node", "DockingNode", lacks="no actions dock and undock"
     ),
-    "mission_node": NodeSpec("deltacharger_mission.ros.mission_node", "MissionNode", lacks="no action charge_robot"),
+    "mission_node": NodeSpec(
+        "deltacharger_mission.ros.mission_node",
+        "MissionNode",
+        lacks="no action charge_robot",
+        needs_when_used=("nav2_msgs",),
+    ),
 }
 """In the order of starting; closing goes the other way, so who commands closes first: mission_node, docking_node."""
+
+CHARGER = NodeSpec("deltacharger_sim.charger.simulated_charger", "SimulatedCharger", needs=("dynamixel_sdk", "serial"))
+"""What a scene with the key `simulation` starts before its nodes; no node."""

@@ -1,26 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a scene starts, which libraries that loads, what it computes, what it leaves out, and why.
 
-All of it follows from the scene, the table of nodes, the parameters' own bounds and the import statements of the parts.
+All of it follows from the scene, the table of nodes and the parameters' own bounds.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from deltacharger_core.parameters import declaration
-from deltacharger_scenes.imports import Libraries, libraries
-from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.node_table import CHARGER, NODES, NodeSpec
 from deltacharger_scenes.scene import Scene
 
-COMPOSITION = "deltacharger_scenes.composition"
-CHARGER = "deltacharger_sim.charger.simulated_charger"
 _CHARGER_NAME = "simulated charger"
+_EVERYWHERE = ("numpy", "rclpy")
 _PLACES = ("target",)  # groups of the world whose zeros are places, not effects that are off
-WITH_RCLPY = frozenset({"action_msgs", "ament_index_python"})
-"""Libraries that some part names and rclpy loads in any case, so that no scene does without them."""
 
 Entry = dict[str, Any]
 
@@ -30,41 +26,45 @@ def describe_parts(scene: Scene) -> dict[str, Any]:
 
     Returns:
         parts: what starts, in its order: name, module, imports, imports_when_used and why;
-        imports: libraries loaded at the start; imports_when_used: those that some function loads, with its modules;
+        imports: libraries loaded at the start; imports_when_used: those that some function loads, with its parts;
         computes: groups of the simulated world with what they are;
         left_out: nodes, libraries and effects that this scene does without: kind, name and why.
     """
     started = dict(_started(scene))
-    modules = [COMPOSITION, *started.values()]
-    whole = _libraries(modules)
+    at_once = set().union(*(spec.needs for spec in started.values()))
+    when_used = _users(started, at_once=False)
     return {
-        "parts": [_part(scene, name, module) for name, module in started.items()],
-        "imports": sorted(whole.at_once),
-        "imports_when_used": whole.when_used,
+        "parts": [_part(scene, name, spec) for name, spec in started.items()],
+        "imports": [*_EVERYWHERE, *sorted(at_once)],
+        "imports_when_used": {name: users for name, users in when_used.items() if name not in at_once},
         "computes": list(_groups(scene)),
-        "left_out": [*_left_out_nodes(scene), *_left_out_libraries(started, whole), *_left_out_effects(scene)],
+        "left_out": [*_left_out_nodes(scene), *_left_out_libraries(started), *_left_out_effects(scene)],
     }
 
 
-def _started(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Yield name and module of every part that the scene starts, in the order of starting."""
+def _started(scene: Scene) -> Iterator[tuple[str, NodeSpec]]:
+    """Yield every part with its name that the scene starts, in the order of starting."""
     if scene.simulation is not None:
         yield _CHARGER_NAME, CHARGER
     for name in scene.start_order():
-        yield name, NODES[name].module
+        yield name, NODES[name]
 
 
-def _libraries(modules: list[str]) -> Libraries:
-    return libraries(modules, apart=[CHARGER])
+def _users(parts: Mapping[str, NodeSpec], *, at_once: bool = True) -> dict[str, list[str]]:
+    """Return the libraries that parts need when used, or at once as well, each with the parts."""
+    users: dict[str, list[str]] = {}
+    for name, spec in parts.items():
+        for library in (*(spec.needs if at_once else ()), *spec.needs_when_used):
+            users.setdefault(library, []).append(name)
+    return dict(sorted(users.items()))
 
 
-def _part(scene: Scene, name: str, module: str) -> Entry:
-    found = _libraries([module])
+def _part(scene: Scene, name: str, spec: NodeSpec) -> Entry:
     return {
         "name": name,
-        "module": module,
-        "imports": sorted(found.at_once),
-        "imports_when_used": found.when_used,
+        "module": spec.module,
+        "imports": [*_EVERYWHERE, *spec.needs],
+        "imports_when_used": list(spec.needs_when_used),
         "why": _why_started(scene, name),
     }
 
@@ -120,16 +120,12 @@ def _left_out_nodes(scene: Scene) -> Iterator[Entry]:
         yield {"kind": "node", "name": _CHARGER_NAME, "why": "the scene has no key 'simulation'"}
 
 
-def _left_out_libraries(started: dict[str, str], whole: Libraries) -> Iterator[Entry]:
+def _left_out_libraries(started: Mapping[str, NodeSpec]) -> Iterator[Entry]:
     """Yield the libraries that only parts load which this scene does not start."""
-    users: dict[str, list[str]] = {}
-    for name, module in ((_CHARGER_NAME, CHARGER), *((name, spec.module) for name, spec in NODES.items())):
-        if name not in started:
-            found = _libraries([module])
-            for library in {*found.at_once, *found.when_used}:
-                users.setdefault(library, []).append(name)
-    for library in sorted(set(users) - whole.at_once - set(whole.when_used) - WITH_RCLPY):
-        yield {"kind": "library", "name": library, "why": f"only for {', '.join(users[library])}"}
+    there = _users(started)
+    for library, users in _users({_CHARGER_NAME: CHARGER, **NODES}).items():
+        if library not in there:
+            yield {"kind": "library", "name": library, "why": f"only for {', '.join(users)}"}
 
 
 def _left_out_effects(scene: Scene) -> Iterator[Entry]:
@@ -154,8 +150,8 @@ def tell_parts(found: dict[str, Any]) -> str:
     for part in found["parts"]:
         lines.append(f"  {part['name']}: {part['why']}")
     lines.append(f"loads: {', '.join(found['imports'])}")
-    for library, modules in found["imports_when_used"].items():
-        lines.append(f"loads {library} only when used, by {', '.join(modules)}")
+    for library, parts in found["imports_when_used"].items():
+        lines.append(f"loads {library} only when used, by {', '.join(parts)}")
     for group in found["computes"]:
         off = f"; off: {', '.join(group['off'])}" if group["off"] else ""
         lines.append(f"computes {group['name']}: {group['doc']}{off}")

@@ -5,21 +5,23 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 import subprocess
 import sys
+from modulefinder import ModuleFinder
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from deltacharger_bringup.cli.main import main
-from deltacharger_scenes.imports import libraries
-from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.parts import CHARGER, COMPOSITION, WITH_RCLPY, describe_parts, tell_parts
+from deltacharger_scenes.node_table import CHARGER, NODES, NodeSpec
+from deltacharger_scenes.parts import describe_parts, tell_parts
 from deltacharger_scenes.scene import Scene, load_scene, parse_scene
 
 from ..chargers import new_namespace
 
+ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.ros
 
 # Starts a scene, lets it answer a goal that it refuses before any motion, and tells which modules were loaded.
@@ -56,9 +58,8 @@ def explained(capsys: pytest.CaptureFixture[str], name: str) -> dict[str, Any]:
 
 
 def known_libraries() -> set[str]:
-    """Return every library that some part of some scene loads, but for those that rclpy brings along in any case."""
-    found = libraries([COMPOSITION, CHARGER, *(spec.module for spec in NODES.values())])
-    return (set(found.at_once) | set(found.when_used)) - WITH_RCLPY
+    """Return every library that some part of some scene loads."""
+    return {library for spec in (CHARGER, *NODES.values()) for library in (*spec.needs, *spec.needs_when_used)}
 
 
 @pytest.mark.parametrize("name", ["simulated", "camera"])
@@ -121,20 +122,39 @@ def test_mocks_need_no_driver_and_hardware_no_simulated_charger() -> None:
     assert "leaves out:" in tell_parts(bench)
 
 
-def test_imports_are_read_from_the_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = tmp_path / "deltacharger_example"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    (package / "one.py").write_text(
-        "import json\nimport first\nfrom typing import TYPE_CHECKING\n"
-        "from deltacharger_example import two\nif TYPE_CHECKING:\n    import hint\n"
-        "def use():\n    import second.part\n    from deltacharger_example.three import x\n",
-        encoding="utf-8",
-    )
-    (package / "two.py").write_text("from . import four\ntry:\n    import third\nexcept ImportError:\n    pass\n")
-    (package / "three.py").write_text("import fourth\nx = 1\n")
-    (package / "four.py").write_text("class A:\n    import fifth\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    found = libraries(["deltacharger_example.one"])
-    assert found.at_once == {"first", "third", "fifth"}
-    assert found.when_used == {"fourth": ["deltacharger_example.three"], "second": ["deltacharger_example.one"]}
+# Imports what every node has, then each module in a child of its own, and tells what that loaded besides.
+NEEDED = """
+import importlib, json, os, sys
+from deltacharger_core import environment
+environment.prepare()
+import rclpy.node, rclpy.serialization
+roots = lambda: {name.split(".")[0] for name in sys.modules}
+before = roots()
+for module in sys.argv[1:]:
+    if (child := os.fork()) == 0:
+        importlib.import_module(module)
+        print(json.dumps([module, sorted(roots() - before - sys.stdlib_module_names)]), flush=True)
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0, module
+"""
+WITH_RCLPY = ["ament_index_python", "numpy", "yaml"]
+MESSAGES = re.compile(r"deltacharger.*|(?!nav2).*_(msgs|srvs|interfaces)")
+
+
+def is_library(name: str) -> bool:
+    return name not in sys.stdlib_module_names and not MESSAGES.fullmatch(name) and not name.startswith("_")
+
+
+def test_what_the_table_says_a_node_needs_at_once_is_what_its_import_loads() -> None:
+    table = {spec.module: set(spec.needs) for spec in (CHARGER, *NODES.values())}
+    ran = subprocess.run([sys.executable, "-c", NEEDED, *table], capture_output=True, text=True, check=True)
+    loaded = {module: set(filter(is_library, found)) for module, found in map(json.loads, ran.stdout.splitlines())}
+    assert loaded == table
+
+
+@pytest.mark.parametrize("spec", [CHARGER, *NODES.values()], ids=lambda spec: spec.class_name)
+def test_what_the_table_says_a_node_needs_is_what_its_sources_import(spec: NodeSpec) -> None:
+    finder = ModuleFinder(path=[str(ROOT)], excludes=WITH_RCLPY)
+    finder.load_file(str(ROOT.joinpath(*spec.module.split(".")).with_suffix(".py")))
+    found = {name.split(".")[0] for name in finder.badmodules} - {"rclpy", *WITH_RCLPY}
+    assert set(filter(is_library, found)) == {*spec.needs, *spec.needs_when_used}
