@@ -284,14 +284,11 @@ def test_too_few_views_and_places_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_positions_of_other_images_are_refused_or_doubted() -> None:
+def test_positions_of_other_images_are_doubted() -> None:
     rig = Rig(14)
     views = rig.views(20)
     mixed = [View(other.position, view.sighting, other.slope) for view, other in zip(views, views[::-1], strict=True)]
-    try:
-        _, said = judged(rig, mixed)
-    except HandEyeError:
-        return
+    _, said = judged(rig, mixed)
     assert said
 
 
