@@ -58,3 +58,12 @@ def grid(axes: Axes, *, both: bool = True) -> None:
     """Draw white grid lines below everything."""
     axes.grid(axis="both" if both else "y", which="major", color="white", linewidth=1.0, zorder=0.5)
     axes.tick_params(which="both", length=3)
+
+
+def plain_ticks(axes: Axes) -> None:
+    """Write the ticks of a logarithmic y axis as plain numbers, 1, 2 and 5 of each decade."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())

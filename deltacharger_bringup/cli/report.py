@@ -79,9 +79,9 @@ def vision(options: argparse.Namespace) -> int:
 
 def simulation(options: argparse.Namespace) -> int:
     """Write the report of the simulated charger's mechanics into a folder."""
-    from deltacharger_lab.reports.simulation import map as simulation_map
     from deltacharger_lab.reports.simulation import plan as simulation_plan
     from deltacharger_lab.reports.simulation import report as simulation_report
+    from deltacharger_lab.reports.simulation import stability
 
     directory = _folder(options.out)
     plan = simulation_plan.quick_plan() if options.quick else simulation_plan.full_plan()
@@ -89,7 +89,7 @@ def simulation(options: argparse.Namespace) -> int:
     for name, reason in simulation_plan.absent().items():
         say(f"{name} is absent: {reason}")
     results = simulation_report.build(plan, directory, command, say)
-    files = [simulation_report.PAGE, simulation_report.FIGURES, simulation_map.MODULE]
+    files = [simulation_report.PAGE, simulation_report.FIGURES, stability.MODULE]
     return _end(options, results, directory, files, ("models", "quick"))
 
 

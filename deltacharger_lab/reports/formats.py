@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 UNKNOWN = "–"
 
@@ -37,7 +38,7 @@ def power(value: float | None) -> str:
 
 def percent(share: float | None, digits: int = 1) -> str:
     """Return a share in %, without the sign."""
-    return UNKNOWN if share is None else fixed(100.0 * share, digits)
+    return scaled(share, 100.0, digits)
 
 
 def verdict(met: bool | None) -> str:
@@ -54,3 +55,41 @@ def median(values: tuple[float | None, float | None, float | None], digits: int 
     """Return a median with the lowest and the highest in brackets, where they differ."""
     middle, low, high = (fixed(value, digits) for value in values)
     return middle if low == high else f"{middle} ({low}–{high})"
+
+
+def tens(value: float) -> str:
+    """Return a power of ten as 1e3."""
+    return f"{value:.0e}".replace("e+0", "e")
+
+
+def spread(entry: dict[str, float | None]) -> str:
+    """Return a mean share in % with half the width of its interval, where that is known."""
+    return percent(entry["mean"]) + (f" ± {percent(entry['half'])}" if is_known(entry["half"]) else "")
+
+
+def scaled(value: float | None, scale: float, digits: int = 1) -> str:
+    """Return a number in another unit, with so many digits behind the point."""
+    return UNKNOWN if value is None else fixed(scale * value, digits)
+
+
+def rate(each: dict[str, Any]) -> str:
+    """Return a share in % with its interval."""
+    if not each["n"]:
+        return UNKNOWN
+    low, high = (percent(end, 2) for end in each["interval"])
+    return f"{percent(each['share'], 2)} ({low}–{high})"
+
+
+def three(each: dict[str, float | None], digits: int = 1, scale: float = 1.0) -> str:
+    """Return median, 99 % and the largest."""
+    return ", ".join(scaled(each[key], scale, digits) for key in ("median", "p99", "max"))
+
+
+def counts(each: dict[str, int]) -> str:
+    """Return how often each of several things happened."""
+    return ", ".join(f"{name} {hits}" for name, hits in each.items()) or UNKNOWN
+
+
+def plain(value: float | None) -> str:
+    """Return a number with three digits that count, or more before the point; never as a power of ten."""
+    return fixed(value, 0) if value is not None and value >= 100.0 else short(value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import base64
 import html
+import inspect
 import json
 import re
 import textwrap
@@ -16,10 +17,7 @@ from deltacharger_lab.reports import formats
 from deltacharger_ros.outcomes import json_ready
 
 _TEMPLATES = Path(__file__).parent / "templates"
-_FILTERS = (
-    *(formats.fixed, formats.short, formats.number, formats.power),
-    *(formats.percent, formats.verdict, formats.cell, formats.median),
-)
+_FILTERS = dict(inspect.getmembers(formats, inspect.isfunction))
 _WIDTH = 125
 _NO_PROSE = ("#", "|", "- ", "![")  # blocks that keep their lines
 _STYLE = """
@@ -65,8 +63,8 @@ def render(subject: str, figures: Mapping[str, Any], **more: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update({each.__name__: each for each in _FILTERS})
-    environment.globals.update({"is_known": formats.is_known, **figures, **more})
+    environment.filters.update(_FILTERS)
+    environment.globals.update({**figures, "figures": figures, **more})
     blocks = re.split(r"\n\s*\n", environment.get_template(f"{subject}.md.j2").render().strip())
     return "\n\n".join(map(_wrapped, blocks)) + "\n"
 

@@ -14,8 +14,8 @@ import pytest
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.reports.simulation import extremes as simulation_extremes
-from deltacharger_lab.reports.simulation import map as simulation_map
 from deltacharger_lab.reports.simulation import plan as simulation_plan
+from deltacharger_lab.reports.simulation import stability
 from deltacharger_lab.reports.simulation.parts import PADS, PARTS
 from deltacharger_lab.reports.simulation.pictures import NAMES
 from deltacharger_lab.reports.simulation.scenes import LIGHT, Model, docking, rms, world
@@ -72,7 +72,7 @@ def test_the_reference_confirms_the_light_model_and_knows_where_others_diverge(q
     figures = quick[2]
     assert figures["references_apart_mm"] < 0.05
     fast = [point["cell"] for point in figures["map"] if point["model"] == simulation_plan.MUJOCO_FAST]
-    assert simulation_map.DIVERGED in fast
+    assert stability.DIVERGED in fast
     codes = {row["code"] for row in figures["dockings"] if row["docking"] == 1}
     assert codes == {"NONE"}
 
@@ -101,10 +101,10 @@ def test_the_packages_map_says_what_the_report_finds(quick: Quick) -> None:
         servo = stability_map.SERVO_STIFFNESSES.index(point["servo"])
         contact = stability_map.CONTACT_STIFFNESSES.index(point["contact"])
         step = stability_map.STEPS.index(point["step"])
-        assert proven(servo, contact, step) == (point["cell"] == simulation_map.PROVEN), point
-    text = (quick[0] / simulation_map.MODULE).read_text("utf-8")
+        assert proven(servo, contact, step) == (point["cell"] == stability.PROVEN), point
+    text = (quick[0] / stability.MODULE).read_text("utf-8")
     written: dict[str, Any] = {}
-    exec(compile(text, simulation_map.MODULE, "exec"), written)
+    exec(compile(text, stability.MODULE, "exec"), written)
     assert written["STEPS"] == simulation_plan.quick_plan().map_steps
     assert [len(rows) for rows in written["CELLS"]] == [len(written["CONTACT_STIFFNESSES"])]
 
@@ -125,11 +125,11 @@ def test_a_path_is_no_distance_from_itself_at_any_sampling() -> None:
 
 def test_a_diverged_point_is_never_proven() -> None:
     good = {"bounded": True, "force_percent": 0.1, "path_mm": 0.1, "speed": 0.0}
-    assert simulation_map._cell(good) == simulation_map.PROVEN
+    assert stability._cell(good) == stability.PROVEN
     for change in ({"bounded": False}, {"force_percent": float("nan")}, {"speed": 0.1}, {"speed": float("nan")}):
-        assert simulation_map._cell({**good, **change}) == simulation_map.DIVERGED
-    assert simulation_map._cell({**good, "force_percent": 0.6}) == simulation_map.FORCE_OFF
-    assert simulation_map._cell({**good, "path_mm": 0.4}) == simulation_map.PATH_OFF
+        assert stability._cell({**good, **change}) == stability.DIVERGED
+    assert stability._cell({**good, "force_percent": 0.6}) == stability.FORCE_OFF
+    assert stability._cell({**good, "path_mm": 0.4}) == stability.PATH_OFF
 
 
 @pytest.mark.parametrize("words", [("--seed", "1"), ("--quik",), ("more",)])

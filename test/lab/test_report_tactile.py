@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from deltacharger_bringup.cli.main import main
-from deltacharger_lab.reports.html import write_html
+from deltacharger_lab.reports.page import write_html
 from deltacharger_lab.reports.pool import Task, work
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import splits as tactile_splits
@@ -164,7 +164,7 @@ def test_the_one_file_holds_its_pictures(tmp_path: Path) -> None:
     (tmp_path / "page.md").write_text(
         "# A & B\n\n| x | y |\n|---|---|\n| 1 | **2** |\n\n![c](a.png)\n\n- one\n", "utf-8"
     )
-    write_html(tmp_path / "page.md", ["a.png"], tmp_path / "page.html")
+    write_html(tmp_path / "page.md", tmp_path / "page.html")
     whole = (tmp_path / "page.html").read_text("utf-8")
     assert "<h1>A &amp; B</h1>" in whole
     assert "<td><strong>2</strong></td>" in whole

@@ -17,7 +17,9 @@ import numpy as np
 import pytest
 
 from deltacharger_bringup.cli.main import main
+from deltacharger_lab.reports.page import render
 from deltacharger_lab.reports.vision import mount as vision_mount
+from deltacharger_lab.reports.vision import page as vision_page
 from deltacharger_lab.reports.vision import plan as vision_plan
 from deltacharger_lab.reports.vision import views as vision_views
 from deltacharger_lab.reports.vision.conditions import (
@@ -32,9 +34,8 @@ from deltacharger_lab.reports.vision.conditions import (
 )
 from deltacharger_lab.reports.vision.gallery import worst
 from deltacharger_lab.reports.vision.measure import FIELDS, Photographer, errors
-from deltacharger_lab.reports.vision.page import write_page
 from deltacharger_lab.reports.vision.pictures import NAMES
-from deltacharger_lab.reports.vision.summary import at_most, row, targets
+from deltacharger_lab.reports.vision.summary import row, targets
 from deltacharger_vision.detector.detection import Detection
 
 COMMAND = (sys.executable, "-m", "deltacharger_bringup.cli", "report", "vision", "--quick", "--images", "2")
@@ -119,16 +120,12 @@ def test_the_page_says_what_the_figures_say(quick: Quick) -> None:
     assert "None" not in page
 
 
-def test_without_mujoco_and_pictures_the_page_says_why(quick: Quick, tmp_path: Path) -> None:
-    figures = json.loads((quick[0] / "vision.json").read_text("utf-8"), parse_constant=float)
-    nan = json.loads(
-        json.dumps(figures), object_hook=lambda found: {k: math.nan if v is None else v for k, v in found.items()}
-    )
-    left = {name: each for name, each in nan["rows"].items() if MUJOCO not in name}
-    nan |= {"rows": left, "absent": {"mujoco": "its rows are left out: none here"}, "pictures": []}
-    nan["missing_pictures"] = dict.fromkeys(NAMES, "no matplotlib")
-    write_page(nan, tmp_path / "page.md")
-    page = (tmp_path / "page.md").read_text("utf-8")
+def test_without_mujoco_and_pictures_the_page_says_why(quick: Quick) -> None:
+    figures = json.loads((quick[0] / "vision.json").read_text("utf-8"))
+    figures["rows"] = {name: each for name, each in figures["rows"].items() if MUJOCO not in name}
+    figures |= {"absent": {"mujoco": "its rows are left out: none here"}, "pictures": []}
+    figures["missing_pictures"] = dict.fromkeys(NAMES, "no matplotlib")
+    page = render("vision", figures, view=vision_page)
     assert "- mujoco: its rows are left out: none here" in page
     assert f"(No picture {NAMES[0]}: no matplotlib)" in page
     assert ", MuJoCo |" not in page.split("## Two renderers")[1]
@@ -194,13 +191,6 @@ def test_only_right_detections_count_as_found() -> None:
     assert worst(images, real=True) == 1
     assert worst(images[::2], real=True) == 2
     assert worst(images[::2], real=False) == 0
-
-
-def test_the_bound_of_a_share_is_that_of_clopper_and_pearson() -> None:
-    pytest.importorskip("scipy")
-    assert at_most(0, 1000) == pytest.approx(1.0 - 0.05 ** (1 / 1000))
-    assert at_most(1000, 1000) == 1.0
-    assert at_most(0, 1500) < 0.002 < at_most(0, 1400)
 
 
 def test_a_target_that_is_missed_is_said_to_be() -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,22 +43,16 @@ _CODES = {
 _LARGEST = 6000  # dots of a cloud
 
 
-def draw_all(results: dict[str, Any], rows: Rows, directory: Path) -> tuple[list[str], dict[str, str]]:
-    """Write all pictures whose campaigns are there; return their names, and the reason for each that is missing."""
-    drawn, missing = [], {}
-    draw: tuple[Callable[[dict[str, Any], Rows, Path], None], ...] = (_angle, _clearance, _load, _alignment, _errors)
-    needs = ({"random"}, {"edge"}, {"random"}, {"random"}, {"random"})
-    for name, each, needed in zip(NAMES, draw, needs, strict=True):
-        if not needed <= rows.keys():
-            missing[name] = f"the campaign {', '.join(sorted(needed - rows.keys()))} was not run"
-            continue
-        try:
-            each(results, rows, directory / name)
-        except ModuleNotFoundError as error:
-            missing[name] = f"{error.name} is not installed; install deltacharger[report]"
-        else:
-            drawn.append(name)
-    return drawn, missing
+def jobs(results: dict[str, Any], rows: Rows) -> dict[str, Callable[[Path], None]]:
+    """Return what draws each picture."""
+    draw = (_angle, _clearance, _load, _alignment, _errors)
+    return {name: partial(each, results, rows) for name, each in zip(NAMES, draw, strict=True)}
+
+
+def without(rows: Rows) -> dict[str, str]:
+    """Return the pictures whose campaign is not there, with the reason."""
+    needs = zip(NAMES, ("random", "edge", "random", "random", "random"), strict=True)
+    return {name: f"the campaign {needed} was not run" for name, needed in needs if needed not in rows}
 
 
 def _angle(results: dict[str, Any], rows: Rows, path: Path) -> None:

@@ -3,11 +3,8 @@
 
 from __future__ import annotations
 
-import datetime
 import itertools
-import json
 import math
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,25 +18,23 @@ from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.settings import Settings, scene_of, versions_of
 from deltacharger_lab.campaigns.store import Store, read_results, read_settings
-from deltacharger_lab.reports.docking import summary
-from deltacharger_lab.reports.docking.page import write_page
-from deltacharger_lab.reports.docking.pictures import draw_all
+from deltacharger_lab.reports.docking import page, summary
+from deltacharger_lab.reports.docking.pictures import jobs, without
 from deltacharger_lab.reports.docking.plan import Part, Plan
-from deltacharger_lab.reports.machine import machine
-from deltacharger_ros.outcomes import json_ready
+from deltacharger_lab.reports.report import Report
 
 PAGE, FIGURES, CAMPAIGNS = "docking.md", "docking.json", "campaigns"
 _PAIRS = (("random", "paper"), ("random", "classes"), ("random", "published"), ("exact", "random"))
 _UNCHARGED_MOST = 60  # rows told one by one
 
-Report = Callable[[Sequence[dict[str, Any]]], None]
+Told = Callable[[Sequence[dict[str, Any]]], None]
 
 
 def run(
     plan: Plan,
     directory: Path,
     workers: int,
-    progress: Callable[[Part, int, int], Report],
+    progress: Callable[[Part, int, int], Told],
     stop: Callable[[], bool],
     tell: Callable[[str], None],
 ) -> bool:
@@ -95,22 +90,19 @@ def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], N
         CampaignError: a campaign cannot be read.
         OSError: a file cannot be written.
     """
-    started = time.monotonic()
+    report = Report("docking", command, ("numpy", "pyarrow", "matplotlib"))
     rows = {part.name: each for part in plan.parts if (each := _read(directory / CAMPAIGNS / part.name)) is not None}
     folders = {name: directory / CAMPAIGNS / name for name in rows}
     settings = {name: read_settings(folder) for name, folder in folders.items()}
     progress("figures")
     upright = _upright(rows)
-    results: dict[str, Any] = {
-        "machine": machine(("numpy", "pyarrow", "matplotlib")),
-        "command": command,
-        "date": datetime.date.today().isoformat(),
+    results = report.results
+    results |= {
         "quick": plan.quick,
         "seed": plan.seed,
         "simulated": True,
         "versions": {name: each.versions for name, each in settings.items()},
         "plan": [vars(part) | {"run": len(rows[part.name]["number"])} for part in plan.parts if part.name in rows],
-        "absent": {},
         "not_run": [part.name for part in plan.parts if part.name not in rows],
         "parts": {name: summary.summarise(each) for name, each in rows.items()},
         "calibration": {
@@ -125,11 +117,8 @@ def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], N
     }
     results["targets"] = summary.targets(results["parts"], results["upright"])
     progress("pictures")
-    results["pictures"], results["missing_pictures"] = draw_all(results, rows, directory)
-    results["elapsed_s"] = time.monotonic() - started
-    (directory / FIGURES).write_text(json.dumps(json_ready(results), indent=1, ensure_ascii=False) + "\n", "utf-8")
-    write_page(results, directory / PAGE)
-    return results
+    report.draw(jobs(results, rows), directory, without(rows))
+    return report.write(directory, view=page)
 
 
 def _read(folder: Path) -> summary.Columns | None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from deltacharger_core.machine import GRAVITY_STRENGTH
 from deltacharger_lab.campaigns.docking import CRASHED
 from deltacharger_lab.campaigns.summary import upper_bound, wilson
+from deltacharger_lab.reports.targets import at_least, at_most, none
 
 Array = NDArray[Any]
 Columns = dict[str, Array]
@@ -184,44 +185,33 @@ def targets(found: dict[str, dict[str, Any]], upright: dict[str, Any] | None) ->
         found: summaries by the campaign's name; those that were not run are missing.
         upright: of all dockings with magnets and |roll| up to `UPRIGHT`.
     """
-    rows: list[tuple[str, str, float, str, bool | None]] = []
-
-    def add(name: str, wanted: str, measured: float | None, unit: str, is_met: bool) -> None:
-        known = measured is not None and not math.isnan(measured)
-        rows.append(
-            (name, wanted, measured if known and measured is not None else math.nan, unit, is_met if known else None)
-        )
 
     def share(of: dict[str, Any] | None, key: str) -> float | None:
         return None if of is None else 100.0 * float(of[key]["share"])
 
-    def is_at_least(value: float | None, least: float) -> bool:
-        return value is not None and value >= least
+    def largest(key: str) -> float | None:
+        return max((each[key]["max"] for each in guarded), default=None)
 
-    charged = share(upright, "charged")
-    add(f"charged, angle up to ±{UPRIGHT:g}°", "≥ 99.5", charged, "%", is_at_least(charged, 99.5))
-    guarded = [found[name] for name in ("random", "upright", "edge", "soft") if name in found]
-    near = _pooled(guarded, "near")
-    add("charged with both axes within 2.5 mm", "≥ 99", near, "%", is_at_least(near, 99.0))
-    for name, what in (("random", "random scenes"), ("edge", "scenes at 8–11°")):
+    def unsafe(name: str) -> tuple[int | None, str]:
         hits = found[name]["unsafe"]["hits"] if name in found else None
-        add(f"energised without clearance, {what}", "= 0", hits, f"of {found.get(name, {}).get('n', 0)}", hits == 0)
+        return hits, f"of {found.get(name, {}).get('n', 0)}"
+
+    guarded = [found[name] for name in ("random", "upright", "edge", "soft") if name in found]
     shorts = sum(each["shorts"] for each in guarded) if guarded else None
-    add("shorts, guarded", "= 0", shorts, f"of {sum(each['n'] for each in guarded)}", shorts == 0)
-    band = _pooled(guarded, "in_band")
-    add("contact current at rest in 0.4–0.5 A", "≥ 99", band, "%", is_at_least(band, 99.0))
-    for key, name, most, unit in (
-        ("push", "largest push of the servos in contact", PUSH_MOST, "N"),
-        ("hottest", "hottest servo while charging, largest", HOTTEST_MOST, "A"),
-    ):
-        largest = max((each[key]["max"] for each in guarded), default=None)
-        add(name, f"≤ {most:g}", largest, unit, largest is not None and largest <= most)
-    moves = found["random"]["moves"]["median"] if "random" in found else None
-    add("alignment moves, median", f"≤ {MOVES_MOST}", moves, "", moves is not None and moves <= MOVES_MOST)
     crashed = sum(each["crashed"] for each in found.values()) if found else None
-    add("dockings that crashed", "= 0", crashed, f"of {sum(each['n'] for each in found.values())}", crashed == 0)
-    keys = ("name", "wanted", "measured", "unit", "met")
-    return [dict(zip(keys, row, strict=True)) for row in rows]
+    moves = found["random"]["moves"]["median"] if "random" in found else None
+    return [
+        at_least(f"charged, angle up to ±{UPRIGHT:g}°", share(upright, "charged"), 99.5, "%"),
+        at_least("charged with both axes within 2.5 mm", _pooled(guarded, "near"), 99.0, "%"),
+        none("energised without clearance, random scenes", *unsafe("random")),
+        none("energised without clearance, scenes at 8–11°", *unsafe("edge")),
+        none("shorts, guarded", shorts, f"of {sum(each['n'] for each in guarded)}"),
+        at_least("contact current at rest in 0.4–0.5 A", _pooled(guarded, "in_band"), 99.0, "%"),
+        at_most("largest push of the servos in contact", largest("push"), PUSH_MOST, "N"),
+        at_most("hottest servo while charging, largest", largest("hottest"), HOTTEST_MOST, "A"),
+        at_most("alignment moves, median", moves, MOVES_MOST, ""),
+        none("dockings that crashed", crashed, f"of {sum(each['n'] for each in found.values())}"),
+    ]
 
 
 def _pooled(parts: list[dict[str, Any]], key: str) -> float | None:

@@ -56,19 +56,6 @@ def load(geometry: DeltaGeometry) -> tuple[list[Peer], dict[str, str]]:
     return found, absent
 
 
-def versions() -> dict[str, str]:
-    """Return the versions of the modules that the report can use, '' where one is missing."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    found = {}
-    for name in ("numpy", "mpmath", "scipy", "casadi", "pin", "matplotlib"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = ""
-    return found
-
-
 def _casadi(geometry: DeltaGeometry) -> list[Peer]:
     import casadi
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,24 +26,15 @@ _FLOOR = 1e-17  # rad; an error of zero is drawn here
 _PANELS = {"interior": "workspace box", "boundary": "edge of reach", "fold": "one limb folded"}
 
 
-def draw_all(results: dict[str, Any], slices: Slices, directory: Path) -> tuple[list[str], dict[str, str]]:
-    """Write every picture that can be written and return their names, and for the missing ones the reason."""
-    jobs: dict[str, Callable[[Path], None]] = {
-        ERROR_TIME: lambda path: _error_time(results, path),
-        EDGE: lambda path: _edge(results, path),
-        SPEED: lambda path: _speed(results, path),
-        CONDITION: lambda path: draw_condition(slices, path),
-        FORCE: lambda path: draw_force(slices, path),
+def jobs(results: dict[str, Any], slices: Slices) -> dict[str, Callable[[Path], None]]:
+    """Return what draws each picture."""
+    return {
+        ERROR_TIME: partial(_error_time, results),
+        EDGE: partial(_edge, results),
+        SPEED: partial(_speed, results),
+        CONDITION: partial(draw_condition, slices),
+        FORCE: partial(draw_force, slices),
     }
-    written: list[str] = []
-    missing: dict[str, str] = {}
-    for name, job in jobs.items():
-        try:
-            job(directory / name)
-            written.append(name)
-        except ImportError as error:
-            missing[name] = f"{error}; install deltacharger[report]"
-    return written, missing
 
 
 def _error_time(results: dict[str, Any], path: Path) -> None:

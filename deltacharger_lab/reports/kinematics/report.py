@@ -3,35 +3,28 @@
 
 from __future__ import annotations
 
-import datetime
-import json
 import math
-import os
-import platform
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from deltacharger_kinematics import DeltaGeometry
-from deltacharger_lab.reports.kinematics import measure, speed
+from deltacharger_lab.reports.kinematics import measure, page, speed
 from deltacharger_lab.reports.kinematics.extremes import run_cases
 from deltacharger_lab.reports.kinematics.geometries import measure_robots
 from deltacharger_lab.reports.kinematics.measure import Plan, Sample
-from deltacharger_lab.reports.kinematics.page import write_page
-from deltacharger_lab.reports.kinematics.peers import load, versions
-from deltacharger_lab.reports.kinematics.pictures import draw_all
+from deltacharger_lab.reports.kinematics.peers import load
+from deltacharger_lab.reports.kinematics.pictures import jobs
 from deltacharger_lab.reports.kinematics.reference import DIGITS, ExactDelta
 from deltacharger_lab.reports.kinematics.sets import interior
 from deltacharger_lab.reports.kinematics.solvers import OURS, PRECISE, SCALAR, Solver, forward_solvers, inverse_solvers
 from deltacharger_lab.reports.kinematics.timing import Stopwatch
 from deltacharger_lab.reports.kinematics.workspace import slice_workspace
-from deltacharger_lab.reports.machine import processor
-from deltacharger_ros.outcomes import json_ready
+from deltacharger_lab.reports.report import Report
+from deltacharger_lab.reports.targets import at_least, at_most
 
 PAGE, FIGURES = "kinematics.md", "kinematics.json"
+_LIBRARIES = ("numpy", "mpmath", "scipy", "casadi", "pin", "matplotlib")
 DEFAULT_POINTS, QUICK_POINTS = 5_000, 200
 
 
@@ -53,16 +46,13 @@ def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], N
         ImportError: mpmath is missing.
         OSError: a file cannot be written.
     """
-    started = time.monotonic()
     geometry = DeltaGeometry()
     exact = ExactDelta(geometry)  # first, so that a missing mpmath is told before anything takes time
     peers, absent = load(geometry)
     inverse, forward = inverse_solvers(geometry, peers), forward_solvers(geometry, peers)
-    results: dict[str, Any] = {
-        "machine": _machine(),
-        "versions": versions(),
-        "command": command,
-        "date": datetime.date.today().isoformat(),
+    report = Report("kinematics", command, _LIBRARIES)
+    results = report.results
+    results |= {
         "digits": DIGITS,
         "seed": plan.seed,
         "points": plan.points,
@@ -80,11 +70,8 @@ def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], N
     slices = slice_workspace(geometry, plan.grid)
     results["workspace"] = slices.box
     results["targets"] = targets(results)
-    results["pictures"], results["missing_pictures"] = draw_all(results, slices, directory)
-    results["elapsed_s"] = time.monotonic() - started
-    (directory / FIGURES).write_text(json.dumps(json_ready(results), indent=1, ensure_ascii=False) + "\n", "utf-8")
-    write_page(results, directory / PAGE)
-    return results
+    report.draw(jobs(results, slices), directory)
+    return report.write(directory, view=page)
 
 
 def _measure_errors(
@@ -153,22 +140,19 @@ def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
     largest_size = max(results["speed"]["Delta.inverse"], key=int)
     peer, ratio = fastest_peer(results, "one")
     array_peer, array_ratio = fastest_peer(results, "array")
+    precise = max(rows[PRECISE]["sets"][name]["max"] for name in sets)
+    beyond, within = sum(row[name] for row in decisions for name in outside), sum(row[inside] for row in decisions)
     return [
-        _below("interior, largest error", max(row["interior"]["max"] for row in plain), 8e-16, "rad"),
-        _below("boundary, largest error", max(row["boundary"]["max"] for row in plain), 4e-16, "rad"),
-        _below(
-            "every set, largest error with precise=True",
-            max(rows[PRECISE]["sets"][name]["max"] for name in sets),
-            4e-16,
-            "rad",
-        ),
-        _below("points outside called reachable", sum(row[name] for row in decisions for name in outside), 0, ""),
-        _below("points inside called unreachable", sum(row[inside] for row in decisions), 0, ""),
-        _below("FK of IK, largest distance", results["round_trip"]["Delta.inverse"]["max"], 5e-16, "m"),
-        _below("one point, ScalarDelta.inverse", rows[SCALAR]["one_us"], 5.0, "µs"),
-        _above(f"one point, {peer} against ScalarDelta", ratio, 25.0, "times"),
-        _above(f"array, {array_peer} against Delta.inverse", array_ratio, 25.0, "times"),
-        _above("array, full solve", results["speed"]["Delta.inverse"][largest_size], 3e6, "poses/s"),
+        at_most("interior, largest error", max(row["interior"]["max"] for row in plain), 8e-16, "rad"),
+        at_most("boundary, largest error", max(row["boundary"]["max"] for row in plain), 4e-16, "rad"),
+        at_most("every set, largest error with precise=True", precise, 4e-16, "rad"),
+        at_most("points outside called reachable", beyond, 0.0, ""),
+        at_most("points inside called unreachable", within, 0.0, ""),
+        at_most("FK of IK, largest distance", results["round_trip"]["Delta.inverse"]["max"], 5e-16, "m"),
+        at_most("one point, ScalarDelta.inverse", rows[SCALAR]["one_us"], 5.0, "µs"),
+        at_least(f"one point, {peer} against ScalarDelta", ratio, 25.0, "times"),
+        at_least(f"array, {array_peer} against Delta.inverse", array_ratio, 25.0, "times"),
+        at_least("array, full solve", results["speed"]["Delta.inverse"][largest_size], 3e6, "poses/s"),
     ]
 
 
@@ -177,26 +161,3 @@ def fastest_peer(results: dict[str, Any], kind: str) -> tuple[str, float]:
     ratios = {name: row[kind] for name, row in results["ratios"].items() if row[kind] is not None}
     name = min(ratios, key=lambda each: ratios[each], default="")
     return (name, ratios[name]) if name else ("a general solver", math.nan)
-
-
-def _below(name: str, value: float, limit: float, unit: str) -> dict[str, Any]:
-    return _target(name, f"≤ {limit:g}", value, unit, value <= limit)
-
-
-def _above(name: str, value: float, limit: float, unit: str) -> dict[str, Any]:
-    return _target(name, f"≥ {limit:g}", value, unit, value >= limit)
-
-
-def _target(name: str, wanted: str, value: float, unit: str, met: bool) -> dict[str, Any]:
-    judged = None if math.isnan(value) else bool(met)
-    return {"name": name, "wanted": wanted, "measured": float(value), "unit": unit, "met": judged}
-
-
-def _machine() -> dict[str, Any]:
-    return {
-        "processor": processor(),
-        "cores": os.cpu_count(),
-        "system": platform.system(),
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-    }

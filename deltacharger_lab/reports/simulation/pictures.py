@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from deltacharger_lab.reports.formats import tens
 from deltacharger_lab.reports.simulation.energy import PARTS
-from deltacharger_lab.reports.simulation.map import DIVERGED
 from deltacharger_lab.reports.simulation.plan import MUJOCO, MUJOCO_FAST
 from deltacharger_lab.reports.simulation.scenes import LIGHT
+from deltacharger_lab.reports.simulation.stability import DIVERGED
 from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, grid, picture
 
 if TYPE_CHECKING:
@@ -22,18 +24,10 @@ _FLOOR = 1e-7  # % of force error, drawn for what is smaller
 _DIVERGED_AT = 30.0  # mm, where a diverged run is drawn
 
 
-def draw_all(results: dict[str, Any], directory: Path) -> tuple[list[str], dict[str, str]]:
-    """Write all pictures and return their names, and the reason for each that is missing."""
-    drawn, missing = [], {}
-    draw: tuple[Callable[[dict[str, Any], Path], None], ...] = (_error_time, _map, _energy, _docking)
-    for name, each in zip(NAMES, draw, strict=True):
-        try:
-            each(results, directory / name)
-        except ModuleNotFoundError as error:
-            missing[name] = f"{error.name} is not installed; install deltacharger[report]"
-        else:
-            drawn.append(name)
-    return drawn, missing
+def jobs(results: dict[str, Any]) -> dict[str, Callable[[Path], None]]:
+    """Return what draws each picture."""
+    draw = (_error_time, _map, _energy, _docking)
+    return {name: partial(each, results) for name, each in zip(NAMES, draw, strict=True)}
 
 
 def _error_time(results: dict[str, Any], path: Path) -> None:
@@ -102,9 +96,7 @@ def _map(results: dict[str, Any], path: Path) -> None:
                 axes.text(column, row, f"{point['path_mm']:.2g}", ha="center", va="center", fontsize=6, color=colour)
             axes.imshow(values, origin="lower", aspect="auto", cmap="viridis", norm=LogNorm(1e-3, 1.0))
             axes.set_xticks(range(len(steps)), [f"{1000.0 * step:g}" for step in steps], fontsize=7)
-            axes.set_yticks(
-                range(len(contacts)), [f"{k:.0e}".replace("e+0", "e") for k in contacts] if not index else []
-            )
+            axes.set_yticks(range(len(contacts)), [tens(each) for each in contacts] if not index else [])
             axes.set_xlabel("step, ms")
             axes.set_title(name, loc="left")
         rows[0].set_ylabel("contact stiffness, N/m per electrode")

@@ -88,7 +88,7 @@ def absent() -> dict[str, str]:
     return {}
 
 
-def models() -> tuple[str, ...]:
+def models_here() -> tuple[str, ...]:
     """Return the names of the models that can be measured here, the light one first."""
     if absent():
         return (LIGHT,)

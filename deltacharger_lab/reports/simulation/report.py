@@ -4,41 +4,17 @@ map."""
 
 from __future__ import annotations
 
-import datetime
-import json
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from deltacharger_lab.reports.machine import machine
 from deltacharger_lab.reports.pool import Task, joined, work
-from deltacharger_lab.reports.simulation import (
-    energy as simulation_energy,
-)
-from deltacharger_lab.reports.simulation import (
-    extremes as simulation_extremes,
-)
-from deltacharger_lab.reports.simulation import (
-    map as simulation_map,
-)
-from deltacharger_lab.reports.simulation import (
-    models as simulation_models,
-)
-from deltacharger_lab.reports.simulation import (
-    parts as simulation_parts,
-)
-from deltacharger_lab.reports.simulation import (
-    plan as simulation_plan,
-)
-from deltacharger_lab.reports.simulation import (
-    summary as simulation_summary,
-)
-from deltacharger_lab.reports.simulation.page import write_page
-from deltacharger_lab.reports.simulation.pictures import draw_all
-from deltacharger_lab.reports.simulation.plan import MUJOCO, Plan
-from deltacharger_lab.reports.simulation.scenes import LIGHT
-from deltacharger_ros.outcomes import json_ready
+from deltacharger_lab.reports.report import Report
+from deltacharger_lab.reports.simulation import energy, extremes, models, page, parts, stability
+from deltacharger_lab.reports.simulation.pictures import jobs
+from deltacharger_lab.reports.simulation.plan import MUJOCO, Plan, absent, models_here
+from deltacharger_lab.reports.simulation.scenes import LIGHT, rms
+from deltacharger_lab.reports.simulation.summary import targets
 
 PAGE, FIGURES = "simulation.md", "simulation.json"
 ENERGY_STEPS = (0.0001, 0.001, 0.005, 0.01, 0.05)
@@ -51,39 +27,33 @@ def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], N
         OSError: a file cannot be written.
         KeyboardInterrupt: interrupted; nothing was written.
     """
-    started = time.monotonic()
-    names = simulation_plan.models()
-    results: dict[str, Any] = {
-        "machine": machine(("mujoco", "numpy", "matplotlib")),
-        "command": command,
-        "date": datetime.date.today().isoformat(),
+    report, names = Report("simulation", command, ("mujoco", "numpy", "matplotlib")), models_here()
+    results = report.results
+    results |= {
         "quick": plan.quick,
         "models": list(names),
-        "absent": simulation_plan.absent(),
+        "absent": absent(),
         "steps": list(plan.steps),
         "reference_step": plan.reference_step,
     }
     progress("run times, alone")
-    results["times"] = simulation_models.times(plan, names)
-    results["costs"] = simulation_parts.costs(plan)
-    results["imports"] = simulation_parts.imports()
+    results["times"] = models.times(plan, names)
+    results["costs"] = parts.costs(plan)
+    results["imports"] = parts.imports()
     _measure(results, plan, names, progress)
     progress("pictures")
-    results["pictures"], results["missing_pictures"] = draw_all(results, directory)
-    results["elapsed_s"] = time.monotonic() - started
-    results["targets"] = simulation_summary.targets(results)
+    report.draw(jobs(results), directory)
+    results["targets"] = targets(results)
     for bulky in ("reference", "traces"):
         del results[bulky]
-    (directory / FIGURES).write_text(json.dumps(json_ready(results), indent=1, ensure_ascii=False) + "\n", "utf-8")
     light = [point for point in results["map"] if point["model"] == LIGHT]
-    (directory / simulation_map.MODULE).write_text(simulation_map.source(light, plan, command), "utf-8")
-    write_page(results, directory / PAGE)
-    return results
+    (directory / stability.MODULE).write_text(stability.source(light, plan, command), "utf-8")
+    return report.write(directory, view=page)
 
 
 def _measure(results: dict[str, Any], plan: Plan, names: tuple[str, ...], progress: Callable[[str], None]) -> None:
     known = MUJOCO if MUJOCO in names else LIGHT
-    first = [Task("reference", simulation_models.reference, (name, plan.reference_step)) for name in names[:2]]
+    first = [Task("reference", models.reference, (name, plan.reference_step)) for name in names[:2]]
     references = work(first, progress)["reference"]
     exact = next(each for each in references if each["name"] == known)
     found = work(tasks(plan, names, exact), progress)
@@ -101,8 +71,6 @@ def _measure(results: dict[str, Any], plan: Plan, names: tuple[str, ...], progre
 
 def _apart(references: list[dict[str, Any]]) -> float | None:
     """Return how far the tiny-step paths of the two models are apart (mm rms); None where there is one model."""
-    from deltacharger_lab.reports.simulation.scenes import rms
-
     if len(references) < 2:
         return None
     first, second = (each["rubbing"]["trace"] for each in references)
@@ -111,27 +79,27 @@ def _apart(references: list[dict[str, Any]]) -> float | None:
 
 def tasks(plan: Plan, names: tuple[str, ...], exact: dict[str, Any]) -> list[Task]:
     """Return all work that need not be alone."""
-    found = [Task("convergence", simulation_models.convergence, (plan,), 4.0)]
+    found = [Task("convergence", models.convergence, (plan,), 4.0)]
     for name in names:
         for step in plan.steps:
-            found.append(Task("errors", simulation_models.errors, (name, step, exact), 0.0005 / step))
+            found.append(Task("errors", models.errors, (name, step, exact), 0.0005 / step))
         servos = plan.map_servos if name == LIGHT else (15.0,)
         for servo in servos:
             for contact in plan.map_contacts:
                 arguments = (name, servo, contact, plan.map_steps, plan.map_steps[0])
-                found.append(Task("map", simulation_map.column, arguments, 0.0002 / plan.map_steps[0]))
-    for index in range(len(simulation_extremes.SCENES)):
-        steps = (0.01,) if plan.quick else simulation_extremes.STEPS
+                found.append(Task("map", stability.column, arguments, 0.0002 / plan.map_steps[0]))
+    for index in range(len(extremes.SCENES)):
+        steps = (0.01,) if plan.quick else extremes.STEPS
         runs = [(LIGHT, step) for step in steps] + [(MUJOCO, 0.001)] * (MUJOCO in names)
-        found += [Task("extremes", simulation_extremes.judge, (index, *run), 0.3) for run in runs]
+        found += [Task("extremes", extremes.judge, (index, *run), 0.3) for run in runs]
     finer = ENERGY_STEPS[1:4] if plan.quick else ENERGY_STEPS
-    for scene_name in simulation_energy.scenes():
-        found += [Task("energy", simulation_energy.scene, (scene_name, step), 0.0001 / step) for step in finer]
-    for case in simulation_models.docking_cases(plan, names):
-        found.append(Task("dockings", simulation_models.whole_docking, case, 2.0))
-    docked = list(simulation_parts.PARTS)[: plan.parts]
-    found += [Task("parts", simulation_parts.answer, (name, plan.dockings), 5.0) for name in docked]
-    found += [Task("traces", simulation_models.trace, (LIGHT, step), 0.2) for step in (0.001, 0.01, 0.1)]
+    for scene_name in energy.scenes():
+        found += [Task("energy", energy.scene, (scene_name, step), 0.0001 / step) for step in finer]
+    for case in models.docking_cases(plan, names):
+        found.append(Task("dockings", models.whole_docking, case, 2.0))
+    docked = list(parts.PARTS)[: plan.parts]
+    found += [Task("parts", parts.answer, (name, plan.dockings), 5.0) for name in docked]
+    found += [Task("traces", models.trace, (LIGHT, step), 0.2) for step in (0.001, 0.01, 0.1)]
     if MUJOCO in names:
-        found.append(Task("traces", simulation_models.trace, (MUJOCO, 0.001), 0.5))
+        found.append(Task("traces", models.trace, (MUJOCO, 0.001), 0.5))
     return found

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from deltacharger_core.machine import CONTACT_FORCE
-from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile.measure import accuracy, fitted, paper_set
-from deltacharger_lab.reports.tactile.plan import TARGETS, Plan
+from deltacharger_lab.reports.tactile.plan import TARGETS, Plan, default, threshold, title
 from deltacharger_tactile.classifiers import fusion, labels, splits
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.classifiers.labels import Examples
@@ -50,14 +49,13 @@ def ceiling(rig: int, seed: int, plan: Plan) -> list[Row]:
 
 def several_dockings(rig: int, seed: int, plan: Plan) -> list[Row]:
     """Judge the product of the probabilities of several dockings at one commanded pose."""
-    name = tactile_plan.default(plan)
+    name = default(plan)
     known, fresh = paper_set(rig, seed), [paper_set(rig, 800 + 10 * seed + index) for index in range(2)]
     rows: list[Row] = [
-        {"name": f"{count} docking{'s' if count > 1 else ''}, {tactile_plan.title(name)}", "about": "fused"}
-        for count in FUSED
+        {"name": f"{count} docking{'s' if count > 1 else ''}, {title(name)}", "about": "fused"} for count in FUSED
     ]
     for target in TARGETS:
-        model = _learnt(name, target, known, seed, tactile_plan.threshold(name))
+        model = _learnt(name, target, known, seed, threshold(name))
         for row, count in zip(rows, FUSED, strict=True):
             row[target] = float(np.mean([_fused(model, labels.examples(data, target), count, seed) for data in fresh]))
     return rows
@@ -82,8 +80,8 @@ def hole(rig: int, seed: int, plan: Plan) -> list[Row]:
         )
         for name in ("lda", "cnn"):
             if name in plan.names:
-                cut = tactile_plan.threshold(name)
-                found.append(_row(f"{tactile_plan.title(name)}, {text}", name, known, fresh, seed, cut))
+                cut = threshold(name)
+                found.append(_row(f"{title(name)}, {text}", name, known, fresh, seed, cut))
     return found
 
 

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_lab.reports.tactile import plan as tactile_plan
-from deltacharger_lab.reports.tactile.plan import SETS, Plan
+from deltacharger_lab.reports.tactile.plan import SETS, Plan, threshold
 from deltacharger_lab.reports.tactile.shifts import NONE, SHIFTS, dock_again
 from deltacharger_tactile.classifiers import labels, reliability, splits
 from deltacharger_tactile.classifiers.classifier import Classifier
@@ -35,7 +34,7 @@ def paper_set(rig: int, seed: int, rows: int = 1) -> Dataset:
 
 def fitted(name: str, target: str, rows: Examples, seed: int) -> Classifier:
     """Return a model that has learnt from examples."""
-    return Classifier(name, target, tactile_plan.threshold(name)).fit(rows.frames, rows.labels, seed)
+    return Classifier(name, target, threshold(name)).fit(rows.frames, rows.labels, seed)
 
 
 def accuracy(model: Classifier, rows: Examples) -> float:

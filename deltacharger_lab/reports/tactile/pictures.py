@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from deltacharger_lab.reports.tactile.measure import BINS
 from deltacharger_lab.reports.tactile.plan import KINDS, TARGETS, kind, title
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PAPER, grid, picture
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PAPER, grid, picture, plain_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,25 +27,10 @@ _PAPER = {"angle": ("cnn", 95.46), "vertical": ("cnn", 98.2), "horizontal": ("nn
 _ABOUT = "simulated data; "
 
 
-def draw_all(results: dict[str, Any], directory: Path) -> tuple[list[str], dict[str, str]]:
-    """Write every picture that can be written and return their names, and for the missing ones the reason."""
-    jobs: dict[str, Callable[[dict[str, Any], Path], None]] = {
-        ANGLE: _angle,
-        POSITION: _position,
-        ERROR_TIME: _error_time,
-        SHIFTS: _shifts,
-        RELIABILITY: _reliability,
-        CONFUSION: _confusion,
-    }
-    written: list[str] = []
-    missing: dict[str, str] = {}
-    for name, job in jobs.items():
-        try:
-            job(results, directory / name)
-            written.append(name)
-        except ImportError as error:
-            missing[name] = f"{error}; install deltacharger[report]"
-    return written, missing
+def jobs(results: dict[str, Any]) -> dict[str, Callable[[Path], None]]:
+    """Return what draws each picture."""
+    draw = (_angle, _position, _error_time, _shifts, _reliability, _confusion)
+    return {name: partial(each, results) for name, each in zip(NAMES, draw, strict=True)}
 
 
 def _angle(results: dict[str, Any], path: Path) -> None:
@@ -142,20 +128,11 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
             axes.margins(x=0.22)
             axes.set_title(target, pad=6)
             axes.set_xlabel("ms, log scale")
-            _plain_ticks(axes)
+            plain_ticks(axes)
             _label_points(figure, axes, points)
             grid(axes)
         panels[0].set_ylabel("wrong class, %, log scale")
         _legend(figure)
-
-
-def _plain_ticks(axes: Axes) -> None:
-    """Write the ticks of a logarithmic y axis as plain numbers, 1, 2 and 5 of each decade."""
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _reach(values: list[float]) -> tuple[float, float]:

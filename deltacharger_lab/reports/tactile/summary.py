@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_lab.reports.tactile import plan as tactile_plan
-from deltacharger_lab.reports.tactile.plan import TARGETS, Plan
+from deltacharger_lab.reports.tactile.plan import TARGETS, Plan, default, title
 from deltacharger_lab.reports.tactile.shifts import NONE
+from deltacharger_lab.reports.targets import at_least, at_most
 from deltacharger_tactile.classifiers.reliability import NOMINAL
 
 HOLDS, FIRES, NEITHER = "coverage holds", "drift check fires", "NEITHER"
@@ -109,8 +109,8 @@ def mean_rows(rows: Iterable[Row]) -> list[Row]:
 
 def targets(results: Row, plan: Plan) -> list[Row]:
     """Return each target with what was measured and whether it is met."""
-    name = tactile_plan.default(plan)
-    who = tactile_plan.title(name)
+    name = default(plan)
+    who = title(name)
     accuracy = results["accuracy"][name]
     calm = [row for row in results["shifts"] if row["model"] == name and row["shift"] == NONE.name]
     others = [row for row in results["shifts"] if row["model"] == name and row["shift"] != NONE.name]
@@ -119,31 +119,16 @@ def targets(results: Row, plan: Plan) -> list[Row]:
     alarms = max((max(row["drift_rate"], *row["windows"]) for row in calm), default=math.nan)
     slow = max(results["times"][name][target]["p99_ms"] for target in TARGETS)
     unseen = [row for row in others if row["verdict"] == NEITHER]
-    percent = "%"
+    missed, off = len(unseen) if others else math.nan, 100.0 * abs(worst - NOMINAL)
     return [
-        _above(f"{who}, angle", 100 * accuracy["angle"]["mean"], 98.0, percent),
-        _above(f"{who}, vertical", 100 * accuracy["vertical"]["mean"], 98.5, percent),
-        _above(f"{who}, horizontal", 100 * accuracy["horizontal"]["mean"], 92.0, percent),
-        _above(f"{who}, three dockings, each target", 100 * min(three, default=math.nan), 99.0, percent),
-        _below(f"{who}, coverage off 95 %, no shift, worst target", 100 * abs(worst - NOMINAL), 100 * POINTS, "points"),
-        _below(f"{who}, false drift alarms, frames and windows", 100 * alarms, 100 * FALSE_ALARMS, percent),
-        _below(
-            f"{who}, shifts neither covered nor noticed", len(unseen) if others else math.nan, 0, f"of {len(others)}"
-        ),
-        _below(f"{who}, one prediction, p99", slow, 1.0, "ms"),
-        _below("paper-size data set of one rig", results["generation_s"], 1.0, "s"),
-        _below("whole comparison", results["elapsed_s"] / 60.0, 15.0, "min"),
+        at_least(f"{who}, angle", 100.0 * accuracy["angle"]["mean"], 98.0, "%"),
+        at_least(f"{who}, vertical", 100.0 * accuracy["vertical"]["mean"], 98.5, "%"),
+        at_least(f"{who}, horizontal", 100.0 * accuracy["horizontal"]["mean"], 92.0, "%"),
+        at_least(f"{who}, three dockings, each target", 100.0 * min(three, default=math.nan), 99.0, "%"),
+        at_most(f"{who}, coverage off 95 %, no shift, worst target", off, 100.0 * POINTS, "points"),
+        at_most(f"{who}, false drift alarms, frames and windows", 100.0 * alarms, 100.0 * FALSE_ALARMS, "%"),
+        at_most(f"{who}, shifts neither covered nor noticed", missed, 0.0, f"of {len(others)}"),
+        at_most(f"{who}, one prediction, p99", slow, 1.0, "ms"),
+        at_most("paper-size data set of one rig", results["generation_s"], 1.0, "s"),
+        at_most("whole comparison", results["elapsed_s"] / 60.0, 15.0, "min"),
     ]
-
-
-def _below(name: str, value: float, limit: float, unit: str) -> Row:
-    return _target(name, f"≤ {limit:g}", value, unit, value <= limit + 1e-9)
-
-
-def _above(name: str, value: float, limit: float, unit: str) -> Row:
-    return _target(name, f"≥ {limit:g}", value, unit, value >= limit - 1e-9)
-
-
-def _target(name: str, wanted: str, value: float, unit: str, met: bool) -> Row:
-    judged = None if math.isnan(value) else bool(met)
-    return {"name": name, "wanted": wanted, "measured": float(value), "unit": unit, "met": judged}

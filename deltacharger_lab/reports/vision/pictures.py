@@ -4,16 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from deltacharger_lab.reports.vision import gallery as vision_gallery
+from deltacharger_lab.reports.vision import gallery
 from deltacharger_lab.reports.vision.conditions import BAND, BY_RANGE, DEFECTS, HIDDEN, SIZE, key, members
 from deltacharger_lab.reports.vision.plan import Plan
-from deltacharger_records.plotting import BLUE, FAINT, INK, ORANGE, PAPER, RED, grid, picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from deltacharger_records.plotting import BLUE, FAINT, INK, ORANGE, PAPER, RED, grid, picture, plain_ticks
 
 RANGE, FOUND, ERROR_TIME = "vision-range.png", "vision-found.png", "vision-error-time.png"
 RENDERERS, GALLERY = "vision-renderers.png", "vision-gallery.png"
@@ -27,24 +25,15 @@ _ERRORS = {
 """Title, unit and target of the 95 % error of each."""
 
 
-def draw_all(results: dict[str, Any], plan: Plan, directory: Path) -> tuple[list[str], dict[str, str]]:
-    """Write every picture that can be written and return their names, and for the missing ones the reason."""
-    jobs: dict[str, Callable[[Path], None]] = {
-        RANGE: lambda path: _range(results, path),
-        FOUND: lambda path: _found(results, path),
-        ERROR_TIME: lambda path: _error_time(results, path),
-        RENDERERS: lambda path: vision_gallery.renderers(plan, path),
-        GALLERY: lambda path: vision_gallery.hard(results["raw"]["images"], path),
+def jobs(results: dict[str, Any], plan: Plan) -> dict[str, Callable[[Path], None]]:
+    """Return what draws each picture."""
+    return {
+        RANGE: partial(_range, results),
+        FOUND: partial(_found, results),
+        ERROR_TIME: partial(_error_time, results),
+        RENDERERS: partial(gallery.renderers, plan),
+        GALLERY: partial(gallery.hard, results["raw"]["images"]),
     }
-    written: list[str] = []
-    missing: dict[str, str] = {}
-    for name, job in jobs.items():
-        try:
-            job(directory / name)
-            written.append(name)
-        except ImportError as error:
-            missing[name] = f"{error}; install deltacharger[report]"
-    return written, missing
 
 
 def _range(results: dict[str, Any], path: Path) -> None:
@@ -60,7 +49,7 @@ def _range(results: dict[str, Any], path: Path) -> None:
                 axes.plot(away, values, "o-", color=colour, linewidth=1.6, markersize=4.5, label=text)
             axes.plot(BAND, [target] * 2, color=RED, linewidth=1.3, linestyle=(0, (4, 3)), label="target")
             axes.set_yscale("log")
-            _plain(axes)
+            plain_ticks(axes)
             axes.set_title(f"{title}, {unit}", loc="left", pad=6)
             axes.set_xlabel("range, m")
             axes.set_xlim(0.1, 1.05)
@@ -114,7 +103,7 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
             axes.set_yscale("log")
             axes.set_xscale("log")
             axes.margins(x=0.3, y=0.14)
-            _plain(axes)
+            plain_ticks(axes)
             axes.set_xticks([5, 10, 15, 20, 30, 50], ["5", "10", "15", "20", "30", "50"])
             axes.xaxis.minorticks_off()
             axes.set_title(f"{title}, {unit}", loc="left", pad=6)
@@ -128,12 +117,3 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
             Line2D([], [], color=RED, linestyle=(0, (4, 3)), label="targets"),
         ]
         figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.985, 0.995), ncols=3, frameon=False)
-
-
-def _plain(axes: Axes) -> None:
-    """Write the ticks of a logarithmic y axis as plain numbers, 1, 2 and 5 of each decade."""
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.yaxis.set_minor_formatter(NullFormatter())

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_lab.reports.vision import conditions
-from deltacharger_lab.reports.vision import mount as vision_mount
+from deltacharger_lab.reports.targets import at_least, at_most
+from deltacharger_lab.reports.vision import conditions, mount
 from deltacharger_lab.reports.vision.conditions import ALARMS, BAND, BY_RANGE, HIDDEN, members
 from deltacharger_lab.reports.vision.measure import FIELDS
 
 Row = dict[str, Any]
-_SURE = 0.95
 
 
 def gathered(parts: Iterable[tuple[str, list[list[float]]]]) -> dict[str, list[list[float]]]:
@@ -43,11 +42,11 @@ def row(images: Sequence[Sequence[float]]) -> Row:
 
 
 def mount_row(images: Sequence[Sequence[float]]) -> Row:
-    """Return what images (N, vision_mount.FIELDS) of one level come to."""
-    table = np.array(images, dtype=float).reshape(-1, len(vision_mount.FIELDS))
+    """Return what images (N, mount.FIELDS) of one level come to."""
+    table = np.array(images, dtype=float).reshape(-1, len(mount.FIELDS))
     right = table[table[:, 1] > 0.0]
     found: Row = {"images": len(table), "found": len(right)}
-    for index, name in enumerate(vision_mount.FIELDS[2:7], start=2):
+    for index, name in enumerate(mount.FIELDS[2:7], start=2):
         found |= {f"{name}_p{share}": _quantile(right[:, index], share) for share in (50, 95)}
     return {**found, "nees": float(np.mean(right[:, 7])) if len(right) else math.nan}
 
@@ -58,13 +57,6 @@ def band(images: dict[str, list[list[float]]]) -> list[list[float]]:
     return [image for name in near for image in images[name]]
 
 
-def at_most(count: int, of: int) -> float:
-    """Return the share that is not exceeded with 95 % confidence where `count` of `of` were seen (Clopper, Pearson)."""
-    from scipy.stats import beta
-
-    return 1.0 if count >= of else float(beta.ppf(_SURE, count + 1, of - count))
-
-
 def targets(results: Row) -> list[Row]:
     """Return what the detector should reach beside what it does."""
     whole, rows = results["band"], results["rows"]
@@ -73,35 +65,17 @@ def targets(results: Row) -> list[Row]:
     slowest = max(results["times"][name]["median_ms"] for name in near)
     where = f"{BAND[0]:g}–{BAND[1]:g} m"
     return [
-        _above(f"{where}, electrodes found", 100 * whole["found"] / whole["images"], 99.0, "%"),
-        _below(f"{where}, wrong", 100 * whole["wrong"] / whole["images"], 0.2, "%"),
-        _below(f"{where}, error across, 95 %", whole["xy_mm_p95"], 1.0, "mm"),
-        _below(f"{where}, error of range, 95 %", whole["z_mm_p95"], 2.0, "mm"),
-        _below(f"{where}, error of roll, 95 %", whole["roll_deg_p95"], 1.0, "°"),
-        _above("half of one bar hidden, found", 100 * half["found"] / half["images"], 85.0, "%"),
-        _below("one frame on one core, slowest range, median", slowest, 15.0, "ms"),
-        _below("false alarms in clutter, with depth", alarms["wrong"], 0.0, f"of {alarms['images']}"),
+        at_least(f"{where}, electrodes found", 100.0 * whole["found"] / whole["images"], 99.0, "%"),
+        at_most(f"{where}, wrong", 100.0 * whole["wrong"] / whole["images"], 0.2, "%"),
+        at_most(f"{where}, error across, 95 %", whole["xy_mm_p95"], 1.0, "mm"),
+        at_most(f"{where}, error of range, 95 %", whole["z_mm_p95"], 2.0, "mm"),
+        at_most(f"{where}, error of roll, 95 %", whole["roll_deg_p95"], 1.0, "°"),
+        at_least("half of one bar hidden, found", 100.0 * half["found"] / half["images"], 85.0, "%"),
+        at_most("one frame on one core, slowest range, median", slowest, 15.0, "ms"),
+        at_most("false alarms in clutter, with depth", alarms["wrong"], 0.0, f"of {alarms['images']}"),
     ]
 
 
 def _quantile(values: NDArray[np.float64], percent: float) -> float:
     known = values[np.isfinite(values)]
     return float(np.percentile(known, percent)) if len(known) else math.nan
-
-
-def _below(name: str, value: float, limit: float, unit: str) -> Row:
-    return _target(name, f"≤ {limit:g}", value, unit, value <= limit)
-
-
-def _above(name: str, value: float, limit: float, unit: str) -> Row:
-    return _target(name, f"≥ {limit:g}", value, unit, value >= limit)
-
-
-def _target(name: str, wanted: str, value: float, unit: str, met: bool) -> Row:
-    return {
-        "name": name,
-        "wanted": wanted,
-        "measured": float(value),
-        "unit": unit,
-        "met": None if math.isnan(value) else met,
-    }

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from deltacharger_lab.reports.formats import tens
 from deltacharger_lab.reports.simulation.plan import Plan
 from deltacharger_lab.reports.simulation.scenes import Arm, Model, docking, rms, settled_exactly, world
 
@@ -104,5 +105,5 @@ def source(points: list[dict[str, Any]], plan: Plan, command: str) -> str:
 
 
 def _numbers(values: tuple[float, ...]) -> str:
-    texts = [f"{value:.0e}".replace("e+0", "e") if value >= 1e3 else f"{float(value)!r}" for value in values]
+    texts = [tens(value) if value >= 1e3 else f"{float(value)!r}" for value in values]
     return "(" + ", ".join(texts) + ")"
