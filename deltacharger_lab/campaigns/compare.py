@@ -93,15 +93,11 @@ def compare_rates(a: Sequence[Any], b: Sequence[Any]) -> dict[str, Any]:
 
 def mcnemar(only_a: int, only_b: int) -> float:
     """Return the two-sided exact probability that pairs which differ split so unevenly, or more, by chance."""
-    total = only_a + only_b
-    if not total:
+    if not only_a + only_b:
         return 1.0
-    half = -total * math.log(2.0)
-    tail = sum(
-        math.exp(half + math.lgamma(total + 1) - math.lgamma(k + 1) - math.lgamma(total - k + 1))
-        for k in range(min(only_a, only_b) + 1)
-    )
-    return min(1.0, 2.0 * tail)
+    from scipy.stats import binomtest
+
+    return float(binomtest(only_a, only_a + only_b).pvalue)
 
 
 def compare_numbers(a: Array, b: Array, seed: int = 0) -> dict[str, Any]:
@@ -134,15 +130,17 @@ def _interval(difference: Array, seed: int) -> tuple[float, float]:
     if count > _MANY:
         reach = _Z * float(np.std(difference, ddof=1)) / math.sqrt(count)
         return mean - reach, mean + reach
-    random = np.random.default_rng([0xC0B, seed])
-    means = []
-    left = _RESAMPLES
-    while left:
-        rows = min(left, max(1, _CHUNK // count))
-        means.append(difference[random.integers(count, size=(rows, count))].mean(axis=1))
-        left -= rows
-    low, high = np.quantile(np.concatenate(means), (0.025, 0.975))
-    return float(low), float(high)
+    from scipy.stats import bootstrap
+
+    found = bootstrap(
+        (difference,),
+        np.mean,
+        n_resamples=_RESAMPLES,
+        batch=max(1, _CHUNK // count),
+        method="percentile",
+        random_state=np.random.default_rng([0xC0B, seed]),
+    )
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
 def _pairs(a: Results, b: Results) -> tuple[Results, Results, int]:

@@ -26,7 +26,6 @@ OF_CHARGED = ("time", "moves", "final_misalignment")
 RATES = ("charged", "aligned")
 COLUMNS = ("number", "code_name", "shorts", "energised_unsafe", *RATES, *NUMBERS)
 """What summaries and comparisons read of the results."""
-_Z = 1.959963984540054  # 95 %, normal distribution
 
 
 def summarise(results: Results) -> dict[str, Any]:
@@ -69,22 +68,16 @@ def wilson(hits: int, count: int) -> tuple[float, float]:
     """Return the 95 % interval of a share (Wilson 1927), which stays within 0 to 1; NaN without any."""
     if not count:
         return math.nan, math.nan
-    share, square = hits / count, _Z * _Z / count
-    centre = (share + 0.5 * square) / (1.0 + square)
-    reach = _Z / (1.0 + square) * math.sqrt(share * (1.0 - share) / count + 0.25 * square / count)
-    low = 0.0 if hits == 0 else max(centre - reach, 0.0)
-    high = 1.0 if hits == count else min(centre + reach, 1.0)
-    return low, high
+    from scipy.stats import binomtest
+
+    interval = binomtest(hits, count).proportion_ci(method="wilson")
+    return float(interval.low), float(interval.high)
 
 
-def upper_bound(hits: int, count: int, confidence: float = 0.95) -> float:
-    """Return the exact one-sided upper bound of a share (Clopper and Pearson 1934); without hits about 3 / count."""
+def upper_bound(hits: int, count: int) -> float:
+    """Return the exact one-sided 95 % bound of a share (Clopper and Pearson 1934); without hits about 3 / count."""
     if not count:
         return math.nan
-    if hits >= count:
-        return 1.0
-    if not hits:
-        return 1.0 - math.pow(1.0 - confidence, 1.0 / count)
-    from scipy.special import betaincinv
+    from scipy.stats import binomtest
 
-    return float(betaincinv(hits + 1, count - hits, confidence))
+    return float(binomtest(hits, count, alternative="less").proportion_ci().high)
