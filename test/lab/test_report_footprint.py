@@ -29,6 +29,8 @@ from deltacharger_scenes.scene import load_scene, packaged_scenes
 
 from ..chargers import DEADLINE, wait_until
 
+pytest.importorskip("jinja2", reason="writes with deltacharger[report]")
+psutil = pytest.importorskip("psutil", reason="measures with deltacharger[report]")
 pytestmark = [
     pytest.mark.ros,
     pytest.mark.realtime,
@@ -92,8 +94,6 @@ def test_children_and_threads_count_and_so_does_the_time_of_children_that_have_e
 
 
 def test_a_process_that_has_ended_is_an_error_and_not_nothing(child: Child) -> None:
-    import psutil
-
     process = child("")
     process.kill()
     wait_until(lambda: psutil.Process(process.pid).status() == psutil.STATUS_ZOMBIE, "its end")
