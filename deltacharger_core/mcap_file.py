@@ -42,7 +42,7 @@ class Raw(NamedTuple):
     Attributes:
         topic: its name as the topic's owner and reader know it.
         received: when, ns since 1970.
-        published: when by its publisher, ns since 1970.
+        published: when by its publisher, ns since 1970; `received` where that is not known.
         data: CDR.
     """
 

@@ -27,7 +27,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.executor import Spinner
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 
 _CODE_NAMES = """
@@ -80,7 +80,7 @@ class ChargerClient:
         )
         self._dock: ActionClient[Any, Any, Any] = ActionClient(self.node, Dock, "dock")
         self._undock: ActionClient[Any, Any, Any] = ActionClient(self.node, Undock, "undock")
-        self._spinner: Spinner | None = Spinner(self.node, 2)
+        self._spinner: Spinner | None = Spinner(self.node)
 
     def close(self) -> None:
         """Leave the graph; a goal that still runs goes on without this client. Calling it twice does no harm."""

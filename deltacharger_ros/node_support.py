@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import difflib
 import signal
 import sys
@@ -19,12 +18,11 @@ from rclpy.exceptions import (
     InvalidParameterValueException,
     ParameterException,
 )
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from deltacharger_core import environment
-from deltacharger_ros.patient_executor import PatientExecutor
+from deltacharger_ros.executor import Spinner
 
 _OWN_PARAMETERS = {"use_sim_time", "start_type_description_service"}
 
@@ -137,13 +135,12 @@ def ros_problem(error: Exception) -> str:
     return f"ROS refuses: {what}; check names, --ros-args, ROS_DOMAIN_ID and ROS_LOG_DIR"
 
 
-def run(factory: Callable[[], Node], args: Sequence[str] | None = None, threads: int = 4) -> int:
+def run(factory: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     """Run one node until SIGINT, SIGTERM or SIGHUP, then close it; the main of every executable.
 
     Args:
         factory: builds the node (its class).
         args: command line, default sys.argv.
-        threads: executor threads; callbacks that wait (actions) need their own.
 
     Returns:
         Exit code: 0 after a signal, 2 where the node cannot start as configured.
@@ -174,7 +171,7 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, threads:
                 raise
             print(problem, file=sys.stderr)
             return 0 if stop.is_set() else 2
-        spinner = Spinner(node, threads)
+        spinner = Spinner(node)
         try:
             while not stop.wait(0.5) and spinner.is_alive():
                 pass
@@ -183,35 +180,3 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None, threads:
         return 0 if stop.is_set() else 1
     finally:
         rclpy.try_shutdown()
-
-
-class Spinner:
-    """One node with its executor in a thread of its own."""
-
-    def __init__(self, node: Node, threads: int = 4) -> None:
-        self.node = node
-        self._executor = PatientExecutor(threads, context=node.context)
-        self._executor.add_node(node)
-        self._thread = threading.Thread(target=self._spin, name=f"spin {node.get_name()}", daemon=True)
-        self._thread.start()
-
-    def is_alive(self) -> bool:
-        """Whether callbacks are still served."""
-        return self._thread.is_alive()
-
-    def close(self, *waitables: Any) -> None:
-        """Close the node while its callbacks still work, then stop serving and release it, its `waitables` first."""
-        try:
-            closer = getattr(self.node, "close", None)
-            if closer is not None:
-                closer()
-        finally:
-            self._executor.shutdown(timeout_sec=5.0)
-            self._thread.join(5.0)
-            for waitable in waitables:  # action clients, which an executor that still waits for them trips over
-                waitable.destroy()
-            self.node.destroy_node()
-
-    def _spin(self) -> None:
-        with contextlib.suppress(ExternalShutdownException):
-            self._executor.spin()

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics as the bytes that came over the wire: listened to by the node's executor, or read in batches by a thread.
-
-At hundreds of messages a second an executor costs far more than a thread of one's own.
-"""
+"""Topics as the bytes that came over the wire: listened to by the node's thread, or read in batches by another."""
 
 from __future__ import annotations
 
@@ -13,7 +10,6 @@ from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
-from rclpy.subscription import MessageInfo
 
 from deltacharger_core.mcap_file import Raw
 from deltacharger_ros.on_demand import PolledTopic
@@ -29,7 +25,7 @@ class Topic:
 
 
 def listen(node: Node, topics: Sequence[Topic], take: Callable[[Raw], None], group: CallbackGroup | None) -> None:
-    """Call `take` with every message of `topics` from now on, undecoded, from the node's executor.
+    """Call `take` with every message of `topics` from now on, undecoded, from the node's thread.
 
     Args:
         node: subscribes.
@@ -38,9 +34,10 @@ def listen(node: Node, topics: Sequence[Topic], take: Callable[[Raw], None], gro
         group: of the callbacks; None = the node's own.
     """
 
-    def taker(topic: str) -> Callable[[Any, MessageInfo], None]:
-        def on_message(data: Any, info: MessageInfo) -> None:
-            take(Raw(topic, time.time_ns(), int(info["source_timestamp"]), bytes(data)))
+    def taker(topic: str) -> Callable[[Any], None]:
+        def on_message(data: Any) -> None:  # without MessageInfo, which rclpy's EventsExecutor cannot hand over
+            now = time.time_ns()
+            take(Raw(topic, now, now, bytes(data)))
 
         return on_message
 

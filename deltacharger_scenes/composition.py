@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 
-from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.executor import Spinner
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Scene
 

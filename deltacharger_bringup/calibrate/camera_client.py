@@ -17,7 +17,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_ros import qos
-from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.executor import Spinner
 from deltacharger_vision.cameras.camera_info import from_camera_info
 from deltacharger_vision.cameras.ros_images import color_array
 from deltacharger_vision.errors import CameraInfoError
@@ -59,7 +59,7 @@ class CameraClient:
         node.create_subscription(Image, topic, self._on_image, qos.SENSOR)
         node.create_subscription(CameraInfo, self._info_topic, self._on_info, qos.SENSOR)
         self._clock = node.get_clock()
-        self._spinner: Spinner | None = Spinner(node, 2)
+        self._spinner: Spinner | None = Spinner(node)
 
     def __enter__(self) -> CameraClient:
         return self

@@ -169,6 +169,7 @@ class DockingNode(Node):
     def _pace(self) -> None:
         """Wait for the next servo_state; while nothing goes on, the tick alone will do."""
         if self._machine.status.state is State.IDLE:
+            self._inputs.rest()
             self._stopping.wait(_TICK)
         else:
             self._inputs.wait(_TICK)

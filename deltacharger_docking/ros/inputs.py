@@ -16,7 +16,7 @@ from rclpy.time import Time
 
 from deltacharger_core.machine import CONTACT_FORCE, JOINTS
 from deltacharger_docking.observation import Observation, Reply
-from deltacharger_ros.on_demand import PolledTopic
+from deltacharger_ros.on_demand import LatestMessage
 
 _PER_SERVO = ("position", "current", "hardware_error", "torque_enabled", "valid")
 
@@ -38,16 +38,20 @@ class Inputs:
         self._power_time = -math.inf
         latest = QoSProfile(depth=1)
         sampled = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._servos = PolledTopic(node, ServoState, "servo_state", latest)
+        self._servos = LatestMessage(node, ServoState, "servo_state", latest)
         self._topics = (
             (self._servos, self._on_servo),
-            (PolledTopic(node, TactileFrame, "tactile_frame", sampled), self._on_tactile),
-            (PolledTopic(node, ChargerPower, "charger_power", latest), self._on_power),
+            (LatestMessage(node, TactileFrame, "tactile_frame", sampled), self._on_tactile),
+            (LatestMessage(node, ChargerPower, "charger_power", latest), self._on_power),
         )
 
     def wait(self, timeout: float) -> None:
         """Wait for the next servo_state, at most `timeout` s; for the one thread that steps."""
         self._servos.wait(timeout)
+
+    def rest(self) -> None:
+        """Let servo_state wake nobody until the next `wait`."""
+        self._servos.rest()
 
     def _age_at_arrival(self, stamp: Any) -> float:
         """Return how long ago (s) the message was measured, so that a stale one is not fresh because it is new."""
@@ -76,7 +80,7 @@ class Inputs:
         """Return what is known now; from any thread."""
         with self._lock:
             for topic, receive in self._topics:
-                for message, _ in topic.take():
+                if (message := topic.take()) is not None:
                     receive(message)
             return self._compose(replies, contactor_refusal)
 

@@ -45,7 +45,7 @@ class TactileNode(Node):
     """See the module's docstring.
 
     Frames and power are published from the board link's reader thread; the services may wait for the board (a probe up
-    to 0.25 s) and need an executor of several threads.
+    to 0.25 s), and set_contactor never for another one.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -70,8 +70,8 @@ class TactileNode(Node):
         group = ReentrantCallbackGroup()
         self.create_service(Trigger, "tare", self._on_tare, callback_group=group)
         self.create_service(Probe, "probe", self._on_probe, callback_group=group)
-        self.create_service(SetContactor, "set_contactor", self._on_contactor, callback_group=group)
-        self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose, callback_group=group)
+        self.create_service(SetContactor, "set_contactor", self._on_contactor, callback_group=ReentrantCallbackGroup())
+        self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose)
         self._keeper = BoardKeeper(port, baud_rate, rate, self._publish_frame, self._publish_power, self._report)
         self._keeper.start()
 

@@ -39,10 +39,11 @@ from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.diagnostics import DiagnosticEntry, bus_entry, servo_entry
 from deltacharger_driver.servos.port import REPLY_MARGIN
 from deltacharger_driver.servos.report import Phase, ServoReport
-from deltacharger_driver.servos.servo_node_io import ContactorClient, Mailbox, StatePublishers, age, waypoint
+from deltacharger_driver.servos.servo_node_io import ContactorClient, StatePublishers, age, waypoint
 from deltacharger_driver.servos.snapshot import BusSettings
 from deltacharger_driver.servos.trajectory import JointLimits, check, check_age
 from deltacharger_ros import node_support
+from deltacharger_ros.on_demand import LatestMessage
 
 _RELIABLE_LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
 _DIAGNOSTICS_PERIOD = 1.0  # s
@@ -55,8 +56,7 @@ _SERVICE_TIMEOUT = 5.0  # s; a reboot takes up to 3
 class ServoNode(Node):
     """See the module's docstring.
 
-    One thread of its own owns the bus, takes trajectories and publishes; the services wait for it and need an executor
-    of several threads.
+    One thread of its own owns the bus, takes trajectories and publishes; the services wait for it.
 
     Raises:
         StartupError: a parameter is wrong, the port cannot be opened, or the servos are not those expected.
@@ -64,8 +64,7 @@ class ServoNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("servo_node", **kwargs)
-        group = ReentrantCallbackGroup()
-        self._contactor = ContactorClient(self, group, _RELIABLE_LATEST)
+        self._contactor = ContactorClient(self, _RELIABLE_LATEST)
         self._controller, self._limits = self._configure()
         self._states = StatePublishers(self, _RELIABLE_LATEST, self._torque_constant)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -85,8 +84,9 @@ class ServoNode(Node):
             self.destroy_node()
             raise node_support.StartupError(f"servo_node: {self._start_error}") from self._start_error
         # Only now, so that nobody is heard before the servos are known.
-        self._trajectories = Mailbox(self, JointTrajectory, "joint_trajectory", _RELIABLE_LATEST)
+        self._trajectories = LatestMessage(self, JointTrajectory, "joint_trajectory", _RELIABLE_LATEST)
         self._listening.set()
+        group = ReentrantCallbackGroup()
         self.create_service(SetBool, "set_torque", self._on_set_torque, callback_group=group)
         self.create_service(Trigger, "reboot_servos", self._on_reboot, callback_group=group)
 

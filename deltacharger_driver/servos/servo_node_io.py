@@ -6,13 +6,10 @@ from __future__ import annotations
 import contextlib
 import math
 from array import array
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from deltacharger.msg import ChargerPower, ServoState
 from deltacharger.srv import SetContactor
-from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
-from rclpy.exceptions import InvalidHandle
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
@@ -24,6 +21,7 @@ from deltacharger_core.machine import JOINTS
 from deltacharger_driver.servos.report import ServoReport
 from deltacharger_driver.servos.trajectory import Waypoint
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
+from deltacharger_ros.on_demand import LatestMessage
 
 _FRAME = "charger_base"
 _STATE_FIELDS = (
@@ -41,71 +39,26 @@ _LISTENERS_EVERY = 10  # cycles between two looks whether anybody listens to joi
 _HOLDER = "servo_node"  # anyone may open; the name only says who did
 _OPEN_CURRENT = 0.5  # A, below it a charge current counts as none (docs/docking.md)
 
-T = TypeVar("T")
-
-
-class _Untouched(CallbackGroup):
-    """A group whose entities no executor serves: their owner takes the messages itself."""
-
-    def can_execute(self, entity: Any) -> bool:
-        """Return False: never."""
-        return False
-
-    def beginning_execution(self, entity: Any) -> bool:
-        """Return False: never."""
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        """Nothing was begun."""
-
-
-class Mailbox(Generic[T]):
-    """A subscription that one thread empties when it suits it, which costs less than a wake-up of the executor.
-
-    Args:
-        node: the subscriber.
-        kind: message type.
-        topic: its name.
-        qos: with depth 1 only the latest message waits.
-    """
-
-    def __init__(self, node: Node, kind: type[T], topic: str, qos: QoSProfile) -> None:
-        self._kind = kind
-        self._subscription = node.create_subscription(
-            kind, topic, lambda message: None, qos, callback_group=_Untouched()
-        )
-
-    def take(self) -> T | None:
-        """Return the next message that has come; None where there is none, or ROS is shutting down."""
-        handle = self._subscription.handle
-        try:
-            with handle:
-                taken = handle.take_message(self._kind, False)
-        except (InvalidHandle, _rclpy.RCLError):
-            return None
-        return None if taken is None else taken[0]
-
 
 class ContactorClient:
     """The contactor for `ServoController`, over set_contactor and charger_power. Used by one thread.
 
     Args:
         node: the client; its executor takes the answers, and nobody waits for them.
-        group: for the answers.
         qos: of charger_power.
     """
 
-    def __init__(self, node: Node, group: ReentrantCallbackGroup, qos: QoSProfile) -> None:
+    def __init__(self, node: Node, qos: QoSProfile) -> None:
         self._node = node
-        self._client: Any = node.create_client(SetContactor, "set_contactor", callback_group=group)
-        self._power = Mailbox(node, ChargerPower, "charger_power", qos)
+        self._client: Any = node.create_client(SetContactor, "set_contactor")
+        self._power = LatestMessage(node, ChargerPower, "charger_power", qos)
         self._pending: Future[Any] | None = None
         self._asked = 0  # ns, the node's clock; 0 where nobody was there to be asked
         self._open = True
 
     def ask_open(self) -> None:
         """Ask for an opening where somebody serves one; returns at once."""
-        with contextlib.suppress(InvalidHandle, _rclpy.RCLError):
+        with contextlib.suppress(RuntimeError):  # ROS is shutting down
             if self._pending is not None:
                 self._client.remove_pending_request(self._pending)  # its server died: it would wait for ever
                 self._pending = None

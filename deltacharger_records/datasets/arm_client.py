@@ -33,7 +33,7 @@ from deltacharger_kinematics.calibration.data import TICK, Encoder
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import qos
-from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.executor import Spinner
 
 SPEED = 0.06  # m/s, peak; a person stands beside
 STILL = 2.5 * TICK  # rad; what an angle may vary while the arm counts as still
@@ -85,7 +85,7 @@ class ArmClient:
         self._publisher = self.node.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
         self._torque: Any = self.node.create_client(SetBool, "set_torque")
         self._parameters = AsyncParameterClient(self.node, "servo_node")
-        self._spinner: Spinner | None = Spinner(self.node, 2)
+        self._spinner: Spinner | None = Spinner(self.node)
 
     def __enter__(self) -> ArmClient:
         return self

@@ -40,7 +40,7 @@ from deltacharger_records.datasets.arm_client import ArmError
 from deltacharger_records.datasets.keeper import TOPICS, Tape
 from deltacharger_records.datasets.machine import RecordingMachine
 from deltacharger_ros import qos
-from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.executor import Spinner
 from deltacharger_ros.raw_topics import listen
 
 _TICK = 0.02  # s; pace where servo_state does not come

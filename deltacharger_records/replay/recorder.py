@@ -19,7 +19,7 @@ from sensor_msgs.msg import Image
 from deltacharger_records.replay.run_builder import RunBuilder
 from deltacharger_records.replay.run_record import Run
 from deltacharger_ros import qos
-from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.executor import Spinner
 from deltacharger_ros.outcomes import Outcome, Progress
 
 
@@ -56,7 +56,7 @@ class Recorder:
         node.create_subscription(Misalignment, "misalignment", self._taker(build.misalignment), qos.DEFAULT_DEPTH)
         node.create_subscription(ChargerPower, "charger_power", self._taker(build.power), qos.LATEST)
         node.create_subscription(Image, "electrode_detection/image", self._on_image, qos.SENSOR)
-        self._spinner: Spinner | None = Spinner(node, 2)
+        self._spinner: Spinner | None = Spinner(node)
 
     def close(self) -> None:
         """Stop listening. Safe to call twice."""

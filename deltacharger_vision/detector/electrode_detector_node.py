@@ -51,7 +51,7 @@ class _Tally:
 
 
 class ElectrodeDetectorNode(Node):
-    """See the module's docstring. The service waits for images and needs an executor of several threads."""
+    """See the module's docstring. The service waits for images."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("electrode_detector_node", **kwargs)
@@ -88,7 +88,7 @@ class ElectrodeDetectorNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         group = ReentrantCallbackGroup()
         self.create_service(DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=group)
-        self.create_timer(1.0, self._diagnose, callback_group=group)
+        self.create_timer(1.0, self._diagnose)
         self._thread: threading.Thread | None = None
         if rate > 0.0:
             self._thread = threading.Thread(target=self._watch, args=(1.0 / rate,), name="detector", daemon=True)

@@ -106,7 +106,7 @@ def charger(quick_file: Path) -> Iterator[Charger]:
     from rclpy.context import Context
     from rclpy.node import Node
 
-    from deltacharger_ros.node_support import Spinner
+    from deltacharger_ros.executor import Spinner
 
     namespace, context = new_namespace(), Context()
     rclpy.init(context=context, args=[])

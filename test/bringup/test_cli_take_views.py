@@ -23,7 +23,7 @@ from deltacharger_bringup.cli.output import CommandError
 from deltacharger_bringup.cli.take_views import _visit
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_ros import qos
-from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.executor import Spinner
 from deltacharger_vision.cameras.image_node_io import camera_info_message, color_message
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.hand_eye.board import AprilTag

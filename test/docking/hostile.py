@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 
 from deltacharger_docking.ros.docking_node import DockingNode
 from deltacharger_ros.client import ChargerClient
-from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.executor import Spinner
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
@@ -65,7 +65,7 @@ class Hostile:
         others = tuple(name for name in scene.nodes if name != "docking_node")
         self._mocks = Composition(replace(scene, nodes=others), context, self.namespace).start()
         self.relay = Relay(context, self.namespace)
-        self._spinners = [Spinner(self.relay, 2)]
+        self._spinners = [Spinner(self.relay)]
         given = scene.node_parameters("docking_node", {}) | parameters
         words = [word for topic in TOPICS for word in ("-r", f"{topic}:=heard/{topic}")]
         self.docking = DockingNode(

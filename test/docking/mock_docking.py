@@ -15,7 +15,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.executor import Spinner
 
 POWER = 240.0  # W
 APPROACH = 0.5  # s

@@ -25,7 +25,7 @@ from deltacharger_docking.observation import Request, Service
 from deltacharger_docking.ros.reports import changes
 from deltacharger_docking.ros.services import Services
 from deltacharger_ros.client import ChargerClient, fill_pose
-from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.executor import Spinner
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
@@ -170,7 +170,7 @@ def test_a_charger_that_is_held_to_its_end_leaves_its_neighbour_of_the_same_name
 @pytest.fixture
 def node(context: Any, namespace: str) -> Iterator[Node]:
     node = Node("docking", context=context, namespace=namespace, use_global_arguments=False)
-    spinner = Spinner(node, 2)
+    spinner = Spinner(node)
     yield node
     spinner.close()
 

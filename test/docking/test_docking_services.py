@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 
 from deltacharger_docking.observation import Reply, Request, Service
 from deltacharger_docking.ros.services import Services
-from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.executor import Spinner
 
 from ..chargers import wait_until
 
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.ros
 @pytest.fixture
 def node(context: Any, namespace: str) -> Iterator[Node]:
     node = Node("docking", context=context, namespace=namespace, use_global_arguments=False)
-    spinner = Spinner(node, 2)
+    spinner = Spinner(node)
     yield node
     spinner.close()
     node.destroy_node()

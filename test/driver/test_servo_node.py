@@ -34,7 +34,8 @@ from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, terminal_speed
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
 from deltacharger_driver.servos.servo_node import ServoNode
-from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_ros.executor import Spinner
+from deltacharger_ros.node_support import StartupError
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 

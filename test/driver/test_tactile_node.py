@@ -34,7 +34,8 @@ from deltacharger_driver.board.tactile_node import TactileNode
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
-from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_ros.executor import Spinner
+from deltacharger_ros.node_support import StartupError
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
@@ -90,6 +91,9 @@ class Client(Node):
 
     def probe(self) -> Any:
         return self.call(self._probe, Probe.Request())
+
+    def probing(self) -> Any:
+        return self._probe.call_async(Probe.Request())
 
     def contactor(self, close: bool, holder: str = "dock", lease: float = 0.25) -> Any:
         duration = Duration(sec=int(lease), nanosec=int(lease % 1.0 * 1e9))
@@ -195,6 +199,24 @@ def test_frames_come_at_120_hz_without_gaps(rig: Rig) -> None:
         return frames[-1].sequence - frames[0].sequence == 119 and abs(span - 119 / 120) < 0.001
 
     wait_for(whole_second, 15.0)
+
+
+def test_set_contactor_is_answered_at_once_while_the_board_probes(rig: Rig) -> None:
+    rig.plant.press(20.0)
+    rig.wait_for_contact()
+
+    def slowest() -> float:
+        """Return how long (s) an answer took at most; inf where the probe ended before."""
+        probe = rig.client.probing()
+        times = [time.monotonic()]
+        for close in (False, True, False):
+            rig.client.contactor(close)
+            times.append(time.monotonic())
+        late = max(end - begin for begin, end in itertools.pairwise(times)) if not probe.done() else math.inf
+        wait_for(probe.done)
+        return late
+
+    wait_for(lambda: slowest() < 0.020, 15.0)  # a computer busy with other things may be late, but not always
 
 
 def test_tare(rig: Rig) -> None:

@@ -27,7 +27,8 @@ from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_kinematics.kinematics_node import KinematicsNode
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import qos
-from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_ros.executor import Spinner
+from deltacharger_ros.node_support import StartupError
 
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
 

@@ -27,7 +27,8 @@ from deltacharger_docking.ros.messages import duration
 from deltacharger_mission.dialogue import Stage
 from deltacharger_mission.places import Place
 from deltacharger_ros.client import CODES, ChargerClient
-from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_ros.executor import Spinner
+from deltacharger_ros.node_support import StartupError
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene, load_scene, parse_scene
 
@@ -95,7 +96,7 @@ class Robot:
             "mission_client", context=context, namespace=self.namespace, use_global_arguments=False
         )
         self._client: ActionClient[Any, Any, Any] = ActionClient(self._client_node, ChargeRobot, "charge_robot")
-        self._spinner = Spinner(self._client_node, 2)
+        self._spinner = Spinner(self._client_node)
         wait_until(self._client.server_is_ready, "charge_robot")
 
     def send(self, request_id: str = "", stop_after: float = 0.2, frame: str = "map") -> Errand:

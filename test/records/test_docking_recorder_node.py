@@ -27,7 +27,8 @@ from deltacharger_records.replay.record import Replay, replay
 from deltacharger_records.replay.words import why
 from deltacharger_ros import qos
 from deltacharger_ros.client import PHASES, ChargerClient
-from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_ros.executor import Spinner
+from deltacharger_ros.node_support import StartupError
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
@@ -57,7 +58,7 @@ class Cell:
             DockingDecision, "docking_decision", lambda message: self.decisions.append(message.kind), 50
         )
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self._listener = Spinner(node, 1)
+        self._listener = Spinner(node)
         self.composition.start()
         assert self.client.wait_until_ready(DEADLINE)
 

@@ -113,7 +113,7 @@ def test_a_schema_holds_every_definition_that_its_message_consists_of(kind: Any)
 def test_what_comes_over_a_topic_is_kept(context: Any) -> None:
     from rclpy.node import Node
 
-    from deltacharger_ros.node_support import Spinner
+    from deltacharger_ros.executor import Spinner
 
     namespace, came, lock = new_namespace(), [], threading.Lock()
 

@@ -30,7 +30,8 @@ from deltacharger_records.recording.docking_topics import TOPICS
 from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_records.recording.recording_player_node import RecordingPlayerNode
 from deltacharger_ros import qos
-from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_ros.executor import Spinner
+from deltacharger_ros.node_support import StartupError
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import load_scene
 
@@ -70,7 +71,7 @@ class Audience:
             self.node.create_subscription(topic.kind, topic.name, self._taker(topic.name), topic.qos)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.estimates: Any = self.node.create_client(PredictMisalignment, "predict_misalignment")
-        self._spinner = Spinner(self.node, 2)
+        self._spinner = Spinner(self.node)
 
     def _taker(self, name: str) -> Callable[[Any, Any], None]:
         def take(message: Any, info: Any) -> None:

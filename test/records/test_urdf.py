@@ -171,7 +171,7 @@ def test_the_node_publishes_them_and_nothing_while_a_servo_is_silent(context: An
 
     from deltacharger_records.view.passive_joints_node import PassiveJointsNode
     from deltacharger_ros import qos
-    from deltacharger_ros.node_support import Spinner
+    from deltacharger_ros.executor import Spinner
 
     namespace, lock = new_namespace(), threading.Lock()
     came: list[JointState] = []
@@ -180,11 +180,11 @@ def test_the_node_publishes_them_and_nothing_while_a_servo_is_silent(context: An
         with lock:
             came.append(message)
 
-    spinner = Spinner(PassiveJointsNode(context=context, namespace=namespace, use_global_arguments=False), 2)
+    spinner = Spinner(PassiveJointsNode(context=context, namespace=namespace, use_global_arguments=False))
     tester = Node("tester", context=context, namespace=namespace, use_global_arguments=False)
     states = tester.create_publisher(ServoState, "servo_state", qos.LATEST)
     tester.create_subscription(JointState, "joint_states", take, qos.DEFAULT_DEPTH)
-    listening = Spinner(tester, 2)
+    listening = Spinner(tester)
     angles = [0.1, -0.2, 0.3]
 
     def state(second: int, valid: bool, shift: float = 0.0) -> ServoState:

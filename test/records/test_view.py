@@ -38,7 +38,7 @@ def docking(tmp_path_factory: pytest.TempPathFactory, context: Any, quick_scene:
     from deltacharger_records.recording.docking_topics import TOPICS
     from deltacharger_records.recording.mcap_recording import McapWriter
     from deltacharger_ros.client import ChargerClient
-    from deltacharger_ros.node_support import Spinner
+    from deltacharger_ros.executor import Spinner
     from deltacharger_ros.outcomes import DockRequest, Pose
     from deltacharger_ros.raw_topics import listen
     from deltacharger_scenes.composition import Composition
@@ -47,7 +47,7 @@ def docking(tmp_path_factory: pytest.TempPathFactory, context: Any, quick_scene:
     with Composition(quick_scene, context, namespace), ChargerClient(namespace, context) as client:
         node = Node("recorder", context=context, namespace=namespace, use_global_arguments=False)
         listen(node, TOPICS, came.append, None)
-        spinner = Spinner(node, 2)
+        spinner = Spinner(node)
         try:
             assert client.wait_until_ready(DEADLINE)
 

@@ -15,7 +15,7 @@ from rclpy.node import Node
 
 from deltacharger_ros import client as client_module
 from deltacharger_ros.client import ChargerClient, ClientError
-from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.executor import Spinner
 
 from ..chargers import DEADLINE
 

@@ -9,16 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Int64
 
 from deltacharger_core import environment
-from deltacharger_ros.node_support import Spinner
-from deltacharger_ros.on_demand import OnDemandSubscription, PolledTopic
+from deltacharger_ros.executor import Spinner
+from deltacharger_ros.on_demand import LatestMessage, OnDemandSubscription, PolledTopic
 
-from ..chargers import wait_until
+from ..chargers import DEADLINE, wait_until
 
 pytestmark = pytest.mark.ros
 
@@ -29,7 +30,7 @@ QOS = QoSProfile(depth=DEPTH)
 @pytest.fixture
 def node(context: Any, namespace: str) -> Iterator[Node]:
     node = Node("listener", context=context, namespace=namespace, use_global_arguments=False)
-    spinner = Spinner(node, 2)
+    spinner = Spinner(node)
     yield node
     spinner.close()
     node.destroy_node()
@@ -82,29 +83,43 @@ def test_a_polled_topic_keeps_as_many_as_its_depth(node: Node, publisher: Publis
     assert topic.name == f"{node.get_namespace()}/counts"
 
 
+def test_of_a_latest_message_the_newest_counts_however_it_came(node: Node, publisher: Publisher[Int64]) -> None:
+    latest = LatestMessage(node, Int64, "counts", QOS)
+    assert latest.take() is None
+    publish(publisher, 1, 2)
+    assert latest.take().data == 2
+    for turn in range(3, 9, 2):
+        publish(publisher, turn)
+        latest.wait(DEADLINE)
+        assert latest.take().data == turn
+        latest.rest()
+        publish(publisher, turn + 1)
+        wait_until(lambda turn=turn: (message := latest.take()) and message.data == turn + 1, "the next message")
+    assert latest.take() is None
+
+
 def test_waiting_ends_with_a_message_and_else_with_the_time(node: Node, publisher: Publisher[Int64]) -> None:
-    topic = PolledTopic(node, Int64, "counts", QOS)
+    latest = LatestMessage(node, Int64, "counts", QOS)
     began = time.monotonic()
-    topic.wait(0.1)
+    latest.wait(0.1)
     assert time.monotonic() - began >= 0.1
     publish(publisher, 1)
     began = time.monotonic()
-    topic.wait(30.0)
+    latest.wait(30.0)
     assert time.monotonic() - began < 15.0
-    assert [message.data for message, _ in topic.take()] == [1]
+    assert latest.take().data == 1
 
 
 def test_after_the_shutdown_of_ros_there_is_nothing_to_take(context: Any, namespace: str) -> None:
-    import rclpy
-
     own = rclpy.Context()
     rclpy.init(context=own, args=[])
     node = Node("listener", context=own, namespace=namespace, use_global_arguments=False)
-    topic = PolledTopic(node, Int64, "counts", QOS)
-    topic.wait(0.01)
+    polled, latest = PolledTopic(node, Int64, "counts", QOS), LatestMessage(node, Int64, "counts", QOS)
+    latest.wait(0.01)
     rclpy.shutdown(context=own)
-    topic.wait(0.01)
-    assert list(topic.take()) == []
+    latest.wait(0.01)
+    assert latest.take() is None
+    assert list(polled.take()) == []
     node.destroy_node()
 
 

@@ -18,7 +18,7 @@ from deltacharger_driver.board.tactile_node import TactileNode
 from deltacharger_driver.servos.servo_node import ServoNode
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_ros.node_support import Spinner
+from deltacharger_ros.executor import Spinner
 from deltacharger_scenes.scene import parse_scene
 from deltacharger_sim.charger.faults import Faults
 
@@ -72,7 +72,7 @@ class Bench:
                 )
                 self._spinners.append(Spinner(built))
             self.client = FaultClient(context, namespace)
-            self._spinners.append(Spinner(self.client, 2))
+            self._spinners.append(Spinner(self.client))
             self.wait(self.client.is_connected, "discovery")
             self.tare()
         except BaseException:

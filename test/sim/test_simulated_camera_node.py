@@ -15,7 +15,8 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_ros.executor import Spinner
+from deltacharger_ros.node_support import StartupError
 from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
 from deltacharger_vision.cameras.ros_images import color_array, depth_array
 

@@ -23,7 +23,8 @@ from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 
-from deltacharger_ros.node_support import Spinner, StartupError  # noqa: E402
+from deltacharger_ros.executor import Spinner  # noqa: E402
+from deltacharger_ros.node_support import StartupError  # noqa: E402
 from deltacharger_tactile import default_model  # noqa: E402
 from deltacharger_tactile.calibration.rig import TactileCalibration  # noqa: E402
 from deltacharger_tactile.classifiers import files  # noqa: E402

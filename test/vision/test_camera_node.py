@@ -27,7 +27,8 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core import environment
-from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_ros.executor import Spinner
+from deltacharger_ros.node_support import StartupError
 from deltacharger_vision.cameras.camera_info import from_camera_info
 from deltacharger_vision.cameras.camera_node import CameraNode
 from deltacharger_vision.cameras.camera_node_io import stamp_ns

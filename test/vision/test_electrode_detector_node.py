@@ -21,7 +21,8 @@ from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_ros.node_support import Spinner, StartupError
+from deltacharger_ros.executor import Spinner
+from deltacharger_ros.node_support import StartupError
 from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import SimulatedCamera

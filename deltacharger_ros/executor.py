@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a node is served: one thread for what comes, and workers for callbacks that may wait."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future as Job
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
+from rclpy.exceptions import InvalidHandle
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.task import Future, Task
+
+_TURN = 3600.0  # s; without an end, `spin` of the PyPI wheels takes a whole core and hangs whoever publishes to it
+_WORKERS = 4  # callbacks of one group at once
+_LAST = 5.0  # s for callbacks under way to end when the node closes
+
+
+class Spinner:
+    """Serves one node until it is closed; its `executor`.
+
+    Messages, timers, answers and parameters are served by one thread, in their order, and **must not wait**. Services
+    and goals of a ReentrantCallbackGroup may: each group has workers of its own, so none waits for another group's.
+    What belongs to a group that cannot execute is left alone, until its owner calls `wake`.
+
+    Attributes:
+        node: the node.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self.node = node
+        self._stop: Future[None] = Future()
+        self._failure: BaseException | None = None
+        self._pools: dict[Any, ThreadPoolExecutor] = {}
+        self._jobs: set[Job[None]] = set()
+        self._lock = threading.Lock()
+        with contextlib.redirect_stderr(sys.__stderr__):  # for its faulthandler, which needs a real file
+            self._events = EventsExecutor(context=node.context)
+        served: Any = _Served(node, self._answer, self.wake)
+        self._events.add_node(served)
+        executor: Any = self
+        node.executor = executor
+        self._thread = threading.Thread(target=self._spin, name=f"spin {node.get_name()}", daemon=True)
+        self._thread.start()
+
+    def is_alive(self) -> bool:
+        """Whether callbacks are still served."""
+        return self._thread.is_alive() and not self._stop.done()
+
+    def close(self, *waitables: Any) -> None:
+        """Close the node while its callbacks still work, then stop serving and release it, its `waitables` first."""
+        try:
+            closer = getattr(self.node, "close", None)
+            if closer is not None:
+                closer()
+        finally:
+            self._end()
+            self._thread.join(_LAST)
+            self._events.shutdown(_LAST)
+            with self._lock:
+                jobs, pools = set(self._jobs), list(self._pools.values())
+            wait(jobs, _LAST)
+            for pool in pools:
+                pool.shutdown(wait=False, cancel_futures=True)
+            for waitable in waitables:
+                waitable.destroy()
+            self.node.destroy_node()
+
+    def wake(self) -> None:
+        """Look anew at what there is to serve; rclpy calls it where entities come and go."""
+        self._events.wake()
+
+    def create_task(self, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        """Let a worker run a callback; rclpy does so with goals."""
+        task: Any = Task(callback, args, kwargs, executor=self._events)
+
+        def run() -> None:
+            task()
+            task.result()
+
+        self._submit(None, run)
+        return task
+
+    def add_node(self, node: Node) -> bool:
+        """Do nothing: one executor, one node. rclpy calls it."""
+        return False
+
+    def remove_node(self, node: Node) -> None:
+        """Do nothing, as `add_node`."""
+
+    def _spin(self) -> None:
+        with contextlib.suppress(ExternalShutdownException):
+            while not self._stop.done():
+                self._events.spin_until_future_complete(self._stop, _TURN)
+        if self._failure is not None:
+            raise self._failure
+
+    def _end(self) -> None:
+        if not self._stop.done():
+            self._stop.set_result(None)
+
+    def _submit(self, group: CallbackGroup | None, work: Callable[..., None], *args: Any) -> None:
+        with self._lock:
+            if group not in self._pools:
+                self._pools[group] = ThreadPoolExecutor(_WORKERS, f"{self.node.get_name()} worker")
+            job = self._pools[group].submit(self._run, work, *args)
+            self._jobs.add(job)
+        job.add_done_callback(self._jobs.discard)
+
+    def _run(self, work: Callable[..., None], *args: Any) -> None:
+        """Run a callback in a worker; what it raises ends the node, as in its own thread."""
+        try:
+            work(*args)
+        except BaseException as error:
+            if isinstance(error, InvalidHandle) and self._stop.done():
+                return  # nobody is left to be answered
+            self._failure = error
+            self._end()
+
+    def _answer(self, service: Any, request: Any, response: Any, header: Any) -> None:
+        """Let a worker of its group serve a request."""
+
+        def serve() -> None:
+            service.send_response(service.callback(request, response), header)
+
+        self._submit(service.callback_group, serve)
+
+
+class _Served:
+    """A node as its executor sees it: without what cannot execute, and with services that do not wait."""
+
+    def __init__(self, node: Node, answer: Callable[..., None], look_again: Callable[[], None]) -> None:
+        self._node = node
+        self._answer = answer
+        self._look_again = look_again
+        self._deferred: WeakKeyDictionary[Any, _Deferred] = WeakKeyDictionary()
+        self.executor: Any = None
+        self.get_logger = node.get_logger
+
+    @property
+    def subscriptions(self) -> list[Any]:
+        return _executable(self._node.subscriptions)
+
+    @property
+    def timers(self) -> list[Any]:
+        return _executable(self._node.timers)
+
+    @property
+    def clients(self) -> list[Any]:
+        return _executable(self._node.clients)
+
+    @property
+    def services(self) -> list[Any]:
+        return [self._defer(service) for service in _executable(self._node.services)]
+
+    @property
+    def waitables(self) -> list[Any]:
+        found = []
+        for waitable in _executable(self._node.waitables):
+            try:
+                waitable.get_num_entities()
+            except AttributeError:  # an action client is put into its node before its constructor is done
+                self._look_again()
+            else:
+                found.append(waitable)
+        return found
+
+    @property
+    def guards(self) -> list[Any]:
+        return list(self._node.guards)
+
+    def _defer(self, service: Any) -> Any:
+        if not isinstance(service.callback_group, ReentrantCallbackGroup):
+            return service
+        if service not in self._deferred:
+            self._deferred[service] = _Deferred(service, self._answer)
+        return self._deferred[service]
+
+
+def _executable(entities: Any) -> list[Any]:
+    return [entity for entity in entities if entity.callback_group.can_execute(entity)]
+
+
+class _Deferred:
+    """A service whose requests are handed over instead of being answered.
+
+    An executor asks a service for a response and then to send it: here the response is the request itself, and to send
+    it is to let a worker serve it.
+    """
+
+    def __init__(self, service: Any, answer: Callable[..., None]) -> None:
+        self._service = service
+        self._hand_over = answer
+        self.handle = service.handle
+        self.srv_type = service.srv_type
+        self.callback_group = service.callback_group
+        self.callback: Callable[[Any, Any], tuple[Any, Any]] = lambda request, response: (request, response)
+        # An attribute: the executor keeps no reference of its own, so that a method would be gone when it is called.
+
+    def send_response(self, asked: tuple[Any, Any], header: Any) -> None:
+        self._hand_over(self._service, *asked, header)
