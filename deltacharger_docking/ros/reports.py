@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from deltacharger.msg import DockingDecision, DockingState
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_docking.codes import State
 from deltacharger_docking.observation import Decision, Observation, Status
+from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 
 _DECISIONS = 50  # depth: none of a docking's decisions is lost while a reader is busy
 _DIAGNOSTICS = 1.0  # s
@@ -46,7 +46,7 @@ class Reports:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._state = node.create_publisher(DockingState, "docking_state", latched)
         self._decision = node.create_publisher(DockingDecision, "docking_decision", QoSProfile(depth=_DECISIONS))
-        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = Diagnostics(node)
 
     def show(self, status: Status, passed: Sequence[State] = (), force: bool = False) -> None:
         """Publish docking_state where it changed, once for each state passed through since the last call."""
@@ -96,11 +96,11 @@ class Reports:
         if time.monotonic() - self._diagnosed <= _DIAGNOSTICS:
             return False
         self._diagnosed = time.monotonic()
-        level, text = DiagnosticStatus.OK, status.state.name
+        level, text = OK, status.state.name
         if status.code:
-            level, text = DiagnosticStatus.WARN, f"{status.code.name}: {status.message}"
+            level, text = WARN, f"{status.code.name}: {status.message}"
         if observation.servo_age > self._servo_age_max:
-            level, text = DiagnosticStatus.ERROR, "servo_state is missing or stale"
+            level, text = ERROR, "servo_state is missing or stale"
         entries = {
             "state": status.state.name,
             "docked": status.docked,
@@ -111,12 +111,7 @@ class Reports:
             "power_age_s": round(observation.power_age, 3),
             "slowest_tick_ms": round(1000 * slowest_tick, 1),
         }
-        message = DiagnosticArray()
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        values = [KeyValue(key=key, value=str(value)) for key, value in entries.items()]
-        name = self._node.get_fully_qualified_name()
-        message.status = [DiagnosticStatus(level=level, name=name, message=text, hardware_id="", values=values)]
-        self._diagnostics.publish(message)
+        self._diagnostics.tell(level, text, entries)
         return True
 
 

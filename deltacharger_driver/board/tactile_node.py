@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from deltacharger.srv import Probe, SetContactor
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -36,6 +36,7 @@ from deltacharger_driver.board.tactile_node_io import SamplePublishers
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_ros import node_support
+from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 
 _RELIABLE_LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
 _DIAGNOSTICS_PERIOD = 1.0  # s
@@ -66,7 +67,7 @@ class TactileNode(Node):
         self._frame_rate, self._power_rate = RateMeter(time.monotonic), RateMeter(time.monotonic)
         self._period = 1.0 / rate
         self._samples = SamplePublishers(self, _RELIABLE_LATEST, pitch)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = Diagnostics(self)
         group = ReentrantCallbackGroup()
         self.create_service(Trigger, "tare", self._on_tare, callback_group=group)
         self.create_service(Probe, "probe", self._on_probe, callback_group=group)
@@ -140,21 +141,11 @@ class TactileNode(Node):
         return self._served(response, switch)
 
     def _diagnose(self) -> None:
-        if not self.context.ok():
-            return
-        array_message = DiagnosticArray(status=[self._link_status(), self._tactile_status(), self._power_status()])
-        array_message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array_message)
+        self._diagnostics.publish(self._link_status(), self._tactile_status(), self._power_status())
 
     def _status(self, part: str, problem: str, warning: str, values: dict[str, object]) -> DiagnosticStatus:
-        level = DiagnosticStatus.ERROR if problem else DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
-        return DiagnosticStatus(
-            level=level,
-            name=f"{self.get_fully_qualified_name()}: {part}",
-            message=problem or warning or "OK",
-            hardware_id=self._keeper.link.port,
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )
+        level = ERROR if problem else WARN if warning else OK
+        return self._diagnostics.status(level, problem or warning or "OK", values, part, self._keeper.link.port)
 
     def _link_status(self) -> DiagnosticStatus:
         link = self._keeper.link

@@ -25,7 +25,6 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -36,13 +35,14 @@ from deltacharger_core.machine import BAUD_RATE, CURRENT_BOUND, JOINTS, SERVO_ID
 from deltacharger_driver.errors import DriverError, TrajectoryRefused
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_driver.servos.controller import ServoController
-from deltacharger_driver.servos.diagnostics import DiagnosticEntry, bus_entry, servo_entry
+from deltacharger_driver.servos.diagnostics import bus_entry, servo_entry
 from deltacharger_driver.servos.port import REPLY_MARGIN
 from deltacharger_driver.servos.report import Phase, ServoReport
 from deltacharger_driver.servos.servo_node_io import ContactorClient, StatePublishers, age, waypoint
 from deltacharger_driver.servos.snapshot import BusSettings
 from deltacharger_driver.servos.trajectory import JointLimits, check, check_age
 from deltacharger_ros import node_support
+from deltacharger_ros.diagnostics import Diagnostics
 from deltacharger_ros.on_demand import LatestMessage
 
 _RELIABLE_LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
@@ -67,7 +67,7 @@ class ServoNode(Node):
         self._contactor = ContactorClient(self, _RELIABLE_LATEST)
         self._controller, self._limits = self._configure()
         self._states = StatePublishers(self, _RELIABLE_LATEST, self._torque_constant)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = Diagnostics(self)
         self._refused = 0
         self._last_refusal = ""
         self._followed: tuple[int, int] | None = None  # stamp of the line that is being followed
@@ -184,24 +184,17 @@ class ServoNode(Node):
             time.sleep(due - now)
 
     def _publish_diagnostics(self, report: ServoReport) -> None:
-        if not self.context.ok():
-            return
         refused, self._refused = self._refused, 0
         ids = self._controller.bus.settings.ids
         rate, late = self._cycles.rate(), self._cycles.late
         entries = [bus_entry(report, self._controller, refused, self._last_refusal, rate, late)]
         entries += [servo_entry(report, index, ids[index], joint) for index, joint in enumerate(JOINTS)]
-        message = DiagnosticArray(status=[self._diagnostic(entry) for entry in entries])
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
-
-    def _diagnostic(self, entry: DiagnosticEntry) -> DiagnosticStatus:
-        return DiagnosticStatus(
-            level=bytes((entry.level,)),
-            name=f"{self.get_fully_qualified_name()}: {entry.name}",
-            message=entry.message,
-            hardware_id=self._controller.bus.settings.port,
-            values=[KeyValue(key=key, value=value) for key, value in entry.values.items()],
+        port = self._controller.bus.settings.port
+        self._diagnostics.publish(
+            *(
+                self._diagnostics.status(bytes((entry.level,)), entry.message, entry.values, entry.name, port)
+                for entry in entries
+            )
         )
 
     def _take_trajectory(self) -> None:

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from deltacharger.action import ChargeRobot
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
@@ -30,6 +29,7 @@ from deltacharger_mission.places import Mount, Place
 from deltacharger_mission.ros import messages as io
 from deltacharger_mission.ros.others import Others
 from deltacharger_ros import node_support
+from deltacharger_ros.diagnostics import OK, WARN, Diagnostics
 from deltacharger_ros.parameters import declare_all
 
 GoalHandle = ServerGoalHandle[Any, Any, Any]
@@ -107,7 +107,7 @@ class MissionNode(Node):
         home = Place(settings.home_x, settings.home_y, settings.home_yaw, map_frame) if self._drives else None
         self._machine = MissionMachine(settings, mount, home)
         self._others = Others(self, navigate_to_pose, trees)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = Diagnostics(self)
         self._lock = threading.RLock()
         self._mission: _Mission | None = None
         self._diagnosed = -math.inf
@@ -209,9 +209,9 @@ class MissionNode(Node):
 
     def _diagnose(self) -> None:
         status = self._machine.status
-        level, text = DiagnosticStatus.OK, status.stage.name if self._machine.busy else "IDLE"
+        level, text = OK, status.stage.name if self._machine.busy else "IDLE"
         if status.code:
-            level, text = DiagnosticStatus.WARN, f"{status.code.name}: {status.message}"
+            level, text = WARN, f"{status.code.name}: {status.message}"
         where = status.place
         entries = {
             "stage": status.stage.name if self._machine.busy else "IDLE",
@@ -222,12 +222,7 @@ class MissionNode(Node):
             "place": "unknown" if where is None else f"{where.x:.3f} {where.y:.3f} {where.yaw:.3f} {where.frame}",
             "drives": self._drives,
         }
-        message = DiagnosticArray()
-        message.header.stamp = self.get_clock().now().to_msg()
-        values = [KeyValue(key=key, value=str(value)) for key, value in entries.items()]
-        name = self.get_fully_qualified_name()
-        message.status = [DiagnosticStatus(level=level, name=name, message=text, hardware_id="", values=values)]
-        self._diagnostics.publish(message)
+        self._diagnostics.tell(level, text, entries)
 
     def _execute(self, handle: GoalHandle) -> ChargeRobot.Result:
         """Begin a mission, or join the one of the same request_id; wait for its end in this callback's own thread."""

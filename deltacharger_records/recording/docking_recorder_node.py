@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger.action import Dock, Undock
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
@@ -31,6 +30,7 @@ from deltacharger_records.recording.folder import RecordFolder
 from deltacharger_records.recording.mcap_recording import schema_text
 from deltacharger_ros import node_support
 from deltacharger_ros.client import to_outcome
+from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
 from deltacharger_ros.raw_topics import PolledTopics
 
 _POLL = 0.02  # s between looks at the topics
@@ -80,7 +80,7 @@ class DockingRecorderNode(Node):
         }
         self._names: Any = self.create_client(ListParameters, "docking_node/list_parameters", callback_group=group)
         self._values: Any = self.create_client(GetParameters, "docking_node/get_parameters", callback_group=group)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = Diagnostics(self)
         self._topics = PolledTopics(self, TOPICS)
         self._closed = False
         self._thread = threading.Thread(target=self._loop, name="docking recorder", daemon=True)
@@ -177,17 +177,12 @@ class DockingRecorderNode(Node):
 
     def _diagnose(self) -> None:
         recorder = self._recorder
-        level, text = DiagnosticStatus.OK, "waiting for a docking"
+        level, text = OK, "waiting for a docking"
         if recorder.path is not None:
             text = f"recording {recorder.path.name}"
         if recorder.problem:
-            level, text = DiagnosticStatus.ERROR, recorder.problem
-        values = [KeyValue(key="folder", value=str(self._folder_path))]
-        message = DiagnosticArray()
-        message.header.stamp = self.get_clock().now().to_msg()
-        name = self.get_fully_qualified_name()
-        message.status = [DiagnosticStatus(level=level, name=name, message=text, hardware_id="", values=values)]
-        self._diagnostics.publish(message)
+            level, text = ERROR, recorder.problem
+        self._diagnostics.tell(level, text, {"folder": self._folder_path})
 
 
 def _plain(value: Any) -> Any:

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
@@ -28,6 +27,7 @@ from deltacharger_core.mcap_file import CUT_SHORT, RecordingError
 from deltacharger_records.recording.docking_topics import STATE, TOPICS
 from deltacharger_records.replay.file import Recording, decoded
 from deltacharger_ros import node_support, qos
+from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.raw_topics import Topic
 
 _COMMANDS = "joint_trajectory"
@@ -69,7 +69,7 @@ class RecordingPlayerNode(Node):
             for topic in TOPICS
             if topic.name in self._recording.counts
         }
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = Diagnostics(self)
         self._say_what_is_there()
         self._stopping = threading.Event()
         self._closed = False
@@ -165,24 +165,17 @@ class RecordingPlayerNode(Node):
         return ""
 
     def _diagnose(self) -> None:
-        if not self.context.ok():
-            return
         recording, length = self._recording, self._length()
         place = max(0.0, 1e-9 * (self._place - self._first))
-        level, text = DiagnosticStatus.OK, f"at {place:.1f} of {length:.1f} s" if self._count else "about to begin"
+        level, text = OK, f"at {place:.1f} of {length:.1f} s" if self._count else "about to begin"
         if self.problem:
-            level, text = DiagnosticStatus.ERROR, self.problem
+            level, text = ERROR, self.problem
         elif self.passes and not self._loop:
             text = f"the recording is over; {length:.1f} s were played"
         if recording.damage and not self.problem:
-            level, text = DiagnosticStatus.WARN, f"{text}; {recording.damage}"
+            level, text = WARN, f"{text}; {recording.damage}"
         told = {"file": recording.path, "passes": self.passes, "rate": self._rate, "messages": self._count}
-        status = DiagnosticStatus(level=level, name=self.get_fully_qualified_name(), message=text)
-        status.hardware_id = str(recording.path)
-        status.values = [KeyValue(key=key, value=str(value)) for key, value in told.items()]
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
+        self._diagnostics.tell(level, text, told, hardware=str(recording.path))
 
 
 def quality(topic: Topic) -> QoSProfile:

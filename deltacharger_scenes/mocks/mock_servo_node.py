@@ -22,7 +22,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from deltacharger.msg import ServoState
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.time import Time
@@ -41,6 +40,7 @@ from deltacharger_core.machine import (
 )
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_ros import node_support, qos
+from deltacharger_ros.diagnostics import WARN, Diagnostics
 from deltacharger_scenes.mocks.arm import MockArm
 from deltacharger_scenes.mocks.parameters import FaultSwitch, declare_target
 
@@ -76,7 +76,7 @@ class MockServoNode(Node):
         self._error = [0, 0, 0]
         self._state = self.create_publisher(ServoState, "servo_state", qos.LATEST)
         self._joints = self.create_publisher(JointState, "joint_states", qos.DEFAULT_DEPTH)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", qos.DEFAULT_DEPTH)
+        self._diagnostics = Diagnostics(self)
         group = ReentrantCallbackGroup()
         self.create_subscription(
             JointTrajectory, "joint_trajectory", self._on_trajectory, qos.LATEST, callback_group=group
@@ -228,10 +228,7 @@ class MockServoNode(Node):
 
     def _report(self, problem: str) -> None:
         self.get_logger().warning(f"trajectory refused: {problem}")
-        status = DiagnosticStatus(level=DiagnosticStatus.WARN, name="servo_node: joint_trajectory", message=problem)
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
+        self._diagnostics.tell(WARN, problem, {}, "joint_trajectory")
 
     def _on_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         with self._lock:

@@ -20,13 +20,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
 
 from deltacharger_core.mcap_file import RecordingError
 from deltacharger_ros import node_support
+from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
 from deltacharger_ros.parameters import declare_all
 from deltacharger_vision.cameras.camera_node_io import CameraPublishers, Replay
 from deltacharger_vision.cameras.keeper import CameraKeeper, OpenCamera
@@ -54,7 +54,7 @@ class CameraNode(Node):
         node_support.reject_unknown(self)
         self._path = path
         self._images = CameraPublishers(self)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = Diagnostics(self)
         self._source: CameraKeeper | Replay
         if path:
             self._source = self._replay(Path(path), loop)
@@ -107,16 +107,9 @@ class CameraNode(Node):
             return
         problem = self._source.problem
         idle = not self._images.wanted()
-        status = DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if problem else DiagnosticStatus.OK,
-            name=f"{self.get_fully_qualified_name()}: camera",
-            message=problem or ("nobody subscribes" if idle else "OK"),
-            hardware_id=self._hardware(),
-            values=[KeyValue(key="images", value=str(self._images.published))],
-        )
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
+        text = problem or ("nobody subscribes" if idle else "OK")
+        values = {"images": self._images.published}
+        self._diagnostics.tell(ERROR if problem else OK, text, values, "camera", self._hardware())
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -20,13 +20,13 @@ from typing import Any
 
 from deltacharger.msg import ElectrodeDetection
 from deltacharger.srv import DetectElectrodes
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 
 from deltacharger_ros import node_support
+from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.parameters import declare_all
 from deltacharger_vision.cameras.image_node_io import CAMERA_INFO, COLOR, DEPTH, color_message
 from deltacharger_vision.detector.annotate import annotated
@@ -85,7 +85,7 @@ class ElectrodeDetectorNode(Node):
         self._stopping = threading.Event()
         self._detections = self.create_publisher(ElectrodeDetection, "electrode_detection", 10)
         self._pictures = self.create_publisher(Image, "electrode_detection/image", qos_profile_sensor_data)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = Diagnostics(self)
         group = ReentrantCallbackGroup()
         self.create_service(DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=group)
         self.create_timer(1.0, self._diagnose)
@@ -184,17 +184,9 @@ class ElectrodeDetectorNode(Node):
             return
         watched, problem = self._camera.watched, self._camera.problem()
         values = {**vars(self._tally), "images": self._camera.shots}
-        bad = DiagnosticStatus.ERROR if watched else DiagnosticStatus.WARN
-        status = DiagnosticStatus(
-            level=bad if problem else DiagnosticStatus.OK,
-            name=f"{self.get_fully_qualified_name()}: camera",
-            message=problem or ("looking" if watched else "idle; looks when asked"),
-            hardware_id=self._camera.names[0],
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
+        level = OK if not problem else ERROR if watched else WARN
+        text = problem or ("looking" if watched else "idle; looks when asked")
+        self._diagnostics.tell(level, text, values, "camera", self._camera.names[0])
 
 
 def _declare_mount(node: Node) -> Mount:
