@@ -155,6 +155,11 @@ class Outcome:
     elapsed: float = 0.0
     suggested_base: Vector | None = None
 
+    @property
+    def canceled(self) -> bool:
+        """Whether it ended because its client wished so."""
+        return self.code is Code.CANCELED
+
 
 @dataclass
 class Status:

@@ -137,6 +137,11 @@ class Outcome:
     returned: bool = False
     elapsed: float = 0.0
 
+    @property
+    def canceled(self) -> bool:
+        """Whether it ended because its client wished so."""
+        return self.code is Code.CANCELED
+
 
 @dataclass
 class Status:

@@ -80,7 +80,6 @@ class DockingNode(Node):
         self._reports = Reports(self, self._settings.servo_age_max)
         self._goals = Goals(
             self,
-            group,
             self._machine,
             self._lock,
             self._inputs.observation,  # takes no reply that the running goal waits for

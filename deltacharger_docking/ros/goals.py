@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import threading
 import time
@@ -12,8 +11,6 @@ from typing import Any
 
 from deltacharger.action import Dock, Undock
 from deltacharger.msg import Misalignment
-from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
 from deltacharger_docking.clearance import Estimate
@@ -23,42 +20,34 @@ from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, Observation, Outcome, Status
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.reports import changes
-
-GoalHandle = ServerGoalHandle[Any, Any, Any]
-Start = Callable[[Observation], None]
+from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
 
 _ANSWER = 1.0  # s to see a goal's callback end when the node closes
-_LAST_WORD = 0.1  # s for the result: rclpy sends it later, from another thread, and tells nobody when
 _FEEDBACK = 0.2  # s between feedbacks without a change
 
 
-class Goal:
-    """A goal being served: its handle, and events for the thread that waits in its callback."""
+class Goal(Work):
+    """A goal being served, and what its client was told last.
+
+    Args:
+        handle: of the goal.
+        feedback: class of its message.
+    """
 
     def __init__(self, handle: GoalHandle, feedback: Any) -> None:
+        super().__init__(handle)
         self.handle = handle
         self.feedback = feedback
-        self.done = threading.Event()
-        self.answered = threading.Event()
-        self.outcome: Outcome | None = None
         self.state: State | None = None
         self.shown: tuple[Any, ...] = ()
         self.shown_at = -math.inf
-
-    def end(self, outcome: Outcome) -> None:
-        """Let the waiting thread answer the client."""
-        self.outcome = outcome
-        self.done.set()
 
 
 class Goals:
     """Serves dock and undock over the machine, one goal at a time.
 
-    Every goal is accepted, because only a result can carry a code and a reason.
-
     Args:
         node: owns the action servers.
-        group: of their callbacks.
         machine: carries goals out; stepped by the node.
         lock: held by whoever speaks to the machine.
         observe: gives what is known now.
@@ -72,7 +61,6 @@ class Goals:
     def __init__(
         self,
         node: Node,
-        group: ReentrantCallbackGroup,
         machine: DockingMachine,
         lock: threading.RLock,
         observe: Callable[[], Observation],
@@ -93,20 +81,22 @@ class Goals:
         self._refusal = ""
         self._waiting: list[GoalHandle] | None = [] if held else None
         self._servers = [
-            self._serve(Dock, "dock", self._execute_dock, group),
-            self._serve(Undock, "undock", self._execute_undock, group),
+            self._serve(Dock, "dock", self._begin_dock, self._dock_result),
+            self._serve(Undock, "undock", self._begin_undock, _undock_result),
         ]
 
-    def _serve(self, kind: Any, name: str, execute: Any, group: ReentrantCallbackGroup) -> ActionServer[Any, Any, Any]:
-        return ActionServer(
+    def _serve(self, kind: Any, name: str, begin: Callable[[GoalHandle], Goal], result: Any) -> WorkServer:
+        return WorkServer(
             self._node,
             kind,
             name,
-            execute_callback=execute,
-            goal_callback=lambda request: GoalResponse.ACCEPT,
-            handle_accepted_callback=self._on_accepted,
-            cancel_callback=self._on_cancel,
-            callback_group=group,
+            begin,
+            lambda goal: goal is self._goal,
+            _refused,
+            DockingError,
+            lambda outcome, goal: result(outcome),
+            self._may_cancel,
+            self._on_accepted,
         )
 
     def destroy(self) -> None:
@@ -130,8 +120,8 @@ class Goals:
         """End the goal being served, and give its client the time to hear of it."""
         goal = self._goal
         self.end(outcome)
-        if goal is not None and goal.answered.wait(_ANSWER):
-            time.sleep(_LAST_WORD)
+        if goal is not None:
+            goal.wait_until_told(_ANSWER)
 
     def forward_cancel(self) -> None:
         """Tell the machine where the client has taken its goal back; before each step, so that none comes too late."""
@@ -170,8 +160,7 @@ class Goals:
             message.elapsed = io.duration(status.elapsed)
         else:
             message.charge_current = charge_current
-        with contextlib.suppress(RuntimeError):  # the client may have gone between the check and the call
-            goal.handle.publish_feedback(message)
+        goal.feed_back(message)
 
     def _on_accepted(self, handle: GoalHandle) -> None:
         with self._lock:
@@ -180,58 +169,37 @@ class Goals:
                 return
         handle.execute()
 
-    def _on_cancel(self, handle: GoalHandle) -> CancelResponse:
-        """Accept unless the goal has ended: whoever hears an acceptance knows that the arm goes back."""
-        ended = not handle.is_active or handle is self._ended
-        return CancelResponse.REJECT if ended else CancelResponse.ACCEPT
+    def _may_cancel(self, handle: GoalHandle) -> bool:
+        """Return whether the goal has not ended: whoever hears an acceptance knows that the arm goes back."""
+        return bool(handle.is_active) and handle is not self._ended
 
-    def _execute_dock(self, handle: GoalHandle) -> Dock.Result:
+    def _begin_dock(self, handle: GoalHandle) -> Goal:
         request = handle.request
-        outcome = self._answer(
+        return self._begin(
             Goal(handle, Dock.Feedback),
             lambda observation: self._machine.start_dock(self._dock_goal(request), observation),
         )
-        return self._dock_result(outcome)
 
-    def _execute_undock(self, handle: GoalHandle) -> Undock.Result:
+    def _begin_undock(self, handle: GoalHandle) -> Goal:
         request = handle.request
-        outcome = self._answer(
+        return self._begin(
             Goal(handle, Undock.Feedback),
             lambda observation: self._machine.start_undock(request.request_id, observation),
         )
-        return Undock.Result(
-            success=outcome.success,
-            error_code=int(outcome.code),
-            error_message="" if outcome.success else outcome.message,
-            retriable=outcome.retriable,
-            elapsed=io.duration(outcome.elapsed),
-        )
 
-    def _answer(self, goal: Goal, start: Start) -> Outcome:
-        """Start a goal, wait for its end in this callback's own thread, and set the handle's final state."""
-        try:
-            with self._lock:
-                if self._refusal:
-                    raise Busy(self._refusal)
-                start(self._observe())
-                self._goal = goal
-                self._begun()
-        except DockingError as error:
-            goal.handle.abort()
-            return Outcome(
-                code=error.code, message=str(error), retriable=error.retriable, suggested_base=suggested_base(error)
-            )
-        except Exception as error:  # rclpy would answer with an empty result, which looks like code 0
-            self._node.get_logger().error(f"a goal met a defect: {type(error).__name__}: {error}")
-            goal.handle.abort()
-            return Outcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log")
-        while not goal.done.wait(1.0):
-            if self._goal is not goal and not goal.done.is_set():  # a goal that nobody serves must not wait for ever
-                goal.end(Outcome(message="the goal was lost; see the log"))
-        assert goal.outcome is not None
-        _conclude(goal.handle, goal.outcome)
-        goal.answered.set()
-        return goal.outcome
+    def _begin(self, goal: Goal, start: Callable[[Observation], None]) -> Goal:
+        """Start a goal.
+
+        Raises:
+            DockingError: it is refused.
+        """
+        with self._lock:
+            if self._refusal:
+                raise Busy(self._refusal)
+            start(self._observe())
+            self._goal = goal
+            self._begun()
+        return goal
 
     def _dock_goal(self, request: Dock.Goal) -> DockGoal:
         return DockGoal(
@@ -262,10 +230,17 @@ class Goals:
         )
 
 
-def _conclude(handle: GoalHandle, outcome: Outcome) -> None:
-    if outcome.success:
-        handle.succeed()
-    elif outcome.code is Code.CANCELED and handle.is_cancel_requested:
-        handle.canceled()
-    else:
-        handle.abort()
+def _undock_result(outcome: Outcome) -> Undock.Result:
+    return Undock.Result(
+        success=outcome.success,
+        error_code=int(outcome.code),
+        error_message="" if outcome.success else outcome.message,
+        retriable=outcome.retriable,
+        elapsed=io.duration(outcome.elapsed),
+    )
+
+
+def _refused(error: Exception) -> Outcome:
+    if not isinstance(error, DockingError):
+        return Outcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log")
+    return Outcome(code=error.code, message=str(error), retriable=error.retriable, suggested_base=suggested_base(error))

@@ -8,7 +8,6 @@ navigator goes on to the goal that it has, and docking_node watches over chargin
 
 from __future__ import annotations
 
-import contextlib
 import math
 import threading
 import time
@@ -16,8 +15,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from deltacharger.action import ChargeRobot
-from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
 from deltacharger_docking.codes import Busy, Code, DockingError, Rejected
@@ -29,17 +26,16 @@ from deltacharger_mission.places import Mount, Place
 from deltacharger_mission.ros import messages as io
 from deltacharger_mission.ros.others import Others
 from deltacharger_ros import node_support
+from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
 from deltacharger_ros.diagnostics import OK, WARN, Diagnostics
 from deltacharger_ros.parameters import declare_all
-
-GoalHandle = ServerGoalHandle[Any, Any, Any]
 
 NAVIGATION = ("nav2", "none")
 _TICK = 0.05  # s
 _FEEDBACK = 1.0  # s between feedbacks without a change
 _DIAGNOSTICS = 1.0  # s
 _CLOSING = 3.0  # s for what is under way to hear that it is called off, and for the contactor to be seen open
-_WAITING_MAX = 2  # goals that wait for one mission, each in a thread of the executor
+_WAITING_MAX = 2  # goals that wait for one mission, each in a worker
 
 
 def load_navigation(name: str) -> Any:
@@ -60,15 +56,13 @@ def load_navigation(name: str) -> Any:
     return NavigateToPose
 
 
-class _Mission:
-    """The mission being served: the goals that wait for its end, and events for their threads."""
+class _Mission(Work):
+    """The mission being served, and what its clients were told last."""
 
     def __init__(self, handle: GoalHandle) -> None:
-        self.handles = [handle]
+        super().__init__(handle)
         self.request_id = handle.request.request_id
-        self.done = threading.Event()
-        self.outcome: Outcome | None = None
-        self.result: Any = None
+        self.docked: Any = None  # the result of its last docking
         self.wishes = 0  # to cancel that the machine was told of
         self.shown: Stage | None = None
         self.shown_at = -math.inf
@@ -112,14 +106,15 @@ class MissionNode(Node):
         self._mission: _Mission | None = None
         self._diagnosed = -math.inf
         self._stopping = threading.Event()
-        self._server: ActionServer[Any, Any, Any] = ActionServer(
+        self._server = WorkServer(
             self,
             ChargeRobot,
             "charge_robot",
-            execute_callback=self._execute,
-            goal_callback=lambda request: GoalResponse.ACCEPT,  # only a result can carry a code and a reason
-            cancel_callback=lambda handle: CancelResponse.ACCEPT,
-            callback_group=ReentrantCallbackGroup(),
+            self._begin,
+            lambda mission: mission is self._mission,
+            _refused,
+            DockingError,
+            lambda outcome, mission: _result(outcome, io.unknown_dock() if mission is None else mission.docked),
         )
         self._closed = False
         self._thread = threading.Thread(target=self._loop, name="mission loop", daemon=True)
@@ -194,18 +189,15 @@ class MissionNode(Node):
     def _end(self, outcome: Outcome) -> None:
         mission, self._mission = self._mission, None
         if mission is not None:
-            mission.outcome, mission.result = outcome, self._others.dock_result
-            mission.done.set()
+            mission.docked = self._others.dock_result
+            mission.end(outcome)
 
     def _feed_back(self, mission: _Mission) -> None:
         status, now = self._machine.status, time.monotonic()
         if status.stage is mission.shown and now - mission.shown_at < _FEEDBACK:
             return
         mission.shown, mission.shown_at = status.stage, now
-        message = ChargeRobot.Feedback(stage=int(status.stage), elapsed=duration(status.elapsed))
-        for handle in mission.handles:
-            with contextlib.suppress(RuntimeError):  # the client may have gone meanwhile
-                handle.publish_feedback(message)
+        mission.feed_back(ChargeRobot.Feedback(stage=int(status.stage), elapsed=duration(status.elapsed)))
 
     def _diagnose(self) -> None:
         status = self._machine.status
@@ -224,31 +216,12 @@ class MissionNode(Node):
         }
         self._diagnostics.tell(level, text, entries)
 
-    def _execute(self, handle: GoalHandle) -> ChargeRobot.Result:
-        """Begin a mission, or join the one of the same request_id; wait for its end in this callback's own thread."""
-        try:
-            mission = self._begin(handle)
-        except DockingError as error:
-            handle.abort()
-            return _result(Outcome(code=error.code, message=str(error), retriable=error.retriable), io.unknown_dock())
-        except Exception as error:  # rclpy would answer with an empty result, which looks like code 0
-            self.get_logger().error(f"a goal met a defect: {type(error).__name__}: {error}")
-            handle.abort()
-            return _result(Outcome(message=f"internal error: {error}; see the log"), io.unknown_dock())
-        while not mission.done.wait(1.0):
-            if self._mission is not mission and not mission.done.is_set():  # nobody serves it: do not wait for ever
-                handle.abort()
-                return _result(Outcome(message="the goal was lost; see the log"), io.unknown_dock())
-        assert mission.outcome is not None
-        if mission.outcome.success:
-            handle.succeed()
-        elif mission.outcome.code is Code.CANCELED and handle.is_cancel_requested:
-            handle.canceled()
-        else:
-            handle.abort()
-        return _result(mission.outcome, mission.result)
-
     def _begin(self, handle: GoalHandle) -> _Mission:
+        """Begin a mission, or join the one of the same request_id.
+
+        Raises:
+            DockingError: it is refused.
+        """
         with self._lock:
             if self._closed:
                 raise Rejected("mission_node is shutting down")
@@ -265,6 +238,12 @@ class MissionNode(Node):
             self._others.dock_result = io.unknown_dock()
             self._mission = _Mission(handle)
             return self._mission
+
+
+def _refused(error: Exception) -> Outcome:
+    if not isinstance(error, DockingError):
+        return Outcome(message=f"internal error: {error}; see the log")
+    return Outcome(code=error.code, message=str(error), retriable=error.retriable)
 
 
 def _result(outcome: Outcome, dock: Any) -> ChargeRobot.Result:

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Actions that take every goal: only a result can carry a code and a reason, a refusal cannot."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable
+from typing import Any, Protocol, TypeAlias
+
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+
+GoalHandle: TypeAlias = "ServerGoalHandle[Any, Any, Any]"  # in words, since Jazzy's class is not generic
+
+_LOOK = 1.0  # s between two looks whether somebody still works on a goal
+_TOLD_WITHIN = 0.1  # s for the result to leave: rclpy sends it later, from another thread, and tells nobody when
+
+
+class Ended(Protocol):
+    """How work ended."""
+
+    @property
+    def success(self) -> bool:
+        """Whether it was done."""
+
+    @property
+    def canceled(self) -> bool:
+        """Whether it ended because its client wished so."""
+
+
+class Work:
+    """What a goal has begun, and it and those that joined it wait for.
+
+    Args:
+        handle: of that goal.
+
+    Attributes:
+        handles: of the goals that wait.
+        outcome: how it ended; None until then.
+        done: set when it has ended.
+        answered: set when a goal has its result.
+    """
+
+    def __init__(self, handle: GoalHandle) -> None:
+        self.handles = [handle]
+        self.outcome: Any = None
+        self.done = threading.Event()
+        self.answered = threading.Event()
+
+    def end(self, outcome: Ended) -> None:
+        """Let all goals that wait be answered."""
+        self.outcome = outcome
+        self.done.set()
+
+    def feed_back(self, message: Any) -> None:
+        """Publish feedback to all clients."""
+        for handle in self.handles:
+            with contextlib.suppress(RuntimeError):  # the client may have gone meanwhile
+                handle.publish_feedback(message)
+
+    def wait_until_told(self, timeout: float) -> None:
+        """Wait until a client can have heard of the end; at most `timeout` s for its goal's callback to see it."""
+        if self.answered.wait(timeout):
+            threading.Event().wait(_TOLD_WITHIN)
+
+
+class WorkServer:
+    """Serves an action. A goal waits for the end of its work in a worker of the node's `Spinner`.
+
+    Args:
+        node: owns it.
+        kind: the action.
+        name: its name.
+        begin: begins, or joins, the work that a goal asks for; what it raises aborts the goal.
+        is_served: whether somebody still works on it; a goal that nobody serves must not wait for ever.
+        outcome: how a goal ended whose `begin` raised this; of what is no refusal, an internal error.
+        refusals: what `begin` raises to refuse a goal.
+        result: makes the message of an outcome, and of the work where there was any.
+        may_cancel: whether a client may take its goal back now.
+        accepted: calls `execute` of a goal's handle, now or later.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        kind: Any,
+        name: str,
+        begin: Callable[[GoalHandle], Work],
+        is_served: Callable[[Work], bool],
+        outcome: Callable[[Exception], Ended],
+        refusals: type[Exception],
+        result: Callable[[Any, Any], Any],
+        may_cancel: Callable[[GoalHandle], bool] = lambda handle: True,
+        accepted: Callable[[GoalHandle], None] = lambda handle: handle.execute(),
+    ) -> None:
+        self._node = node
+        self._begin, self._is_served = begin, is_served
+        self._outcome, self._refusals, self._result = outcome, refusals, result
+        self._server: ActionServer[Any, Any, Any] = ActionServer(
+            node,
+            kind,
+            name,
+            execute_callback=self._execute,
+            goal_callback=lambda request: GoalResponse.ACCEPT,
+            handle_accepted_callback=accepted,
+            cancel_callback=lambda handle: CancelResponse.ACCEPT if may_cancel(handle) else CancelResponse.REJECT,
+            callback_group=ReentrantCallbackGroup(),
+        )
+
+    def destroy(self) -> None:
+        """Release the ROS side."""
+        self._server.destroy()
+
+    def _execute(self, handle: GoalHandle) -> Any:
+        try:
+            work = self._begin(handle)
+        except Exception as error:  # rclpy would answer with an empty result, which looks like code 0
+            if not isinstance(error, self._refusals):
+                self._node.get_logger().error(f"a goal met a defect: {type(error).__name__}: {error}")
+            handle.abort()
+            return self._result(self._outcome(error), None)
+        while not work.done.wait(_LOOK):
+            if not self._is_served(work) and not work.done.is_set():
+                work.end(self._outcome(LookupError("the goal was lost")))
+        if work.outcome.success:
+            handle.succeed()
+        elif work.outcome.canceled and handle.is_cancel_requested:
+            handle.canceled()
+        else:
+            handle.abort()
+        work.answered.set()
+        return self._result(work.outcome, work)
