@@ -12,6 +12,8 @@ import numpy as np
 from deltacharger_bringup.calibrate.camera_report import MILLIMETRE, Judged, about, as_mapping, as_text
 from deltacharger_bringup.calibrate.camera_views import ViewsError, gather, read_pixels, read_rows
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli.parser import namespace_option
+from deltacharger_bringup.cli.types import between, whole
 from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.geometry_file import load_geometry
@@ -29,6 +31,44 @@ _FAR = (0.020, math.radians(10.0))
 """From the believed mount, m and rad, further than which a slip is likelier than a bent bracket."""
 _SATURATED = 250  # of 255
 _HINTED = 3  # images that are searched for other markers
+
+
+def add_camera(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `calibrate camera`."""
+    parser.add_argument("--views", metavar="FOLDER", help="images and views.csv, see docs/camera-calibration.md")
+    parser.add_argument("--print", metavar="FILE.svg", help="only draw the board in true size, for a printer")
+    parser.add_argument("--out", metavar="FILE", help="write the mount, for the parameter mount_file")
+    parser.add_argument("--camera-info", metavar="K.yaml", help="intrinsics (FOLDER/camera_info.yaml)")
+    parser.add_argument("--geometry", metavar="FILE", help="of the arm, as calibrated (default: the built-in one)")
+    text = "believed so far, to compare with and to know where the camera sees the board (the usual one)"
+    parser.add_argument("--mount", metavar="FILE", help=text)
+    parser.add_argument("--force", action="store_true", help="overwrite FILE, and write a doubtful mount")
+    board = parser.add_argument_group("the board on the platform")
+    text = "apriltag:FAMILY:NUMBER or charuco:DICTIONARY:COLUMNSxROWS (apriltag:36h11:0)"
+    board.add_argument("--board", default="apriltag:36h11:0", metavar="NAME", help=text)
+    text = "side of the tag's black square, or of a chessboard square (40)"
+    board.add_argument("--size-mm", type=between(2.0, 1000.0), default=40.0, metavar="MM", help=text)
+    text = "side of a marker on a ChArUco board (three quarters of a square)"
+    board.add_argument("--marker-mm", type=between(1.0, 1000.0), metavar="MM", help=text)
+    for axis in "xyz":
+        text = f"its centre along {axis} of end_effector, measured"
+        board.add_argument(f"--board-{axis}-mm", type=between(-500.0, 500.0), metavar="MM", help=text)
+    known = parser.add_argument_group("what is known beforehand, as standard deviations")
+    text = "of the board's measured centre, each direction (0.5)"
+    known.add_argument("--board-stddev-mm", type=between(0.0, 50.0), default=0.5, metavar="MM", help=text)
+    text = "of each arm angle's constant error (0.1)"
+    known.add_argument("--joint-stddev-deg", type=between(0.0, 10.0), default=0.1, metavar="DEG", help=text)
+    text = "scatter of the platform's position, corrected by the images (0.1)"
+    known.add_argument("--arm-stddev-mm", type=between(0.001, 50.0), default=0.1, metavar="MM", help=text)
+    text = "every so many-th image judges a fit to the others (5)"
+    parser.add_argument("--held-out-every", type=whole(2, 1000), default=5, metavar="N", help=text)
+    live = parser.add_argument_group("with a running charger")
+    live.add_argument("--take", type=whole(5, 500), metavar="N", help="first fill FOLDER up to N views; 20 are good")
+    text = "how far the platform goes toward the target's place (60)"
+    live.add_argument("--z-max-mm", type=between(5.0, 110.0), default=60.0, metavar="MM", help=text)
+    text = "of the camera; camera_info stands beside it (color/image_raw)"
+    live.add_argument("--color-topic", default="color/image_raw", metavar="NAME", help=text)
+    namespace_option(parser)
 
 
 def camera(options: argparse.Namespace) -> int:

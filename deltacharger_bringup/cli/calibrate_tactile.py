@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli.types import whole
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,6 +30,15 @@ _FEW = 30  # dockings, fewer of which leave most gains where they were
 _JITTERS = 3.0  # that an error of a well-mounted rig stays below
 _DEGREE = math.radians(1.0)
 _UNITS = {"horizontal": ("mm", 1e-3), "vertical": ("mm", 1e-3), "angle": ("°", _DEGREE)}
+
+
+def add_tactile(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `calibrate tactile`."""
+    parser.add_argument("--data", required=True, metavar="F.npz", help="dockings at known poses, of `tactile record`")
+    parser.add_argument("--out", required=True, metavar="FILE", help="where to write it, for misalignment_node")
+    parser.add_argument("--rig", type=whole(0, 2**31 - 1), metavar="N", help="which, where the data hold several")
+    parser.add_argument("--model", metavar="M.npz", help="pose model that it is for (default: the packaged one)")
+    parser.add_argument("--force", action="store_true", help="overwrite FILE, and write what makes estimates worse")
 
 
 @dataclass(frozen=True)

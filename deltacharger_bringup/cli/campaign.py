@@ -22,12 +22,38 @@ from deltacharger_bringup.cli.output import (
     tell,
     write_json,
 )
+from deltacharger_bringup.cli.parser import add_command
+from deltacharger_bringup.cli.types import SEED, whole
+from deltacharger_docking.parameters import APPROACHES
 from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, Settings, versions_of
 from deltacharger_scenes.scene import SceneError
 
 _DEFAULT_COUNT = 100
 _BAR = 30  # characters
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
+
+
+_DEFAULT_SCENES = "default"
+
+
+def add_campaign(parser: argparse.ArgumentParser) -> None:
+    """Add its options and the action `compare`."""
+    parser.add_argument("-n", type=whole(1, 10_000_000), metavar="N", help="dockings (default: 100, or the list's)")
+    parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="of all that is drawn (1)")
+    scenes = f"packaged campaign or YAML file that says what is drawn ({_DEFAULT_SCENES})"
+    parser.add_argument("--scenes", default=_DEFAULT_SCENES, metavar="NAME|FILE", help=scenes)
+    parser.add_argument("--approach", choices=APPROACHES, default="guarded", help="step rule of docking (guarded)")
+    parser.add_argument("--exact", action="store_true", help="compute every tick and frame as the nodes do; slower")
+    parser.add_argument("--workers", type=whole(1, 1024), metavar="K", help="processes on this computer (1)")
+    parser.add_argument("--scheduler", default="", metavar="tcp://…", help="of Dask, whose workers run the dockings")
+    parser.add_argument("--batch", type=whole(1, 10_000), default=0, metavar="N", help="dockings written at once")
+    parser.add_argument("--out", metavar="DIR", help="folder of Parquet files, made where it is missing")
+    actions = parser.add_subparsers(title="actions", metavar="ACTION")
+    compare_them = add_command(actions, "compare", "compare two campaigns of one seed, docking by docking")
+    compare_them.set_defaults(run=compare)
+    compare_them.add_argument("a", metavar="A", help="folder of the first one")
+    compare_them.add_argument("b", metavar="B", help="folder of the other one")
+    compare_them.add_argument("--picture", metavar="FILE", help="draw the differences")
 
 
 def campaign(options: argparse.Namespace) -> int:

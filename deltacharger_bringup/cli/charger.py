@@ -10,21 +10,20 @@ import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from deltacharger_bringup.cli.main import DEFAULT_SCENE
 from deltacharger_bringup.cli.output import (
     WRONG_INPUT,
     CommandError,
     Interrupts,
     say,
 )
-from deltacharger_bringup.cli.scene import load_for_command
+from deltacharger_bringup.cli.parser import DEFAULT_SCENE
 from deltacharger_core import environment, runtime
-from deltacharger_scenes.scene import Scene
 
 if TYPE_CHECKING:
     from rclpy.context import Context
 
     from deltacharger_scenes.composition import Composition
+    from deltacharger_scenes.scene import Scene
 
 DISCOVERY = 5.0  # s; a charger that runs is found in 0.25…3 s, and starting a second one beside it would be worse
 LOOK = (
@@ -45,6 +44,8 @@ def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
     Raises:
         CommandError: the scene or ROS_DOMAIN_ID is refused; exit code 2.
     """
+    from deltacharger_bringup.cli.scene import load_for_command  # hundreds of ms, for which --help does not wait
+
     scene = load_for_command(options.scene or DEFAULT_SCENE)
     environment.prepare()
     problem = environment.domain_problem()

@@ -18,20 +18,47 @@ from deltacharger_bringup.cli.charger import (
     start,
     wait_for_actions,
 )
-from deltacharger_bringup.cli.main import DEFAULT_PICTURE
 from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, WRONG_INPUT, CommandError, Interrupts, say
+from deltacharger_bringup.cli.parser import namespace_option, record_option, scene_option
 from deltacharger_bringup.cli.phases import PhasePrinter, report
+from deltacharger_bringup.cli.types import DEGREES, MILLIMETRES, POSITIVE, deadline
 from deltacharger_core import environment
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
-from deltacharger_scenes.scene import Scene
-from deltacharger_scenes.with_recorder import recorder_alone, with_recorder
 
 if TYPE_CHECKING:
     from deltacharger_records.replay.recorder import Recorder
     from deltacharger_ros.client import ChargerClient
     from deltacharger_scenes.composition import Composition
+    from deltacharger_scenes.scene import Scene
 
+_DEFAULT_PICTURE = "dock.png"
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
+
+
+def add_dock(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `dock`."""
+    scene_option(parser)
+    namespace_option(parser)
+    for axis in "xyz":
+        parser.add_argument(
+            f"--{axis}-mm", type=MILLIMETRES, metavar="MM", help=f"electrodes along {axis} of charger_base"
+        )
+    parser.add_argument("--roll-deg", type=DEGREES, metavar="DEG", help="of the electrodes about z, -90 to 90")
+    parser.add_argument("--camera", action="store_true", help="ask the camera even where the scene has coordinates")
+    parser.add_argument(
+        "--critical-angle-deg", type=POSITIVE, default=0.0, metavar="DEG", help="refuse earlier than the charger would"
+    )
+    parser.add_argument("--no-charge", action="store_true", help="end at aligned contact")
+    parser.add_argument("--hold", action="store_true", help="go on charging until a stop condition or Ctrl-C")
+    parser.add_argument("--stop-after-s", type=POSITIVE, default=0.0, metavar="S", help="of charging")
+    parser.add_argument("--stop-energy-j", type=POSITIVE, default=0.0, metavar="J", help="delivered")
+    parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this long")
+    parser.add_argument("--request-id", default="", metavar="ID", help="returned in docking_state")
+    parser.add_argument(
+        "--picture", default=_DEFAULT_PICTURE, metavar="FILE", help=f"of the run (default: {_DEFAULT_PICTURE})"
+    )
+    parser.add_argument("--no-picture", action="store_true", help="write none")
+    record_option(parser)
 
 
 def dock(options: argparse.Namespace) -> int:
@@ -43,6 +70,7 @@ def dock(options: argparse.Namespace) -> int:
     with Interrupts() as interrupts, ros_context() as context, contextlib.ExitStack() as stack:
         from deltacharger_records.replay.recorder import Recorder
         from deltacharger_ros.client import ChargerClient
+        from deltacharger_scenes.with_recorder import recorder_alone, with_recorder
 
         client = stack.enter_context(ChargerClient(options.namespace, context))
         composition: Composition | None = None
@@ -65,7 +93,7 @@ def dock(options: argparse.Namespace) -> int:
 
 def _check_picture(options: argparse.Namespace) -> None:
     """Refuse, before anything moves, a picture that could not be written at the end."""
-    if options.no_picture or options.picture == DEFAULT_PICTURE:  # whoever asked for none needs no writable folder
+    if options.no_picture or options.picture == _DEFAULT_PICTURE:  # whoever asked for none needs no writable folder
         return
     path = Path(options.picture)
     if path.suffix.lower() not in _PICTURES:

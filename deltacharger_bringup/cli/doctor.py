@@ -12,8 +12,9 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from deltacharger_bringup.cli.main import DEFAULT_SCENE
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli.parser import DEFAULT_SCENE, scene_option
+from deltacharger_bringup.cli.types import whole
 from deltacharger_bringup.doctor.board import examine_board
 from deltacharger_bringup.doctor.camera import examine_camera
 from deltacharger_bringup.doctor.environment import RosProbe, examine_settings, examine_versions
@@ -28,6 +29,17 @@ if TYPE_CHECKING:
     from deltacharger_scenes.scene import Scene
 
 _CURRENT_MAX = 3.0  # A, default of servo_node
+
+
+def add_doctor(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `doctor`."""
+    scene_option(parser)
+    parser.add_argument("--servo-port", metavar="PORT", help="of the servos, instead of the scene's")
+    parser.add_argument("--board-port", metavar="PORT", help="of the board, instead of the scene's")
+    speeds = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
+    text = "write this speed (bit/s) to servos that speak another one, torque off; needs --servo-port"
+    parser.add_argument("--set-baud", type=int, choices=speeds, metavar="BAUD", help=text)
+    parser.add_argument("--ids", type=whole(0, 252), nargs="+", metavar="ID", help="of --set-baud (default: all)")
 
 
 @dataclass

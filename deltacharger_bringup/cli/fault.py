@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, tell, write_json
+from deltacharger_bringup.cli.parser import namespace_option
+from deltacharger_bringup.cli.types import POSITIVE, between, whole
 from deltacharger_core import environment, runtime
 from deltacharger_core.parameters import ParameterError
 from deltacharger_sim.charger.fault_channel import SOCKET, ask
@@ -16,6 +18,18 @@ from deltacharger_sim.charger.fault_kinds import KINDS, Kind
 from deltacharger_sim.charger.faults import Fault
 
 _FLAGS = {"last": "--for-s", "servo": "--servo", "amount": "--amount"}
+
+
+def add_fault(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `fault`."""
+    parser.add_argument("kind", nargs="?", metavar="KIND", help="what; --list names them all")
+    parser.add_argument("--for-s", type=POSITIVE, default=0.0, metavar="S", help="how long (default: until --clear)")
+    parser.add_argument("--amount", type=between(-1e9, 1e9), metavar="A", help="how much, in the unit of its kind")
+    parser.add_argument("--servo", type=whole(1, 3), default=0, metavar="N", help="id, where it concerns one servo")
+    parser.add_argument("--list", action="store_true", help="name every kind, and what goes wrong at present")
+    parser.add_argument("--clear", action="store_true", help="end everything that lasts")
+    parser.add_argument("--directory", metavar="DIR", help="of the ports (default: the charger of the ROS domain)")
+    namespace_option(parser)
 
 
 def fault(options: argparse.Namespace) -> int:

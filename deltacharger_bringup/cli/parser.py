@@ -5,19 +5,37 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Callable
 from typing import Any, NoReturn
 
 from deltacharger_bringup.cli.output import tell, write_json
+from deltacharger_bringup.cli.types import namespace
+
+DEFAULT_SCENE = "simulated"
 
 
 class Parser(argparse.ArgumentParser):
-    """Tells a wrong usage as the one JSON object too, where the words ask for one, and reads `-8e1` as a number."""
+    """Tells a wrong usage as the one JSON object too, where the words ask for one, and reads `-8e1` as a number.
+
+    Args:
+        fill: adds the options, once it is known that the words are for this parser.
+    """
 
     wants_json = False
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
+    def __init__(
+        self, *arguments: Any, fill: Callable[[argparse.ArgumentParser], None] | None = None, **options: Any
+    ) -> None:
         super().__init__(*arguments, **options)
+        self._fill = fill
         self._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Read the words, of which some may be left over."""
+        fill, self._fill = self._fill, None
+        if fill is not None:
+            fill(self)
+        return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong with the words and end with exit code 2."""
@@ -47,18 +65,35 @@ class Version(argparse.Action):
 def add_command(
     commands: argparse._SubParsersAction[argparse.ArgumentParser],
     name: str,
-    run: tuple[str, str],
     text: str,
+    fill: Callable[[argparse.ArgumentParser], None] | None = None,
 ) -> argparse.ArgumentParser:
     """Add a command, or an action of one, with the option that all have, and return its parser.
 
     Args:
         commands: to which it is added.
         name: as it is called.
-        run: module and function that carry it out.
         text: what it does.
+        fill: as in `Parser`.
     """
-    parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    parser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".", fill=fill)
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout")
-    parser.set_defaults(run=run)
     return parser
+
+
+def scene_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--scene` to a command that works with one."""
+    parser.add_argument("--scene", metavar="NAME|FILE", help=f"packaged scene or YAML file (default: {DEFAULT_SCENE})")
+
+
+def namespace_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--namespace` to a command that speaks to a charger."""
+    parser.add_argument(
+        "--namespace", type=namespace, default="", metavar="NAME", help="of the charger (default: none)"
+    )
+
+
+def record_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--record` to a command that starts a charger."""
+    text = "keep a record of each docking in this folder (without DIR: where docking_recorder_node keeps them)"
+    parser.add_argument("--record", nargs="?", const="true", metavar="DIR", help=text)

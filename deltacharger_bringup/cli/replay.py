@@ -10,11 +10,19 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import McapFile, RecordingError
 from deltacharger_records.recording.folder import ABOUT, END, PARTIAL, SUFFIX
 
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
+
+
+def add_replay(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `replay`."""
+    parser.add_argument("path", metavar="FILE|DIR", help="record, also one that was cut short, or folder of records")
+    parser.add_argument("--picture", metavar="FILE", help="draw it: .png, .pdf, .svg or .jpg")
+    namespace_option(parser)
 
 
 def replay(options: argparse.Namespace) -> int:

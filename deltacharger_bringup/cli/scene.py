@@ -10,10 +10,22 @@ from collections.abc import Iterator
 from typing import Any
 
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli.parser import DEFAULT_SCENE
 from deltacharger_core.parameters import Declaration, declaration
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Scene, SceneError, load_scene, packaged_scenes
 from deltacharger_sim.proven import doubts
+
+
+def add_check(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `scene check`."""
+    parser.add_argument("scenes", nargs="*", metavar="NAME|FILE", help="default: every packaged scene")
+
+
+def add_explain(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `scene explain`."""
+    parser.add_argument("scene", nargs="?", default=DEFAULT_SCENE, metavar="NAME|FILE")
+    parser.add_argument("--all", action="store_true", help="also the keys that the scene leaves at their default")
 
 
 def load_for_command(name_or_file: str) -> Scene:

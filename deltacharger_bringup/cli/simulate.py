@@ -8,14 +8,25 @@ import json
 import os
 from pathlib import Path
 
-from deltacharger_bringup.cli.main import DEFAULT_SCENE
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, answer, say, tell
+from deltacharger_bringup.cli.parser import DEFAULT_SCENE, scene_option
 from deltacharger_bringup.cli.scene import load_for_command
 from deltacharger_ros.outcomes import json_ready
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
 _QUIET = 0.6  # s without a byte from any host, after which nobody is left to switch anything off
 _LONGEST_LINGER = 3.0  # s
+
+
+def add_simulate(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `simulate`."""
+    scene_option(parser)
+    parser.add_argument(
+        "--directory", required=True, metavar="DIR", help="where the ports appear, as DIR/servo and DIR/board"
+    )
+    parser.add_argument("--record", metavar="FILE", help="at the end, write what really happened in the world as JSON")
+    text = "end with 0 on Ctrl-C too, as nodes do, for what starts it beside them"
+    parser.add_argument("--as-node", action="store_true", help=text)
 
 
 def simulate(options: argparse.Namespace) -> int:

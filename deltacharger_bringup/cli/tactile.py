@@ -11,12 +11,54 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli.types import SEED, between, whole
+from deltacharger_tactile.classifiers.classifier import NAMES
 from deltacharger_tactile.errors import TactileError
 
 if TYPE_CHECKING:
     from deltacharger_tactile.dataset import Dataset
 
 _CALIBRATED = 0.8  # share of the dockings that are learnt from; the rest tells when an answer may be acted on
+
+
+TARGETS = ("angle", "vertical", "horizontal", "pose")
+
+
+def add_generate(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `tactile generate`."""
+    parser.add_argument(
+        "--protocol", choices=("paper", "continuous"), default="paper", help="the paper's two sets, or signed poses"
+    )
+    parser.add_argument("--rigs", type=whole(1, 1000), default=5, metavar="N", help="simulated devices (5)")
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of the dockings (0)")
+    parser.add_argument("--out", required=True, metavar="F.npz", help="where to write it")
+    parser.add_argument("--first-rig", type=whole(0, 10**9), default=0, metavar="N", help="seed of the first one (0)")
+    parser.add_argument("--frames", type=whole(1, 240), default=1, metavar="N", help="averaged in each row (1)")
+    parser.add_argument("--rows", type=whole(1, 240), default=1, metavar="N", help="of each docking (1)")
+    parser.add_argument(
+        "--threshold", type=between(0.0, 9.0), metavar="N", help="less counts as 0 (paper 1 as there, continuous 0.25)"
+    )
+    parser.add_argument(
+        "--dockings", type=whole(1, 100_000), metavar="N", help="of the continuous protocol on each device (400)"
+    )
+
+
+def add_train(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `tactile train`."""
+    parser.add_argument("--data", required=True, metavar="F.npz", help="of `generate`")
+    parser.add_argument("--model", required=True, choices=NAMES, help="what to train")
+    parser.add_argument("--target", required=True, choices=TARGETS, help="what it shall tell")
+    parser.add_argument("--out", required=True, metavar="M.npz", help="where to write it")
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of whatever is random (0)")
+    parser.add_argument(
+        "--reference", metavar="R.npz", help="dockings that show what one device constantly does (lda, pose)"
+    )
+
+
+def add_evaluate(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `tactile evaluate`."""
+    parser.add_argument("--data", required=True, metavar="F.npz", help="that it was not trained with")
+    parser.add_argument("--model", required=True, metavar="M.npz", help="of `train`")
 
 
 def generate(options: argparse.Namespace) -> int:

@@ -23,11 +23,13 @@ from deltacharger_bringup.cli.output import (
     tell,
     write_json,
 )
+from deltacharger_bringup.cli.parser import namespace_option
+from deltacharger_bringup.cli.types import MILLIMETRES, SEED, between, whole
 from deltacharger_core import environment
 from deltacharger_docking.codes import Code, Unreachable
 from deltacharger_docking.observation import Outcome
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, TILTED, Part
+from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, SETS, TILTED, Part
 
 if TYPE_CHECKING:
     from deltacharger_records.datasets.charger import RecordingCharger
@@ -38,6 +40,38 @@ if TYPE_CHECKING:
 _TRIES = 3  # at one docking whose failure may pass; any other failure wants a person
 _PAUSE = 3.0  # s before another try, in which a silence may pass
 _FRAME = 1.0 / 120.0  # s
+
+
+def add_record(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `tactile record`."""
+    parser.add_argument("--out", required=True, metavar="F.npz", help="data set, made from the folder F.recording")
+    parser.add_argument("--set", choices=SETS, help="the paper's two, dockings at zero, or random offsets up to 12 mm")
+    parser.add_argument("--angle-deg", type=between(-20.0, 20.0), metavar="DEG", help="of the target (angle and sweep)")
+    parser.add_argument(
+        "--repeat",
+        type=whole(1, 10_000),
+        metavar="N",
+        help="at each offset (position: 20), in all (angle: 100, reference: 10, sweep: 100)",
+    )
+    parser.add_argument(
+        "--offsets-mm", type=between(-20.0, 20.0), nargs="+", metavar="MM", help="of position (-10 -5 0 5 10)"
+    )
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of order and random offsets (0)")
+    parser.add_argument("--compose", action="store_true", help="only write F.npz from what was recorded")
+    namespace_option(parser)
+    target = parser.add_argument_group("where the target's electrodes stand, in charger_base")
+    for axis, default in (("x", 0.0), ("y", 0.0), ("z", 80.0)):
+        target.add_argument(f"--{axis}-mm", type=MILLIMETRES, default=default, metavar="MM", help=f"({default:g})")
+    felt = parser.add_argument_group("of the whole file")
+    felt.add_argument("--rig", type=whole(0, 2**31 - 1), default=0, metavar="N", help="number of this charger (0)")
+    felt.add_argument("--sensor", default="", metavar="ID", help="of its pads, for the record")
+    felt.add_argument("--frames", type=whole(1, 240), default=1, metavar="N", help="averaged in each row (1)")
+    felt.add_argument("--rows", type=whole(1, 240), default=1, metavar="N", help="of each docking (1)")
+    felt.add_argument("--threshold", type=between(0.0, 9.0), default=0.25, metavar="N", help="less counts as 0 (0.25)")
+    felt.add_argument("--dwell-s", type=between(0.0, 60.0), default=0.5, metavar="S", help="rest before them (0.5)")
+    parser.add_argument(
+        "--tare-every", type=whole(1, 10_000), default=25, metavar="N", help="dockings after a tare, a session (25)"
+    )
 
 
 def record(options: argparse.Namespace) -> int:

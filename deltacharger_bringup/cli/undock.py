@@ -4,11 +4,22 @@
 from __future__ import annotations
 
 import argparse
+import math
 
 from deltacharger_bringup.cli.charger import LOOK, prepare, require_docking, ros_context
 from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, CommandError, Interrupts
+from deltacharger_bringup.cli.parser import namespace_option, scene_option
 from deltacharger_bringup.cli.phases import PhasePrinter, report
+from deltacharger_bringup.cli.types import deadline
 from deltacharger_core import environment
+
+
+def add_undock(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `undock`."""
+    scene_option(parser)
+    namespace_option(parser)
+    parser.add_argument("--deadline-s", type=deadline, default=math.inf, metavar="S", help="cancel after this long")
+    parser.add_argument("--request-id", default="", metavar="ID", help="returned in docking_state")
 
 
 def undock(options: argparse.Namespace) -> int:

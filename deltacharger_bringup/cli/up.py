@@ -25,15 +25,30 @@ from deltacharger_bringup.cli.charger import (
     wait_for_actions,
 )
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, answer, say
+from deltacharger_bringup.cli.parser import namespace_option, record_option, scene_option
 from deltacharger_core import environment
-from deltacharger_scenes.overrides import Overrides, override
-from deltacharger_scenes.scene import Scene, SceneError
 
 if TYPE_CHECKING:
     from rclpy.context import Context
 
     from deltacharger_ros.client import ChargerClient
     from deltacharger_scenes.composition import Composition
+    from deltacharger_scenes.scene import Scene
+
+
+def add_up(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `up`; those that change the scene are judged with it."""
+    scene_option(parser)
+    namespace_option(parser)
+    record_option(parser)
+    parser.add_argument(
+        "--recording", metavar="FILE", help="record that the scene plays (without --scene: that of scene replay)"
+    )
+    parser.add_argument("--servo-port", default="", metavar="PORT", help="of the servos, instead of the scene's")
+    parser.add_argument("--board-port", default="", metavar="PORT", help="of the board, instead of the scene's")
+    text = "what finds electrodes, instead of the scene's: an OAK-D, a camera that others drive, or nothing"
+    parser.add_argument("--camera", default="", metavar="oak|topics|none", help=text)
+    parser.add_argument("--model", default="", metavar="FILE", help="pose model (npz) of misalignment_node")
 
 
 def up(options: argparse.Namespace) -> int:
@@ -110,6 +125,9 @@ def _with_options(scene: Scene, options: argparse.Namespace) -> Scene:
     Raises:
         CommandError: they do not fit the scene; exit code 2.
     """
+    from deltacharger_scenes.overrides import Overrides, override
+    from deltacharger_scenes.scene import SceneError
+
     told = dataclasses.fields(Overrides)
     try:
         return override(scene, Overrides(**{each.name: getattr(options, each.name) or "" for each in told}))

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_bringup.cli.charger import prepare, ros_context
-from deltacharger_bringup.cli.main import DEFAULT_SCENE
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, say, write_json
+from deltacharger_bringup.cli.parser import DEFAULT_SCENE, namespace_option
 from deltacharger_bringup.cli.scene import load_for_command
+from deltacharger_bringup.cli.types import POSITIVE
 from deltacharger_core import environment
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.geometry_file import load_geometry
@@ -32,6 +33,22 @@ _SILENT_AFTER = 5.0  # s; who misses the first announcement of a topic waits 3 s
 _LOOK = 1.0 / 30.0  # s between two looks into the topics
 _FLUSH = 10.0  # s for what is under way to the viewer
 _EXTRA = "install deltacharger[view], or `pip install 'rerun-sdk>=0.39'`"
+
+
+def add_view(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `view`."""
+    parser.add_argument("--recording", metavar="FILE.mcap", help="show this instead of a running charger")
+    parser.add_argument(
+        "--scene", metavar="NAME|FILE", help="whose geometry and camera mount are drawn (default: the usual ones)"
+    )
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--save", metavar="FILE.rrd", help="write a file for later instead of opening a window")
+    where.add_argument("--connect", metavar="URL", help="show it in a viewer that runs, rerun+http://HOST:9876/proxy")
+    parser.add_argument("--camera", action="store_true", help="the camera's image too, at 5 Hz; it is taken for it")
+    parser.add_argument(
+        "--stop-after-s", type=POSITIVE, default=0.0, metavar="S", help="of a running charger (default: at Ctrl-C)"
+    )
+    namespace_option(parser)
 
 
 def view(options: argparse.Namespace) -> int:

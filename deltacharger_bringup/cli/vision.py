@@ -42,6 +42,32 @@ _MANY = ("pictures", *_TOPICS)
 _NAMED = 10  # broken images that are named on stderr; the JSON object names all
 
 
+def add_detect(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `vision detect`."""
+    parser.add_argument(
+        "path",
+        nargs="?",
+        metavar="FOLDER|REC.mcap",
+        help="images NAME.color.png and NAME.depth.png (or color/NAME.png and depth/NAME.png), or a recording",
+    )
+    one = parser.add_argument_group("one image")
+    one.add_argument("--color", metavar="A.png", help="PNG or JPEG")
+    one.add_argument("--depth", metavar="A.png|A.npy", help="aligned to it: 16-bit mm, or float m (default: none)")
+    one.add_argument("--picture", metavar="OUT.png", help="draw what was found into a copy of the image")
+    many = parser.add_argument_group("a folder or a recording")
+    many.add_argument("--pictures", metavar="DIR", help="the same for every image, into a folder")
+    many.add_argument("--color-topic", default="", metavar="NAME", help="(the one that ends in color/image_raw)")
+    many.add_argument("--depth-topic", default="", metavar="NAME", help="(depth/image_raw of the same camera)")
+    many.add_argument("--info-topic", default="", metavar="NAME", help="(camera_info beside the colour)")
+    parser.add_argument(
+        "--camera-info",
+        metavar="K.yaml",
+        help="intrinsics of the colour image (folder: its camera_info.yaml; recording: its own)",
+    )
+    parser.add_argument("--terminal", metavar="T.yaml", help="size of the bars (default: 70 × 10 mm, 7.4 mm apart)")
+    parser.add_argument("--mount", metavar="MOUNT.yaml", help="tell the pose in charger_base too")
+
+
 class _Readable(Protocol):
     """An image that is read when its turn comes."""
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import shlex
@@ -15,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from deltacharger_bringup.cli import scene
 from deltacharger_bringup.cli.main import build_parser, main
 
 from ..chargers import Process
@@ -102,6 +104,27 @@ def test_a_domain_that_ros_cannot_use_is_2(
     assert code == 2
     assert "0 to 232" in one_object(out)["error"]
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("problem", "exit_code"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), 1),
+        (FileNotFoundError(errno.ENOENT, "No such file or directory", "mount.yaml"), 2),
+        (PermissionError(errno.EACCES, "Permission denied", "mount.yaml"), 2),
+        (IsADirectoryError(errno.EISDIR, "Is a directory", "mount.yaml"), 2),
+    ],
+)
+def test_a_full_disk_is_a_failed_job_and_a_path_that_cannot_be_used_is_wrong_input(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, problem: OSError, exit_code: int
+) -> None:
+    def fail(options: object) -> int:
+        raise problem
+
+    monkeypatch.setattr(scene, "list_scenes", fail)
+    code, out, err = run(capsys, "scene", "list", "--json")
+    assert code == exit_code
+    assert one_object(out)["error"] == err.strip()
 
 
 def test_numbers_and_namespaces_as_people_write_them() -> None:

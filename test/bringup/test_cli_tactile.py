@@ -11,9 +11,7 @@ import pytest
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT
-from deltacharger_bringup.cli.tactile_options import MODELS
 from deltacharger_tactile import MODEL_PATH
-from deltacharger_tactile.classifiers.classifier import NAMES
 
 
 @pytest.fixture(scope="module")
@@ -25,10 +23,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def answer(capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
     return dict(json.loads(capsys.readouterr().out.splitlines()[-1]))
-
-
-def test_the_command_knows_every_classifier() -> None:
-    assert set(MODELS) == set(NAMES)
 
 
 def test_a_data_set_has_the_fields_that_are_promised(data: Path) -> None:

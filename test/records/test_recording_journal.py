@@ -14,11 +14,10 @@ pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_bringup.cli.output import WRONG_INPUT
-from deltacharger_bringup.cli.tactile_options import SETS as NAMED_SETS
 from deltacharger_core.mcap_file import RecordingError
 from deltacharger_records.datasets.dataset import Docking, Settings
 from deltacharger_records.datasets.journal import Journal, Mismatch
-from deltacharger_records.datasets.plan import SETS, Part
+from deltacharger_records.datasets.plan import Part
 from deltacharger_tactile.dataset import Dataset
 
 PART = Part("reference", 0.0, 10, 0, 0.0, 0.0, 80.0)
@@ -75,10 +74,6 @@ def test_one_process_at_a_time_and_nothing_else_goes_into_a_folder(tmp_path: Pat
     (tmp_path / "F.recording" / "recording.json").write_text("{")
     with pytest.raises(RecordingError, match=r"recording\.json is damaged"):
         Journal(out)
-
-
-def test_the_command_knows_every_set() -> None:
-    assert NAMED_SETS == SETS
 
 
 @pytest.mark.parametrize(
