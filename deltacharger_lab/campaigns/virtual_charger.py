@@ -136,17 +136,22 @@ class VirtualCharger:
         return self.finish(limit)
 
     def finish(self, limit: float) -> Outcome:
-        """Step until the goal has an outcome."""
-        self.until(lambda: self.outcome is not None, limit)
-        assert self.outcome is not None
+        """Step until the goal has an outcome; raises TimeoutError after `limit` simulated seconds."""
+        end = self.now + limit
+        while self.outcome is None:
+            self._tick_before(end)
         return self.outcome
 
     def until(self, condition: Callable[[], bool], limit: float) -> None:
-        """Step until `condition` holds; fail after `limit` simulated seconds."""
+        """Step until `condition` holds; raises TimeoutError after `limit` simulated seconds."""
         end = self.now + limit
         while not condition():
-            assert self.now < end, f"not reached within {limit} s; state {self.machine.status.state.name}"
-            self.tick()
+            self._tick_before(end)
+
+    def _tick_before(self, end: float) -> None:
+        if self.now >= end:
+            raise TimeoutError(f"not reached until {end:.2f} s; state {self.machine.status.state.name}")
+        self.tick()
 
     def run(self, seconds: float) -> None:
         """Step for a while."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 import functools
 import heapq
 import itertools
+import logging
 import math
 import threading
 from collections.abc import Callable, Sequence
@@ -16,6 +17,7 @@ from deltacharger_core.parameters import Bounded, ParameterError, number, words
 from deltacharger_sim.charger.fault_kinds import KINDS, ONE, SERVOS, Hardware, Kind, Order, Undo
 
 __all__ = ["KINDS", "Fault", "Faults", "Hardware"]
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,8 @@ class _Active:
 class Faults:
     """Causes and ends faults; thread-safe. A thread of its own exists only where something is to happen later.
 
+    What fails in that thread is logged as an error with the fault's kind, and the others come and go in their time.
+
     Args:
         scheduled: what a scene orders, at times after now.
         hardware: whom it befalls.
@@ -93,13 +97,13 @@ class Faults:
         self._clock = clock
         self._condition = threading.Condition(threading.RLock())
         self._active: dict[tuple[str, int, float], _Active] = {}
-        self._later: list[tuple[float, int, Callable[[], None]]] = []
+        self._later: list[tuple[float, int, str, Callable[[], None]]] = []
         self._numbers = itertools.count()
         self._stopping = False
         self._thread: threading.Thread | None = None
         start = clock()
         for fault in scheduled:
-            self._plan(start + fault.at, functools.partial(self.begin, fault))
+            self._plan(start + fault.at, fault.kind, functools.partial(self.begin, fault))
 
     def begin(self, fault: Fault) -> None:
         """Cause a fault now, whatever its `at`; it ends after its `last`, or with `clear`."""
@@ -113,7 +117,7 @@ class Faults:
             until = now + fault.last if fault.last else float("inf")
             active = self._active[fault.key] = _Active(fault, undo, until)
             if fault.last:
-                self._plan(until, lambda: self._end(fault.key, active))
+                self._plan(until, f"the end of {fault.kind}", lambda: self._end(fault.key, active))
 
     def clear(self) -> None:
         """End every fault that lasts; what latched errors remain is for the driver to clear."""
@@ -151,9 +155,9 @@ class Faults:
                 del self._active[key]
                 active.undo()
 
-    def _plan(self, at: float, action: Callable[[], None]) -> None:
+    def _plan(self, at: float, what: str, action: Callable[[], None]) -> None:
         with self._condition:
-            heapq.heappush(self._later, (at, next(self._numbers), action))
+            heapq.heappush(self._later, (at, next(self._numbers), what, action))
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="faults", daemon=True)
                 self._thread.start()
@@ -166,4 +170,10 @@ class Faults:
                 if wait is None or wait > 0.0:
                     self._condition.wait(wait)
                 else:
-                    heapq.heappop(self._later)[2]()
+                    self._do(*heapq.heappop(self._later)[2:])
+
+    def _do(self, what: str, action: Callable[[], None]) -> None:
+        try:
+            action()
+        except Exception:  # one fault that cannot be is no reason for the others to stay away
+            _log.exception("simulated fault failed: %s", what)

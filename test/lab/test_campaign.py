@@ -24,6 +24,7 @@ from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused
 from deltacharger_lab.campaigns.store import Store, read_results
 from deltacharger_lab.campaigns.summary import summarise, wilson
+from deltacharger_lab.campaigns.virtual_charger import TICK, VirtualCharger
 
 from ..chargers import Process, wait_until
 from .campaigns import QUICK, comparable, scene, settings, stored
@@ -278,3 +279,12 @@ def test_without_pyarrow_it_says_what_to_install(
     assert code == 1
     assert "install deltacharger[campaign]" in told["error"]
     assert not (tmp_path / "x").exists()
+
+
+def test_what_is_never_reached_ends_at_its_limit() -> None:
+    charger = VirtualCharger()
+    with pytest.raises(TimeoutError, match="state IDLE"):
+        charger.until(lambda: False, 0.05)
+    with pytest.raises(TimeoutError):
+        charger.finish(0.05)
+    assert charger.now <= 0.1 + TICK

@@ -11,12 +11,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import serial
 
 from deltacharger_scenes.scene import parse_scene
+from deltacharger_sim.charger.fault_kinds import KINDS, Hardware, Order
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 from deltacharger_sim.charger.simulation import Simulation
 
@@ -76,6 +78,22 @@ def test_a_scenes_faults_come_and_go_in_their_time(tmp_path: Path) -> None:
         wait_until(lambda: not answer(charger.servo_port, 2), "servo 2 without supply")
         assert answer(charger.servo_port, 1)
         wait_until(lambda: answer(charger.servo_port, 2), "servo 2 back")
+
+
+def test_a_fault_that_fails_is_told_and_the_others_come(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(hardware: Hardware, order: Order) -> None:
+        raise OSError("no such cable")
+
+    monkeypatch.setitem(KINDS, "servo_unplugged", replace(KINDS["servo_unplugged"], apply=fail))
+    with SimulatedCharger(simulated(faults=[{"kind": "servo_unplugged"}, {"kind": "board_silent"}])) as charger:
+        faults = charger.faults
+        assert faults is not None
+        wait_until(faults.active, "the fault after the one that fails")
+        assert [each["kind"] for each in faults.active()] == ["board_silent"]
+    assert "simulated fault failed: servo_unplugged" in caplog.text
+    assert "no such cable" in caplog.text
 
 
 def test_an_unplugged_port_disappears_and_comes_back(tmp_path: Path) -> None:

@@ -143,7 +143,7 @@ def whole_docking(name: str, step: float, number: int, parameters: WorldParamete
         charger.plant = SharedWorld(charger.world, clock=lambda: charger.now)
     try:
         outcome = charger.dock()
-    except AssertionError as error:
+    except TimeoutError as error:
         return {"model": name, "step": step, "docking": number, "code": "NOT ENDED", "about": str(error)}
     truth = charger.world.snapshot()
     rest = 1000.0 * math.hypot(*truth.misalignment[:2]) if truth.misalignment else math.nan
