@@ -4,7 +4,7 @@
     ros2 launch deltacharger charger.launch.py scene:=bench servo_port:=/dev/ttyUSB1 namespace:=left record:=true
 
 This file only wires: what runs, and with which parameters, stands in the scene; what the other arguments change of it
-is decided in scene_overrides. A wrong argument ends the launch before anything starts.
+is decided in deltacharger_scenes.overrides. A wrong argument ends the launch before anything starts.
 
 A node that moves nothing and carries no current is started again when it dies (`may_restart` in node_table). The end of
 any other ends the charger as a whole, docking_node among them, which leaves the arm safe; ros2 launch then ends with 1.

@@ -54,7 +54,7 @@ class Goals:
         begun: called with the lock held after the machine has begun a goal; it publishes and hands over an outcome
             that is there at once.
         misalignment: gives the message of an estimate.
-        base: name of the robot's frame, and charger_base in it (see `docking_node_io.electrodes`).
+        base: name of the robot's frame, and charger_base in it (see `messages.electrodes`).
         held: let goals that come wait for `release`.
     """
 

@@ -3,7 +3,7 @@
 (docs/board-link.md).
 
 Pure functions and a decoder; no port, no clock, no state of the board. What packets carry is in
-board_payloads.
+payloads.py.
 """
 
 from __future__ import annotations

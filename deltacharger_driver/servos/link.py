@@ -24,7 +24,7 @@ class ServoLink:
     Args:
         port: path of the serial port.
         baud_rate: bit/s.
-        reply_margin: s, for what is asked in a hurry, see `servo_port.REPLY_MARGIN`.
+        reply_margin: s, for what is asked in a hurry, see `port.REPLY_MARGIN`.
     """
 
     def __init__(self, port: str, baud_rate: int, reply_margin: float = REPLY_MARGIN) -> None:
@@ -182,7 +182,7 @@ class ServoLink:
         return self._protocol.sync_read(self._handler, servos, address, length, ahead)
 
     def send(self, packets: bytes) -> None:
-        """Send packets that nobody answers (`servo_protocol.sync_write_packet`).
+        """Send packets that nobody answers (`protocol.sync_write_packet`).
 
         Raises:
             PortGone: the port vanished or takes nothing.

@@ -67,7 +67,7 @@ class BusSettings:
         zero_ticks: encoder count at angle 0, per servo.
         direction: +1 or −1 per servo: whether the count rises with the angle.
         watchdog: units of 20 ms, 1–6.
-        reply_margin: s, see `servo_port.REPLY_MARGIN`.
+        reply_margin: s, see `port.REPLY_MARGIN`.
         current_max: largest current bound that will be asked for, A. A servo whose current limit is lower ignores the
             whole goal, so it is refused at the set-up.
     """

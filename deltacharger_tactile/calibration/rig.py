@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What reference dockings tell about one rig: gains and dead taxels of its pads, what a tilt does, constant errors.
 
-`apply` goes before the pose model, `correct` after it. `sensor_calibration_fit` makes one; running it needs numpy
+`apply` goes before the pose model, `correct` after it. `fit` makes one; running it needs numpy
 alone, reading and writing the file PyYAML.
 """
 

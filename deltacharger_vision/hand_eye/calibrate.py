@@ -6,7 +6,7 @@ follows from the directions of the platform's moves, and its place is known only
 platform, which a ruler must tell; the offset's error is the camera's. The board's orientation is found besides.
 
 `calibrate` gives the mount with a covariance, the error on views that were held out, and the size of the board that
-fits the moves; `hand_eye_checks` says what is doubtful about all this.
+fits the moves; `checks` says what is doubtful about all this.
 """
 
 from __future__ import annotations
