@@ -20,7 +20,6 @@ import numpy as np
 from deltacharger.msg import DockingState, ServoState
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.parameter_client import AsyncParameterClient
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
@@ -32,6 +31,7 @@ from deltacharger_kinematics import DeltaGeometry
 from deltacharger_kinematics.calibration.data import TICK, Encoder
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_records.node_parameters import ParameterReader
 from deltacharger_ros import qos
 from deltacharger_ros.executor import Spinner
 
@@ -84,7 +84,7 @@ class ArmClient:
         self.node.create_subscription(DockingState, "docking_state", self._on_docking_state, qos.STATE)
         self._publisher = self.node.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
         self._torque: Any = self.node.create_client(SetBool, "set_torque")
-        self._parameters = AsyncParameterClient(self.node, "servo_node")
+        self._parameters = ParameterReader(self.node, "servo_node")
         self._spinner: Spinner | None = Spinner(self.node)
 
     def __enter__(self) -> ArmClient:
@@ -127,16 +127,13 @@ class ArmClient:
 
     def encoder(self) -> Encoder | None:
         """Return how servo_node's parameters place the encoders; None where it does not tell."""
-        if not self._parameters.wait_for_services(timeout_sec=_ANSWER):
-            return None
-        future = self._parameters.get_parameters(["zero_ticks", "direction"])
-        reply = future.result() if self._wait(future.done, _ANSWER) else None
-        if reply is None:
-            return None
-        values = [tuple(value.integer_array_value) for value in reply.values]
-        if [len(value) for value in values] != [3, 3]:
-            return None
-        return Encoder(values[0], values[1])
+        answers: list[dict[str, Any]] = []
+        if self._wait(self._parameters.is_ready, _ANSWER):
+            self._parameters.ask(answers.append)
+            self._wait(lambda: bool(answers), _ANSWER)
+        told = answers[0] if answers else {}
+        values = tuple(told.get(name, ()) for name in ("zero_ticks", "direction"))
+        return Encoder(*values) if [len(value) for value in values] == [3, 3] else None
 
     def start(self) -> None:
         """Switch the torque on, holding the present position.

@@ -12,9 +12,7 @@ import os
 import threading
 import time
 import uuid
-from collections.abc import Callable, Sequence
-from dataclasses import fields
-from pathlib import Path
+from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
@@ -23,8 +21,6 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.parameter import parameter_value_to_python
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.time import Time
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -35,10 +31,10 @@ from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.inputs import Inputs
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_records.datasets.arm_client import ArmError
 from deltacharger_records.datasets.keeper import TOPICS, Tape
 from deltacharger_records.datasets.machine import RecordingMachine
+from deltacharger_records.node_parameters import ParameterReader, docking_settings
 from deltacharger_ros import qos
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.raw_topics import listen
@@ -160,14 +156,11 @@ class RecordingCharger:
         """
         if not self.has_docking_node:
             return DockingParameters(), DeltaGeometry()
-        docking = self._ask("docking_node", [item.name for item in fields(DockingParameters)])
-        lengths = self._ask("docking_node", [item.name for item in fields(DeltaGeometry) if item.name != "limbs"])
-        file = self._ask("docking_node", ["geometry_file"])
-        if not docking or not lengths or file is None:
+        told = self._ask("docking_node")
+        if not told:
             raise ArmError("docking_node does not tell its parameters; is it of this version? look at its log")
         try:
-            base = load_geometry(Path(file["geometry_file"]).expanduser()) if file.get("geometry_file") else None
-            return DockingParameters(**docking), (base or DeltaGeometry()).with_values(**lengths)
+            return docking_settings(told)
         except (OSError, ValueError, TypeError) as error:
             raise ArmError(f"docking_node's parameters cannot be followed here: {error}") from error
 
@@ -178,10 +171,10 @@ class RecordingCharger:
         """
         found: list[bool | None] = []
         for name in ("servo_node", "tactile_node"):
-            told = self._ask(name, ["port"])
-            if told is None:
+            told = self._ask(name)
+            if not told:
                 found.append(None)
-            elif not told:
+            elif "port" not in told:
                 found.append(True)
             else:
                 path = os.path.realpath(str(told["port"]))
@@ -272,21 +265,13 @@ class RecordingCharger:
     def _wait_for_torque_off(self) -> bool:
         return self._wait(lambda: not self._observe().torque_enabled, _ANSWER, patient=True)
 
-    def _ask(self, name: str, parameters: Sequence[str]) -> dict[str, Any] | None:
-        """Return those of a node's parameters that it has; None where it does not answer."""
-        client = AsyncParameterClient(self.node, name)
-        if not self._wait(client.services_are_ready, _ANSWER):
-            return None
-        future = client.get_parameters(list(parameters))
-        reply = future.result() if self._wait(future.done, _ANSWER) else None
-        if reply is None:
-            return None
-        values = {key: parameter_value_to_python(value) for key, value in zip(parameters, reply.values, strict=False)}
-        return {
-            key: value if isinstance(value, str | float | int | bool) else tuple(value)
-            for key, value in values.items()
-            if value is not None
-        }
+    def _ask(self, name: str) -> dict[str, Any]:
+        """Return a node's parameters; empty where it does not answer."""
+        reader, answers = ParameterReader(self.node, name), list[dict[str, Any]]()
+        if self._wait(reader.is_ready, _ANSWER):
+            reader.ask(answers.append)
+            self._wait(lambda: bool(answers), _ANSWER)
+        return answers[0] if answers else {}
 
     def _is_taken(self) -> bool:
         docking = self._docking

@@ -15,6 +15,7 @@ from rclpy.serialization import deserialize_message
 
 from deltacharger_core.mcap_file import Raw, RecordingError
 from deltacharger_docking.codes import Code
+from deltacharger_records.node_parameters import with_geometry
 from deltacharger_records.recording.docking_topics import ALWAYS, DECISION, STATE
 from deltacharger_records.recording.folder import ABOUT, END, PARAMETERS, RESULT, RecordFolder
 from deltacharger_records.recording.gate import Gate
@@ -93,8 +94,9 @@ class DockingRecorder:
             self._tell(RESULT, {"action": outcome.action, "json": json.dumps(outcome.as_dict())})
 
     def take_parameters(self, values: Mapping[str, Any]) -> None:
-        """Take what docking decides by."""
-        self._tell(PARAMETERS, {name: json.dumps(value) for name, value in sorted(values.items())})
+        """Take what docking decides by, and keep with it what its geometry file says."""
+        told = with_geometry(values)
+        self._tell(PARAMETERS, {name: json.dumps(value) for name, value in sorted(told.items())})
 
     def tick(self, now: float, alive: bool) -> None:
         """Flush, keep the folder bounded, and end a record that is complete.

@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger.action import Dock, Undock
-from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.parameter import parameter_value_to_python
 
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import Raw, RecordingError, require_mcap
+from deltacharger_records.node_parameters import ParameterReader
 from deltacharger_records.recording.docking_recorder import DockingRecorder, gate_for
 from deltacharger_records.recording.docking_topics import ACTIONS, STATE, TOPICS
 from deltacharger_records.recording.folder import RecordFolder
@@ -78,8 +77,7 @@ class DockingRecorderNode(Node):
             action: self.create_client(kind.Impl.GetResultService, f"{action}/_action/get_result", callback_group=group)
             for action, kind in zip(ACTIONS, (Dock, Undock), strict=True)
         }
-        self._names: Any = self.create_client(ListParameters, "docking_node/list_parameters", callback_group=group)
-        self._values: Any = self.create_client(GetParameters, "docking_node/get_parameters", callback_group=group)
+        self._docking_parameters = ParameterReader(self, "docking_node")
         self._diagnostics = Diagnostics(self)
         self._topics = PolledTopics(self, TOPICS)
         self._closed = False
@@ -124,23 +122,8 @@ class DockingRecorderNode(Node):
         request.goal_id.uuid = list(goal)
         client.call_async(request).add_done_callback(on_result)
 
-    def _ask_parameters(self) -> None:
-        """Ask docking_node what it decides by; no answer is no reason to record less."""
-
-        def on_names(done: Any) -> None:
-            if done.exception() is None and done.result() is not None:
-                names = list(done.result().result.names)
-                values = self._values.call_async(GetParameters.Request(names=names))
-                values.add_done_callback(lambda found: on_values(names, found))
-
-        def on_values(names: list[str], done: Any) -> None:
-            if done.exception() is None and done.result() is not None:
-                found = [parameter_value_to_python(value) for value in done.result().values]
-                known = {name: _plain(value) for name, value in zip(names, found, strict=False)}
-                self._told.append(lambda: self._recorder.take_parameters(known))
-
-        if self._names.service_is_ready():
-            self._names.call_async(ListParameters.Request()).add_done_callback(on_names)
+    def _on_parameters(self, told: dict[str, Any]) -> None:
+        self._told.append(lambda: self._recorder.take_parameters(told))
 
     def _loop(self) -> None:
         ticked = diagnosed = 0.0
@@ -156,8 +139,8 @@ class DockingRecorderNode(Node):
                 if now - ticked >= _TICK:
                     ticked = now
                     self._recorder.tick(now, self.count_publishers(self._state) > 0)
-                if self._recorder.path not in (None, recorded):
-                    self._ask_parameters()
+                if self._recorder.path not in (None, recorded) and self._docking_parameters.is_ready():
+                    self._docking_parameters.ask(self._on_parameters)
                 recorded = self._recorder.path
                 if now - diagnosed >= _DIAGNOSTICS:
                     diagnosed = now
@@ -183,10 +166,6 @@ class DockingRecorderNode(Node):
         if recorder.problem:
             level, text = ERROR, recorder.problem
         self._diagnostics.tell(level, text, {"folder": self._folder_path})
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if hasattr(value, "__iter__") and not isinstance(value, str) else value
 
 
 def _version() -> str:

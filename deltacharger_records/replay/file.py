@@ -70,23 +70,17 @@ class Recording:
         except DamagedRecording as error:
             self.damage = error.reason
 
+    def read(self, take: Callable[[str, int, Any], None]) -> None:
+        """Hand each message to `take` in the order of the file, up to its damage: relative topic, ns, message."""
+        try:
+            for name, received, data in self.messages():
+                take(name, received, decoded(name, data))
+        except RecordingError as error:
+            self.damage = str(error)
+
     def missing(self) -> dict[str, str]:
         """Return the topics that a docking has and the recording lacks, with the reason."""
         return {name: self.unreadable.get(name, "not in the recording") for name in _TYPES if not self.counts.get(name)}
-
-
-def read(path: Path, take: Callable[[str, int, Any], None], namespace: str | None = None) -> Recording:
-    """Read a recording, handing each message of a docking to `take`: relative topic, ns since 1970, message.
-
-    Arguments and errors as those of `Recording`; `take` is called in the order of the file.
-    """
-    recording = Recording(path, namespace)
-    try:
-        for name, received, data in recording.messages():
-            take(name, received, decoded(name, data))
-    except RecordingError as error:
-        recording.damage = str(error)
-    return recording
 
 
 def decoded(name: str, data: bytes) -> Any:

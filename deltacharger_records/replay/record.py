@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_records.node_parameters import known_settings
 from deltacharger_records.recording.folder import ABOUT, END, PARAMETERS, RESULT
-from deltacharger_records.replay.file import Recording, read
+from deltacharger_records.replay.file import Recording
 from deltacharger_records.replay.run_builder import RunBuilder
 from deltacharger_records.replay.run_record import Run
 from deltacharger_ros.client import CODES, PHASES
@@ -35,6 +36,7 @@ class Replay:
 
     Attributes:
         recording: the file, its metadata and what is wrong with it.
+        parameters: what docking decided by; the defaults where that was not recorded.
         run: curves, measurements, decisions.
         phases: in order.
         code: the error that docking_state told last; 0 = none.
@@ -47,7 +49,8 @@ class Replay:
     """
 
     recording: Recording
-    run: Run = field(default_factory=Run)
+    parameters: DockingParameters
+    run: Run
     phases: list[Phase] = field(default_factory=list)
     code: int = 0
     message: str = ""
@@ -68,13 +71,6 @@ class Replay:
             if values.get("action") == action:
                 return _outcome(json.loads(values["json"]))
         return None
-
-    @property
-    def parameters(self) -> DockingParameters:
-        """What docking decided by; the defaults where that was not recorded."""
-        told = (self.recording.told(PARAMETERS) or [{}])[-1]
-        known = {name: json.loads(told[name]) for name in DockingParameters.__dataclass_fields__ if name in told}
-        return DockingParameters(**known)
 
     @property
     def about(self) -> dict[str, str]:
@@ -137,8 +133,12 @@ def replay(path: Path, namespace: str | None = None) -> Replay:
         RecordingError: it is no recording of a docking.
         OSError: it cannot be read.
     """
-    reader = _Reader()
-    found = Replay(read(path, reader.take, namespace), reader.build.run)
+    recording = Recording(path, namespace)
+    told = (recording.told(PARAMETERS) or [{}])[-1]
+    settings = known_settings({name: json.loads(text) for name, text in told.items()})
+    reader = _Reader(RunBuilder(Run(), settings))
+    recording.read(reader.take)
+    found = Replay(recording, settings[0], reader.build.run)
     reader.complete(found)
     return found
 
@@ -146,8 +146,8 @@ def replay(path: Path, namespace: str | None = None) -> Replay:
 class _Reader:
     """Turns messages into a run; the clock begins with the first state that is not idle."""
 
-    def __init__(self) -> None:
-        self.build = RunBuilder(Run())
+    def __init__(self, build: RunBuilder) -> None:
+        self.build = build
         self._first = self._last = 0
         self._states: list[tuple[int, Any]] = []
         self._takers: dict[str, Callable[[float, Any], None]] = {

@@ -16,16 +16,22 @@ from rclpy.context import Context
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 
+from deltacharger_records.node_parameters import ParameterReader, known_settings
 from deltacharger_records.replay.run_builder import RunBuilder
 from deltacharger_records.replay.run_record import Run
 from deltacharger_ros import qos
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.outcomes import Outcome, Progress
 
+_ASK = 0.1  # s between questions for docking_node's parameters
+_PATIENCE = 3.0  # s that their answer may take
+
 
 class Recorder:
     """Fill a `Run` from servo_state, docking_state, tactile_frame, misalignment, charger_power, the detector's
     annotated image and action feedback.
+
+    Where the arm is and how it pushes is told by docking_node's own geometry and gravity, asked for at the beginning.
 
     Args:
         context: a running rclpy context.
@@ -37,7 +43,7 @@ class Recorder:
 
     def __init__(self, context: Context, namespace: str = "") -> None:
         self.run = Run()
-        self._build = RunBuilder(self.run)
+        self._build = RunBuilder(self.run, None)
         self._lock = threading.Lock()
         self._began = time.monotonic()
         self._done = False
@@ -56,6 +62,8 @@ class Recorder:
         node.create_subscription(Misalignment, "misalignment", self._taker(build.misalignment), qos.DEFAULT_DEPTH)
         node.create_subscription(ChargerPower, "charger_power", self._taker(build.power), qos.LATEST)
         node.create_subscription(Image, "electrode_detection/image", self._on_image, qos.SENSOR)
+        self._parameters = ParameterReader(node, "docking_node")
+        self._asking = node.create_timer(_ASK, self._ask)
         self._spinner: Spinner | None = Spinner(node)
 
     def close(self) -> None:
@@ -92,6 +100,23 @@ class Recorder:
         with self._lock:
             self.run.outcome = outcome
             self._done = True
+
+    def _ask(self) -> None:
+        """Ask docking_node once it can be; where nobody answers, its defaults must do."""
+        if self._now() > _PATIENCE:
+            self._asking.cancel()
+            self._on_parameters({})
+        elif self._parameters.is_ready():
+            self._parameters.ask(self._on_parameters)
+
+    def _on_parameters(self, told: dict[str, Any]) -> None:
+        self._asking.cancel()
+        try:
+            settings = known_settings(told)
+        except ValueError:  # of another version
+            settings = known_settings({})
+        with self._lock:
+            self._build.settings = self._build.settings or settings
 
     def _now(self) -> float:
         return time.monotonic() - self._began

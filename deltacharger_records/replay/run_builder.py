@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from deltacharger.msg import ChargerPower, DockingDecision, DockingState, Misalignment, ServoState, TactileFrame
 
-from deltacharger_core.machine import CONTACT_FORCE, GRAVITY, TORQUE_CONSTANT
+from deltacharger_core.machine import CONTACT_FORCE, TORQUE_CONSTANT
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.replay.run_record import Decided, Run, Touch
 from deltacharger_ros.client import PHASES
@@ -28,11 +30,13 @@ class RunBuilder:
 
     Args:
         run: to fill.
+        settings: what docking_node decides by, and its arm's geometry; None = told later, readings before are left out.
     """
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run, settings: tuple[DockingParameters, DeltaGeometry] | None) -> None:
         self.run = run
-        self._delta = ScalarDelta()
+        self.settings = settings
+        self._delta: ScalarDelta | None = None
         self._felt: tuple[float, ...] = ()
 
     def enter(self, time: float, phase: str) -> None:
@@ -42,12 +46,13 @@ class RunBuilder:
 
     def servo_state(self, time: float, message: ServoState) -> None:
         """Take where the arm is and what it carries."""
-        if len(message.position) != 3:
+        if len(message.position) != 3 or self.settings is None:
             return
+        self._delta = self._delta or ScalarDelta(self.settings[1])
         position = self._delta.forward(*message.position)
         force = current = math.nan
         if math.isfinite(position[2]) and len(message.current) == 3:
-            held = self._delta.holding_torque(*position, GRAVITY)
+            held = self._delta.holding_torque(*position, self.settings[0].gravity)
             spare = [TORQUE_CONSTANT * current - hold for current, hold in zip(message.current, held, strict=True)]
             force = self._delta.force(*position, (spare[0], spare[1], spare[2]))[2]
             lever = self._delta.jacobian(*position)[6:9]  # dz/dangle of each servo

@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from deltacharger.action import Dock
@@ -18,7 +19,7 @@ from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.ros.messages import unknown
 from deltacharger_records.recording.docking_topics import TOPICS
-from deltacharger_records.recording.folder import ABOUT, RESULT
+from deltacharger_records.recording.folder import ABOUT, PARAMETERS, RESULT
 from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_ros.outcomes import Outcome
 from deltacharger_scenes.scene import Scene
@@ -115,13 +116,20 @@ def result(code: Code, message: str = "", elapsed: float = 3.0, **details: Any) 
     return Outcome("dock", code == Code.NONE, int(code), code.name, message, False, elapsed, details)
 
 
-def write(path: Path, messages: Iterable[Raw], *results: Outcome, kinds: Mapping[str, Any] = KINDS) -> Path:
+def write(
+    path: Path,
+    messages: Iterable[Raw],
+    *results: Outcome,
+    kinds: Mapping[str, Any] = KINDS,
+    parameters: Mapping[str, Any] = MappingProxyType({}),
+) -> Path:
     """Write a recording of the messages."""
     with McapWriter(path, kinds) as writer:
         writer.tell(ABOUT, {"version": "0", "scene": "tape", "namespace": "/a", "request_id": "r/1"})
         for message in messages:
             if message.topic in kinds:
                 writer.add(message)
+        writer.tell(PARAMETERS, {name: json.dumps(value) for name, value in parameters.items()})
         for each in results:
             writer.tell(RESULT, {"action": each.action, "json": json.dumps(each.as_dict())})
     return path

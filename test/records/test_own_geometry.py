@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forces and heights are told by the charger's own geometry and gravity, live as in a record."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ..chargers import new_namespace, wait_until
+from .docking_tapes import docking, raw, write
+
+pytest.importorskip("mcap", reason="records with deltacharger[record]")
+
+from deltacharger.msg import ServoState
+from rclpy.node import Node
+
+from deltacharger_core.machine import JOINTS, TORQUE_CONSTANT
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
+from deltacharger_kinematics.geometry_file import save_geometry
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_records.node_parameters import docking_settings, known_settings, with_geometry
+from deltacharger_records.replay.record import replay
+from deltacharger_records.replay.recorder import Recorder
+from deltacharger_ros import qos
+from deltacharger_ros.executor import Spinner
+
+LIMBS = (LimbAdjustment(arm=0.101), LimbAdjustment(angle_offset=0.05), LimbAdjustment())
+CALIBRATED = DeltaGeometry(arm=0.103, limbs=LIMBS)
+TILTED = {"gravity_x": 0.0, "gravity_y": -6.0, "gravity_z": 7.76}
+PLACE, PUSH = (0.004, -0.003, 0.07), 12.0  # m, N
+
+
+def pushing() -> ServoState:
+    """Return what the servos of that charger tell while they push at that place."""
+    delta = ScalarDelta(CALIBRATED)
+    gravity = (TILTED["gravity_x"], TILTED["gravity_y"], TILTED["gravity_z"])
+    held = delta.holding_torque(*PLACE, gravity)
+    lever = delta.jacobian(*PLACE)[6:9]
+    message = ServoState(name=list(JOINTS), valid=[True] * 3)
+    message.position = list(delta.inverse(*PLACE))
+    message.current = [(hold + PUSH * each) / TORQUE_CONSTANT for hold, each in zip(held, lever, strict=True)]
+    return message
+
+
+@pytest.fixture
+def told(tmp_path: Path) -> dict[str, Any]:
+    """What docking_node answers, the limbs' own adjustments in its file alone."""
+    save_geometry(CALIBRATED, tmp_path / "arm.yaml")
+    return {**TILTED, "geometry_file": str(tmp_path / "arm.yaml"), "arm": 0.103, "start_type_description_service": True}
+
+
+def test_the_settings_are_those_of_docking_node_also_where_its_file_is_elsewhere(told: dict[str, Any]) -> None:
+    parameters = DockingParameters(**TILTED)
+    assert docking_settings(told) == (parameters, CALIBRATED)
+    kept = json.loads(json.dumps(with_geometry(told)))
+    Path(told["geometry_file"]).unlink()
+    assert known_settings(kept) == (parameters, CALIBRATED)
+    with pytest.raises(OSError, match=r"arm\.yaml"):
+        docking_settings(told)
+    assert known_settings(told) == (parameters, DeltaGeometry(arm=0.103))
+    assert known_settings({}) == (DockingParameters(), DeltaGeometry())
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_a_record_is_replayed_by_what_it_says_of_its_charger(tmp_path: Path, told: dict[str, Any], own: bool) -> None:
+    tape = [*docking(until=0.0), *(raw(2.6 + 0.01 * step, "servo_state", pushing()) for step in range(50))]
+    path = write(tmp_path / "a.mcap", tape, parameters=with_geometry(told) if own else {})
+    motion = replay(path).run.motion.arrays()
+    assert len(motion["z"]) == 50
+    right = [motion["z"][-1] == pytest.approx(PLACE[2], abs=1e-9), motion["force"][-1] == pytest.approx(PUSH, abs=1e-6)]
+    assert right == [own, own]
+
+
+def test_the_force_that_dock_prints_is_that_of_the_charger_that_runs(context: Any, told: dict[str, Any]) -> None:
+    namespace = new_namespace()
+    charger = Node("docking_node", context=context, namespace=namespace, use_global_arguments=False)
+    for name, value in told.items():
+        if not charger.has_parameter(name):
+            charger.declare_parameter(name, value)
+    publisher = charger.create_publisher(ServoState, "servo_state", qos.LATEST)
+    spinner = Spinner(charger)
+    try:
+        with Recorder(context, namespace) as recorder:
+
+            def told_right() -> bool:
+                publisher.publish(pushing())
+                return recorder.force() == recorder.force()
+
+            wait_until(told_right, "a force")
+            assert recorder.force() == pytest.approx(PUSH, abs=1e-6)
+            assert recorder.run.motion.arrays()["force"] == pytest.approx(PUSH, abs=1e-6), "from the first on"
+    finally:
+        spinner.close()
