@@ -13,8 +13,6 @@ any other ends the charger as a whole, docking_node among them, which leaves the
 from __future__ import annotations
 
 import argparse
-import difflib
-import sys
 import tempfile
 from dataclasses import fields
 from pathlib import Path
@@ -28,6 +26,7 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
 
 from deltacharger_bringup.cli.types import namespace
+from deltacharger_bringup.launch_arguments import refuse_slips
 from deltacharger_core.parameters import declared
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.overrides import Overrides, override
@@ -44,7 +43,6 @@ OWN = {
 ARGUMENTS = OWN | {item.name: ("", item.text) for item in declared(Overrides)}
 REFUSED = 2  # exit code of a node that cannot start as configured; starting it again would not help
 RESPAWN_DELAY = 1.0  # s
-OF_LAUNCH = ("launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_timeout", "sigkill_timeout")
 # A node that makes its hardware safe on a busy computer needs longer than launch's usual 5 s to end.
 PATIENCE = {name: LaunchConfiguration(name, default="15") for name in ("sigterm_timeout", "sigkill_timeout")}
 
@@ -58,7 +56,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _wire(context: LaunchContext) -> list[Any]:
-    _refuse_slips(context)
+    refuse_slips(__file__, context.argv, ARGUMENTS)
     told = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     if told["log_level"] not in LEVELS:
         raise ValueError(f"log_level is '{told['log_level']}'; give one of {', '.join(LEVELS)}")
@@ -69,22 +67,6 @@ def _wire(context: LaunchContext) -> list[Any]:
     scene = override(load_scene(told["scene"]), Overrides(**{item.name: told[item.name] for item in fields(Overrides)}))
     wired = _nodes if scene.simulation is None else _simulated
     return wired(scene, told)
-
-
-def _refuse_slips(context: LaunchContext) -> None:
-    """Refuse arguments that this file does not know, where it was started itself; launch would pass over them.
-
-    Raises:
-        ValueError: names the argument and the nearest known one.
-    """
-    if Path(__file__).name not in (Path(word).name for word in sys.argv):
-        return  # another launch file includes this one, and has arguments of its own
-    for word in context.argv:
-        name, assigned, _ = word.partition(":=")
-        if assigned and name not in ARGUMENTS and name not in OF_LAUNCH:
-            near = difflib.get_close_matches(name, ARGUMENTS, 1)
-            hint = f", did you mean '{near[0]}'?" if near else ""
-            raise ValueError(f"unknown argument '{name}'{hint}; known: {', '.join(ARGUMENTS)}")
 
 
 def _nodes(scene: Scene, told: dict[str, str], ports: dict[str, str] | None = None) -> list[Any]:

@@ -15,38 +15,40 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from deltacharger_bringup.launch_arguments import refuse_slips
 from launch import LaunchContext, LaunchDescription
 
 SHARE = Path(__file__).resolve().parents[1]
-MODEL = ("geometry_file", "mount_file", "base_pose")
+MODEL = {
+    "geometry_file": ("", "as kinematics_node's parameter"),
+    "mount_file": ("", "as electrode_detector_node's parameter"),
+    "base_pose": ("0 0 0 0.5 0.5 0.5 0.5", "charger_base in base_link: x y z, x y z w"),
+}
+ARGUMENTS = {
+    "namespace": ("", "of the charger"),
+    **MODEL,
+    "rviz": ("true", "false: only the robot model and tf"),
+}
 
 
 def generate_launch_description() -> LaunchDescription:
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument("namespace", default_value="", description="of the charger"),
-            DeclareLaunchArgument("geometry_file", default_value="", description="as kinematics_node's parameter"),
-            DeclareLaunchArgument("mount_file", default_value="", description="as electrode_detector_node's parameter"),
-            DeclareLaunchArgument(
-                "base_pose",
-                default_value="0 0 0 0.5 0.5 0.5 0.5",
-                description="charger_base in base_link: x y z, x y z w",
-            ),
-            DeclareLaunchArgument("rviz", default_value="true", description="false: only the robot model and tf"),
-            OpaqueFunction(function=_wire),
-        ]
-    )
+    declared = [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=_wire)])
 
 
 def _wire(context: LaunchContext) -> list[Any]:
     import xacro
     from launch_ros.parameter_descriptions import ParameterValue
 
-    told = {name: LaunchConfiguration(name).perform(context) for name in (*MODEL, "rviz")}
+    refuse_slips(__file__, context.argv, ARGUMENTS)
+    told = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     description = xacro.process_file(
         str(SHARE / "urdf" / "deltacharger.urdf.xacro"), mappings={name: told[name] for name in MODEL}
     ).toxml()
-    namespace = LaunchConfiguration("namespace")
+    namespace = told["namespace"]
     geometry = {"geometry_file": told["geometry_file"]} if told["geometry_file"] else {}
     nodes = [
         Node(

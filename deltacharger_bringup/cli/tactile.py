@@ -160,7 +160,7 @@ def evaluate(options: argparse.Namespace) -> int:
         raise CommandError(f"--model {options.model}: there is no such file", WRONG_INPUT) from error
     except TactileError as error:
         raise CommandError(str(error), WRONG_INPUT) from error
-    if learnt_from == data.meta:
+    if "protocol" in data.meta and learnt_from == data.meta:  # files of other programs do not say how they came about
         say(f"warning: {options.model} was trained on {options.data}: these figures flatter it; judge it on other data")
     if options.json:
         write_json(found)

@@ -79,6 +79,23 @@ def test_trained_and_judged(data: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert f"{model} was trained on {data}" in capsys.readouterr().err
 
 
+def test_data_of_another_program_are_not_taken_for_those_of_the_training(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
+    foreign, fresh, model = tmp_path / "foreign.npz", tmp_path / "fresh.npz", tmp_path / "model.npz"
+    assert main(["tactile", "generate", "--rigs", "1", "--seed", "9", "--out", str(fresh)]) == DONE
+    for source, path in ((data, foreign), (fresh, fresh)):
+        with np.load(source, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        np.savez(path, **{**arrays, "meta": np.array("{}")})
+    words = ["--data", str(foreign), "--model", "lda", "--target", "vertical", "--out", str(model)]
+    assert main(["tactile", "train", *words]) == DONE
+    capsys.readouterr()
+    assert main(["tactile", "evaluate", "--data", str(fresh), "--model", str(model)]) == DONE
+    assert "was trained on" not in capsys.readouterr().err
+
+
 def test_a_pose_estimator_is_trained_on_rigs_and_judged_on_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arguments of a launch file that it does not know, which launch itself would pass over."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from collections.abc import Collection, Iterable
+from pathlib import Path
+
+_OF_LAUNCH = ("launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_timeout", "sigkill_timeout")
+
+
+def refuse_slips(file: str, words: Iterable[str], known: Collection[str]) -> None:
+    """Refuse unknown arguments where the launch file was started itself; one that includes it has others of its own.
+
+    Args:
+        file: path of the launch file.
+        words: arguments that launch was given, as `name:=value`.
+        known: arguments that the file declares.
+
+    Raises:
+        ValueError: names the argument and the nearest known one.
+    """
+    if Path(file).name not in (Path(word).name for word in sys.argv):
+        return
+    for word in words:
+        name, assigned, _ = word.partition(":=")
+        if assigned and name not in known and name not in _OF_LAUNCH:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f", did you mean '{near[0]}'?" if near else ""
+            raise ValueError(f"unknown argument '{name}'{hint}; known: {', '.join(known)}")
