@@ -9,7 +9,7 @@ import hashlib
 import importlib
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -18,10 +18,11 @@ from typing import Any
 from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 
 _COMPUTES = ("core", "kinematics", "sim", "docking", "tactile")  # packages, deltacharger_…
-_HERE = Path(__file__).parent
 _ALSO = (
-    *("docking", "draw", "effort", "felt", "pads", "paper", "parts"),
-    *("quick_charger", "quick_motion", "rest", "spread", "virtual_charger"),
+    *("driver/errors.py", "driver/servos/mx64.py"),
+    *(f"lab/campaigns/{name}.py" for name in ("docking", "draw", "effort", "felt", "keys", "pads", "paper", "parts")),
+    *(f"lab/campaigns/{name}.py" for name in ("quick_charger", "quick_motion", "rest", "scene", "spread")),
+    "lab/campaigns/virtual_charger.py",
 )
 
 
@@ -118,15 +119,26 @@ def versions_of(content: Mapping[str, Any]) -> dict[str, str]:
 def _digest() -> str:
     """Return 16 hexadecimal digits that change with the code, and any model, that a docking follows from."""
     digest = hashlib.sha256()
+    for name, path in computing():
+        digest.update(name.encode() + meaning(path))
+    return digest.hexdigest()[:16]
+
+
+def computing() -> Iterator[tuple[str, Path]]:
+    """Yield name and place of every file that a docking follows from: code without its ROS shells, and models."""
     for package in _COMPUTES:
-        root = Path(str(importlib.import_module(f"deltacharger_{package}").__file__)).parent
+        root = _root(package)
         for path in sorted(root.rglob("*")):
             shell = path.stem.endswith(("_node", "_node_io")) or path.parent.name == "ros"
             if path.suffix in (".py", ".npz", ".json") and not shell:
-                digest.update(path.relative_to(root).as_posix().encode() + meaning(path))
+                yield f"{package}/{path.relative_to(root).as_posix()}", path
     for name in _ALSO:
-        digest.update(meaning(_HERE / f"{name}.py"))
-    return digest.hexdigest()[:16]
+        package, _, rest = name.partition("/")
+        yield name, _root(package) / rest
+
+
+def _root(package: str) -> Path:
+    return Path(str(importlib.import_module(f"deltacharger_{package}").__file__)).parent
 
 
 def meaning(path: Path) -> bytes:

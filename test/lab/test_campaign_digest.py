@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A campaign goes on only with the code that began it: whatever a docking follows from changes the digest."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deltacharger_lab.campaigns import settings
+
+RUN = """
+import json, sys
+from deltacharger_lab.campaigns.docking import dock_once, make_charger
+from deltacharger_lab.campaigns.draw import draw
+from deltacharger_lab.campaigns.scene import parse_campaign_scene
+scene = parse_campaign_scene({"target": {"x": [-0.01, 0.01]}}, "x")
+assert not dock_once(scene, 41, 0, "guarded")["error"]
+make_charger(draw(scene, 41, 0, "guarded"), exact=True)
+print(json.dumps({n: m.__file__ for n, m in sys.modules.items() if n.startswith("deltacharger_")}))
+"""
+ONLY_READS = ("deltacharger_scenes", "deltacharger_lab.campaigns.settings")
+"""Loaded, but no number of a row follows from it: where scenes lie and how they are refused, the record itself."""
+
+
+def test_every_module_that_a_docking_loads_is_covered() -> None:
+    ran = subprocess.run([sys.executable, "-c", RUN], stdout=subprocess.PIPE, text=True, check=True)
+    loaded = {name: Path(file) for name, file in json.loads(ran.stdout).items()}
+    assert len(loaded) > 50
+    covered = {path for _, path in settings.computing()}
+    missing = {
+        name
+        for name, path in loaded.items()
+        if path not in covered and not name.startswith(ONLY_READS) and len(ast.parse(path.read_text("utf-8")).body) > 1
+    }
+    assert not missing
+
+
+def test_an_edit_of_any_file_changes_the_digest(monkeypatch: pytest.MonkeyPatch) -> None:
+    files = dict(settings.computing())
+    known = {path: settings.meaning(path) for path in files.values()}
+    edited: list[Path] = []
+    monkeypatch.setattr(settings, "meaning", lambda path: known[path] + (b"x" if path in edited else b""))
+    first, found = settings._digest(), set()
+    for edited[:] in ([path] for path in files.values()):
+        found.add(settings._digest())
+    assert len(found | {first}) == len(files) + 1
+    assert {name.partition("/")[0] for name in files} == {*settings._COMPUTES, "driver", "lab"}
