@@ -18,10 +18,10 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_ros import qos
 from deltacharger_ros.executor import Spinner
-from deltacharger_vision.cameras.camera_info import from_camera_info
 from deltacharger_vision.cameras.ros_images import color_array
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.ros.messages import intrinsics_of
 
 _POLL = 0.01  # s
 _SAME_CLOCK = 10.0  # s between stamp and arrival; beyond it the camera's clock is another one
@@ -91,7 +91,7 @@ class CameraClient:
             raise CameraError(f"no {self._info_topic} is heard: start the camera, in this ROS domain")
         if info.binning_x > 1 or info.binning_y > 1 or info.roi.x_offset or info.roi.y_offset:
             raise CameraInfoError(self._info_topic, "binning or a region of interest is set; send whole images")
-        return from_camera_info(info.width, info.height, info.k, info.d, info.distortion_model, self._info_topic)
+        return intrinsics_of(info, self._info_topic)
 
     def image(self, timeout: float, check: Callable[[], None]) -> NDArray[np.uint8]:
         """Return an image (H, W, 3) RGB that was taken after this call; arguments as of `intrinsics`.
@@ -116,8 +116,7 @@ class CameraClient:
         message = self._wait(fresh, timeout, check)
         if message is None:
             raise CameraError(f"no image comes on {self._topic}: look at the camera's node and its cable")
-        fields = (message.encoding, message.height, message.width, message.step, message.data, message.is_bigendian)
-        pixels = color_array(*fields)
+        pixels = color_array(message)
         eight = (pixels >> 8).astype(np.uint8) if pixels.dtype == np.uint16 else pixels
         return np.ascontiguousarray(eight if eight.ndim == 3 else np.repeat(eight[:, :, None], 3, axis=2))
 

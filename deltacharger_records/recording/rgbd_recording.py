@@ -7,15 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from deltacharger_vision.cameras.camera_info import from_camera_info
-from deltacharger_vision.cameras.camera_node_io import decoded, stamp_ns
 from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
 from deltacharger_vision.cameras.recording import COLOR, DEPTH, INFO, CameraRecording
-from deltacharger_vision.cameras.ros_images import color_array, depth_array
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.ros.messages import decoded, intrinsics_of, rgbd_of, stamp_ns
 
 TOLERANCE = 15_000_000
 """ns between the stamps of colour and depth: under half the time between two images at 30 Hz."""
@@ -46,9 +42,7 @@ class RecordedImage:
         Raises:
             ImageError: it is no RGB-D image.
         """
-        pixels = color_array(*_fields(self.color))
-        metres = np.full(pixels.shape[:2], np.nan) if self.depth is None else depth_array(*_fields(self.depth))
-        return RgbdImage.make(pixels, metres, intrinsics)
+        return rgbd_of(self.color, self.depth, intrinsics)
 
 
 def recorded_images(recording: CameraRecording) -> Iterator[RecordedImage]:
@@ -85,8 +79,4 @@ def recorded_intrinsics(recording: CameraRecording) -> Intrinsics | None:
     source = f"{recording.path}: {recording.topics.info}"
     if info.binning_x > 1 or info.binning_y > 1 or info.roi.x_offset or info.roi.y_offset:
         raise CameraInfoError(source, "binning or a region of interest is set; record whole images, unbinned")
-    return from_camera_info(info.width, info.height, info.k, info.d, info.distortion_model, source)
-
-
-def _fields(message: Any) -> tuple[str, int, int, int, Any, bool]:
-    return message.encoding, message.height, message.width, message.step, message.data, bool(message.is_bigendian)
+    return intrinsics_of(info, source)

@@ -135,6 +135,6 @@ class Recorder:
     def _on_image(self, message: Image) -> None:
         from deltacharger_vision.cameras.ros_images import color_array
 
-        seen = color_array(message.encoding, message.height, message.width, message.step, message.data)
+        seen = color_array(message)
         with self._lock:
             self.run.seen = seen

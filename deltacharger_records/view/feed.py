@@ -179,8 +179,7 @@ class ViewFeed:
     def _on_image(self, name: str, message: Any) -> None:
         from deltacharger_vision.cameras.ros_images import color_array
 
-        fields = (message.encoding, message.height, message.width, message.step, message.data)
-        pixels = color_array(*fields, bool(message.is_bigendian))
+        pixels = color_array(message)
         self._log.picture(name, (pixels >> 8).astype("uint8") if pixels.dtype == "uint16" else pixels)
 
 

@@ -27,7 +27,11 @@ from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
 from deltacharger_sim.charger import simulated_camera_node_io as io
-from deltacharger_vision.cameras.image_node_io import (
+from deltacharger_vision.rendering.board_drawing import with_board
+from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
+from deltacharger_vision.rendering.scene import Scene, shifted
+from deltacharger_vision.rendering.scene_drawing import charger_parts
+from deltacharger_vision.ros.messages import (
     CAMERA_INFO,
     COLOR,
     DEPTH,
@@ -35,10 +39,6 @@ from deltacharger_vision.cameras.image_node_io import (
     color_message,
     depth_message,
 )
-from deltacharger_vision.rendering.board_drawing import with_board
-from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
-from deltacharger_vision.rendering.scene import Scene, shifted
-from deltacharger_vision.rendering.scene_drawing import charger_parts
 
 _PAUSE = 0.05  # s between two looks for subscribers
 _ARM = 1.0  # s that an image waits for the arm's angles

@@ -11,16 +11,15 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core.mcap_file import RecordingError
-from deltacharger_vision.cameras import image_node_io
 from deltacharger_vision.cameras import recording as camera_recording
-from deltacharger_vision.cameras.image_node_io import camera_info_message, color_message, depth_message
 from deltacharger_vision.cameras.recording import CameraRecording, Recorded
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME
+from deltacharger_vision.ros import messages
+from deltacharger_vision.ros.messages import camera_info_message, color_message, decoded, depth_message, stamp_ns
 
 _PAUSE = 0.05  # s between two looks for subscribers
 _JUMP = 1_000_000_000  # ns; a stamp so far from its pace comes from another clock than those before
@@ -38,11 +37,9 @@ class CameraPublishers:
         self._clock = node.get_clock()
         self._context = node.context
         self._publishers = {
-            camera_recording.COLOR: node.create_publisher(Image, image_node_io.COLOR, qos_profile_sensor_data),
-            camera_recording.DEPTH: node.create_publisher(Image, image_node_io.DEPTH, qos_profile_sensor_data),
-            camera_recording.INFO: node.create_publisher(
-                CameraInfo, image_node_io.CAMERA_INFO, qos_profile_sensor_data
-            ),
+            camera_recording.COLOR: node.create_publisher(Image, messages.COLOR, qos_profile_sensor_data),
+            camera_recording.DEPTH: node.create_publisher(Image, messages.DEPTH, qos_profile_sensor_data),
+            camera_recording.INFO: node.create_publisher(CameraInfo, messages.CAMERA_INFO, qos_profile_sensor_data),
         }
         self.published = 0
 
@@ -157,25 +154,6 @@ class Replay:
             self._publishers.recorded(camera_recording.INFO, self._info, stamp + shift)
         self._publishers.recorded(each.kind, message, stamp + shift)
         return shift
-
-
-def decoded(recording: CameraRecording, each: Recorded) -> Any:
-    """Return a recorded message.
-
-    Raises:
-        RecordingError: it is none of its topic's type.
-    """
-    kind = CameraInfo if each.kind == camera_recording.INFO else Image
-    try:
-        return deserialize_message(each.data, kind)
-    except Exception as error:  # rclpy raises its own private kinds
-        raise RecordingError(f"{recording.path}: holds a message that is no {kind.__name__}: {error}") from error
-
-
-def stamp_ns(message: Any) -> int:
-    """Return the stamp of a message's header, ns."""
-    stamp = message.header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
 
 
 def _time(stamp: int) -> Time:

@@ -36,60 +36,48 @@ _YUV = {"yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0}
 """Offset of the first luminance in each group of four bytes; the detector looks at luminance alone."""
 
 
-def color_array(
-    encoding: str, height: int, width: int, step: int, data: Any, is_bigendian: bool | int = False
-) -> NDArray[Any]:
-    """Return (H, W, 3) RGB or (H, W) gray, uint8 or uint16, of a colour image's fields.
+def color_array(image: Any) -> NDArray[Any]:
+    """Return (H, W, 3) RGB or (H, W) gray, uint8 or uint16, of a colour image.
 
     Of YUV 4:2:2 images the luminance is returned.
 
     Args:
-        encoding: such as rgb8, bgr8, rgba8, mono8.
-        height: px.
-        width: px.
-        step: bytes from row to row.
-        data: anything that has the buffer of H · step bytes.
-        is_bigendian: order of the bytes of 16-bit channels.
+        image: sensor_msgs/Image, or what has its fields.
 
     Raises:
         ImageError: the encoding is unknown or raw, or the fields contradict each other.
     """
-    name = encoding.lower()
+    name = image.encoding.lower()
     if name in _YUV:
-        rows = _rows("color", np.uint8, height, width, 2, step, data, False)
-        return np.ascontiguousarray(rows[:, :, _YUV[name]])
+        return np.ascontiguousarray(_rows("color", image, np.uint8, 2)[:, :, _YUV[name]])
     if name not in _COLORS:
-        raise ImageError("color", f"encoding {encoding!r}; {_advice(name)}")
+        raise ImageError("color", f"encoding {image.encoding!r}; {_advice(name)}")
     kind, channels, order = _COLORS[name]
-    rows = _rows("color", kind, height, width, channels, step, data, bool(is_bigendian))
+    rows = _rows("color", image, kind, channels)
     return rows[:, :, 0] if len(order) == 1 else rows[:, :, list(order)] if order != _RGB else rows[:, :, :3]
 
 
-def depth_array(
-    encoding: str, height: int, width: int, step: int, data: Any, is_bigendian: bool | int = False
-) -> NDArray[Any]:
-    """Return (H, W) uint16 mm or float m of a depth image's fields, as `color_array`.
+def depth_array(image: Any) -> NDArray[Any]:
+    """Return (H, W) uint16 mm or float m of a depth image, as `color_array`.
 
     Raises:
         ImageError: the encoding is not 16UC1 (mm) or 32FC1 (m), or the fields contradict each other.
     """
-    name = encoding.lower()
+    name = image.encoding.lower()
     if name not in _DEPTHS:
-        raise ImageError(
-            "depth", f"encoding {encoding!r}; must be 16UC1 in mm or 32FC1 in m: take the depth image aligned to colour"
-        )
-    return _rows("depth", _DEPTHS[name], height, width, 1, step, data, bool(is_bigendian))[:, :, 0]
+        needed = "must be 16UC1 in mm or 32FC1 in m: take the depth image aligned to colour"
+        raise ImageError("depth", f"encoding {image.encoding!r}; {needed}")
+    return _rows("depth", image, _DEPTHS[name], 1)[:, :, 0]
 
 
-def _rows(
-    what: str, kind: type, height: int, width: int, channels: int, step: int, data: Any, big: bool
-) -> NDArray[Any]:
+def _rows(what: str, image: Any, kind: type, channels: int) -> NDArray[Any]:
     """Return (H, W, channels) in the machine's byte order."""
-    stored = np.dtype(kind).newbyteorder(">" if big else "<")
+    height, width, step = image.height, image.width, image.step
+    stored = np.dtype(kind).newbyteorder(">" if image.is_bigendian else "<")
     least = width * channels * stored.itemsize
     if height < 1 or width < 1 or step < least:
         raise ImageError(what, f"{width} × {height} px with {step} bytes a row; a row needs {max(least, 1)}")
-    flat = np.frombuffer(data, dtype=np.uint8)
+    flat = np.frombuffer(image.data, dtype=np.uint8)
     if flat.size < step * (height - 1) + least:
         raise ImageError(what, f"{flat.size} bytes of {step * height}; the image was cut off on its way")
     padded = np.lib.stride_tricks.as_strided(flat, (height, least), (step, 1), writeable=False)

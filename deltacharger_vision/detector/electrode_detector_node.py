@@ -28,13 +28,13 @@ from sensor_msgs.msg import Image
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.parameters import declare_all
-from deltacharger_vision.cameras.image_node_io import CAMERA_INFO, COLOR, DEPTH, color_message
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.detector.electrode_detector_node_io import Camera, Shot, to_message
 from deltacharger_vision.errors import MountError, VisionError
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import POSITION_STDDEV, ROTATION_STDDEV, Mount, quaternion
+from deltacharger_vision.ros.messages import CAMERA_INFO, COLOR, DEPTH, color_message
 from deltacharger_vision.terminal import Terminal
 
 _FUTURE = 0.05  # s by which a stamp may be ahead of this computer's clock

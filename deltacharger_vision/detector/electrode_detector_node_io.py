@@ -17,13 +17,11 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_vision.cameras.camera_info import from_camera_info
-from deltacharger_vision.cameras.image_node_io import CAMERA_INFO, COLOR, DEPTH
 from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
-from deltacharger_vision.cameras.ros_images import color_array, depth_array
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import FRAME, Placed
+from deltacharger_vision.ros.messages import CAMERA_INFO, COLOR, DEPTH, intrinsics_of, rgbd_of, stamp_ns
 
 SILENT = 1.0
 """A topic without a message for so long counts as silent, s."""
@@ -54,13 +52,7 @@ class Shot:
             ImageError: an encoding is unknown, or the images do not fit together.
             CameraInfoError: the camera is not calibrated.
         """
-        info = self.info
-        intrinsics = from_camera_info(info.width, info.height, info.k, info.d, info.distortion_model, CAMERA_INFO)
-        color, depth = (
-            (each.encoding, each.height, each.width, each.step, each.data, each.is_bigendian)
-            for each in (self.color, self.depth)
-        )
-        return RgbdImage.make(color_array(*color), depth_array(*depth), intrinsics)
+        return rgbd_of(self.color, self.depth, intrinsics_of(self.info, CAMERA_INFO))
 
 
 class Camera:
@@ -180,10 +172,10 @@ class Camera:
         self._matcher.clear()
 
     def _on_color(self, message: Image) -> None:
-        self._take(self._matcher.add_color(_nanoseconds(message), message))
+        self._take(self._matcher.add_color(stamp_ns(message), message))
 
     def _on_depth(self, message: Image) -> None:
-        self._take(self._matcher.add_depth(_nanoseconds(message), message))
+        self._take(self._matcher.add_depth(stamp_ns(message), message))
 
     def _on_info(self, message: CameraInfo) -> None:
         self._info = message
@@ -209,7 +201,3 @@ def to_message(found: Detection, placed: Placed, shot: Shot) -> ElectrodeDetecti
     message.confidence = found.confidence
     message.range = found.range
     return message
-
-
-def _nanoseconds(message: Image) -> int:
-    return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)

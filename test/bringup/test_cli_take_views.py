@@ -24,12 +24,12 @@ from deltacharger_bringup.cli.take_views import _visit
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_ros import qos
 from deltacharger_ros.executor import Spinner
-from deltacharger_vision.cameras.image_node_io import camera_info_message, color_message
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.hand_eye.board import AprilTag
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.board_drawing import bracket
 from deltacharger_vision.rendering.camera import OAK_D
+from deltacharger_vision.ros.messages import camera_info_message, color_message
 
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
 from ..vision.hand_eye_rig import ARM, Rig, squared

@@ -16,11 +16,11 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_vision.cameras.image_node_io import camera_info_message, color_message, depth_message
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import SimulatedCamera
 from deltacharger_vision.rendering.scene import Scene
+from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message
 
 TARGET = (0.012, -0.009, 0.084, 0.06)
 

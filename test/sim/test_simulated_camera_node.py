@@ -44,7 +44,7 @@ class Viewer(Node):
         images = self.seen["color/image_raw"]
         count = len(images)
         message = wait_until(lambda: images[count:], "a colour image")[0]
-        return color_array(message.encoding, message.height, message.width, message.step, message.data)
+        return color_array(message)
 
 
 @pytest.fixture
@@ -92,7 +92,7 @@ def test_a_picture_comes_with_its_depth_and_calibration(
         lambda: {stamp(each) for each in color} & {stamp(each) for each in depth}, "colour and depth of one stamp"
     )
     first = depth[0]
-    millimetres = depth_array(first.encoding, first.height, first.width, first.step, first.data)
+    millimetres = depth_array(first)
     near = millimetres[200, 320] / 1e3
     assert near == pytest.approx(np.hypot(0.12, 0.2), abs=0.05)
 

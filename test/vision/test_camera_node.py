@@ -31,12 +31,11 @@ from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 from deltacharger_vision.cameras.camera_info import from_camera_info
 from deltacharger_vision.cameras.camera_node import CameraNode
-from deltacharger_vision.cameras.camera_node_io import stamp_ns
-from deltacharger_vision.cameras.image_node_io import camera_info_message, color_message, depth_message
 from deltacharger_vision.cameras.keeper import CameraUnavailable
 from deltacharger_vision.cameras.oak_pipeline import OakImage, OakSettings
 from deltacharger_vision.cameras.ros_images import color_array, depth_array
 from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message, stamp_ns
 
 pytestmark = pytest.mark.ros
 
@@ -196,8 +195,8 @@ def test_images_of_a_camera_reach_the_topics_as_they_are(start: Start, client: C
         assert {each.header.frame_id for each in (color, depth, info)} == {"camera_color_optical_frame"}
         assert (color.encoding, depth.encoding) == ("rgb8", "16UC1")
         number = int(color.data[0])
-        pixels = color_array(color.encoding, color.height, color.width, color.step, color.data)
-        millimetres = depth_array(depth.encoding, depth.height, depth.width, depth.step, depth.data)
+        pixels = color_array(color)
+        millimetres = depth_array(depth)
         np.testing.assert_array_equal(pixels, picture(number).color)
         assert (millimetres[0, 0], millimetres[1, 1]) == (0, 300 + number)
         assert from_camera_info(info.width, info.height, info.k, info.d, info.distortion_model) == LENS
@@ -292,9 +291,7 @@ def test_a_replay_publishes_what_was_recorded_at_its_pace_with_fresh_stamps(
     messages, depths, infos = list(client.color), list(client.depth), list(client.info)
     after = client.get_clock().now().nanoseconds
     for each in messages:
-        np.testing.assert_array_equal(
-            color_array(each.encoding, each.height, each.width, each.step, each.data), picture(int(each.data[0])).color
-        )
+        np.testing.assert_array_equal(color_array(each), picture(int(each.data[0])).color)
         assert each.header.frame_id == "camera_color_optical_frame"
         assert before < stamp_ns(each) < after + 10**9
     for one, two in itertools.pairwise(messages):

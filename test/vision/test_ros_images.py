@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from array import array
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +23,11 @@ def packed(pixels: np.ndarray, padding: int = 0) -> tuple[int, array[int]]:
     return rows.shape[1], array("B", rows.tobytes())
 
 
+def image(encoding: str, height: int, width: int, step: int, data: Any, big: bool = False) -> SimpleNamespace:
+    fields = {"encoding": encoding, "height": height, "width": width, "step": step, "data": data}
+    return SimpleNamespace(**fields, is_bigendian=int(big))
+
+
 @pytest.mark.parametrize("padding", [0, 5])
 @pytest.mark.parametrize(
     ("encoding", "order"),
@@ -28,34 +35,34 @@ def packed(pixels: np.ndarray, padding: int = 0) -> tuple[int, array[int]]:
 )
 def test_colour_comes_back_in_the_order_rgb(encoding: str, order: list[int], padding: int) -> None:
     step, data = packed(RGB[:, :, order], padding)
-    assert np.array_equal(color_array(encoding, 18, 21, step, data), RGB)
+    assert np.array_equal(color_array(image(encoding, 18, 21, step, data)), RGB)
 
 
 @pytest.mark.parametrize("big", [False, True])
 def test_sixteen_bits_come_in_either_order(big: bool) -> None:
     wide = RGB.astype(np.uint16) * 256 + 3
     step, data = packed(wide.astype(">u2" if big else "<u2"))
-    found = color_array("rgb16", 18, 21, step, data, big)
+    found = color_array(image("rgb16", 18, 21, step, data, big))
     assert found.dtype == np.uint16
     assert np.array_equal(found, wide)
     step, data = packed(wide[:, :, 0].astype(">u2" if big else "<u2"), 4)
-    assert np.array_equal(depth_array("16UC1", 18, 21, step, data, big), wide[:, :, 0])
+    assert np.array_equal(depth_array(image("16UC1", 18, 21, step, data, big)), wide[:, :, 0])
 
 
 def test_gray_stays_gray_and_yuv_gives_its_luminance() -> None:
     step, data = packed(RGB[:, :, 0])
-    assert np.array_equal(color_array("mono8", 18, 21, step, data), RGB[:, :, 0])
+    assert np.array_equal(color_array(image("mono8", 18, 21, step, data)), RGB[:, :, 0])
     yuyv = np.stack([RGB[:, :20, 0], np.full((18, 20), 128, np.uint8)], axis=2)
     step, data = packed(yuyv)
-    assert np.array_equal(color_array("yuv422_yuy2", 18, 20, step, data), RGB[:, :20, 0])
+    assert np.array_equal(color_array(image("yuv422_yuy2", 18, 20, step, data)), RGB[:, :20, 0])
     step, data = packed(yuyv[:, :, ::-1])
-    assert np.array_equal(color_array("yuv422", 18, 20, step, data), RGB[:, :20, 0])
+    assert np.array_equal(color_array(image("yuv422", 18, 20, step, data)), RGB[:, :20, 0])
 
 
 def test_depth_in_metres_keeps_what_is_unknown() -> None:
     metres = np.array([[0.5, np.nan], [np.inf, 0.25]], dtype=np.float32)
     step, data = packed(metres)
-    assert np.array_equal(depth_array("32FC1", 2, 2, step, data), metres, equal_nan=True)
+    assert np.array_equal(depth_array(image("32FC1", 2, 2, step, data)), metres, equal_nan=True)
 
 
 @pytest.mark.parametrize(
@@ -63,12 +70,12 @@ def test_depth_in_metres_keeps_what_is_unknown() -> None:
 )
 def test_another_colour_encoding_is_refused_with_advice(encoding: str, advice: str) -> None:
     with pytest.raises(ImageError, match=advice):
-        color_array(encoding, 18, 21, 63, bytes(18 * 63))
+        color_array(image(encoding, 18, 21, 63, bytes(18 * 63)))
 
 
 def test_a_colour_image_is_no_depth() -> None:
     with pytest.raises(ImageError, match="16UC1 in mm or 32FC1 in m"):
-        depth_array("rgb8", 18, 21, 63, bytes(18 * 63))
+        depth_array(image("rgb8", 18, 21, 63, bytes(18 * 63)))
 
 
 @pytest.mark.parametrize(
@@ -76,4 +83,4 @@ def test_a_colour_image_is_no_depth() -> None:
 )
 def test_fields_that_contradict_each_other_are_refused(height: int, width: int, step: int, size: int) -> None:
     with pytest.raises(ImageError, match="color"):
-        color_array("rgb8", height, width, step, bytes(size))
+        color_array(image("rgb8", height, width, step, bytes(size)))

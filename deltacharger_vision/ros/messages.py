@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arrays as the messages that every RGB-D driver publishes: sensor_msgs/Image and sensor_msgs/CameraInfo."""
+"""Between arrays and the messages that every RGB-D driver publishes: sensor_msgs/Image and sensor_msgs/CameraInfo."""
 
 from __future__ import annotations
 
@@ -10,13 +10,53 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_vision.images import Intrinsics
+from deltacharger_core.mcap_file import RecordingError
+from deltacharger_vision.cameras.camera_info import from_camera_info
+from deltacharger_vision.cameras.recording import INFO, CameraRecording, Recorded
+from deltacharger_vision.cameras.ros_images import color_array, depth_array
+from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME
 
 COLOR, DEPTH, CAMERA_INFO = "color/image_raw", "depth/image_raw", "color/camera_info"
 """Relative names of the topics of an RGB-D camera."""
+
+
+def stamp_ns(message: Any) -> int:
+    """Return the stamp of a message's header, ns."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def decoded(recording: CameraRecording, each: Recorded) -> Any:
+    """Return a recorded message.
+
+    Raises:
+        RecordingError: it is none of its topic's type.
+    """
+    kind = CameraInfo if each.kind == INFO else Image
+    try:
+        return deserialize_message(each.data, kind)
+    except Exception as error:  # rclpy raises its own private kinds
+        raise RecordingError(f"{recording.path}: holds a message that is no {kind.__name__}: {error}") from error
+
+
+def intrinsics_of(info: CameraInfo, source: str) -> Intrinsics:
+    """Return what a CameraInfo says; CameraInfoError, which names `source`, where it cannot be used."""
+    return from_camera_info(info.width, info.height, info.k, info.d, info.distortion_model, source)
+
+
+def rgbd_of(color: Image, depth: Image | None, intrinsics: Intrinsics) -> RgbdImage:
+    """Return two messages as one image, without depth where there is none.
+
+    Raises:
+        ImageError: an encoding is unknown, or the images do not fit together.
+    """
+    pixels = color_array(color)
+    metres = np.full(pixels.shape[:2], np.nan) if depth is None else depth_array(depth)
+    return RgbdImage.make(pixels, metres, intrinsics)
 
 
 def color_message(color: NDArray[np.uint8], stamp: Time, frame: str = CAMERA_FRAME) -> Image:
