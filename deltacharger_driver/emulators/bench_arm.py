@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Three servos on a bench instead of a world: the least physics that lets the servo emulator be used on its own.
 
+It is there because the driver is tested below the world, under loads that a test sets.
 Each servo is a spring and a damper with a torque limit, against a settable load; they do not feel each other.
 deltacharger_sim knows the arm's geometry.
 """

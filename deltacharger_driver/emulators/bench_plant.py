@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bench instead of a world: the least physics that lets the board emulator be used on its own.
 
+It is there because the driver is tested below the world, under forces and voltages that a test sets.
 Two pads under settable forces with offset and noise, and a battery that charges a target through a resistor. It knows
 no geometry; deltacharger_sim does.
 """

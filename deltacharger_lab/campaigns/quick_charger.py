@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A charger in virtual time that computes only what somebody looks at.
 
+It is there because ten of its dockings take the time of one of `VirtualCharger`, whose kind it is.
+
 Against `VirtualCharger`, which does what the nodes do at their rates: the world goes on in steps of 10 ms, not 5, and
 of twice that where the arm settles, and again where the electrodes rest on the target; the machine is stepped every
 10 ms only where its script acts on every observation, else up to 80 ms apart, and 130 ms where the arm stands still; a

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A charger in virtual time: the real state machine, the simulated world, no ROS, no ports and no waiting.
 
+It is there because thousands of dockings, the same on every machine, cannot wait for real seconds.
 Between them stands what the nodes do: the servo goal at 100 Hz, services that take their time, the contactor's lease.
 The machine gets only what the robot's topics carry.
 """
@@ -15,7 +16,16 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from deltacharger_core.machine import CURRENT_BOUND, DOCK_DISTANCE, FRAME_RATE, TORQUE_CONSTANT
+from deltacharger_core.machine import (
+    COLUMNS,
+    CONTACT_FORCE,
+    CURRENT_BOUND,
+    DOCK_DISTANCE,
+    FRAME_RATE,
+    PADS,
+    ROWS,
+    TORQUE_CONSTANT,
+)
 from deltacharger_docking.clearance import Estimate
 from deltacharger_docking.codes import State
 from deltacharger_docking.machine import DockingMachine
@@ -102,7 +112,7 @@ class VirtualCharger:
         self.states: list[State] = []
         self.outcome: Outcome | None = None
         self.model: PoseModel = packaged_model()
-        self._tare = np.zeros((2, 10, 10))
+        self._tare = np.zeros((PADS, ROWS, COLUMNS))
         self._tared = False
         self._torque = False
         self._trajectory: tuple[Waypoint, ...] = ()
@@ -113,7 +123,7 @@ class VirtualCharger:
         self._pending: list[Pending] = []
         self._replies: list[Reply] = []
         self._energised = False
-        self._frame = np.zeros((2, 10, 10))
+        self._frame = np.zeros((PADS, ROWS, COLUMNS))
         self._frame_at = -math.inf
 
     def _make_machine(self) -> DockingMachine:
@@ -221,8 +231,8 @@ class VirtualCharger:
         return (a, b, c), (counts(i), counts(j), counts(k))
 
     def _feels(self) -> bool:
-        """Return whether some taxel feels 1 N."""
-        return bool(np.nanmax(self._frame) >= 1.0)
+        """Return whether some taxel is in contact."""
+        return bool(np.nanmax(self._frame) >= CONTACT_FORCE)
 
     def _angles(self) -> list[float]:
         return [self.plant.read_servo(index)[0] for index in range(3)]

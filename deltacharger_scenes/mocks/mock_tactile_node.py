@@ -40,6 +40,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
 from deltacharger_scenes.mocks.parameters import FaultSwitch, declare_target
 from deltacharger_scenes.mocks.power import BATTERY, TARGET, MockPower
+from deltacharger_tactile.generator import contact_force
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.source import ContactSource
 
@@ -139,7 +140,8 @@ class MockTactileNode(Node):
                 self._jitter = self._source.begin_docking()
             x, y = self._target.x - self._position[0], self._target.y - self._position[1]
             pose = (x + self._jitter[0], y + self._jitter[1], self._target.angle + self._jitter[2])
-            force = self._magnet_force(math.hypot(pose[0], pose[1])) + max(self._push, 0.0)
+            pull = contact_force(self._model.docking, np.array([pose[:2]]), np.zeros(1), self._source.rig.magnets)
+            force = float(pull[0]) + max(self._push, 0.0)
         else:
             self._jitter = None
         raw = np.stack(self._source.sample(now, pose, force))
@@ -151,12 +153,6 @@ class MockTactileNode(Node):
             taxels = np.swapaxes(taxels, 1, 2)
         self._newest = taxels
         return self._frame_message(now, taxels)
-
-    def _magnet_force(self, offset: float) -> float:
-        """Return the magnets' pull (N) in contact at a lateral `offset` (m): the law of the generator's parameters."""
-        docking = self._model.docking
-        share = max(docking.magnet_floor, 1.0 / (1.0 + (offset / docking.magnet_width) ** 2))
-        return docking.magnet_force * self._source.rig.magnets * share
 
     def _frame_message(self, now: float, taxels: np.ndarray[Any, np.dtype[np.float64]]) -> TactileFrame:
         self._sequence += 1

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated hardware: one world behind emulated servos and an emulated board, each on a pseudo-terminal.
 
+It is there because there is no hardware: nodes, driver and bytes are those of the robot, in its real time.
 What opens the two ports cannot tell them from the robot's. A socket beside them takes faults to order (fault_channel).
 Nothing here knows ROS.
 """
