@@ -133,10 +133,7 @@ def _cloud(axes: Axes, parts: list[summary.Columns], title: str) -> None:
     every = summary.joined(parts, (*names, "energised_unsafe"))
     x, y = 1000.0 * every["last_clearance"].astype(float), 1000.0 * summary.felt_clearance(every, 3.0)
     unsafe = every["energised_unsafe"] > 0.0
-    kinds = (
-        (~every["charged"] & ~unsafe, ORANGE, "refused"),
-        (every["charged"] & ~unsafe, BLUE, "charged"),
-    )
+    kinds = ((~every["charged"] & ~unsafe, ORANGE, "refused"), (every["charged"] & ~unsafe, BLUE, "charged"))
     for chosen, colour, label in kinds:
         index = np.flatnonzero(chosen & np.isfinite(x) & np.isfinite(y))
         shown = index[:: max(1, len(index) // _LARGEST)]

@@ -107,10 +107,7 @@ def _solve(delta: Delta, exact: ExactDelta, points: Array) -> dict[str, Any]:
     truth = exact.inverse(points).angles
     reached = np.isfinite(truth.high)
     singles = [delta.inverse(tuple(point)) for point in points.tolist()]
-    ways = {
-        "array": delta.inverse(points),
-        "precise": delta.inverse(points, precise=True),
-    }
+    ways = {"array": delta.inverse(points), "precise": delta.inverse(points, precise=True)}
     answers = {name: (way.angles, way.margin) for name, way in ways.items()}
     answers["point"] = (
         np.array([each.angles for each in singles]).reshape(-1, 3),

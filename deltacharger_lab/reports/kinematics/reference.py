@@ -65,10 +65,7 @@ class ExactDelta:
     """
 
     def __init__(
-        self,
-        geometry: DeltaGeometry | None = None,
-        working_mode: Sequence[int] = (-1, -1, -1),
-        assembly: int = 1,
+        self, geometry: DeltaGeometry | None = None, working_mode: Sequence[int] = (-1, -1, -1), assembly: int = 1
     ) -> None:
         import mpmath
 

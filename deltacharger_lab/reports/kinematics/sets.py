@@ -188,13 +188,7 @@ def _folded_both(arm: Array, rod: Array, rng: np.random.Generator, edge: Array) 
 
 
 def _near_edge(
-    exact: ExactDelta,
-    rng: np.random.Generator,
-    count: int,
-    decades: tuple[float, float],
-    *,
-    inside: bool,
-    place: Place,
+    exact: ExactDelta, rng: np.random.Generator, count: int, decades: tuple[float, float], *, inside: bool, place: Place
 ) -> tuple[Array, Array]:
     """Return points (n, 3) and their exact signed distance (n,) to the edge of reach."""
     geometry = exact.geometry

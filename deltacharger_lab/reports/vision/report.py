@@ -54,9 +54,4 @@ def _measure(results: dict[str, Any], plan: Plan, progress: Callable[[str], None
     results["rows"] = {name: summary.row(each) for name, each in images.items()}
     results["band"] = summary.row(summary.band(images))
     results["mount"] = {name: summary.mount_row(each) for name, each in mounts.items()}
-    results["raw"] = {
-        "fields": FIELDS,
-        "images": images,
-        "mount_fields": mount.FIELDS,
-        "mount": mounts,
-    }
+    results["raw"] = {"fields": FIELDS, "images": images, "mount_fields": mount.FIELDS, "mount": mounts}
