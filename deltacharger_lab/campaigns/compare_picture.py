@@ -72,8 +72,7 @@ def _interval(axes: Axes, label: str, each: dict[str, Any], scale: float) -> Non
     axes.plot([low, high], [0.0, 0.0], color=colour, linewidth=3.0, solid_capstyle="butt", zorder=2)
     axes.plot([middle], [0.0], "o", color=colour, markersize=6.5, zorder=3)
     reach = 1.25 * max(abs(low), abs(high), abs(middle)) or 1.0
-    axes.set_xlim(-reach, reach)
-    axes.set_ylim(-1.0, 1.0)
+    axes.set(xlim=(-reach, reach), ylim=(-1.0, 1.0))
     axes.locator_params(axis="x", nbins=5)
     axes.tick_params(labelsize=8, length=2)
     told = "B is higher" if differs and low > 0.0 else "B is lower" if differs else "no difference seen"

@@ -75,9 +75,7 @@ def _angle(results: dict[str, Any], rows: Rows, path: Path) -> None:
             )
         left.axvline(12.07, color=RED, linewidth=1.0, linestyle="--")
         left.text(12.25, 97.0, "zero clearance\nat 12.07°", color=RED, fontsize=8, va="top")
-        left.set_xlim(0.0, 20.0)
-        left.set_ylim(-3.0, 103.0)
-        left.set_xlabel("|roll|, degrees")
+        left.set(xlim=(0.0, 20.0), ylim=(-3.0, 103.0), xlabel="|roll|, degrees")
         left.set_title("charged, %", loc="left")
         left.legend(frameon=False, fontsize=8, loc="center right")
         grid(left)
@@ -98,9 +96,7 @@ def _stack(axes: Axes, rows: summary.Columns) -> None:
         if count.any():
             axes.bar(middle, share, 0.92, base, color=colour, label=f"{name}, {int(count.sum())}", zorder=2)
         base += share
-    axes.set_xlim(0.0, 20.0)
-    axes.set_ylim(0.0, 100.0)
-    axes.set_xlabel("|roll|, degrees")
+    axes.set(xlim=(0.0, 20.0), ylim=(0.0, 100.0), xlabel="|roll|, degrees")
     axes.set_title("how they end, %", loc="left")
     axes.legend(frameon=True, facecolor="white", edgecolor="none", framealpha=0.85, fontsize=8, loc="lower right")
 
@@ -123,9 +119,7 @@ def _cloud(axes: Axes, parts: list[summary.Columns], title: str) -> None:
     axes.text(3.95, 0.36, "docking's limit, 0.3 mm", fontsize=8, ha="right", va="bottom", color=INK)
     axes.axvline(0.0, color=RED, linewidth=1.0, linestyle="--")
     axes.text(-0.06, -4.8, "wrong bars touch", fontsize=8, ha="right", color=RED)
-    axes.set_xlim(-4.0, 4.0)
-    axes.set_ylim(-5.0, 4.0)
-    axes.set_xlabel("true clearance, mm")
+    axes.set(xlim=(-4.0, 4.0), ylim=(-5.0, 4.0), xlabel="true clearance, mm")
     grid(axes)
     if not parts:
         return
@@ -191,17 +185,13 @@ def _alignment(results: dict[str, Any], rows: Rows, path: Path) -> None:
             _share_below(seconds, rows[name]["time"][charged].astype(float), colour)
             far = np.maximum(np.abs(rows[name]["final_horizontal"]), np.abs(rows[name]["final_vertical"]))[charged]
             _share_below(rest, 1000.0 * far.astype(float), colour)
-        moves.set_xlabel("alignment moves")
-        moves.set_ylabel("% of the charged")
-        moves.set_xticks(range(0, 16, 3))
+        moves.set(xlabel="alignment moves", ylabel="% of the charged", xticks=range(0, 16, 3))
         moves.set_title("alignment moves", loc="left")
         seconds.set_title("charged by then, %", loc="left")
         rest.set_title("within, %", loc="left")
         figure.legend(*moves.get_legend_handles_labels(), frameon=False, fontsize=8, loc="upper right", ncols=2)
-        seconds.set_xlabel("time to charging, s")
-        seconds.set_xlim(0.0, 150.0)
-        rest.set_xlabel("larger of the two offsets at rest, mm")
-        rest.set_xlim(0.0, 6.0)
+        seconds.set(xlabel="time to charging, s", xlim=(0.0, 150.0))
+        rest.set(xlabel="larger of the two offsets at rest, mm", xlim=(0.0, 6.0))
         rest.axvline(2.5, color=RED, linewidth=1.0, linestyle="--")
         for axes in (moves, seconds, rest):
             grid(axes)
@@ -230,9 +220,7 @@ def _errors(results: dict[str, Any], rows: Rows, path: Path) -> None:
                 label = f"{which} estimate, rms {rms:.2f}"
                 axes.hist(z, edges, density=True, histtype="step", linewidth=1.5, color=colour, label=label, zorder=2)
             axes.plot(middle, normal, color=INK, linewidth=1.0)
-            axes.set_yscale("log")
-            axes.set_ylim(1e-4, 12.0)
-            axes.set_xlabel(f"{axis} error / σ")
+            axes.set(yscale="log", ylim=(1e-4, 12.0), xlabel=f"{axis} error / σ")
             axes.legend(frameon=False, fontsize=8, loc="upper right")
             grid(axes)
             axes.tick_params(colors=FAINT)

@@ -45,12 +45,9 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
         for axes, (name, title) in zip(panels, _PANELS.items(), strict=True):
             _scatter(axes, results["inverse"], name)
             axes.set_title(title, pad=6)
-            axes.set_xlabel("µs per pose")
-            axes.set_xscale("log")
-            axes.set_yscale("log")
+            axes.set(xlabel="µs per pose", xscale="log", yscale="log")
             grid(axes)
-        panels[0].set_ylabel("largest error, rad")
-        panels[0].set_ylim(1e-17, 10.0)
+        panels[0].set(ylabel="largest error, rad", ylim=(1e-17, 10.0))
         markers = _markers(results["inverse"])
         handles = [_handle(row, markers[row["name"]]) for row in results["inverse"]]
         figure.legend(
@@ -105,11 +102,13 @@ def _edge(results: dict[str, Any], path: Path) -> None:
                 decades, curve, marker=markers[row["name"]], markersize=5, linewidth=1.3, color=_COLOURS[row["family"]],
                 alpha=0.85, label=row["name"], zorder=4 if row["family"] == "ours" else 3,
             )  # fmt: skip
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_ylim(1e-17, 1e-3)
-        axes.set_xlabel("distance to the edge of reach, m (lower end of the decade)")
-        axes.set_ylabel("largest error, rad")
+        axes.set(
+            xscale="log",
+            yscale="log",
+            ylim=(1e-17, 1e-3),
+            xlabel="distance to the edge of reach, m (lower end of the decade)",
+            ylabel="largest error, rad",
+        )
         grid(axes)
         figure.legend(loc="center left", bbox_to_anchor=(0.81, 0.45), frameon=False, fontsize=8.5, labelspacing=0.75)
 
@@ -126,9 +125,6 @@ def _speed(results: dict[str, Any], path: Path) -> None:
             )  # fmt: skip
         axes.axhline(3e6, color=INK, linewidth=0.8, linestyle=(0, (4, 3)))
         axes.annotate("wanted: 3 million", (1.0, 3e6), xytext=(2, 3), textcoords="offset points", fontsize=8, color=INK)
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_xlabel("points in one call")
-        axes.set_ylabel("poses per second")
+        axes.set(xscale="log", yscale="log", xlabel="points in one call", ylabel="poses per second")
         grid(axes)
         figure.legend(loc="center left", bbox_to_anchor=(0.70, 0.45), frameon=False, fontsize=9, labelspacing=0.9)

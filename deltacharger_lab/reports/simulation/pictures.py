@@ -40,10 +40,7 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
         for axes, key, text in ((left, "rms_mm", "path, mm rms"), (right, "force_percent", "settled force, %")):
             for name in results["models"]:
                 _curve(axes, results, name, key)
-            axes.set_xscale("log")
-            axes.set_yscale("log")
-            axes.set_xlabel("processor time per simulated second, ms")
-            axes.set_ylabel(text)
+            axes.set(xscale="log", yscale="log", xlabel="processor time per simulated second, ms", ylabel=text)
             axes.set_title(text, loc="left")
             grid(axes)
         left.set_ylim(5e-4, 60.0)
@@ -113,8 +110,7 @@ def _energy(results: dict[str, Any], path: Path) -> None:
             times, values = zip(*row["course"], strict=True)
             start = values[0]
             left.plot(times, [value / start for value in values], color=colour, linewidth=1.4, label=row["scene"])
-        left.set_xlabel("time, s")
-        left.set_ylabel("share of the energy to lose")
+        left.set(xlabel="time, s", ylabel="share of the energy to lose")
         left.legend(frameon=False, fontsize=8)
         grid(left)
         for part, colour in zip(PARTS, (PURPLE, BLUE, GREEN, FAINT), strict=True):
@@ -147,8 +143,7 @@ def _docking(results: dict[str, Any], path: Path) -> None:
             bottom.plot(time, force, line, color=colour, linewidth=width)
         top.axhline(80.0, color=FAINT, linewidth=0.8)
         top.set_ylabel("z, mm")
-        bottom.set_ylabel("contact force, N")
-        bottom.set_xlabel("time, s")
+        bottom.set(ylabel="contact force, N", xlabel="time, s")
         top.legend(frameon=False, fontsize=8, loc="lower right")
         for axes in (top, bottom):
             grid(axes)

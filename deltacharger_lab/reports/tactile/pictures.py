@@ -53,9 +53,7 @@ def _angle(results: dict[str, Any], path: Path) -> None:
         below.axhline(38.0, color=FAINT, linewidth=1.0, linestyle=(0, (4, 3)))
         below.annotate("paper's CNN, 38 ms", (0.01, 38.0), xycoords=("axes fraction", "data"), xytext=(0, 3),
                        textcoords="offset points", fontsize=8.5, color=FAINT)  # fmt: skip
-        below.set_yscale("log")
-        below.set_ylim(0.005, 150.0)
-        below.set_ylabel("ms, log scale")
+        below.set(yscale="log", ylim=(0.005, 150.0), ylabel="ms, log scale")
         _name_axis(below, names)
         grid(below, both=False)
         _legend(figure)
@@ -93,8 +91,7 @@ def _bars(axes: Axes, results: dict[str, Any], target: str) -> None:
     axes.axhline(value, color=FAINT, linewidth=1.0, linestyle=(0, (4, 3)), zorder=0.8)
     axes.annotate(f"paper's {title(owner)}, {value:g} %", (1.0, 1.0), xycoords="axes fraction", xytext=(0, 3),
                   textcoords="offset points", ha="right", fontsize=8.5, color=FAINT)  # fmt: skip
-    axes.set_ylim(bottom, 100.0 + 0.08 * (100.0 - bottom))
-    axes.set_ylabel("accuracy, %")
+    axes.set(ylim=(bottom, 100.0 + 0.08 * (100.0 - bottom)), ylabel="accuracy, %")
     grid(axes, both=False)
 
 
@@ -122,9 +119,7 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
                 error = max(100.0 * (1.0 - results["accuracy"][name][target]["mean"]), 0.05)
                 axes.plot(time, error, marker="o", markersize=7, color=COLOURS[kind(name)], linestyle="none")
                 points.append((time, error, title(name)))
-            axes.set_xscale("log")
-            axes.set_yscale("log")
-            axes.set_ylim(*_reach([error for _, error, _ in points]))
+            axes.set(xscale="log", yscale="log", ylim=_reach([error for _, error, _ in points]))
             axes.margins(x=0.22)
             axes.set_title(target, pad=6)
             axes.set_xlabel("ms, log scale")
@@ -191,10 +186,7 @@ def _shifts(results: dict[str, Any], path: Path) -> None:
         for index, target in enumerate(TARGETS):
             axes.text((index + 0.5) * len(names), -0.95, target, ha="center", fontweight="bold")
         axes.set_yticks([line + 0.47 for line in range(len(shifts))], shifts)
-        axes.set_xticks([])
-        axes.set_ylim(len(shifts), -0.1)
-        axes.set_xlim(0, 3 * len(names))
-        axes.set_facecolor("white")
+        axes.set(xticks=[], ylim=(len(shifts), -0.1), xlim=(0, 3 * len(names)), facecolor="white")
         axes.tick_params(length=0)
         for side in axes.spines.values():
             side.set_visible(False)
@@ -218,11 +210,8 @@ def _reliability(results: dict[str, Any], path: Path) -> None:
                 places = (np.arange(BINS) + 0.25 * (number + 0.5) + 0.125) / BINS
                 below.bar(places, np.maximum(count, 0.0), width=0.25 / BINS, color=colour)
             above.set_title(title(name), pad=5)
-            below.set_yscale("log")
-            below.set_ylim(1, None)
-            below.set_xlabel("probability of the winner")
-            above.set_xlim(0.15, 1.02)
-            above.set_ylim(0.0, 1.03)
+            below.set(yscale="log", ylim=(1, None), xlabel="probability of the winner")
+            above.set(xlim=(0.15, 1.02), ylim=(0.0, 1.03))
             grid(above)
             grid(below, both=False)
         panels[0, 0].set_ylabel("share that is right")

@@ -120,5 +120,4 @@ def _around(axes: Axes, sample: Sample) -> None:
     )
     x = float(np.clip(x, half - 0.5, of.width - 0.5 - half))
     y = float(np.clip(y, half / _ASPECT - 0.5, of.height - 0.5 - half / _ASPECT))
-    axes.set_xlim(x - half, x + half)
-    axes.set_ylim(y + half / _ASPECT, y - half / _ASPECT)
+    axes.set(xlim=(x - half, x + half), ylim=(y + half / _ASPECT, y - half / _ASPECT))

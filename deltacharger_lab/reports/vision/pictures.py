@@ -51,8 +51,7 @@ def _range(results: dict[str, Any], path: Path) -> None:
             axes.set_yscale("log")
             plain_ticks(axes)
             axes.set_title(f"{title}, {unit}", loc="left", pad=6)
-            axes.set_xlabel("range, m")
-            axes.set_xlim(0.1, 1.05)
+            axes.set(xlabel="range, m", xlim=(0.1, 1.05))
             grid(axes)
         handles, texts = panels[0].get_legend_handles_labels()
         figure.legend(handles, texts, loc="upper right", bbox_to_anchor=(0.985, 0.995), ncols=3, frameon=False)
@@ -75,10 +74,7 @@ def _found(results: dict[str, Any], path: Path) -> None:
             axes.text(found - 0.8 if inside else found + 0.8, line, text, va="center", fontsize=8.5,
                       ha="right" if inside else "left", color="white" if inside else INK)  # fmt: skip
         axes.set_yticks(range(len(rows)), [each.name for each in rows])
-        axes.set_ylim(len(rows) - 0.4, -0.6)
-        axes.set_xlim(0.0, 100.0)
-        axes.set_xlabel("found, %; red: wrong")
-        axes.set_facecolor(PAPER)
+        axes.set(ylim=(len(rows) - 0.4, -0.6), xlim=(0.0, 100.0), xlabel="found, %; red: wrong", facecolor=PAPER)
         axes.tick_params(axis="y", length=0)
 
 
@@ -100,8 +96,7 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
                 axes.annotate(each.name, (time, place), xytext=(0, shift), textcoords="offset points", ha="center")
             axes.axhline(target, color=RED, linewidth=1.3, linestyle=(0, (4, 3)))
             axes.axvline(15.0, color=RED, linewidth=1.3, linestyle=(0, (1, 2)))
-            axes.set_yscale("log")
-            axes.set_xscale("log")
+            axes.set(yscale="log", xscale="log")
             axes.margins(x=0.3, y=0.14)
             plain_ticks(axes)
             axes.set_xticks([5, 10, 15, 20, 30, 50], ["5", "10", "15", "20", "30", "50"])
