@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 _ANGLE_BOUND = 1e-15  # rad; what a good answer may miss the exact one by, relative beyond 1 rad
 _LIMBS = Status.LIMB_0 | Status.LIMB_1 | Status.LIMB_2
 _NAN = math.nan
+_WRONG = "not what must come back"
 # Lengths that are sums of few powers of two, so that the edge of reach falls on doubles.
 _STRETCHED = DeltaGeometry(base_radius=0.1875, platform_radius=0.03125, arm=0.15625, rod=0.25, z_offset=0.0)
 _FOLDED = DeltaGeometry(base_radius=0.1875, platform_radius=0.03125, arm=0.09375, rod=0.5, z_offset=0.0)
@@ -120,60 +121,56 @@ def _guarded(run: Callable[[Case], dict[str, Any]], case: Case) -> dict[str, Any
 def _inverse_row(case: Case) -> dict[str, Any]:
     delta, exact = Delta(case.geometry), ExactDelta(case.geometry)
     (one, many), warned = _quietly(lambda: (delta.inverse(case.given), delta.inverse(np.asarray(case.given)[None])))
-    status = Status(int(one.status))
-    angles = np.asarray(one.angles, dtype=np.float64)
-    agree = int(many.status[0]) == int(status) and np.array_equal(np.isnan(many.angles[0]), np.isnan(angles))
+    status, angles = Status(int(one.status)), np.asarray(one.angles, dtype=np.float64)
     error = trip = _NAN
     if np.isfinite(angles).all():
         point = np.asarray(case.given, dtype=np.float64)[None]
-        worst = exact.inverse(point).angles.angle_error(np.stack([angles, many.angles[0]]))
-        error = float(worst.max())
+        error = float(exact.inverse(point).angles.angle_error(np.stack([angles, many.angles[0]])).max())
         mirrored = -1 if Status.WRONG_ASSEMBLY in status else 1
         back = ExactDelta(case.geometry, assembly=mirrored).forward(angles[None])
         trip = float(back.distance(point)[0])
-    fits = _fits(case, status, angles) and (not case.answered or error <= _ANGLE_BOUND)
-    if case.margin is not None:
-        fits = fits and float(one.margin) == case.margin
-    return {
-        "name": case.name,
-        "status": name_status(status),
-        "answer": _show(angles, 1.0, "rad"),
-        "margin": float(one.margin),
-        "error": error,
-        "unit": "rad",
-        "round_trip": trip,
-        "ok": bool(fits and agree and not warned),
-        "remark": _remark(fits, agree, warned),
-    }
+    margin = float(one.margin)
+    fits = _fits(case, status, angles, error) and (case.margin is None or margin == case.margin)
+    remark = _remark(fits, _agree(status, angles, many.status[0], many.angles[0]), warned)
+    return _row(case.name, _show(angles, 1.0, "rad"), remark, name_status(status), margin, error, "rad", trip)
 
 
 def _forward_row(case: Case) -> dict[str, Any]:
     delta, exact = Delta(case.geometry), ExactDelta(case.geometry)
     (one, many), warned = _quietly(lambda: (delta.forward(case.given), delta.forward(np.asarray(case.given)[None])))
-    status = Status(int(one.status))
-    position = np.asarray(one.position, dtype=np.float64)
-    agree = int(many.status[0]) == int(status) and np.array_equal(np.isnan(many.position[0]), np.isnan(position))
+    status, position = Status(int(one.status)), np.asarray(one.position, dtype=np.float64)
     error = _NAN
     if np.isfinite(position).all():
         truth = exact.forward(np.asarray(case.given, dtype=np.float64)[None])
         error = float(truth.distance(np.stack([position, many.position[0]])).max())
-    fits = _fits(case, status, position) and (not case.answered or error <= _ANGLE_BOUND)
-    return {
-        "name": case.name,
-        "status": name_status(status),
-        "answer": _show(position, 1e3, "mm"),
-        "margin": _NAN,
-        "error": error,
-        "unit": "m",
-        "round_trip": _NAN,
-        "ok": bool(fits and agree and not warned),
-        "remark": _remark(fits, agree, warned),
-    }
+    fits = _fits(case, status, position, error)
+    remark = _remark(fits, _agree(status, position, many.status[0], many.position[0]), warned)
+    return _row(case.name, _show(position, 1e3, "mm"), remark, name_status(status), _NAN, error, "m")
 
 
-def _fits(case: Case, status: Status, numbers: Array) -> bool:
+def _agree(status: Status, numbers: Array, other_status: Any, others: Array) -> bool:
+    return int(other_status) == int(status) and np.array_equal(np.isnan(others), np.isnan(numbers))
+
+
+def _row(
+    name: str,
+    answer: str,
+    remark: str,
+    status: str = "",
+    margin: float = _NAN,
+    error: float = _NAN,
+    unit: str = "",
+    round_trip: float = _NAN,
+) -> dict[str, Any]:
+    """Return a row of the table; what is as wanted has no remark."""
+    figures = {"margin": margin, "error": error, "unit": unit, "round_trip": round_trip}
+    return {"name": name, "status": status, "answer": answer, **figures, "ok": not remark, "remark": remark}
+
+
+def _fits(case: Case, status: Status, numbers: Array, error: float) -> bool:
     has = bool(status & case.wanted) if case.either else (status & case.wanted) == case.wanted
-    return has and bool(np.isfinite(numbers).all()) == case.answered
+    good = not case.answered or error <= _ANGLE_BOUND
+    return has and bool(np.isfinite(numbers).all()) == case.answered and good
 
 
 def _quietly(call: Callable[[], Any]) -> tuple[Any, bool]:
@@ -185,14 +182,8 @@ def _quietly(call: Callable[[], Any]) -> tuple[Any, bool]:
 
 
 def _remark(fits: bool, agree: bool, warned: bool) -> str:
-    notes = []
-    if not fits:
-        notes.append("not what must come back")
-    if not agree:
-        notes.append("single call and array differ")
-    if warned:
-        notes.append("numpy warned")
-    return "; ".join(notes)
+    notes = ((not fits, _WRONG), (not agree, "single call and array differ"), (warned, "numpy warned"))
+    return "; ".join(note for is_so, note in notes if is_so)
 
 
 def _bad_row_in_batch() -> dict[str, Any]:
@@ -241,17 +232,7 @@ def _geometry_row() -> dict[str, Any]:
 
 
 def _law(name: str, answer: str, holds: bool) -> dict[str, Any]:
-    return {
-        "name": name,
-        "status": "",
-        "answer": answer,
-        "margin": _NAN,
-        "error": _NAN,
-        "unit": "",
-        "round_trip": _NAN,
-        "ok": holds,
-        "remark": "" if holds else "not what must come back",
-    }
+    return _row(name, answer, "" if holds else _WRONG)
 
 
 def name_status(status: Status) -> str:

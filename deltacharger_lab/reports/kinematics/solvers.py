@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -68,54 +68,39 @@ class Solver:
 def inverse_solvers(geometry: DeltaGeometry, peers: Sequence[Peer]) -> list[Solver]:
     """Return everything that solves points to angles."""
     delta, scalar = Delta(geometry), ScalarDelta(geometry)
-    ours = [
+
+    def precise(points: Any) -> Any:
+        return delta.inverse(points, precise=True).angles
+
+    return [
         Solver(ARRAY, "ours", lambda points: delta.inverse(points).angles),
-        Solver(
-            PRECISE,
-            "ours",
-            lambda points: delta.inverse(points, precise=True).angles,
-            lambda point: delta.inverse(point, precise=True).angles,
-            "tuple",
-        ),
+        Solver(PRECISE, "ours", precise, precise, "tuple"),
         Solver(POINT, "ours", None, lambda point: delta.inverse(point).angles, "tuple"),
         Solver(SCALAR, "ours", None, scalar.inverse),
+        *_closed(INVERSE_FORMS, inverse_array, inverse_one, geometry),
+        *(Solver(peer.name, "peer", peer.inverse_array, peer.inverse, "array") for peer in peers if peer.inverse),
     ]
-    forms = [
-        Solver(
-            name,
-            "form",
-            functools.partial(inverse_array, form, geometry),
-            functools.partial(inverse_one, form, geometry),
-        )
-        for name, form in INVERSE_FORMS.items()
-    ]
-    others = [
-        Solver(peer.name, "peer", peer.inverse_array, peer.inverse, "array")
-        for peer in peers
-        if peer.inverse is not None
-    ]
-    return ours + forms + others
 
 
 def forward_solvers(geometry: DeltaGeometry, peers: Sequence[Peer]) -> list[Solver]:
     """Return everything that solves angles to points."""
     delta, scalar = Delta(geometry), ScalarDelta(geometry)
-    ours = [
+    return [
         Solver("Delta.forward, array", "ours", lambda angles: delta.forward(angles).position),
         Solver("Delta.forward, point", "ours", None, lambda angles: delta.forward(angles).position, "tuple"),
         Solver(SCALAR, "ours", None, scalar.forward),
+        *_closed(FORWARD_FORMS, forward_array, forward_one, geometry),
+        *(Solver(peer.name, "peer", None, peer.forward, "array") for peer in peers if peer.forward),
     ]
-    forms = [
-        Solver(
-            name,
-            "form",
-            functools.partial(forward_array, form, geometry),
-            functools.partial(forward_one, form, geometry),
-        )
-        for name, form in FORWARD_FORMS.items()
+
+
+def _closed(
+    forms: Mapping[str, Any], array: Callable[..., Array], one: Callable[..., Any], geometry: DeltaGeometry
+) -> list[Solver]:
+    return [
+        Solver(name, "form", functools.partial(array, form, geometry), functools.partial(one, form, geometry))
+        for name, form in forms.items()
     ]
-    others = [Solver(peer.name, "peer", None, peer.forward, "array") for peer in peers if peer.forward is not None]
-    return ours + forms + others
 
 
 def rod_errors(geometry: DeltaGeometry, points: Array, angles: Array) -> Array:
