@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,24 +18,13 @@ import pytest
 from deltacharger_core import environment
 from deltacharger_scenes.scene import Scene, load_scene
 
+from .waiting import DEADLINE, wait_until
 from .workers import stay_apart
 
 stay_apart()
 environment.prepare()
 
-DEADLINE = 60.0  # s; far longer than anything takes, so that a loaded machine fails no test
 _numbers = itertools.count()
-
-
-def wait_until(condition: Callable[[], Any], what: str, deadline: float = DEADLINE) -> Any:
-    """Return the first true value of `condition`, or fail saying what was waited for."""
-    end = time.monotonic() + deadline
-    while True:
-        value = condition()
-        if value:
-            return value
-        assert time.monotonic() < end, f"waited {deadline:g} s for: {what}"
-        time.sleep(0.01)
 
 
 def hear_hangups() -> None:
@@ -49,7 +37,12 @@ class Process:
 
     def __init__(self, *words: str) -> None:
         self.process = subprocess.Popen(
-            words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=hear_hangups
+            words,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=hear_hangups,
+            env={**os.environ, "PYTHONFAULTHANDLER": "1"},
         )
         self.out: list[str] = []
         self.err: list[str] = []
@@ -72,12 +65,19 @@ class Process:
         wait_until(seen, f"'{text}' from {self.process.args}")
 
     def end(self, number: int | None = None) -> int:
-        """Send a signal and return the exit code."""
+        """Send a signal and return the exit code; a process that hangs says where, in its standard error."""
         if number is not None:
             self.process.send_signal(number)
-        code = self.process.wait(DEADLINE)
+        hangs = False
+        try:
+            code = self.process.wait(DEADLINE)
+        except subprocess.TimeoutExpired:
+            hangs = True
+            self.process.send_signal(signal.SIGABRT)
+            code = self.process.wait(DEADLINE)
         for reader in self._readers:
             reader.join(DEADLINE)
+        assert not hangs, (self.process.args, self.out, self.err)
         return code
 
 

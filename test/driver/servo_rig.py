@@ -18,6 +18,10 @@ from deltacharger_driver.servos.requests import Request
 from deltacharger_driver.servos.snapshot import BusSettings
 from deltacharger_driver.servos.trajectory import JointLimits, Waypoint, check
 
+from ..waiting import DEADLINE
+
+OVERLOAD = 1 << 5
+BOUND = (0.83, 0.83, 0.83)
 START = (-0.7, -0.5, 0.2)
 NAMES = ("a", "b", "c")
 LIMITS = JointLimits(NAMES, -1.2, 1.3, 4.4)
@@ -65,7 +69,7 @@ class Rig:
         time.sleep(0.005)
         return self.report
 
-    def until(self, condition: Callable[[ServoReport], Any], seconds: float = 4.0) -> Any:
+    def until(self, condition: Callable[[ServoReport], Any], seconds: float = DEADLINE) -> Any:
         deadline = time.monotonic() + seconds
         while not (result := condition(self.cycle())):
             assert time.monotonic() < deadline, f"it did not come to pass; {self.report}"

@@ -12,7 +12,7 @@ from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 
-from .servo_bench import until
+from ..waiting import wait_until
 
 pytestmark = pytest.mark.realtime
 
@@ -26,7 +26,7 @@ def test_how_late_heartbeats_were_is_told_while_there_is_a_connection(board: Boa
         assert lateness is not None
         assert math.isnan(lateness.largest)
         link.keep_alive(time.monotonic() + 1.0)
-        until(lambda: link.counters.heartbeats >= 3)
+        wait_until(lambda: link.counters.heartbeats >= 3)
         assert 0.0 <= lateness.percentile(0.5) <= lateness.largest
         link.close()
         assert link.heartbeat_lateness is None

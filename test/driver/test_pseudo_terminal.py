@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import os
-import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,8 @@ from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.pads import EmulatedPads
 from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal, terminal_speed
 from deltacharger_tactile.source import ContactSource
+
+from ..waiting import wait_until
 
 pytestmark = pytest.mark.realtime
 
@@ -37,20 +37,13 @@ class Echo:
         return 0.005
 
 
-def wait_for(condition: object, deadline: float = 10.0) -> None:
-    end = time.monotonic() + deadline
-    while not condition():  # type: ignore[operator]
-        assert time.monotonic() < end
-        threading.Event().wait(0.005)
-
-
 def test_an_unplugged_device_keeps_working_and_is_found_again_by_its_link(tmp_path: Path) -> None:
     device = Echo()
     with PseudoTerminal(device, tmp_path / "port") as cable:
         cable.unplug()
         assert not os.path.lexists(cable.path)
         before = device.polled
-        wait_for(lambda: device.polled > before + 5)
+        wait_until(lambda: device.polled > before + 5)
         cable.replug()
         with serial.Serial(cable.path, timeout=5.0) as port:
             port.write(b"hello")

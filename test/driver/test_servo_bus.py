@@ -16,7 +16,8 @@ from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
 from deltacharger_driver.servos.snapshot import BusSettings
 
-from .servo_bench import BOUND, OVERLOAD, until
+from ..waiting import wait_until
+from .servo_rig import BOUND, OVERLOAD
 
 pytestmark = pytest.mark.realtime
 
@@ -35,7 +36,7 @@ def test_torque_goes_on_where_the_arm_is(bus: ServoBus, arm: BenchArm, emulator:
 def test_goal_and_bound_arrive_together(bus: ServoBus, arm: BenchArm) -> None:
     bus.enable_torque(BOUND)
     bus.write_goals((-0.6, -0.4, 0.3), (0.5, 0.6, 0.0))
-    until(lambda: arm.commands[2][1] == pytest.approx(0.3, abs=TICK))
+    wait_until(lambda: arm.commands[2][1] == pytest.approx(0.3, abs=TICK))
     assert [command[1] for command in arm.commands] == pytest.approx([-0.6, -0.4, 0.3], abs=TICK)
     assert [command[2] for command in arm.commands] == pytest.approx([0.5, 0.6, 0.0], abs=CURRENT_UNIT)
 
@@ -47,7 +48,7 @@ def test_the_arm_arrives_and_says_so(bus: ServoBus, arm: BenchArm) -> None:
         bus.write_goals((-0.6, -0.6, 0.1), BOUND)
         return max(abs(a - b) for a, b in zip(bus.read().angle, (-0.6, -0.6, 0.1), strict=True)) < 2 * TICK
 
-    until(arrived)
+    wait_until(arrived)
 
 
 def test_signs_follow_the_mounting(terminal: PseudoTerminal, arm: BenchArm) -> None:
@@ -55,7 +56,7 @@ def test_signs_follow_the_mounting(terminal: PseudoTerminal, arm: BenchArm) -> N
     bus.open()
     bus.enable_torque(BOUND)
     arm.load[2] = -0.7
-    snapshot = until(lambda: (s := bus.read()).current[2] < -0.4 and s)
+    snapshot = wait_until(lambda: (s := bus.read()).current[2] < -0.4 and s)
     bus.close()
     assert snapshot.angle[0] == pytest.approx(-0.7, abs=TICK)
     assert snapshot.angle[1] == pytest.approx(-0.5 + 48 * TICK, abs=TICK)
@@ -95,7 +96,7 @@ def test_a_bound_above_the_largest_is_refused_and_the_largest_itself_arrives(
         bus.enable_torque((2.8, 2.81, 2.8))
     bus.enable_torque(BOUND)
     bus.write_goals((-0.1, -0.1, -0.1), (2.8 * (1 + 1e-12),) * 3)
-    until(lambda: arm.commands[1][1] == pytest.approx(-0.1, abs=TICK))
+    wait_until(lambda: arm.commands[1][1] == pytest.approx(-0.1, abs=TICK))
     assert [command[2] for command in arm.commands] == pytest.approx([2.8] * 3, abs=CURRENT_UNIT)
     bus.close()
 
@@ -130,12 +131,12 @@ def test_a_servo_that_restarted_is_noticed_and_never_taken_for_a_position(
 ) -> None:
     bus.enable_torque(BOUND)
     emulator.reboot(2, time.monotonic())
-    snapshot = until(lambda: (s := bus.read()).rebooted[1] and s)
+    snapshot = wait_until(lambda: (s := bus.read()).rebooted[1] and s)
     assert not snapshot.valid[1]
     assert math.isnan(snapshot.angle[1])
     assert not arm.torque_enabled()[1]
     bus.configure(1)
-    snapshot = until(lambda: (s := bus.read()).complete and s)
+    snapshot = wait_until(lambda: (s := bus.read()).complete and s)
     assert snapshot.torque_enabled[1] is False
     assert snapshot.rebooted == (False, False, False)
 
@@ -144,9 +145,9 @@ def test_a_reboot_clears_what_is_latched(bus: ServoBus, emulator: ServoBusEmulat
     emulator.raise_hardware_error(1, OVERLOAD)
     bus.read()
     bus.reboot(0)
-    until(lambda: bus.read().rebooted[0])
+    wait_until(lambda: bus.read().rebooted[0])
     bus.configure(0)
-    snapshot = until(lambda: (s := bus.read()).complete and s)
+    snapshot = wait_until(lambda: (s := bus.read()).complete and s)
     assert snapshot.hardware_error == (0, 0, 0)
 
 
@@ -155,7 +156,7 @@ def test_the_servos_stop_by_themselves_when_the_host_is_silent(
 ) -> None:
     bus.enable_torque(BOUND)
     bus.write_goals((0.0, 0.0, 0.0), (0.2, 0.2, 0.2))
-    until(lambda: emulator.servo(1).table.get("bus_watchdog") == 255)
+    wait_until(lambda: emulator.servo(1).table.get("bus_watchdog") == 255)
     assert bus.read().watchdog_tripped == (True, True, True)
     where = arm.commands[0][1]
     bus.write_goals((0.0, 0.0, 0.0), BOUND)

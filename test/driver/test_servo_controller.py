@@ -17,8 +17,7 @@ from deltacharger_driver.servos.mx64 import TICK
 from deltacharger_driver.servos.report import Phase
 from deltacharger_driver.servos.snapshot import BusSettings
 
-from .servo_bench import OVERLOAD
-from .servo_rig import DEFAULT, START, Rig
+from .servo_rig import DEFAULT, OVERLOAD, START, Rig
 
 pytestmark = pytest.mark.realtime
 

@@ -25,8 +25,8 @@ from deltacharger_driver.servos.mx64 import REGISTERS, indirect_address, indirec
 from deltacharger_driver.servos.packets import BROADCAST, PING, READ, REBOOT, SYNC_READ, SYNC_WRITE, WRITE
 from deltacharger_driver.servos.snapshot import BusSettings
 
-from .servo_bench import OVERLOAD
 from .servo_host import Host, parse, words
+from .servo_rig import OVERLOAD
 
 pytestmark = pytest.mark.realtime
 

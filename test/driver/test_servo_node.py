@@ -37,6 +37,8 @@ from deltacharger_driver.servos.servo_node import ServoNode
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 
+from ..waiting import wait_until
+
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 START = (-0.7, -0.5, 0.2)
@@ -61,7 +63,7 @@ class Client(Node):
     def call(self, client, request):
         assert client.wait_for_service(8.0)
         future = client.call_async(request)
-        until(future.done, 8.0)
+        wait_until(future.done, deadline=8.0)
         return future.result()
 
     def set_torque(self, on):
@@ -70,7 +72,7 @@ class Client(Node):
     def fresh(self):
         """Return a state that was sent after this call."""
         count = len(self.states)
-        until(lambda: len(self.states) > count + 1)
+        wait_until(lambda: len(self.states) > count + 1)
         return self.states[-1]
 
     def send(self, *points, names=JOINTS, stamp=None, efforts=()):
@@ -87,14 +89,6 @@ class Client(Node):
     def told(self, text):
         """Return whether a diagnostic says `text`."""
         return any(text in status.message for message in self.diagnostics for status in message.status)
-
-
-def until(condition, seconds=5.0):
-    deadline = time.monotonic() + seconds
-    while not (result := condition()):
-        assert time.monotonic() < deadline, "it did not come to pass"
-        time.sleep(0.005)
-    return result
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +131,7 @@ def node(context, terminal):
 @pytest.fixture
 def client(context, node):
     spinner = Spinner(Client(context))
-    until(lambda: spinner.node.states and spinner.node.trajectories.get_subscription_count())
+    wait_until(lambda: spinner.node.states and spinner.node.trajectories.get_subscription_count())
     yield spinner.node
     spinner.close()
 
@@ -155,9 +149,9 @@ def test_the_state_at_start(client, arm):
     assert list(state.thermal_reserve) == [math.inf] * 3
     age = client.get_clock().now().nanoseconds - (state.header.stamp.sec * 10**9 + state.header.stamp.nanosec)
     assert 0 <= age < 0.2e9
-    until(lambda: client.joints)
+    wait_until(lambda: client.joints)
     assert list(client.joints[-1].position) == pytest.approx(START, abs=TICK)
-    until(lambda: client.diagnostics)
+    wait_until(lambda: client.diagnostics)
     assert {status.level for status in client.diagnostics[-1].status} == {DiagnosticStatus.OK}
     assert arm.torque_enabled() == [False] * 3
 
@@ -170,12 +164,12 @@ def test_the_rate(client):
     def kept():  # a machine busy with other things may lose some; a second that is kept must occur
         states = client.states
         states.clear()
-        until(lambda: len(states) > 1 and seconds(states[0], states[-1]) >= 1.0)
+        wait_until(lambda: len(states) > 1 and seconds(states[0], states[-1]) >= 1.0)
         rate = (len(states) - 1) / seconds(states[0], states[-1])
         assert rate <= 105
         return rate >= 60
 
-    until(kept, 20.0)
+    wait_until(kept)
 
 
 def test_torque_trajectory_torque_off(client, arm):
@@ -184,7 +178,7 @@ def test_torque_trajectory_torque_off(client, arm):
     assert arm.torque_enabled() == [True] * 3
     goal = [angle + 0.1 for angle in START]
     client.send((0.2, goal), stamp=client.get_clock().now().to_msg())
-    until(lambda: list(client.states[-1].position) == pytest.approx(goal, abs=2 * TICK))
+    wait_until(lambda: list(client.states[-1].position) == pytest.approx(goal, abs=2 * TICK))
     assert list(client.states[-1].torque_enabled) == [True] * 3
     assert client.set_torque(False).success
     assert arm.torque_enabled() == [False] * 3
@@ -195,12 +189,12 @@ def test_joints_in_another_order_and_effort_as_bound(client, arm):
     client.set_torque(True)
     order = (JOINTS[2], JOINTS[0], JOINTS[1])
     client.send((0.0, (0.3, -0.6, -0.4)), names=order, efforts=(3.0, 1.0, 2.0))
-    until(lambda: arm.commands[0][1] == pytest.approx(-0.6, abs=TICK))
+    wait_until(lambda: arm.commands[0][1] == pytest.approx(-0.6, abs=TICK))
     assert [command[1] for command in arm.commands] == pytest.approx([-0.6, -0.4, 0.3], abs=TICK)
     bounds = [effort / TORQUE_CONSTANT for effort in (1.0, 2.0, 3.0)]
     assert [command[2] for command in arm.commands] == pytest.approx(bounds, abs=CURRENT_UNIT)
     client.send(names=())
-    until(lambda: arm.commands[2][2] == pytest.approx(0.83, abs=CURRENT_UNIT))
+    wait_until(lambda: arm.commands[2][2] == pytest.approx(0.83, abs=CURRENT_UNIT))
     assert [command[1] for command in arm.commands] == pytest.approx([-0.6, -0.4, 0.3], abs=TICK)
 
 
@@ -223,7 +217,7 @@ def test_what_is_refused_moves_nothing_and_is_told(client, arm, points, names, o
     stamp = client.get_clock().now().to_msg()
     stamp.sec, stamp.nanosec = divmod(now, 10**9)
     client.send(*points, names=names, stamp=stamp, efforts=efforts)
-    until(lambda: client.told(told))
+    wait_until(lambda: client.told(told))
     assert list(arm.commands) == before
 
 
@@ -245,11 +239,11 @@ def test_a_line_longer_than_a_stamp_lasts_is_fed_under_one_stamp(client, arm):
         time.sleep(0.02)  # the feeder's tick, not a wait for a condition
         return now > 1.1
 
-    until(fed)
-    until(lambda: [command[1] for command in arm.commands] == pytest.approx(goal, abs=TICK))
+    wait_until(fed)
+    wait_until(lambda: [command[1] for command in arm.commands] == pytest.approx(goal, abs=TICK))
     assert not any(status.message for m in client.diagnostics for status in m.status if "old" in status.message)
     client.send((0.0, START), stamp=stamped(client, 0.7))  # another stamp must be fresh by itself
-    until(lambda: client.told("old"))
+    wait_until(lambda: client.told("old"))
     assert [command[1] for command in arm.commands] == pytest.approx(goal, abs=TICK)
 
 
@@ -262,14 +256,14 @@ def test_refusals_at_the_rate_of_a_feed_are_told_but_not_each(client):
         time.sleep(0.02)
         return time.monotonic() - begin > 1.0
 
-    until(fed)
-    until(lambda: client.told("set_torque"))
+    wait_until(fed)
+    wait_until(lambda: client.told("set_torque"))
     assert len(client.diagnostics) <= (time.monotonic() - begin) / 0.2 + 2
 
 
 def test_diagnostics_say_how_well_the_cycle_is_kept(client):
     client.diagnostics.clear()
-    bus = until(lambda: [s for m in client.diagnostics[1:] for s in m.status if s.name.endswith("servo bus")])[0]
+    bus = wait_until(lambda: [s for m in client.diagnostics[1:] for s in m.status if s.name.endswith("servo bus")])[0]
     values = {value.key: value.value for value in bus.values}
     assert 0.0 < float(values["rate"].removesuffix(" Hz")) <= 105.0
     assert int(values["late_cycles"]) >= 0
@@ -317,7 +311,7 @@ class Charging:
         self.plant.press(20.0)
         assert self.client.call(self.probe, Probe.Request()).success
         self.thread.start()
-        until(lambda: self.plant.read_power()[3])
+        wait_until(lambda: self.plant.read_power()[3])
 
     def renew(self):
         lease = Duration(nanosec=250_000_000)
@@ -353,7 +347,7 @@ def charging(context, tmp_path):
 def test_the_contactor_opens_before_the_torque_goes(charging, end):
     charging.begin()
     end(charging)
-    until(lambda: len(charging.arm.live_when_let_go) == 3)
+    wait_until(lambda: len(charging.arm.live_when_let_go) == 3)
     assert charging.arm.live_when_let_go == [False] * 3
     assert not charging.plant.read_power()[3]
 
@@ -362,13 +356,13 @@ def test_the_contactor_opens_when_the_servos_cable_is_pulled(charging):
     charging.begin()
     begin = time.monotonic()
     charging.servo.stop()
-    until(lambda: not charging.plant.read_power()[3])
+    wait_until(lambda: not charging.plant.read_power()[3])
     assert time.monotonic() - begin < 2.0  # the client would have gone on
 
 
 def test_without_torque_a_trajectory_is_refused(client, arm):
     client.send((0.0, START))
-    until(lambda: client.told("set_torque"))
+    wait_until(lambda: client.told("set_torque"))
     assert arm.torque_enabled() == [False] * 3
 
 
@@ -380,12 +374,12 @@ def test_a_missing_servo_stops_all(client, arm, emulator):
         state = client.states[-1]
         return list(state.valid) == [True, False, True] and math.isnan(state.position[1]) and state
 
-    state = until(only_that_one)
+    state = wait_until(only_that_one)
     assert math.isnan(state.temperature[1])
     assert state.torque_enabled[1]
-    until(lambda: arm.torque_enabled()[0] is False)
+    wait_until(lambda: arm.torque_enabled()[0] is False)
     assert list(client.fresh().torque_enabled)[::2] == [False, False]
-    until(lambda: client.told("servo 2 does not answer"))
+    wait_until(lambda: client.told("servo 2 does not answer"))
     answer = client.set_torque(True)
     assert not answer.success
     assert "servo 2" in answer.message
@@ -394,8 +388,8 @@ def test_a_missing_servo_stops_all(client, arm, emulator):
 def test_a_latched_error_needs_a_reboot(client, arm, emulator):
     client.set_torque(True)
     emulator.raise_hardware_error(1, OVERLOAD)
-    until(lambda: client.states[-1].hardware_error[0] == ServoState.ERROR_OVERLOAD)
-    until(lambda: arm.torque_enabled() == [False] * 3)
+    wait_until(lambda: client.states[-1].hardware_error[0] == ServoState.ERROR_OVERLOAD)
+    wait_until(lambda: arm.torque_enabled() == [False] * 3)
     assert not client.set_torque(True).success
     answer = client.call(client.reboot, Trigger.Request())
     assert answer.success, answer.message
@@ -407,12 +401,12 @@ def test_a_latched_error_needs_a_reboot(client, arm, emulator):
 def test_the_cable_is_pulled_and_put_back(client, arm, terminal):
     client.set_torque(True)
     terminal.stop()
-    until(lambda: not any(client.states[-1].valid))
+    wait_until(lambda: not any(client.states[-1].valid))
     assert all(map(math.isnan, client.fresh().position))
-    until(lambda: client.told("plug"))
+    wait_until(lambda: client.told("plug"))
     assert not client.set_torque(True).success
     terminal.start()
-    until(lambda: all(client.states[-1].valid))
+    wait_until(lambda: all(client.states[-1].valid))
     assert arm.torque_enabled() == [False] * 3
     assert client.set_torque(True).success
 

@@ -16,7 +16,7 @@ from deltacharger_driver.servos.bus import UNKNOWN_AFTER, ServoBus
 from deltacharger_driver.servos.packets import status
 from deltacharger_driver.servos.snapshot import READ_LENGTH, decode_block, has_restarted
 
-from .servo_bench import until
+from ..waiting import wait_until
 
 pytestmark = pytest.mark.realtime
 
@@ -105,9 +105,9 @@ def test_an_impossible_value_is_counted_and_nothing_of_its_reply_is_used(
     assert bus.counters.implausible == 1
     for values in (snapshot.angle, snapshot.velocity, snapshot.current, snapshot.voltage, snapshot.temperature):
         assert math.isnan(values[1])
-    until(lambda: bus.read().missing[1])
+    wait_until(lambda: bus.read().missing[1])
     servo.measure = measure
-    until(lambda: bus.read().complete)
+    wait_until(lambda: bus.read().complete)
 
 
 def test_a_lost_reply_is_nan_and_the_next_cycle_is_whole_again(bus: ServoBus, emulator: ServoBusEmulator) -> None:
@@ -132,12 +132,12 @@ def test_a_missing_servo_is_the_only_one_that_is_not_valid(
     assert [snapshot.valid for snapshot in snapshots[1:]] == [expected] * (UNKNOWN_AFTER + 1)
     assert snapshots[-1].missed[missing - 1] == UNKNOWN_AFTER + 2
     emulator.faults.missing = set()
-    until(lambda: bus.read().complete)
+    wait_until(lambda: bus.read().complete)
 
 
 def test_waiting_for_a_missing_servo_does_not_slow_the_others(bus: ServoBus, emulator: ServoBusEmulator) -> None:
     emulator.faults.missing = {2}
-    until(lambda: bus.read().missing[1])
+    wait_until(lambda: bus.read().missing[1])
     begin = time.monotonic()
     for _ in range(50):
         bus.read()
@@ -153,4 +153,4 @@ def test_under_any_noise_a_value_is_right_or_not_there(bus: ServoBus, emulator: 
             assert not valid or (voltage == pytest.approx(12.0) and temperature == 30.0)
             assert valid or math.isnan(voltage)
     emulator.faults.rate.clear()
-    until(lambda: bus.read().complete)
+    wait_until(lambda: bus.read().complete)

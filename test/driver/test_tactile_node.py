@@ -9,7 +9,7 @@ import os
 import threading
 import time
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,8 @@ from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 
+from ..waiting import wait_until
+
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 _domains = itertools.count(os.getpid() % 50 * 4)
@@ -47,13 +49,6 @@ def new_context() -> Any:
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=1 + next(_domains) % 200)
     return context
-
-
-def wait_for(condition: Callable[[], object], timeout: float = 10.0) -> None:
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, "the condition did not come true in time"
-        time.sleep(0.002)
 
 
 class Client(Node):
@@ -120,17 +115,17 @@ class Rig:
         self.plant.resistance, self.plant.target, self.plant.detected = 2.0, 24.0, 0
         self.board.reboot()
         self.client.contactor(False)
-        wait_for(lambda: not self.power().contactor_closed and not self.power().fault)
+        wait_until(lambda: not self.power().contactor_closed and not self.power().fault)
         self.fresh_frame()
 
     def fresh_frame(self) -> TactileFrame:
         self.client.frames.clear()
-        wait_for(lambda: len(self.client.frames) > 2)
+        wait_until(lambda: len(self.client.frames) > 2)
         return self.client.frames[-1]
 
     def power(self) -> ChargerPower:
         self.client.powers.clear()
-        wait_for(lambda: len(self.client.powers) > 1)
+        wait_until(lambda: len(self.client.powers) > 1)
         return self.client.powers[-1]
 
     def dock(self) -> None:
@@ -142,7 +137,7 @@ class Rig:
         assert answer.success, answer.message
 
     def wait_for_contact(self) -> None:
-        wait_for(lambda: np.nanmax(self.fresh_frame().left) > 4.0)
+        wait_until(lambda: np.nanmax(self.fresh_frame().left) > 4.0)
 
     def charge(self, seconds: float) -> None:
         """Hold the lease as docking_node does and see current."""
@@ -193,12 +188,12 @@ def test_frames_are_complete_and_stamped_with_the_sampling_instant(rig: Rig) -> 
 def test_frames_come_at_120_hz_without_gaps(rig: Rig) -> None:
     def whole_second() -> bool:  # a machine busy with other things may lose some; a second without loss must occur
         rig.client.frames.clear()
-        wait_for(lambda: len(rig.client.frames) >= 120)
+        wait_until(lambda: len(rig.client.frames) >= 120)
         frames = rig.client.frames[:120]
         span = (frames[-1].device_time_us - frames[0].device_time_us) * 1e-6
         return frames[-1].sequence - frames[0].sequence == 119 and abs(span - 119 / 120) < 0.001
 
-    wait_for(whole_second, 15.0)
+    wait_until(whole_second)
 
 
 def test_set_contactor_is_answered_at_once_while_the_board_probes(rig: Rig) -> None:
@@ -213,10 +208,10 @@ def test_set_contactor_is_answered_at_once_while_the_board_probes(rig: Rig) -> N
             rig.client.contactor(close)
             times.append(time.monotonic())
         late = max(end - begin for begin, end in itertools.pairwise(times)) if not probe.done() else math.inf
-        wait_for(probe.done)
+        wait_until(probe.done)
         return late
 
-    wait_for(lambda: slowest() < 0.020, 15.0)  # a computer busy with other things may be late, but not always
+    wait_until(lambda: slowest() < 0.020)  # a computer busy with other things may be late, but not always
 
 
 def test_tare(rig: Rig) -> None:
@@ -258,7 +253,7 @@ def test_a_held_lease_charges_and_an_open_ends_it(rig: Rig) -> None:
     assert power.charge_current == pytest.approx(1.0)
     rig.charge(0.1)
     assert rig.client.contactor(False, "somebody else").success
-    wait_for(lambda: not rig.plant.read_power()[3])
+    wait_until(lambda: not rig.plant.read_power()[3])
     power = rig.power()
     assert math.isinf(power.probe_age)
     assert power.fault == 0
@@ -271,7 +266,7 @@ def test_a_lease_that_is_not_renewed_lapses_and_is_opened_without_a_fault(rig: R
     rig.dock()
     rig.charge(0.3)
     began = time.monotonic()
-    wait_for(lambda: not rig.plant.read_power()[3])
+    wait_until(lambda: not rig.plant.read_power()[3])
     assert time.monotonic() - began < 0.4
     assert rig.power().fault == 0
     answer = rig.client.contactor(True)
@@ -292,8 +287,8 @@ def test_a_long_lease_is_cut(rig: Rig) -> None:
     rig.dock()
     began = time.monotonic()
     assert rig.client.contactor(True, lease=5.0).success
-    wait_for(lambda: rig.plant.read_power()[3])
-    wait_for(lambda: not rig.plant.read_power()[3])
+    wait_until(lambda: rig.plant.read_power()[3])
+    wait_until(lambda: not rig.plant.read_power()[3])
     assert time.monotonic() - began < 0.6
 
 
@@ -324,11 +319,11 @@ def test_what_refuses_a_close(rig: Rig, trouble: str, words: str) -> None:
         rig.dock()
     if trouble == "no contact":
         rig.plant.press(0.0)
-        wait_for(lambda: np.nanmax(rig.fresh_frame().left) < 1.0)
+        wait_until(lambda: np.nanmax(rig.fresh_frame().left) < 1.0)
         time.sleep(0.12)  # contact within the last 0.1 s counts
     elif trouble == "fault":
         rig.board.trip(Fault.OVER_CURRENT)
-        wait_for(lambda: rig.power().fault)
+        wait_until(lambda: rig.power().fault)
         rig.client.probe()
     answer = rig.client.contactor(True, "" if trouble == "no name" else "dock")
     assert not answer.success
@@ -351,14 +346,14 @@ def test_a_latched_fault_ends_the_lease_and_only_an_open_clears_it(rig: Rig) -> 
     rig.dock()
     rig.charge(0.3)
     rig.board.trip(Fault.REVERSE_CURRENT)
-    wait_for(lambda: rig.power().fault == Fault.REVERSE_CURRENT)
+    wait_until(lambda: rig.power().fault == Fault.REVERSE_CURRENT)
     answer = rig.client.contactor(True)
     assert not answer.success
     assert "reverse current" in answer.message
     time.sleep(0.4)  # a lapse would have opened by now, which clears the fault
     assert rig.power().fault == Fault.REVERSE_CURRENT
     assert rig.client.contactor(False).success
-    wait_for(lambda: rig.power().fault == 0)
+    wait_until(lambda: rig.power().fault == 0)
 
 
 def test_a_probe_while_closed_is_refused(rig: Rig) -> None:
@@ -373,7 +368,7 @@ def test_an_open_does_not_wait_for_a_probe(rig: Rig) -> None:
     answers: list[Any] = []
     prober = threading.Thread(target=lambda: answers.append(rig.client.probe()))
     prober.start()
-    wait_for(lambda: rig.node._keeper.guard._probing.locked())
+    wait_until(lambda: rig.node._keeper.guard._probing.locked())
     began = time.monotonic()
     assert rig.client.contactor(False).success
     assert time.monotonic() - began < 0.12
@@ -394,7 +389,7 @@ def test_a_reboot_of_the_board_recovers_untared_with_rising_sequence(rig: Rig) -
     before = rig.fresh_frame()
     assert before.tared
     rig.board.reboot()
-    wait_for(lambda: not rig.fresh_frame().tared)
+    wait_until(lambda: not rig.fresh_frame().tared)
     after = rig.fresh_frame()
     assert after.sequence > before.sequence
     assert after.device_time_us < before.device_time_us
@@ -404,7 +399,7 @@ def test_a_reboot_while_charging_ends_the_lease(rig: Rig) -> None:
     rig.dock()
     rig.charge(0.3)
     rig.board.reboot()
-    wait_for(lambda: not rig.plant.read_power()[3])
+    wait_until(lambda: not rig.plant.read_power()[3])
     rig.fresh_frame()
     rig.wait_for_contact()
     rig.power()
@@ -419,7 +414,7 @@ def test_unplugging_while_charging_opens_and_replugging_recovers(rig: Rig) -> No
     rig.cable.unplug()
     answer = rig.client.contactor(True)
     assert not answer.success
-    wait_for(lambda: not rig.board.contactor_commanded)
+    wait_until(lambda: not rig.board.contactor_commanded)
     assert rig.board.fault == Fault.HEARTBEAT_LOST
     rig.client.frames.clear()
     assert not rig.client.tare().success
@@ -433,7 +428,7 @@ def test_unplugging_while_charging_opens_and_replugging_recovers(rig: Rig) -> No
 def test_diagnostics_name_every_part(rig: Rig) -> None:
     rig.client.tare()
     rig.client.diagnostics.clear()
-    wait_for(lambda: len(rig.client.diagnostics) >= 2)
+    wait_until(lambda: len(rig.client.diagnostics) >= 2)
     statuses = {s.name.rsplit(": ", 1)[1]: s for s in rig.client.diagnostics[-1].status}
     assert set(statuses) == {"board link", "tactile arrays", "power stage"}
     assert statuses["tactile arrays"].message == "OK"
@@ -443,7 +438,7 @@ def test_diagnostics_name_every_part(rig: Rig) -> None:
 def values_of(rig: Rig, part: str) -> dict[str, str]:
     """The values of the part's latest status, one that was sent after this call."""
     rig.client.diagnostics.clear()
-    wait_for(lambda: len(rig.client.diagnostics) >= 2)
+    wait_until(lambda: len(rig.client.diagnostics) >= 2)
     status = next(s for s in rig.client.diagnostics[-1].status if s.name.endswith(part))
     return {value.key: value.value for value in status.values}
 
@@ -467,7 +462,7 @@ def test_diagnostics_tell_rates_the_lease_and_the_heartbeat(rig: Rig) -> None:
     assert int(pads["late_frames"]) >= 0
     p99, largest = (float(link[key].removesuffix(" ms")) for key in ("heartbeat_late_p99", "heartbeat_late_max"))
     assert 0.0 <= p99 <= largest < 1000.0
-    wait_for(lambda: not rig.plant.read_power()[3])  # not renewed: it lapses
+    wait_until(lambda: not rig.plant.read_power()[3])  # not renewed: it lapses
     after = values_of(rig, "power stage")
     assert after["holder"] == ""
     assert int(after["lease_lapses"]) == int(before["lease_lapses"]) + 1
@@ -480,7 +475,7 @@ def test_a_replugged_board_is_back_within_two_seconds(rig: Rig) -> None:
     rig.client.frames.clear()
     began = time.monotonic()
     rig.cable.replug()
-    wait_for(lambda: rig.client.frames)
+    wait_until(lambda: rig.client.frames)
     assert time.monotonic() - began < 2.0
 
 

@@ -4,44 +4,35 @@
 from __future__ import annotations
 
 import threading
-import time
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
+from deltacharger.msg import Misalignment, TactileFrame
+from deltacharger.srv import PredictMisalignment
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_sensor_data
 
-rclpy = pytest.importorskip("rclpy")
-pytest.importorskip("deltacharger.msg")
+from deltacharger_ros.executor import Spinner
+from deltacharger_ros.node_support import StartupError
+from deltacharger_tactile import default_model
+from deltacharger_tactile.calibration.rig import TactileCalibration
+from deltacharger_tactile.classifiers import files
+from deltacharger_tactile.generator import generate_paper
+from deltacharger_tactile.misalignment_node import MisalignmentNode
+from deltacharger_tactile.source import ContactSource
 
-from deltacharger.msg import Misalignment, TactileFrame  # noqa: E402
-from deltacharger.srv import PredictMisalignment  # noqa: E402
-from rcl_interfaces.srv import SetParameters, SetParametersAtomically  # noqa: E402
-from rclpy.node import Node  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.qos import qos_profile_sensor_data  # noqa: E402
-
-from deltacharger_ros.executor import Spinner  # noqa: E402
-from deltacharger_ros.node_support import StartupError  # noqa: E402
-from deltacharger_tactile import default_model  # noqa: E402
-from deltacharger_tactile.calibration.rig import TactileCalibration  # noqa: E402
-from deltacharger_tactile.classifiers import files  # noqa: E402
-from deltacharger_tactile.generator import generate_paper  # noqa: E402
-from deltacharger_tactile.misalignment_node import MisalignmentNode  # noqa: E402
-from deltacharger_tactile.source import ContactSource  # noqa: E402
+from ..waiting import wait_until
 
 pytestmark = pytest.mark.ros
 
 TRUTH = (0.001, 0.003, 0.08)
-
-
-def wait_for(condition: Callable[[], object], timeout: float = 5.0) -> None:
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, "the condition did not come true in time"
-        time.sleep(0.002)
 
 
 class Pads(Node):
@@ -80,21 +71,21 @@ class Pads(Node):
 
     def ask(self, frames: int = 0) -> Any:
         future = self.client.call_async(PredictMisalignment.Request(frames=frames))
-        wait_for(future.done)
+        wait_until(future.done)
         return future.result()
 
     def set(self, **values: Any) -> Any:
         """Set one parameter of the node and return the result."""
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         future = self.setter.call_async(SetParameters.Request(parameters=parameters))
-        wait_for(future.done)
+        wait_until(future.done)
         return future.result().results[-1]
 
     def set_together(self, **values: Any) -> Any:
         """Set several parameters at once and return the result."""
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         future = self.atomic.call_async(SetParametersAtomically.Request(parameters=parameters))
-        wait_for(future.done)
+        wait_until(future.done)
         return future.result().result
 
     def close(self) -> None:
@@ -120,8 +111,8 @@ def pads(context: Any) -> Iterator[Pads]:
     client = Pads(context)
     client_spinner = Spinner(client)
     for service in (client.client, client.setter, client.atomic):
-        wait_for(service.service_is_ready)
-    wait_for(lambda: client.publisher.get_subscription_count() == 1)
+        wait_until(service.service_is_ready)
+    wait_until(lambda: client.publisher.get_subscription_count() == 1)
     yield client
     client_spinner.close()
     spinner.close()
@@ -145,7 +136,7 @@ def test_answers_from_fresh_frames_and_publishes(pads: Pads) -> None:
     assert len(found.angle_probability) == 6
     assert found.model.startswith("pose")
     assert found.left_force > 10
-    wait_for(lambda: pads.heard)
+    wait_until(lambda: pads.heard)
     assert pads.heard[-1].in_range
 
 
@@ -176,7 +167,7 @@ def test_models_change_while_the_node_runs(pads: Pads, tmp_path: Path) -> None:
     assert pads.set(model=str(tmp_path / "other.npz")).successful
     assert pads.ask().misalignment.model == "pose-other"
     pads.heard.clear()
-    wait_for(lambda: any(message.model == "pose-other" for message in pads.heard))
+    wait_until(lambda: any(message.model == "pose-other" for message in pads.heard))
     assert pads.set(model="").successful
     assert pads.ask().misalignment.model == before
 
@@ -189,7 +180,7 @@ def test_no_answer_mixes_two_models_while_they_change(pads: Pads, tmp_path: Path
     for turn in range(10):
         assert pads.set(calibration=str(tmp_path / "pads.yaml") if turn % 2 else "").successful
         count = len(pads.heard)
-        wait_for(lambda count=count: len(pads.heard) > count + 1)
+        wait_until(lambda count=count: len(pads.heard) > count + 1)
     for message in pads.heard:
         moved = 0.004 if message.model.endswith("+rig9") else 0.0
         assert message.vertical == pytest.approx(plain - moved, abs=1e-6)

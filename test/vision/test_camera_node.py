@@ -37,6 +37,8 @@ from deltacharger_vision.cameras.ros_images import color_array, depth_array
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message, stamp_ns
 
+from ..waiting import wait_until
+
 pytestmark = pytest.mark.ros
 
 environment.prepare()
@@ -44,13 +46,6 @@ environment.prepare()
 DEADLINE = 60.0  # s; far longer than anything takes
 LENS = Intrinsics(64, 40, 44.0, 45.0, 31.0, 20.0, (-0.3, 0.1, 0.001, -0.002, 0.01))
 _domains = itertools.count(os.getpid() % 50 * 4)
-
-
-def wait_until(condition: Callable[[], Any], what: str) -> None:
-    end = time.monotonic() + DEADLINE
-    while not condition():
-        assert time.monotonic() < end, f"waited {DEADLINE:g} s for: {what}"
-        time.sleep(0.005)
 
 
 def picture(number: int) -> RgbdImage:

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 from unittest import mock
 
@@ -20,16 +20,11 @@ from deltacharger_vision.cameras.oak_pipeline import OakCamera, OakImage, OakSet
 from deltacharger_vision.errors import CameraInfoError, ImageError
 from deltacharger_vision.images import Intrinsics
 
+from ..waiting import wait_until
+
 DEADLINE = 60.0  # s; far longer than anything takes
 MATRIX = [[441.0, 0.0, 319.5], [0.0, 440.0, 199.5], [0.0, 0.0, 1.0]]
 RATIONAL = [6.5, -3.1, 0.0004, -0.0003, 0.9, 6.7, -2.4, 0.6]
-
-
-def wait_until(condition: Callable[[], Any], what: str) -> None:
-    end = time.monotonic() + DEADLINE
-    while not condition():
-        assert time.monotonic() < end, f"waited {DEADLINE:g} s for: {what}"
-        time.sleep(0.002)
 
 
 @pytest.fixture
