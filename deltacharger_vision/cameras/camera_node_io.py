@@ -19,7 +19,8 @@ from deltacharger_vision.cameras.recording import CameraRecording, Recorded
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME
 from deltacharger_vision.ros import messages
-from deltacharger_vision.ros.messages import camera_info_message, color_message, decoded, depth_message, stamp_ns
+from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message, stamp_ns
+from deltacharger_vision.ros.recorded import decoded
 
 _PAUSE = 0.05  # s between two looks for subscribers
 _JUMP = 1_000_000_000  # ns; a stamp so far from its pace comes from another clock than those before
