@@ -35,7 +35,7 @@ from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_POSITION, Dataset
 
 from ..marks import slow
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 QUICK = {
     "standoff": 0.006,
