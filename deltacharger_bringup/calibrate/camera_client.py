@@ -5,19 +5,16 @@ from __future__ import annotations
 
 import threading
 import time
-import uuid
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.context import Context
-from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_ros import qos
-from deltacharger_ros.executor import Spinner
+from deltacharger_ros.guest import Guest
 from deltacharger_vision.cameras.ros_images import color_array
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics
@@ -32,7 +29,7 @@ class CameraError(RuntimeError):
     """The camera gives no image; the message says what to do."""
 
 
-class CameraClient:
+class CameraClient(Guest):
     """Hears a colour image and its camera_info.
 
     Args:
@@ -42,38 +39,17 @@ class CameraClient:
     """
 
     def __init__(self, context: Context, topic: str, namespace: str = "") -> None:
+        super().__init__("camera_client", context, namespace)
         self._topic = topic
         folder, slash, _ = topic.rpartition("/")
         self._info_topic = f"{folder}{slash}camera_info"
         self._lock = threading.Lock()
         self._image: tuple[float, Image] | None = None
         self._info: CameraInfo | None = None
-        node = Node(
-            f"camera_client_{uuid.uuid4().hex[:8]}",
-            context=context,
-            namespace=namespace,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
-        node.create_subscription(Image, topic, self._on_image, qos.SENSOR)
-        node.create_subscription(CameraInfo, self._info_topic, self._on_info, qos.SENSOR)
-        self._clock = node.get_clock()
-        self._spinner: Spinner | None = Spinner(node)
-
-    def __enter__(self) -> CameraClient:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Leave the graph. Safe to call twice."""
-        if self._spinner is not None:
-            self._spinner.close()
-            self._spinner = None
+        self.node.create_subscription(Image, topic, self._on_image, qos.SENSOR)
+        self.node.create_subscription(CameraInfo, self._info_topic, self._on_info, qos.SENSOR)
+        self._clock = self.node.get_clock()
+        self.serve()
 
     def intrinsics(self, timeout: float, check: Callable[[], None]) -> Intrinsics:
         """Wait for camera_info and return it.

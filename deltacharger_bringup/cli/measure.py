@@ -75,7 +75,8 @@ def measure(options: argparse.Namespace, geometry: DeltaGeometry) -> int:
     prepare(options, look_around=True)
     counts = {"measured": 0, "skipped": 0}
     with Interrupts() as interrupts, ros_context() as context:
-        from deltacharger_records.datasets.arm_client import ArmClient, ArmError
+        from deltacharger_records.datasets.arm_client import ArmClient
+        from deltacharger_records.datasets.arm_guest import ArmError
 
         try:
             with ArmClient(context, geometry, options.namespace, interrupts.event) as arm:

@@ -248,7 +248,7 @@ def _record(options: argparse.Namespace, call: _Call, part: Part, settings: Sett
     options.scene = None
     prepare(options, look_around=True)
     with Interrupts() as interrupts, ros_context() as context:
-        from deltacharger_records.datasets.arm_client import ArmError
+        from deltacharger_records.datasets.arm_guest import ArmError
         from deltacharger_records.datasets.charger import RecordingCharger
 
         journal, begun = call.journal, False

@@ -44,7 +44,8 @@ def take(options: argparse.Namespace, board: Board, offset: Vector, geometry: De
     folder: ViewsFolder | None = None
     with Interrupts() as interrupts, ros_context() as context:
         from deltacharger_bringup.calibrate.camera_client import CameraClient, CameraError
-        from deltacharger_records.datasets.arm_client import ArmClient, ArmError
+        from deltacharger_records.datasets.arm_client import ArmClient
+        from deltacharger_records.datasets.arm_guest import ArmError
 
         try:
             with (

@@ -11,10 +11,10 @@ import json
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from deltacharger_core.version import package_version
 from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 
 _COMPUTES = ("core", "kinematics", "sim", "docking", "tactile")  # packages, deltacharger_…
@@ -97,14 +97,10 @@ def versions() -> dict[str, str]:
     """Return what must be equal on two machines for equal rows: Python, numpy, and the code that computes."""
     import numpy as np
 
-    try:
-        ours = version("deltacharger")
-    except PackageNotFoundError:  # a colcon workspace
-        ours = "unknown"
     return {
         "python": f"{sys.version_info[0]}.{sys.version_info[1]}",
         "numpy": np.__version__,
-        "deltacharger": ours,
+        "deltacharger": package_version(),
         "code": _digest(),
     }
 

@@ -10,18 +10,13 @@ from __future__ import annotations
 import math
 import threading
 import time
-import uuid
 from collections import deque
-from collections.abc import Callable
-from types import TracebackType
 from typing import Any
 
 import numpy as np
-from deltacharger.msg import DockingState, ServoState
+from deltacharger.msg import ServoState
 from rclpy.context import Context
-from rclpy.node import Node
 from std_srvs.srv import SetBool
-from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_docking.codes import Unreachable
 from deltacharger_docking.motion import Planner
@@ -31,9 +26,8 @@ from deltacharger_kinematics import DeltaGeometry
 from deltacharger_kinematics.calibration.data import TICK, Encoder
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_records.node_parameters import ParameterReader
+from deltacharger_records.datasets.arm_guest import ArmError, ArmGuest
 from deltacharger_ros import qos
-from deltacharger_ros.executor import Spinner
 
 SPEED = 0.06  # m/s, peak; a person stands beside
 STILL = 2.5 * TICK  # rad; what an angle may vary while the arm counts as still
@@ -42,14 +36,9 @@ _FEWEST = 10  # messages in that window
 _SILENCE = 1.0  # s without servo_state
 _STANDSTILL = 5.0  # s after the end of a motion
 _ANSWER = 5.0  # s for a service
-_POLL = 0.02  # s
 
 
-class ArmError(RuntimeError):
-    """The arm cannot be moved, or not any more; the message says why and what to do."""
-
-
-class ArmClient:
+class ArmClient(ArmGuest):
     """Moves the platform from pose to pose and tells the arm's angles at rest.
 
     Args:
@@ -62,7 +51,7 @@ class ArmClient:
     def __init__(
         self, context: Context, geometry: DeltaGeometry, namespace: str = "", stop: threading.Event | None = None
     ) -> None:
-        self._stop = stop or threading.Event()
+        super().__init__("arm_client", context, namespace, stop)
         self._planner = Planner(DockingParameters(), geometry)
         self._kinematics = ScalarDelta(geometry)
         self._commanded: Vector | None = None
@@ -71,44 +60,8 @@ class ArmClient:
         self._state: ServoState | None = None
         self._angles: deque[tuple[float, tuple[float, ...]]] = deque()
         self._heard = -math.inf
-        self._docking: DockingState | None = None
-        self.node = Node(
-            f"arm_client_{uuid.uuid4().hex[:8]}",
-            context=context,
-            namespace=namespace,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
         self.node.create_subscription(ServoState, "servo_state", self._on_servo_state, qos.LATEST)
-        self.node.create_subscription(DockingState, "docking_state", self._on_docking_state, qos.STATE)
-        self._publisher = self.node.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
-        self._torque: Any = self.node.create_client(SetBool, "set_torque")
-        self._parameters = ParameterReader(self.node, "servo_node")
-        self._spinner: Spinner | None = Spinner(self.node)
-
-    def __enter__(self) -> ArmClient:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Stop the arm, switch off the torque that this client switched on, and leave the graph. Safe to call twice.
-
-        Where docking_node has begun to serve a goal meanwhile, arm and torque are its own and stay as they are.
-        """
-        if self._spinner is None:
-            return
-        try:
-            if self._switched_on and not self._is_taken():
-                self._publish(())
-                self._call_torque(False)
-        finally:
-            self._spinner.close()
-            self._spinner = None
+        self.serve()
 
     def wait_until_ready(self, timeout: float) -> None:
         """Wait until servo_node is heard and serves, and docking_node has told its state where there is one.
@@ -118,20 +71,15 @@ class ArmClient:
         """
 
         def ready() -> bool:
-            told = self._docking is not None or not self.node.count_publishers("docking_state")
             heard = self._publisher.get_subscription_count() > 0 and self._torque.service_is_ready()
-            return told and heard and len(self._window()) >= _FEWEST
+            return self._told() and heard and len(self._window()) >= _FEWEST
 
         if not self._wait(ready, timeout):
             raise ArmError("no servo_node answers: start the charger with `deltacharger up`, in this ROS domain")
 
     def encoder(self) -> Encoder | None:
         """Return how servo_node's parameters place the encoders; None where it does not tell."""
-        answers: list[dict[str, Any]] = []
-        if self._wait(self._parameters.is_ready, _ANSWER):
-            self._parameters.ask(answers.append)
-            self._wait(lambda: bool(answers), _ANSWER)
-        told = answers[0] if answers else {}
+        told = self._ask("servo_node")
         values = tuple(told.get(name, ()) for name in ("zero_ticks", "direction"))
         return Encoder(*values) if [len(value) for value in values] == [3, 3] else None
 
@@ -210,17 +158,15 @@ class ArmClient:
         angles = self._window()
         return len(angles) >= _FEWEST and float(np.ptp(angles, axis=0).max()) <= STILL
 
-    def _is_taken(self) -> bool:
-        docking = self._docking
-        return docking is not None and (docking.state != DockingState.STATE_IDLE or docking.docked or docking.charging)
+    def _let_go(self) -> None:
+        if self._switched_on:
+            self._publish(())
+            self._call_torque(False)
 
     def _check_free(self) -> None:
         if self._stop.is_set():
             raise ArmError("interrupted")
-        if self._is_taken():
-            raise ArmError(
-                "docking_node is at work or docked, and the arm is its own: let it end, or `deltacharger undock`"
-            )
+        super()._check_free()
 
     def _servo_state(self) -> ServoState:
         if self._state is None:
@@ -237,9 +183,6 @@ class ArmClient:
             while self._angles and now - self._angles[0][0] > _WINDOW:
                 self._angles.popleft()
 
-    def _on_docking_state(self, message: DockingState) -> None:
-        self._docking = message
-
     def _window(self) -> np.ndarray:
         with self._lock:
             return np.array([angles for _, angles in self._angles])
@@ -250,19 +193,7 @@ class ArmClient:
     def _call_torque(self, on: bool) -> str:
         """Return '' where servo_node switched the torque, else why not."""
         future = self._torque.call_async(SetBool.Request(data=on))
-        end = time.monotonic() + _ANSWER
-        while not future.done():  # not `_wait`: the torque goes off even where everything is to stop
-            if time.monotonic() > end:
-                return "servo_node does not answer set_torque"
-            time.sleep(_POLL)
+        if not self._wait(future.done, _ANSWER, patient=True):  # the torque goes off even where everything is to stop
+            return "servo_node does not answer set_torque"
         reply = future.result()
         return "" if reply.success else str(reply.message)
-
-    def _wait(self, condition: Callable[[], bool], timeout: float, check: Callable[[], None] | None = None) -> bool:
-        end = time.monotonic() + timeout
-        while not condition():
-            if check is not None:
-                check()
-            if time.monotonic() > end or self._stop.wait(_POLL):
-                return False
-        return True

@@ -11,19 +11,14 @@ import math
 import os
 import threading
 import time
-import uuid
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any
 
-from deltacharger.msg import DockingState
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.time import Time
-from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory
+from std_srvs.srv import Trigger
 
 from deltacharger_docking.observation import Command, Observation, Outcome, Request, Service
 from deltacharger_docking.parameters import DockingParameters
@@ -31,12 +26,10 @@ from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.inputs import Inputs
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_records.datasets.arm_client import ArmError
+from deltacharger_records.datasets.arm_guest import ArmError, ArmGuest
 from deltacharger_records.datasets.keeper import TOPICS, Tape
 from deltacharger_records.datasets.machine import RecordingMachine
-from deltacharger_records.node_parameters import ParameterReader, docking_settings
-from deltacharger_ros import qos
-from deltacharger_ros.executor import Spinner
+from deltacharger_records.node_parameters import docking_settings
 from deltacharger_ros.raw_topics import listen
 
 _TICK = 0.02  # s; pace where servo_state does not come
@@ -44,11 +37,10 @@ _ANSWER = 5.0  # s for a service
 _SETTLED = 2.0  # s that the names of other nodes may take to become known
 _LATE = 3.0  # s after the other nodes that docking_node may be found
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
-_POLL = 0.02  # s
 _TERMINALS = "/dev/pts/"
 
 
-class RecordingCharger:
+class RecordingCharger(ArmGuest):
     """Drives a charger through sessions of a RecordingMachine.
 
     Args:
@@ -62,51 +54,16 @@ class RecordingCharger:
     """
 
     def __init__(self, context: Context, namespace: str = "", stop: threading.Event | None = None) -> None:
-        self._stop = stop or threading.Event()
-        self._docking: DockingState | None = None
+        super().__init__("recording", context, namespace, stop)
         self._machine: RecordingMachine | None = None
         self._driving = False
-        self.node = Node(
-            f"recording_{uuid.uuid4().hex[:8]}",
-            context=context,
-            namespace=namespace,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
-        group = ReentrantCallbackGroup()
         self.names = {topic.name: self.node.resolve_topic_name(topic.name) for topic in TOPICS}
         self.tape = Tape(self.names["docking_state"])
         self._inputs = Inputs(self.node)
-        self._calls = Services(self.node, group, self._age)
-        self.node.create_subscription(DockingState, "docking_state", self._on_docking_state, qos.STATE)
+        self._calls = Services(self.node, ReentrantCallbackGroup(), self._age)
         listen(self.node, TOPICS, self.tape.take, None)
-        self._publisher = self.node.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
-        self._torque: Any = self.node.create_client(SetBool, "set_torque", callback_group=group)
-        self._tare: Any = self.node.create_client(Trigger, "tare", callback_group=group)
-        self._spinner: Spinner | None = Spinner(self.node)
-
-    def __enter__(self) -> RecordingCharger:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Stop the arm where a session did not end it, switch its torque off, and leave the graph. Safe to call twice.
-
-        Where docking_node has begun to serve a goal meanwhile, arm and torque are its own and stay as they are.
-        """
-        if self._spinner is None:
-            return
-        try:
-            if self._driving and not self._is_taken():
-                self._switch_off()
-        finally:
-            self._spinner.close()
-            self._spinner = None
+        self._tare: Any = self.node.create_client(Trigger, "tare")
+        self.serve()
 
     @property
     def name(self) -> str:
@@ -137,7 +94,7 @@ class RecordingCharger:
             "servo_node": lambda: self._torque.service_is_ready() and math.isfinite(self._observe().servo_age),
             "tactile_node": lambda: self._tare.service_is_ready() and math.isfinite(self._observe().tactile_age),
             "a subscriber of joint_trajectory": lambda: self._publisher.get_subscription_count() > 0,
-            "docking_state": lambda: self._docking is not None or not self.has_docking_node,
+            "docking_state": self._told,
         }
         if not self._wait(lambda: all(is_there() for is_there in needs.values()), timeout):
             if self._stop.is_set():
@@ -253,8 +210,10 @@ class RecordingCharger:
             self._driving = self._driving or request.service is Service.TORQUE_ON
             self._calls.call(request)
 
-    def _switch_off(self) -> None:
+    def _let_go(self) -> None:
         """Stop the arm where it is and switch its torque off, unless electrodes are live: that would draw an arc."""
+        if not self._driving:
+            return
         observation = self._observe()
         if self._machine is not None:
             self._carry_out(self._machine.emergency(), observation)
@@ -265,35 +224,5 @@ class RecordingCharger:
     def _wait_for_torque_off(self) -> bool:
         return self._wait(lambda: not self._observe().torque_enabled, _ANSWER, patient=True)
 
-    def _ask(self, name: str) -> dict[str, Any]:
-        """Return a node's parameters; empty where it does not answer."""
-        reader, answers = ParameterReader(self.node, name), list[dict[str, Any]]()
-        if self._wait(reader.is_ready, _ANSWER):
-            reader.ask(answers.append)
-            self._wait(lambda: bool(answers), _ANSWER)
-        return answers[0] if answers else {}
-
-    def _is_taken(self) -> bool:
-        docking = self._docking
-        return docking is not None and (docking.state != DockingState.STATE_IDLE or docking.docked or docking.charging)
-
-    def _check_free(self) -> None:
-        if self._is_taken():
-            raise ArmError(
-                "docking_node is at work or docked, and the arm is its own: let it end, or `deltacharger undock`"
-            )
-
-    def _on_docking_state(self, message: DockingState) -> None:
-        self._docking = message
-
     def _age(self, stamp: Any) -> float:
         return float((self.node.get_clock().now() - Time.from_msg(stamp)).nanoseconds) * 1e-9
-
-    def _wait(self, condition: Callable[[], bool], timeout: float, patient: bool = False) -> bool:
-        """Wait for `condition`; unless `patient`, no longer than until `stop` is set."""
-        end = time.monotonic() + timeout
-        while not condition():
-            if time.monotonic() > end or (self._stop.is_set() and not patient):
-                return False
-            time.sleep(_POLL)
-        return True

@@ -8,12 +8,12 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.version import package_version
 from deltacharger_records.datasets.plan import SUBSETS, Part
 from deltacharger_tactile.dataset import VERSION, Dataset
 
@@ -114,7 +114,7 @@ def _meta(dockings: Sequence[Docking], parts: Mapping[str, Part], settings: Sett
         "recorded": True,
         **asdict(settings),
         "rigs": [settings.rig],
-        "package": _package_version(),
+        "package": package_version(),
         "from": _date(min(times)),
         "to": _date(max(times)),
         "parts": [
@@ -132,10 +132,3 @@ def _meta(dockings: Sequence[Docking], parts: Mapping[str, Part], settings: Sett
 
 def _date(time: float) -> str:
     return datetime.fromtimestamp(time, timezone.utc).isoformat(timespec="seconds")
-
-
-def _package_version() -> str:
-    try:
-        return version("deltacharger")
-    except PackageNotFoundError:  # a colcon workspace
-        return "unknown"

@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -110,15 +110,13 @@ class DockingRecorder:
             self._end()
         if self._file is None:
             return
-        try:
+        with self._failing():
             if now - self._flushed >= _FLUSH:
                 self._flushed = now
                 self._file.mcap.flush()
             if now - self._pruned >= _PRUNE:
                 self._pruned = now
                 self._folder.prune()
-        except OSError as error:
-            self.fail(error)
 
     def close(self) -> None:
         """End the record under way, if there is one."""
@@ -144,11 +142,9 @@ class DockingRecorder:
         self._code, self._results, self.problem = 0, [], ""
         self._flushed = self._pruned = now
         held = self._gate.open()
-        try:
+        with self._failing():
             path, stream = self._folder.create(message.received * 1e-9, seen.request_id)
             self._file = _File(path, stream, McapStream(stream, self._kinds, live=True))
-        except OSError as error:
-            self.fail(error)
         self._tell(ABOUT, {**self._about, "request_id": seen.request_id, "began": str(message.received)})
         self._write(held)
 
@@ -160,7 +156,7 @@ class DockingRecorder:
             ending = self._ending()
             dropped = json.dumps(dict(self._gate.dropped))
             self._tell(END, {"ending": ending, "state": str(last.state), "message": last.message, "dropped": dropped})
-            try:
+            with self._failing():
                 file.mcap.finish()
                 os.fsync(file.stream.fileno())
                 if last.at_home and not (self._code or self._session.went_out):  # undocked where nothing was docked
@@ -171,8 +167,6 @@ class DockingRecorder:
                         pack(path, self._kinds)
                 file.stream.close()
                 self._folder.prune()
-            except OSError as error:
-                self.fail(error)
         self._file = None
         self._session.end()
 
@@ -188,17 +182,21 @@ class DockingRecorder:
     def _write(self, messages: Iterable[Raw]) -> None:
         if self._file is None:
             return
-        try:
+        with self._failing():
             for message in messages:
                 self._file.mcap.add(message)
-        except OSError as error:
-            self.fail(error)
 
     def _tell(self, name: str, values: Mapping[str, str]) -> None:
         if self._file is None:
             return
-        try:
+        with self._failing():
             self._file.mcap.tell(name, values)
+
+    @contextlib.contextmanager
+    def _failing(self) -> Iterator[None]:
+        """End the recording of this docking where the disk does not take it."""
+        try:
+            yield
         except OSError as error:
             self.fail(error)
 

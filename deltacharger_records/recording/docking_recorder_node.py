@@ -12,7 +12,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from rclpy.node import Node
 
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import Raw, RecordingError, require_mcap
+from deltacharger_core.version import package_version
 from deltacharger_records.node_parameters import ParameterReader
 from deltacharger_records.recording.docking_recorder import DockingRecorder, gate_for
 from deltacharger_records.recording.docking_topics import ACTIONS, STATE, TOPICS
@@ -65,7 +65,7 @@ class DockingRecorderNode(Node):
             gate_for(topics, before, rate, megabytes * 10**6),
             topics,
             {topics[topic.name]: topic.kind for topic in TOPICS},
-            {"version": _version(), "scene": scene, "namespace": self.get_namespace()},
+            {"version": package_version(), "scene": scene, "namespace": self.get_namespace()},
         )
         self._state = topics[STATE]
         self._feedback = {topics[f"{action}/_action/feedback"]: action for action in ACTIONS}
@@ -166,13 +166,6 @@ class DockingRecorderNode(Node):
         if recorder.problem:
             level, text = ERROR, recorder.problem
         self._diagnostics.tell(level, text, {"folder": self._folder_path})
-
-
-def _version() -> str:
-    try:
-        return version("deltacharger")
-    except PackageNotFoundError:  # a colcon workspace
-        return "unknown"
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from action_msgs.msg import GoalStatusArray
 from deltacharger.action import Dock, Undock
 from deltacharger.msg import (
@@ -20,7 +18,6 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from trajectory_msgs.msg import JointTrajectory
 
-from deltacharger_records.recording.mcap_recording import type_name
 from deltacharger_ros.raw_topics import Topic
 
 _DEPTH = 500  # a disk that hangs for seconds loses nothing
@@ -52,6 +49,3 @@ TOPICS: tuple[Topic, ...] = (
 
 ALWAYS = (STATE, DECISION, "electrode_detection", "dock/_action/status", "undock/_action/status")
 """Topics of which every message is kept, however long charging lasts."""
-
-KINDS: dict[str, Any] = {type_name(topic.kind): topic.kind for topic in TOPICS}
-"""Message class by type name."""

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_core.mcap_file import DamagedRecording, McapFile, RecordingError
-from deltacharger_records.recording.docking_topics import KINDS, STATE, TOPICS
+from deltacharger_records.recording.docking_topics import STATE, TOPICS
 from deltacharger_records.recording.mcap_recording import decode, schema_text, type_name
 
-_TYPES = {topic.name: type_name(topic.kind) for topic in TOPICS}
+_KINDS = {topic.name: topic.kind for topic in TOPICS}
+_TYPES = {name: type_name(kind) for name, kind in _KINDS.items()}
 
 
 class Recording:
@@ -48,7 +49,7 @@ class Recording:
         for topic in self._file.types:
             name = topic.removeprefix(head)
             if topic.startswith(head) and name in _TYPES:
-                problem = _difference(self._file, topic, _TYPES[name])
+                problem = _difference(self._file, topic, _KINDS[name])
                 if problem:
                     self.unreadable[name] = problem
                 else:
@@ -85,7 +86,7 @@ class Recording:
 
 def decoded(name: str, data: bytes) -> Any:
     """Return the message of a topic, named relatively; errors as those of `decode`."""
-    return decode(data, KINDS[_TYPES[name]])
+    return decode(data, _KINDS[name])
 
 
 def _charger(file: McapFile, namespace: str | None) -> str:
@@ -112,11 +113,12 @@ def _charger(file: McapFile, namespace: str | None) -> str:
     return found[0]
 
 
-def _difference(file: McapFile, topic: str, wanted: str) -> str:
+def _difference(file: McapFile, topic: str, kind: Any) -> str:
     """Return in what the messages were defined otherwise then than they are now, or ''."""
+    wanted = type_name(kind)
     if file.types[topic] != wanted:
         return f"is {file.types[topic] or 'untyped'}, not {wanted}"
-    if _fields(file.definitions[topic]) != _fields(schema_text(KINDS[wanted])):
+    if _fields(file.definitions[topic]) != _fields(schema_text(kind)):
         return f"{wanted} was defined otherwise when this was recorded; replay with that version"
     return ""
 

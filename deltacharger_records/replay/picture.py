@@ -11,22 +11,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deltacharger_docking.clearance import Estimate, clearance, clearance_stddev
+from deltacharger_docking.clearance import clearance, clearance_stddev
 from deltacharger_records.plotting import BLUE, FAINT, GREEN, ORANGE, PURPLE, RED
+from deltacharger_records.quantities import quantity
 from deltacharger_records.replay.record import Replay
 from deltacharger_records.replay.run_picture import (
     charge,
     contact_current,
-    heat_colours,
     height,
     legend,
     name_phases,
+    pad_map,
     save,
+    scale_bar,
     shade,
 )
 from deltacharger_records.replay.run_record import Touch
 from deltacharger_records.replay.time_scale import TimeScale, scale_for
-from deltacharger_records.replay.words import quantity, why
+from deltacharger_records.replay.words import why
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -72,10 +74,15 @@ def _compose(figure: Figure, replay: Replay) -> None:
     scale = scale_for(replay)
     first = figure.add_subplot(grid[0, 0])
     rows = [first, *(figure.add_subplot(grid[index, 0], sharex=first) for index in range(1, 6))]
-    panels = (_decisions, _height, _contact, _misalignment, _clearance, _charge)
-    for axes, panel in zip(rows, panels, strict=True):
+    for axes in rows:
         shade(axes, replay.run, scale.span)
-        panel(axes, replay, scale)
+    _decisions(rows[0], replay, scale)
+    height(rows[1], replay.run)
+    contact_current(rows[2], replay.run)
+    _misalignment(rows[3], replay, scale)
+    _clearance(rows[4], replay)
+    charge(rows[5], replay.run)
+    for axes in rows:
         axes.grid(axis="y", color="white", linewidth=1.0, zorder=0.5)
         axes.yaxis.set_label_coords(-0.062, 0.5)
         axes.tick_params(labelbottom=axes is rows[-1], length=3)
@@ -106,18 +113,6 @@ def _decisions(axes: Axes, replay: Replay, scale: TimeScale) -> None:
         free[level] = place + (len(text) + 2) * 0.0062 * width
 
 
-def _height(axes: Axes, replay: Replay, scale: TimeScale) -> None:
-    height(axes, replay.run)
-
-
-def _contact(axes: Axes, replay: Replay, scale: TimeScale) -> None:
-    contact_current(axes, replay.run)
-
-
-def _charge(axes: Axes, replay: Replay, scale: TimeScale) -> None:
-    charge(axes, replay.run)
-
-
 def _misalignment(axes: Axes, replay: Replay, scale: TimeScale) -> None:
     """Draw each measurement with its standard deviation; a hollow one was unsure."""
     axes.axhline(0.0, color="#9aa5b1", linewidth=0.8)
@@ -144,7 +139,7 @@ def _misalignment(axes: Axes, replay: Replay, scale: TimeScale) -> None:
     axes.set_ylabel("misalign-\nment ± σ")
 
 
-def _clearance(axes: Axes, replay: Replay, scale: TimeScale) -> None:
+def _clearance(axes: Axes, replay: Replay) -> None:
     """Draw what each measurement leaves between the bars, down to three standard deviations, against what is needed."""
     needed = 1e3 * replay.parameters.clearance_min
     places = [(touch.time, *_left(touch, replay)) for touch in replay.run.touches]
@@ -167,18 +162,9 @@ def _clearance(axes: Axes, replay: Replay, scale: TimeScale) -> None:
 
 def _left(touch: Touch, replay: Replay) -> tuple[float, float]:
     """Return the clearance of a measurement and what is sure of it at three standard deviations, mm."""
-    parameters = replay.parameters
-    gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
-    estimate = Estimate(
-        touch.angle,
-        touch.angle_stddev,
-        touch.vertical,
-        touch.vertical_stddev,
-        touch.horizontal,
-        touch.horizontal_stddev,
-    )
+    gap, length = replay.parameters.electrode_half_gap, replay.parameters.electrode_half_length
     left = clearance(touch.angle, touch.vertical, gap, length)
-    return 1e3 * left, 1e3 * (left - 3.0 * clearance_stddev(estimate, gap, length))
+    return 1e3 * left, 1e3 * (left - 3.0 * clearance_stddev(touch.estimate, gap, length))
 
 
 def _maps(figure: Figure, place: Any, replay: Replay) -> None:
@@ -198,11 +184,7 @@ def _maps(figure: Figure, place: Any, replay: Replay) -> None:
         assert touch.frames is not None
         for column, frame in enumerate(touch.frames):
             axes = figure.add_subplot(rows[row, column])
-            image = axes.imshow(frame, cmap=heat_colours(), vmin=0.0, vmax=top, interpolation="nearest")
-            axes.set_xticks([])
-            axes.set_yticks([])
-            for spine in axes.spines.values():
-                spine.set_visible(False)
+            image = pad_map(axes, frame, top)
             axes_of_maps.append(axes)
             if column == 0:
                 axes.set_title(_caption(touch), loc="left", pad=4, fontsize=8.2)
@@ -211,10 +193,7 @@ def _maps(figure: Figure, place: Any, replay: Replay) -> None:
             if row == len(shown) - 1:
                 label = "← +x  left pad" if column == 0 else "right pad"
                 axes.set_xlabel(label, loc="left", labelpad=2, fontsize=7, color=FAINT)
-    bar = figure.colorbar(image, ax=axes_of_maps, location="right", fraction=0.035, pad=0.03, aspect=40)
-    bar.outline.set_visible(False)
-    bar.ax.tick_params(length=2, labelsize=7)
-    bar.set_label("N per taxel", fontsize=7)
+    scale_bar(figure, image, 7, ax=axes_of_maps, location="right", fraction=0.035, pad=0.03, aspect=40)
 
 
 def _caption(touch: Touch) -> str:

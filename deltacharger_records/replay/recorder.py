@@ -6,28 +6,25 @@ from __future__ import annotations
 import math
 import threading
 import time
-import uuid
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any
 
 from deltacharger.msg import ChargerPower, DockingState, Misalignment, ServoState, TactileFrame
 from rclpy.context import Context
-from rclpy.node import Node
 from sensor_msgs.msg import Image
 
 from deltacharger_records.node_parameters import ParameterReader, known_settings
 from deltacharger_records.replay.run_builder import RunBuilder
 from deltacharger_records.replay.run_record import Run
 from deltacharger_ros import qos
-from deltacharger_ros.executor import Spinner
+from deltacharger_ros.guest import Guest
 from deltacharger_ros.outcomes import Outcome, Progress
 
 _ASK = 0.1  # s between questions for docking_node's parameters
 _PATIENCE = 3.0  # s that their answer may take
 
 
-class Recorder:
+class Recorder(Guest):
     """Fill a `Run` from servo_state, docking_state, tactile_frame, misalignment, charger_power, the detector's
     annotated image and action feedback.
 
@@ -42,20 +39,13 @@ class Recorder:
     """
 
     def __init__(self, context: Context, namespace: str = "") -> None:
+        super().__init__("charger_recorder", context, namespace)
         self.run = Run()
         self._build = RunBuilder(self.run, None)
         self._lock = threading.Lock()
         self._began = time.monotonic()
         self._done = False
-        node = Node(
-            f"charger_recorder_{uuid.uuid4().hex[:8]}",
-            context=context,
-            namespace=namespace,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
-        build = self._build
+        node, build = self.node, self._build
         node.create_subscription(ServoState, "servo_state", self._taker(build.servo_state), qos.LATEST)
         node.create_subscription(DockingState, "docking_state", self._taker(build.docking_state), qos.STATE)
         node.create_subscription(TactileFrame, "tactile_frame", self._taker(build.tactile_frame), qos.SENSOR)
@@ -64,21 +54,7 @@ class Recorder:
         node.create_subscription(Image, "electrode_detection/image", self._on_image, qos.SENSOR)
         self._parameters = ParameterReader(node, "docking_node")
         self._asking = node.create_timer(_ASK, self._ask)
-        self._spinner: Spinner | None = Spinner(node)
-
-    def close(self) -> None:
-        """Stop listening. Safe to call twice."""
-        if self._spinner is not None:
-            self._spinner.close()
-            self._spinner = None
-
-    def __enter__(self) -> Recorder:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+        self.serve()
 
     def force(self) -> float:
         """Return the newest contact force along z on the target (N); NaN = not measured."""

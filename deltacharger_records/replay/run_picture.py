@@ -240,21 +240,32 @@ def _heat_maps(figure: Figure, slots: tuple[Any, Any], run: Run) -> None:
     top = max(float(np.nanmax(left)), float(np.nanmax(right)), 2.0)
     for slot, name, frame in zip(slots, ("left pad (+x)", "right pad (−x)"), (left, right), strict=True):
         axes = figure.add_subplot(slot)
-        shown = axes.imshow(frame, cmap=heat_colours(), vmin=0.0, vmax=top, interpolation="nearest")
+        shown = pad_map(axes, frame, top)
         axes.set_title(f"{name}   {np.nansum(frame):.0f} N", pad=4)
-        axes.set_xticks([])
-        axes.set_yticks([])
         axes.set_ylabel("↑ +y", rotation=0, loc="top", labelpad=10, fontsize=7.5, color="#7b8794")
         axes.set_xlabel("← +x", loc="left", labelpad=2, fontsize=7.5, color="#7b8794")
-        for spine in axes.spines.values():
-            spine.set_visible(False)
-        bar = figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.04)
-        bar.outline.set_visible(False)
-        bar.ax.tick_params(length=2, labelsize=7.5)
-        bar.set_label("N per taxel", fontsize=7.5)
+        scale_bar(figure, shown, 7.5, ax=axes, fraction=0.046, pad=0.04)
 
 
-def heat_colours() -> Any:
+def pad_map(axes: Axes, frame: Any, top: float) -> Any:
+    """Draw what a pad felt, from 0 to `top` N; return the image."""
+    image = axes.imshow(frame, cmap=_heat_colours(), vmin=0.0, vmax=top, interpolation="nearest")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    return image
+
+
+def scale_bar(figure: Figure, image: Any, size: float, **place: Any) -> None:
+    """Say what the colours of `image` mean, in letters of `size` points."""
+    bar = figure.colorbar(image, **place)
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(length=2, labelsize=size)
+    bar.set_label("N per taxel", fontsize=size)
+
+
+def _heat_colours() -> Any:
     """Return the colours of a pad: paper where nothing presses."""
     import matplotlib
     from matplotlib.colors import LinearSegmentedColormap

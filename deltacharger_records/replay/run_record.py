@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_docking.clearance import Estimate
 from deltacharger_ros.outcomes import Outcome
 
 _CAPACITY = 24_000  # samples of a series before every second one is dropped
@@ -74,6 +75,12 @@ class Touch:
     frames: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
     verdict: str = ""
     clearance: float = float("nan")
+
+    @property
+    def estimate(self) -> Estimate:
+        """It as docking judges it."""
+        spreads = (self.angle_stddev, self.vertical_stddev, self.horizontal_stddev)
+        return Estimate(self.angle, spreads[0], self.vertical, spreads[1], self.horizontal, spreads[2])
 
 
 @dataclass(frozen=True)

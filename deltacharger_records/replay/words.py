@@ -4,59 +4,18 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from deltacharger_docking.clearance import Estimate, clearance, clearance_stddev
 from deltacharger_docking.codes import Code
 from deltacharger_docking.remedies import REMEDIES
+from deltacharger_records.quantities import numbers, quantity
 from deltacharger_records.replay.record import Replay
 from deltacharger_records.replay.run_record import Decided, Touch
 
-_UNITS: dict[str, tuple[float, str, int]] = {
-    "m": (1e3, "mm", 1),
-    "rad": (180.0 / math.pi, "°", 1),
-    "A": (1.0, "A", 2),
-    "N": (1.0, "N", 1),
-    "s": (1.0, "s", 2),
-    "V": (1.0, "V", 1),
-    "J": (1.0, "J", 0),
-    "ohm": (1.0, "Ω", 0),
-}
-_STDDEV = "_stddev"
 _LATE = 0.2  # s that a message of a decision may come after its phase
 _WORDS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
-
-
-def quantity(value: float, unit: str, digits: int | None = None) -> str:
-    """Return an SI value with its unit as people read it: 0.0059 m is '5.9 mm'; 'unknown' for NaN."""
-    if not math.isfinite(value):
-        return "unknown" if math.isnan(value) else "infinite"
-    scale, name, usual = _UNITS[unit]
-    kept = usual if digits is None else digits
-    text = f"{round(scale * value, kept) + 0.0:.{kept}f}".replace("-", "−")  # + 0.0: no minus before a zero
-    return f"{text}{'' if name == '°' else ' '}{name}"
-
-
-def numbers(values: Mapping[str, float]) -> str:
-    """Return the numbers of a decision, each with its name and unit, a standard deviation behind its value."""
-    parts = []
-    for name, value in values.items():
-        base, _, unit = name.rpartition("_")
-        if base.endswith(_STDDEV):
-            continue
-        if unit not in _UNITS:
-            parts.append(f"{name.replace('_', ' ')} {value:.3g}")
-            continue
-        text = f"{_label(base)} {quantity(value, unit)}"
-        spread = values.get(f"{base}{_STDDEV}_{unit}")
-        parts.append(text if spread is None else f"{text} ± {quantity(spread, unit)}")
-    return ", ".join(parts)
-
-
-def _label(base: str) -> str:
-    return re.sub(r" (\d) sigma$", r" at \1σ", base.replace("_", " "))
 
 
 def story(replay: Replay) -> list[str]:
@@ -209,15 +168,10 @@ _TELLERS: dict[Code, Callable[[Replay, str], str]] = {
 
 def _mean(touches: list[Touch]) -> Estimate:
     """Return the mean angle of several dockings, with the largest of their standard deviations."""
-    angle = sum(touch.angle for touch in touches) / len(touches)
-    return Estimate(
-        angle,
-        max(touch.angle_stddev for touch in touches),
-        0.0,
-        max(touch.vertical_stddev for touch in touches),
-        0.0,
-        max(touch.horizontal_stddev for touch in touches),
-    )
+    names = ("angle_stddev", "vertical_stddev", "horizontal_stddev")
+    angle, vertical, horizontal = (max(getattr(touch, name) for touch in touches) for name in names)
+    mean = sum(touch.angle for touch in touches) / len(touches)
+    return Estimate(mean, angle, 0.0, vertical, 0.0, horizontal)
 
 
 def _way_back(replay: Replay) -> str:

@@ -14,6 +14,7 @@ from deltacharger_docking.contact_current import ContactCurrent
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_records.quantities import numbers
 from deltacharger_records.recording.docking_topics import DECISION, STATE
 from deltacharger_records.recording.docking_topics import TOPICS as RECORDED
 from deltacharger_records.view.log import ViewLog
@@ -42,8 +43,6 @@ TOPICS: tuple[Topic, ...] = (
 
 _BACKWARD = 1_000_000_000  # ns; a clock that went back further begins anew
 _ENERGY_STEP = 0.2  # s between two charger_power at most, as docking_node counts
-_UNITS = {"m": (1e3, "mm"), "rad": (math.degrees(1.0), "°"), "A": (1.0, "A"), "N": (1.0, "N"), "s": (1.0, "s"),
-          "V": (1.0, "V"), "J": (1.0, "J"), "ohm": (1.0, "Ω")}  # fmt: skip
 
 
 class ViewFeed:
@@ -163,7 +162,8 @@ class ViewFeed:
 
     def _on_decision(self, message: Any, now: float) -> None:
         values = dict(zip(message.names, message.values, strict=False))
-        self._log.line(f"{message.kind}: {message.text}{told(values)}", message.kind)
+        numbered = f" ({numbers(values)})" if values else ""
+        self._log.line(f"{message.kind}: {message.text}{numbered}", message.kind)
         if message.kind == "zero":  # from here on docking_node counts from the same zero
             self._contact.tare()
         place = [values.get(f"{axis}_m", math.nan) for axis in "xyz"]
@@ -181,17 +181,6 @@ class ViewFeed:
 
         pixels = color_array(message)
         self._log.picture(name, (pixels >> 8).astype("uint8") if pixels.dtype == "uint16" else pixels)
-
-
-def told(values: dict[str, float]) -> str:
-    """Return the numbers of a decision for people: lengths in mm, angles in degrees; '' without any."""
-    words = []
-    for name, value in values.items():
-        stem, _, unit = name.rpartition("_")
-        factor, shown = _UNITS.get(unit, (1.0, "")) if stem else (1.0, "")
-        label = stem if shown else name
-        words.append(f"{label.replace('_', ' ')} {factor * value:.4g}{'' if shown in ('', '°') else ' '}{shown}")
-    return f" ({', '.join(words)})" if words else ""
 
 
 def status_page(message: Any, phase: str, failure: str) -> str:

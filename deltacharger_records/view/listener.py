@@ -6,18 +6,18 @@ No executor: at 300 messages a second it costs more than showing what came, and 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
+from functools import partial
 
 from rclpy.context import Context
-from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
 from deltacharger_records.view.feed import ViewFeed
+from deltacharger_ros.guest import Guest
 from deltacharger_ros.raw_topics import PolledTopics, Topic
 
 
-class Listener:
+class Listener(Guest):
     """Subscribes, and hands a feed what came; what is not shown is not even decoded.
 
     Args:
@@ -27,26 +27,12 @@ class Listener:
     """
 
     def __init__(self, context: Context, namespace: str, topics: Sequence[Topic]) -> None:
-        self._node = Node(
-            f"charger_view_{os.getpid()}",
-            context=context,
-            namespace=namespace,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
-        self._topics = PolledTopics(self._node, topics)
-        self._by_name = {self._node.resolve_topic_name(topic.name): topic for topic in topics}
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._node.destroy_node()
+        super().__init__("charger_view", context, namespace)
+        self._topics = PolledTopics(self.node, topics)
+        self._by_name = {self.node.resolve_topic_name(topic.name): topic for topic in topics}
 
     def hand(self, feed: ViewFeed) -> None:
         """Give `feed` all messages since the last time, in the order in which they came."""
         for message in self._topics.take():
-            self._decode(feed, message.received, self._by_name[message.topic], message.data)
-
-    @staticmethod
-    def _decode(feed: ViewFeed, received: int, topic: Topic, data: bytes) -> None:
-        feed.take(topic.name, received, lambda: deserialize_message(data, topic.kind))
+            topic = self._by_name[message.topic]
+            feed.take(topic.name, message.received, partial(deserialize_message, message.data, topic.kind))

@@ -28,7 +28,7 @@ from deltacharger_core.mcap_file import RecordingError
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
 from deltacharger_ros.parameters import declare_all
-from deltacharger_vision.cameras.camera_node_io import CameraPublishers, Replay
+from deltacharger_vision.cameras.camera_node_io import CameraPublishers, RecordingPlayer
 from deltacharger_vision.cameras.keeper import CameraKeeper, OpenCamera
 from deltacharger_vision.cameras.oak_pipeline import OakCamera, OakImage, OakSettings
 from deltacharger_vision.cameras.recording import CameraRecording
@@ -55,7 +55,7 @@ class CameraNode(Node):
         self._path = path
         self._images = CameraPublishers(self)
         self._diagnostics = Diagnostics(self)
-        self._source: CameraKeeper | Replay
+        self._source: CameraKeeper | RecordingPlayer
         if path:
             self._source = self._replay(Path(path), loop)
         else:
@@ -76,12 +76,12 @@ class CameraNode(Node):
         opener = open_camera or OakCamera
         return CameraKeeper(lambda: opener(self._settings, self._images.wanted, self._publish), self._tell)
 
-    def _replay(self, path: Path, loop: bool) -> Replay:
+    def _replay(self, path: Path, loop: bool) -> RecordingPlayer:
         try:
             recording = CameraRecording(path)
             if not recording.images:
                 raise node_support.StartupError(f"camera_node: {path}: {recording.topics.color} holds no images")
-            return Replay(recording, self._images, loop, self._tell)
+            return RecordingPlayer(recording, self._images, loop, self._tell)
         except FileNotFoundError as error:
             raise node_support.StartupError(f"camera_node: replay: {path}: there is no such file") from error
         except (OSError, VisionError, RecordingError) as error:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -15,6 +14,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core.mcap_file import RecordingError
 from deltacharger_vision.cameras import recording as camera_recording
+from deltacharger_vision.cameras.keeper import ImageSource
 from deltacharger_vision.cameras.recording import CameraRecording, Recorded
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME
@@ -75,13 +75,12 @@ class CameraPublishers:
             self.published += kind == camera_recording.COLOR
 
 
-class Replay:
+class RecordingPlayer(ImageSource):
     """Publishes a recording at its own pace, from the moment that somebody subscribes.
 
     Stamps are moved to the present and keep their distances; each colour image has a camera_info of its stamp.
 
     Attributes:
-        problem: why it stopped, '' while it runs.
         passes: how often it came to the end.
 
     Args:
@@ -94,25 +93,12 @@ class Replay:
     def __init__(
         self, recording: CameraRecording, publishers: CameraPublishers, loop: bool, on_change: Callable[[], None]
     ) -> None:
-        self.problem = ""
+        super().__init__("", on_change)
         self.passes = 0
         self._recording = recording
         self._publishers = publishers
         self._loop = loop
-        self._on_change = on_change
         self._info = next((decoded(recording, each) for each in recording.messages(camera_recording.INFO)), None)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
-
-    def start(self) -> None:
-        """Begin when somebody subscribes."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """End it. Idempotent."""
-        self._stop.set()
-        if self._thread.ident is not None:
-            self._thread.join()
 
     def _run(self) -> None:
         while not self._publishers.wanted():
@@ -126,8 +112,7 @@ class Replay:
         except RecordingError as error:
             problem = str(error)
         if not self._stop.is_set():
-            self.problem = problem
-            self._on_change()
+            self._tell(problem)
 
     def _play(self) -> None:
         """Publish the recording once, or until it is told to stop."""

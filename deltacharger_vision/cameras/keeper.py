@@ -33,11 +33,46 @@ class OpenCamera(Protocol):
         """Release the device."""
 
 
-class CameraKeeper:
+class ImageSource:
+    """A thread that delivers images until it is closed.
+
+    Attributes:
+        problem: why there is no image, '' while they come.
+
+    Args:
+        problem: at the beginning.
+        on_change: called in its thread whenever `problem` changes.
+    """
+
+    def __init__(self, problem: str, on_change: Callable[[], None]) -> None:
+        self.problem = problem
+        self._on_change = on_change
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=type(self).__name__, daemon=True)
+
+    def start(self) -> None:
+        """Begin to look for images."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread, and release what it holds. Idempotent."""
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def _run(self) -> None:
+        raise NotImplementedError
+
+    def _tell(self, problem: str) -> None:
+        if problem != self.problem:
+            self.problem = problem
+            self._on_change()
+
+
+class CameraKeeper(ImageSource):
     """One camera, from plugging in to unplugging, as often as it takes.
 
     Attributes:
-        problem: why there is no image, '' while the camera is open.
         name: of the camera that is open, or was last; '' before.
 
     Args:
@@ -46,22 +81,9 @@ class CameraKeeper:
     """
 
     def __init__(self, open_camera: Callable[[], OpenCamera], on_change: Callable[[], None]) -> None:
-        self.problem = "the camera is looked for"
+        super().__init__("the camera is looked for", on_change)
         self.name = ""
         self._open = open_camera
-        self._on_change = on_change
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="camera keeper", daemon=True)
-
-    def start(self) -> None:
-        """Begin to look for it."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Release the camera and end the thread. Idempotent."""
-        self._stop.set()
-        if self._thread.ident is not None:
-            self._thread.join()
 
     def _run(self) -> None:
         backoff = _SHORTEST_BACKOFF
@@ -87,8 +109,3 @@ class CameraKeeper:
             self._tell(problem)
         finally:
             camera.close()
-
-    def _tell(self, problem: str) -> None:
-        if problem != self.problem:
-            self.problem = problem
-            self._on_change()

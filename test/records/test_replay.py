@@ -19,10 +19,11 @@ from rclpy.serialization import serialize_message
 from deltacharger_bringup.cli.main import main
 from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
+from deltacharger_records.quantities import numbers
 from deltacharger_records.recording import mcap_recording
 from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_records.replay.record import replay
-from deltacharger_records.replay.words import numbers, story, why
+from deltacharger_records.replay.words import story, why
 
 PNG = b"\x89PNG"
 TILTED = (

@@ -69,14 +69,6 @@ def test_electrodes_of_both_sides_touch_at_the_contact_plane() -> None:
         assert [centre[2] for centre in bars] == pytest.approx([side * bar[2] / 2] * 2)
 
 
-def test_numbers_of_a_decision_are_told_in_units_for_people() -> None:
-    from deltacharger_records.view.feed import told
-
-    values = {"x_m": 0.0042, "roll_rad": math.radians(3.0), "contact_current_A": 0.45, "code": 301.0}
-    assert told(values) == " (x 4.2 mm, roll 3°, contact current 0.45 A, code 301)"
-    assert told({}) == ""
-
-
 @pytest.mark.parametrize("as_json", [False, True])
 def test_without_rerun_the_remedy_is_told(as_json: bool, capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
