@@ -11,6 +11,7 @@ import numpy as np
 
 from deltacharger_bringup.calibrate.camera_report import MILLIMETRE, Judged, about, as_mapping, as_text
 from deltacharger_bringup.calibrate.camera_views import ViewsError, gather, read_pixels, read_rows
+from deltacharger_bringup.cli.files import file_to_write
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_bringup.cli.types import between, whole
@@ -76,7 +77,8 @@ def camera(options: argparse.Namespace) -> int:
     try:
         require_opencv()
         for flag in ("out", "print"):
-            _check_output(options, flag)
+            if getattr(options, flag) is not None:
+                file_to_write(f"--{flag}", getattr(options, flag), overwrite=options.force)
         board = parse_board(
             options.board,
             options.size_mm * MILLIMETRE,
@@ -98,17 +100,6 @@ def camera(options: argparse.Namespace) -> int:
         if error.name != "cv2":
             raise
         raise CommandError(str(error), WRONG_INPUT) from error
-
-
-def _check_output(options: argparse.Namespace, flag: str) -> None:
-    name = getattr(options, flag)
-    if name is None:
-        return
-    path = Path(name)
-    if path.is_dir() or not path.absolute().parent.is_dir():
-        raise CommandError(f"--{flag} {path}: name a file in a folder that exists", WRONG_INPUT)
-    if path.exists() and not options.force:
-        raise CommandError(f"{path} exists: choose another name, or overwrite it with --force", WRONG_INPUT)
 
 
 def _print(options: argparse.Namespace, board: Board) -> int:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_bringup.cli.files import file_to_write
 from deltacharger_bringup.cli.measurements import encoder_of, refusing
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
 from deltacharger_bringup.cli.parser import namespace_option
@@ -86,16 +87,9 @@ def _nominal(options: argparse.Namespace) -> DeltaGeometry:
         raise CommandError(str(error), WRONG_INPUT, file=options.nominal) from error
 
 
-def _refuse_existing(path: str, force: bool) -> None:
-    if Path(path).exists() and not force:
-        raise CommandError(f"{path} exists: choose another name, or overwrite it with --force", WRONG_INPUT, file=path)
-    if not Path(path).absolute().parent.is_dir():
-        raise CommandError(f"{path}: there is no such folder", WRONG_INPUT, file=path)
-
-
 def _plan(options: argparse.Namespace) -> int:
     geometry = _nominal(options)
-    _refuse_existing(options.plan, options.force)
+    file_to_write("--plan", options.plan, overwrite=options.force)
     poses = plan(geometry, options.seed)
     with refusing(options.plan):
         write_plan(options.plan, poses, geometry, encoder_of(options) or Encoder())
@@ -109,7 +103,7 @@ def _plan(options: argparse.Namespace) -> int:
 
 def _fit(options: argparse.Namespace) -> int:
     if options.out is not None:
-        _refuse_existing(options.out, options.force)
+        file_to_write("--out", options.out, overwrite=options.force)
     nominal = _nominal(options)
     uncertainty = Uncertainty(
         options.measurement_mm * MILLIMETRE, options.tolerance_mm * MILLIMETRE, math.radians(options.tolerance_deg)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deltacharger_bringup.cli.files import file_to_write
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
 from deltacharger_bringup.cli.types import whole
 
@@ -54,7 +55,7 @@ def tactile(options: argparse.Namespace) -> int:
     """Calibrate, judge, and write what was found unless it makes estimates worse."""
     from deltacharger_tactile.errors import TactileError
 
-    _check_output(options)
+    file_to_write("--out", options.out, overwrite=options.force)
     try:
         data, model = _read(options)
         found = _calibrate(data, model, options)
@@ -72,14 +73,6 @@ def tactile(options: argparse.Namespace) -> int:
         say(doubt)
     say(f"wrote {written}" if written else f"{options.out} was not written; --force writes it nevertheless")
     return DONE if written else FAILED
-
-
-def _check_output(options: argparse.Namespace) -> None:
-    out = Path(options.out)
-    if out.exists() and not options.force:
-        raise CommandError(f"{out} exists: choose another name, or overwrite it with --force", WRONG_INPUT)
-    if out.is_dir() or not out.absolute().parent.is_dir():
-        raise CommandError(f"--out {out}: name a file in a folder that exists", WRONG_INPUT)
 
 
 def _read(options: argparse.Namespace) -> tuple[Dataset, PoseEstimator]:

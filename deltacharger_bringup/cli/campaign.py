@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from deltacharger_bringup.cli.files import picture_to_write
 from deltacharger_bringup.cli.output import (
     DONE,
     FAILED,
@@ -30,7 +31,6 @@ from deltacharger_scenes.scene import SceneError
 
 _DEFAULT_COUNT = 100
 _BAR = 30  # characters
-_PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
 
 
 _DEFAULT_SCENES = "default"
@@ -95,7 +95,7 @@ def compare(options: argparse.Namespace) -> int:
     from deltacharger_lab.campaigns.store import require_pyarrow
 
     _demand(require_pyarrow)
-    picture = _picture(options.picture)
+    picture = picture_to_write(options.picture) if options.picture else None
     try:
         found = compare_campaigns(Path(options.a), Path(options.b))
     except CampaignError as error:
@@ -159,18 +159,6 @@ class Progress:
             f"{self._done} of {self._total} dockings, {self._charged} of the {run} now run charged, {rate:.1f} per s, "
             f"{left:.0f} s left"
         )
-
-
-def _picture(name: str | None) -> Path | None:
-    """Return where to draw, in a folder that is there; None = nowhere."""
-    if name is None:
-        return None
-    path = Path(name)
-    if path.suffix.lower() not in _PICTURES:
-        raise CommandError(f"--picture '{name}': end it in {', '.join(_PICTURES)}", WRONG_INPUT)
-    if not path.absolute().parent.is_dir():
-        raise CommandError(f"--picture {name}: the folder {path.parent} does not exist; make it", WRONG_INPUT)
-    return path
 
 
 def _folder(options: argparse.Namespace) -> Path:

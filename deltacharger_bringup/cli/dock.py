@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ from deltacharger_bringup.cli.charger import (
     start,
     wait_for_actions,
 )
+from deltacharger_bringup.cli.files import picture_to_write
 from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, WRONG_INPUT, CommandError, Interrupts, say
 from deltacharger_bringup.cli.parser import namespace_option, record_option, scene_option
 from deltacharger_bringup.cli.phases import PhasePrinter, report
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from deltacharger_scenes.scene import Scene
 
 _DEFAULT_PICTURE = "dock.png"
-_PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
 
 
 def add_dock(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +62,10 @@ def add_dock(parser: argparse.ArgumentParser) -> None:
 
 def dock(options: argparse.Namespace) -> int:
     """Dock with the running charger, or else with the scene's own in this process."""
-    _check_picture(options)
+    if (
+        not options.no_picture and options.picture != _DEFAULT_PICTURE
+    ):  # whoever asked for none needs no writable folder
+        picture_to_write(options.picture)
     scene = prepare(options, look_around=True)
     require_docking(scene)
     request = dock_request(options, scene)
@@ -89,17 +91,6 @@ def dock(options: argparse.Namespace) -> int:
             stack.enter_context(start(recorder_alone(scene, options.record), context, options.namespace))
         recorder = stack.enter_context(Recorder(context, options.namespace))
         return _Run(options, scene, request, client, recorder, composition, interrupts).carry_out()
-
-
-def _check_picture(options: argparse.Namespace) -> None:
-    """Refuse, before anything moves, a picture that could not be written at the end."""
-    if options.no_picture or options.picture == _DEFAULT_PICTURE:  # whoever asked for none needs no writable folder
-        return
-    path = Path(options.picture)
-    if path.suffix.lower() not in _PICTURES:
-        raise CommandError(f"--picture '{options.picture}': end it in {', '.join(_PICTURES)}", WRONG_INPUT)
-    if path.is_dir() or not path.parent.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise CommandError(f"--picture {path}: cannot be written; give a file in a folder that exists", WRONG_INPUT)
 
 
 def dock_request(options: argparse.Namespace, scene: Scene) -> DockRequest:

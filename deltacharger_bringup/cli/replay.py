@@ -9,13 +9,12 @@ import time
 from pathlib import Path
 from typing import Any
 
+from deltacharger_bringup.cli.files import picture_to_write
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell, write_json
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import McapFile, RecordingError
 from deltacharger_records.recording.folder import ABOUT, END, PARTIAL, SUFFIX
-
-_PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
 
 
 def add_replay(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +43,7 @@ def _file(options: argparse.Namespace, path: Path) -> int:
     except ImportError as error:
         raise CommandError(f"ROS 2 or the built interfaces are missing ({error}): install the package") from error
 
-    picture = _picture(options)
+    picture = picture_to_write(options.picture) if options.picture else None
     found = read(path, options.namespace or None)
     lines, closing = story(found), why(found)
     if picture is not None:
@@ -66,17 +65,6 @@ def _file(options: argparse.Namespace, path: Path) -> int:
         tell(f"incomplete: {found.recording.damage}")
     tell("\n".join([*lines, "", closing]))
     return DONE
-
-
-def _picture(options: argparse.Namespace) -> Path | None:
-    """Return where to draw, refused before anything is read."""
-    if not options.picture:
-        return None
-    path = Path(options.picture)
-    if path.suffix.lower() not in _PICTURES or path.is_dir() or not path.parent.is_dir():
-        kinds = ", ".join(_PICTURES)
-        raise CommandError(f"--picture {path}: give a file in a folder that exists, ending in {kinds}", WRONG_INPUT)
-    return path
 
 
 def _folder(options: argparse.Namespace, folder: Path) -> int:

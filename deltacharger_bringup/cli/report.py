@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 import signal
 from pathlib import Path
 from typing import Any
 
+from deltacharger_bringup.cli.files import folder_to_write
 from deltacharger_bringup.cli.output import (
     DONE,
     FAILED,
@@ -89,7 +89,7 @@ def kinematics(options: argparse.Namespace) -> int:
     """Write the report of the kinematics into a folder."""
     from deltacharger_lab.reports.kinematics import report
 
-    directory = _folder(options.out)
+    directory = folder_to_write("--out", options.out)
     count = options.points or (report.QUICK_POINTS if options.quick else report.DEFAULT_POINTS)
     plan = (report.quick_plan if options.quick else report.full_plan)(count, options.seed)
     command = f"deltacharger report kinematics{' --quick' if options.quick else ''} --points {count} --seed {plan.seed}"
@@ -109,7 +109,7 @@ def tactile(options: argparse.Namespace) -> int:
     from deltacharger_lab.reports.tactile import plan as tactile_plan
     from deltacharger_lab.reports.tactile import report as tactile_report
 
-    directory = _folder(options.out)
+    directory = folder_to_write("--out", options.out)
     plan = (tactile_plan.quick_plan if options.quick else tactile_plan.full_plan)(options.seed)
     command = f"deltacharger report tactile{' --quick' if options.quick else ''} --seed {options.seed}"
     for name, reason in tactile_plan.absent().items():
@@ -126,7 +126,7 @@ def vision(options: argparse.Namespace) -> int:
     from deltacharger_lab.reports.vision import plan as vision_plan
     from deltacharger_lab.reports.vision import report as vision_report
 
-    directory = _folder(options.out)
+    directory = folder_to_write("--out", options.out)
     plan = vision_plan.plan(options.images, options.seed, options.quick)
     command = (
         f"deltacharger report vision{' --quick' if options.quick else ''} --images {plan.images} --seed {plan.seed}"
@@ -146,7 +146,7 @@ def simulation(options: argparse.Namespace) -> int:
     from deltacharger_lab.reports.simulation import report as simulation_report
     from deltacharger_lab.reports.simulation import stability
 
-    directory = _folder(options.out)
+    directory = folder_to_write("--out", options.out)
     plan = simulation_plan.quick_plan() if options.quick else simulation_plan.full_plan()
     command = f"deltacharger report simulation{' --quick' if options.quick else ''}"
     for name, reason in simulation_plan.absent().items():
@@ -163,7 +163,7 @@ def docking(options: argparse.Namespace) -> int:
     from deltacharger_lab.reports.docking import plan as docking_plan
     from deltacharger_lab.reports.docking import report as docking_report
 
-    directory = _folder(options.out)
+    directory = folder_to_write("--out", options.out)
     try:
         plan = docking_plan.make_plan(options.quick, options.only, options.n, options.seed)
     except ValueError as error:
@@ -208,7 +208,7 @@ def footprint(options: argparse.Namespace) -> int:
         say(f"{name} is left out: {reason}")
     if not plan.scenes:
         raise CommandError(f"nothing to measure: {'; '.join(f'{name}: {why}' for name, why in plan.left_out.items())}")
-    directory = _folder(options.out)
+    directory = folder_to_write("--out", options.out)
     environment.prepare()
     problem = environment.domain_problem()
     if problem:
@@ -249,18 +249,6 @@ def _tell_targets(results: dict[str, Any]) -> None:
     for target in results["targets"]:
         verdict = "not measured" if target["met"] is None else "met" if target["met"] else "NOT MET"
         tell(f"{target['name']:<52} {target['wanted']:>9}  {target['measured']:>10.3g} {target['unit']:<8} {verdict}")
-
-
-def _folder(name: str) -> Path:
-    """Return the folder to write to, made where it is missing."""
-    directory = Path(name)
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CommandError(f"--out {name}: cannot be a folder ({error.strerror}); give another", WRONG_INPUT) from error
-    if not os.access(directory, os.W_OK | os.X_OK):
-        raise CommandError(f"--out {name}: the folder cannot be written to; give another", WRONG_INPUT)
-    return directory
 
 
 def _summary(results: dict[str, Any], directory: Path, files: list[str], more: tuple[str, ...]) -> dict[str, Any]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from pathlib import Path
 
+from deltacharger_bringup.cli.files import file_to_write
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, answer, say, tell
 from deltacharger_bringup.cli.parser import DEFAULT_SCENE, scene_option
 from deltacharger_bringup.cli.scene import load_for_command
@@ -38,7 +38,7 @@ def simulate(options: argparse.Namespace) -> int:
             WRONG_INPUT,
         )
     if options.record:
-        _check_record(Path(options.record))
+        file_to_write("--record", options.record)
     with Interrupts() as interrupts, SimulatedCharger(scene.simulation, Path(options.directory)) as charger:
         if options.json:
             ports = {"servo": charger.servo_port, "board": charger.board_port}
@@ -56,9 +56,3 @@ def simulate(options: argparse.Namespace) -> int:
             Path(options.record).write_text(json.dumps(json_ready(record), indent=2) + "\n", encoding="utf-8")
         say("in the simulated world: " + ", ".join(f"{key} {value}" for key, value in record.items()))
         return DONE if options.as_node else interrupts.exit_code(DONE)
-
-
-def _check_record(path: Path) -> None:
-    """Refuse at the start a record that could not be written at the end."""
-    if path.is_dir() or not path.parent.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
-        raise CommandError(f"--record {path}: cannot be written; give a file in a folder that exists", WRONG_INPUT)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deltacharger_bringup.cli.files import file_to_write
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
 from deltacharger_bringup.cli.types import SEED, between, whole
 from deltacharger_tactile.classifiers.classifier import NAMES
@@ -67,7 +68,7 @@ def generate(options: argparse.Namespace) -> int:
     from deltacharger_tactile.estimator import THRESHOLD
     from deltacharger_tactile.generator import generate_continuous, generate_paper
 
-    out = _writable(options.out)
+    out = file_to_write("--out", options.out, ".npz")
     rigs = range(options.first_rig, options.first_rig + options.rigs)
     paper = options.protocol == "paper"
     threshold = options.threshold if options.threshold is not None else CONTACT_FORCE if paper else THRESHOLD
@@ -91,7 +92,7 @@ def train(options: argparse.Namespace) -> int:
     """Train a classifier, or the pose estimator, on a data set."""
     if (options.target == "pose") != (options.model == "pose") and options.target == "pose":
         raise CommandError(f"--model {options.model} tells a class; for --target pose give --model pose", WRONG_INPUT)
-    out, data = _writable(options.out), _load(options.data)
+    out, data = file_to_write("--out", options.out, ".npz"), _load(options.data)
     try:
         result = _train_pose(options, data, out) if options.target == "pose" else _train_class(options, data, out)
     except TactileError as error:
@@ -193,16 +194,6 @@ def _load(name: str, option: str = "--data") -> Dataset:
         raise CommandError(f"{option} {name}: there is no such file", WRONG_INPUT) from error
     except (TactileError, OSError) as error:
         raise CommandError(str(error), WRONG_INPUT) from error
-
-
-def _writable(name: str) -> Path:
-    """Return where to write, with a folder that is there."""
-    path = Path(name)
-    if path.suffix != ".npz":
-        raise CommandError(f"--out {name}: give a name that ends in .npz", WRONG_INPUT)
-    if not path.parent.is_dir():
-        raise CommandError(f"--out {name}: the folder {path.parent} does not exist; make it", WRONG_INPUT)
-    return path
 
 
 class _Progress:

@@ -8,10 +8,10 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
+from deltacharger_bringup.cli.files import file_to_write
 from deltacharger_bringup.cli.output import (
     DONE,
     FAILED,
@@ -76,7 +76,7 @@ def add_record(parser: argparse.ArgumentParser) -> None:
 
 def record(options: argparse.Namespace) -> int:
     """Record what is left of a set, or only compose the data set."""
-    out, part = _out(options), None if options.compose else _part(options)
+    out, part = file_to_write("--out", options.out, ".npz"), None if options.compose else _part(options)
     environment.prepare()
     with _refusing():
         from deltacharger_core.mcap_file import require_mcap
@@ -122,15 +122,6 @@ def _refusing() -> Iterator[None]:
         raise CommandError(str(error), WRONG_INPUT) from error
     except RecordingError as error:
         raise CommandError(str(error), FAILED) from error
-
-
-def _out(options: argparse.Namespace) -> Path:
-    path = Path(options.out)
-    if path.suffix != ".npz":
-        raise CommandError(f"--out {path}: give a name that ends in .npz", WRONG_INPUT)
-    if not path.parent.is_dir():
-        raise CommandError(f"--out {path}: the folder {path.parent} does not exist; make it", WRONG_INPUT)
-    return path
 
 
 def _part(options: argparse.Namespace) -> Part:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_bringup.cli.charger import prepare, ros_context
+from deltacharger_bringup.cli.files import file_to_write
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, say, write_json
 from deltacharger_bringup.cli.parser import DEFAULT_SCENE, namespace_option
 from deltacharger_bringup.cli.scene import load_for_command
@@ -81,11 +82,7 @@ def _check_places(options: argparse.Namespace) -> None:
             f"--connect {options.connect}: give an address such as rerun+http://HOST:9876/proxy", WRONG_INPUT
         )
     if options.save is not None:
-        path = Path(options.save)
-        if path.suffix != ".rrd":
-            raise CommandError(f"--save '{options.save}': end it in .rrd", WRONG_INPUT)
-        if path.is_dir() or not path.parent.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
-            raise CommandError(f"--save {path}: cannot be written; give a file in a folder that exists", WRONG_INPUT)
+        file_to_write("--save", options.save, ".rrd")
     elif options.connect is None and sys.platform == "linux" and not _has_screen():
         raise CommandError(
             "there is no screen here: give --save FILE.rrd and open the file elsewhere with `rerun FILE.rrd`, "

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from deltacharger_bringup.calibrate import vision_results
+from deltacharger_bringup.cli.files import file_to_write, folder_to_write
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import RecordingError
@@ -133,7 +133,9 @@ class _Finder:
 def _one(options: argparse.Namespace, finder: _Finder) -> int:
     if options.camera_info is None:
         raise CommandError("--color needs --camera-info, the intrinsics of the image", WRONG_INPUT)
-    picture = None if options.picture is None else _picture(options.picture)
+    picture = None if options.picture is None else file_to_write("--picture", options.picture)
+    if picture is not None:
+        check_picture_name(picture)
     depth = None if options.depth is None else Path(options.depth)
     image = read_rgbd(Path(options.color), depth, load_camera_info(options.camera_info))
     if depth is None:
@@ -152,7 +154,7 @@ def _one(options: argparse.Namespace, finder: _Finder) -> int:
 
 
 def _many(options: argparse.Namespace, finder: _Finder) -> int:
-    pictures = None if options.pictures is None else _folder(options.pictures)
+    pictures = None if options.pictures is None else folder_to_write("--pictures", options.pictures)
     path = Path(options.path)
     source = _recorded(options, path) if path.suffix.lower() == _RECORDING else _stored(options, path)
     results: list[dict[str, Any]] = []
@@ -258,27 +260,6 @@ class _Progress:
         if tenth > self._tenth:
             self._tenth = tenth
             say(f"{10 * tenth:3} %  {self._seen} of {self._count} images, electrodes in {self._found}")
-
-
-def _picture(name: str) -> Path:
-    """Return where to write a picture, with a folder that is there."""
-    path = Path(name)
-    check_picture_name(path)
-    if not path.parent.is_dir():
-        raise CommandError(f"--picture {name}: the folder {path.parent} does not exist; make it", WRONG_INPUT)
-    return path
-
-
-def _folder(name: str) -> Path:
-    """Return the folder for pictures, made where it is missing."""
-    folder = Path(name)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CommandError(f"--pictures {name}: cannot be a folder ({error.strerror})", WRONG_INPUT) from error
-    if not os.access(folder, os.W_OK | os.X_OK):
-        raise CommandError(f"--pictures {name}: the folder cannot be written to", WRONG_INPUT)
-    return folder
 
 
 def _flag(name: str) -> str:

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a command shall write, refused before it does anything that would then be lost."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError
+
+_PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
+
+
+def file_to_write(flag: str, name: str, kind: str = "", overwrite: bool = True) -> Path:
+    """Return the path of a file that can be written.
+
+    Args:
+        flag: the option that names it.
+        name: its value.
+        kind: how it must end.
+        overwrite: whether it may be there already.
+
+    Raises:
+        CommandError: it cannot, or may not, be written; exit code 2.
+    """
+    path = Path(name)
+    if kind and path.suffix != kind:
+        raise CommandError(f"{flag} '{name}': end it in {kind}", WRONG_INPUT, file=name)
+    if not path.parent.is_dir():
+        problem = f"{flag} {name}: the folder {path.parent} does not exist; make it"
+        raise CommandError(problem, WRONG_INPUT, file=name)
+    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise CommandError(f"{flag} {name}: cannot be written; give another file", WRONG_INPUT, file=name)
+    if path.exists() and not overwrite:
+        problem = f"{path} exists: choose another name, or overwrite it with --force"
+        raise CommandError(problem, WRONG_INPUT, file=name)
+    return path
+
+
+def picture_to_write(name: str) -> Path:
+    """Return the path of `--picture`, of a kind that matplotlib draws; errors as in `file_to_write`."""
+    if Path(name).suffix.lower() not in _PICTURES:
+        raise CommandError(f"--picture '{name}': end it in {', '.join(_PICTURES)}", WRONG_INPUT, file=name)
+    return file_to_write("--picture", name)
+
+
+def folder_to_write(flag: str, name: str) -> Path:
+    """Return a folder, made where it is missing; errors as in `file_to_write`."""
+    folder = Path(name)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CommandError(
+            f"{flag} {name}: cannot be a folder ({error.strerror}); give another", WRONG_INPUT
+        ) from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise CommandError(f"{flag} {name}: the folder cannot be written to; give another", WRONG_INPUT)
+    return folder
