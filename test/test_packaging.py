@@ -121,6 +121,15 @@ def outside_functions(tree: ast.AST) -> Iterator[ast.AST]:
         yield from outside_functions(node)
 
 
+def test_every_template_reaches_the_wheel() -> None:
+    toml = importlib.import_module("tomllib" if sys.version_info >= (3, 11) else "pip._vendor.tomli")
+    data = toml.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["package-data"]
+    packaged = {path for package, patterns in data.items() for each in patterns for path in (ROOT / package).glob(each)}
+    templates = set(ROOT.glob("deltacharger_*/**/*.j2"))
+    assert templates
+    assert templates <= packaged
+
+
 def test_a_missing_extra_is_told_with_its_name(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -49,7 +49,13 @@ def write(results: Mapping[str, Any], directory: Path, subject: str, indent: int
 
 
 def render(subject: str, figures: Mapping[str, Any], **more: Any) -> str:
-    """Return the page of figures as they stand in JSON.
+    """Return the page of figures as they stand in JSON; errors as `rendered`."""
+    text = rendered(f"{subject}.md.j2", {**figures, "figures": figures, **more})
+    return "\n\n".join(map(_wrapped, re.split(r"\n\s*\n", text.strip()))) + "\n"
+
+
+def rendered(name: str, values: Mapping[str, Any]) -> str:
+    """Return what a template makes of values.
 
     Raises:
         ModuleNotFoundError: jinja2 is missing.
@@ -62,11 +68,11 @@ def render(subject: str, figures: Mapping[str, Any], **more: Any) -> str:
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        keep_trailing_newline=True,
     )
     environment.filters.update(_FILTERS)
-    environment.globals.update({**figures, "figures": figures, **more})
-    blocks = re.split(r"\n\s*\n", environment.get_template(f"{subject}.md.j2").render().strip())
-    return "\n\n".join(map(_wrapped, blocks)) + "\n"
+    environment.globals.update(values)
+    return environment.get_template(name).render()
 
 
 def _wrapped(block: str) -> str:

@@ -40,6 +40,7 @@ _CODES = {
     "UNREACHABLE": "#8c6d46",
     "other": "#9aa5b1",
 }
+_LEGEND: Any = {"frameon": True, "facecolor": "white", "edgecolor": "none", "framealpha": 0.85, "fontsize": 8}
 _LARGEST = 6000  # dots of a cloud
 
 
@@ -98,7 +99,7 @@ def _stack(axes: Axes, rows: summary.Columns) -> None:
         base += share
     axes.set(xlim=(0.0, 20.0), ylim=(0.0, 100.0), xlabel="|roll|, degrees")
     axes.set_title("how they end, %", loc="left")
-    axes.legend(frameon=True, facecolor="white", edgecolor="none", framealpha=0.85, fontsize=8, loc="lower right")
+    axes.legend(**_LEGEND, loc="lower right")
 
 
 def _clearance(results: dict[str, Any], rows: Rows, path: Path) -> None:
@@ -110,7 +111,7 @@ def _clearance(results: dict[str, Any], rows: Rows, path: Path) -> None:
         _cloud(left, [rows[name] for name in ("zero", "edge") if name in rows], "estimates as they are")
         _cloud(right, [rows[name] for name in spoiled], "estimates spoiled: " + (", ".join(spoiled) or "not run"))
         left.set_ylabel("believed clearance less 3 σ, mm")
-        left.legend(frameon=True, facecolor="white", edgecolor="none", framealpha=0.85, fontsize=8, loc="upper left")
+        left.legend(**_LEGEND, loc="upper left")
 
 
 def _cloud(axes: Axes, parts: list[summary.Columns], title: str) -> None:
@@ -142,7 +143,7 @@ def _cloud(axes: Axes, parts: list[summary.Columns], title: str) -> None:
         label=f"live without clearance, {int(unsafe.sum())}",
     )
     if unsafe.any():
-        axes.legend(frameon=True, facecolor="white", edgecolor="none", framealpha=0.85, fontsize=8, loc="upper left")
+        axes.legend(**_LEGEND, loc="upper left")
 
 
 def _load(results: dict[str, Any], rows: Rows, path: Path) -> None:

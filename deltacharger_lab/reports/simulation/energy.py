@@ -20,28 +20,13 @@ _NONE = MagnetParameters(force=0.0)
 def scenes() -> dict[str, tuple[WorldParameters, Vector, tuple[Vector, ...]]]:
     """Return by name: parameters, where the arm is put, and what is then commanded for 1.5 s (nothing = limp)."""
     limp = ServoParameters(unpowered_friction=0.0, friction=0.0)
+    falling = WorldParameters(servo=limp, magnets=_NONE, gravity_y=-4.0, gravity_z=6.0)
+    rubbing = ServoParameters(unpowered_friction=0.02)
+    sliding = WorldParameters(servo=rubbing, magnets=_NONE, gravity_x=5.0, gravity_y=-3.0, gravity_z=8.0)
     return {
-        "limp, falls onto target and stops": (
-            WorldParameters(servo=limp, magnets=_NONE, gravity_y=-4.0, gravity_z=6.0),
-            (0.0, 0.0, 0.05),
-            (),
-        ),
-        "limp, swings off centre": (
-            WorldParameters(servo=limp, magnets=_NONE, gravity_y=-4.0, gravity_z=6.0),
-            (0.03, 0.0, 0.05),
-            (),
-        ),
-        "limp with friction, slides on the target": (
-            WorldParameters(
-                servo=ServoParameters(unpowered_friction=0.02),
-                magnets=_NONE,
-                gravity_x=5.0,
-                gravity_y=-3.0,
-                gravity_z=8.0,
-            ),
-            (0.0, 0.02, 0.07),
-            (),
-        ),
+        "limp, falls onto target and stops": (falling, (0.0, 0.0, 0.05), ()),
+        "limp, swings off centre": (falling, (0.03, 0.0, 0.05), ()),
+        "limp with friction, slides on the target": (sliding, (0.0, 0.02, 0.07), ()),
         "servos hold a goal, magnets snap": (world(), (0.0, 0.0, 0.072), ((0.0, 0.0, 0.079),)),
     }
 

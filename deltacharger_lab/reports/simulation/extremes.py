@@ -198,70 +198,34 @@ def _snaps(arm: Arm) -> Verdict:
 
 
 _SLIPPERY = ServoParameters(friction=0.0)
+
+
+def _hung(**gravity: Any) -> WorldParameters:
+    """Return a world without friction and target, in which the arm hangs."""
+    return WorldParameters(servo=_SLIPPERY, target=_FREE, **gravity)
+
+
+_WEIGHT = "at rest the servos carry the weight"
+_LEANING = _hung(gravity_y=GRAVITY[1] * math.cos(_TILT), gravity_z=GRAVITY[1] * math.sin(_TILT))
+_ICE = WorldParameters(servo=_SLIPPERY, contact=ContactParameters(friction=0.0), gravity_y=0.0)
+_AT_CORNER = replace(_ICE, magnets=_NO_PULL, target=TargetParameters(x=_CORNER[0], y=_CORNER[1], z=_CORNER[2]))
+_STICKY = WorldParameters(contact=ContactParameters(friction=10.0))
+_SNAPPY = WorldParameters(magnets=MagnetParameters(force=300.0, range=0.0002), target=TargetParameters(z=0.08))
+_BEYOND = "all joints to and beyond their limits, nearly singular"
+_ASIDE = (0.02, 0.01, 0.08)
 SCENES = (
-    Scene(
-        "base tilted by 30°",
-        "at rest the servos carry the weight",
-        WorldParameters(
-            servo=_SLIPPERY,
-            target=_FREE,
-            gravity_y=GRAVITY[1] * math.cos(_TILT),
-            gravity_z=GRAVITY[1] * math.sin(_TILT),
-        ),
-        _carries((0.02, 0.01, 0.08)),
-    ),
-    Scene(
-        "no gravity",
-        "at rest no torque",
-        WorldParameters(servo=_SLIPPERY, target=_FREE, gravity_y=0.0),
-        _carries((0.02, 0.01, 0.08)),
-    ),
-    Scene(
-        "gravity reversed",
-        "sags the other way by as much",
-        WorldParameters(servo=_SLIPPERY, target=_FREE, gravity_y=-GRAVITY[1]),
-        _mirrored,
-    ),
+    Scene("base tilted by 30°", _WEIGHT, _LEANING, _carries(_ASIDE)),
+    Scene("no gravity", "at rest no torque", _hung(gravity_y=0.0), _carries(_ASIDE)),
+    Scene("gravity reversed", "sags the other way by as much", _hung(gravity_y=-GRAVITY[1]), _mirrored),
     Scene("20 mm beyond the target at full speed", "comes to rest", world(), _impact),
     Scene("the same on 1e9 N/m", "comes to rest", world(1e9), _impact),
     Scene("the same on 1e3 N/m", "comes to rest", world(1e3), _impact),
-    Scene(
-        "no friction anywhere, pushed sideways",
-        "rests without lateral force",
-        WorldParameters(servo=_SLIPPERY, contact=ContactParameters(friction=0.0), gravity_y=0.0),
-        _no_side,
-    ),
-    Scene(
-        "friction of 10, pushed sideways",
-        "holds",
-        WorldParameters(contact=ContactParameters(friction=10.0)),
-        _slides(-0.001, 0.02),
-    ),
-    Scene(
-        "contact at a corner of the workspace",
-        "servos and contact press alike",
-        WorldParameters(
-            servo=_SLIPPERY,
-            magnets=_NO_PULL,
-            gravity_y=0.0,
-            contact=ContactParameters(friction=0.0),
-            target=TargetParameters(x=_CORNER[0], y=_CORNER[1], z=_CORNER[2]),
-        ),
-        _corner,
-    ),
-    Scene(
-        "all joints to and beyond their limits, nearly singular",
-        "ends at the stops",
-        WorldParameters(target=_FREE),
-        _edges,
-    ),
+    Scene("no friction anywhere, pushed sideways", "rests without lateral force", _ICE, _no_side),
+    Scene("friction of 10, pushed sideways", "holds", _STICKY, _slides(-0.001, 0.02)),
+    Scene("contact at a corner of the workspace", "servos and contact press alike", _AT_CORNER, _corner),
+    Scene(_BEYOND, "ends at the stops", WorldParameters(target=_FREE), _edges),
     Scene("one servo without power while docked", "stays docked", world(), _one_limp),
     Scene("goals that are NaN and infinite", "nothing moves", world(), _not_a_number),
     Scene("current bound NaN", "no current", world(), _no_bound),
-    Scene(
-        "magnets of 300 N that reach 0.2 mm",
-        "snaps and rests",
-        WorldParameters(magnets=MagnetParameters(force=300.0, range=0.0002), target=TargetParameters(z=0.08)),
-        _snaps,
-    ),
+    Scene("magnets of 300 N that reach 0.2 mm", "snaps and rests", _SNAPPY, _snaps),
 )

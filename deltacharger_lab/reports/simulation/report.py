@@ -59,14 +59,11 @@ def _measure(results: dict[str, Any], plan: Plan, names: tuple[str, ...], progre
     found = work(tasks(plan, names, exact), progress)
     results["reference"] = exact
     results["references_apart_mm"] = _apart(references)
-    results["errors"] = found["errors"]
-    results["map"] = joined(found["map"])
-    results["extremes"] = found["extremes"]
-    results["energy"] = found["energy"]
+    for name in ("errors", "extremes", "energy", "dockings", "traces"):
+        results[name] = found[name]
+    for name in ("map", "parts"):
+        results[name] = joined(found[name])
     results["convergence"] = found["convergence"][0]
-    results["dockings"] = found["dockings"]
-    results["parts"] = joined(found["parts"])
-    results["traces"] = found["traces"]
 
 
 def _apart(references: list[dict[str, Any]]) -> float | None:

@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 from deltacharger_lab.reports.formats import tens
+from deltacharger_lab.reports.page import rendered
 from deltacharger_lab.reports.simulation.plan import Plan
 from deltacharger_lab.reports.simulation.scenes import Arm, Model, docking, rms, settled_exactly, world
 
@@ -75,33 +76,15 @@ def roughly(name: str, servo: float, contact: float, step: float) -> dict[str, A
 def source(points: list[dict[str, Any]], plan: Plan, command: str) -> str:
     """Return the text of `deltacharger_sim/stability_map.py` for the light model's points."""
     cells = {(point["servo"], point["contact"], point["step"]): point["cell"] for point in points}
-    rows = []
-    for servo in plan.map_servos:
-        found = ["".join(cells[servo, contact, step] for step in plan.map_steps) for contact in plan.map_contacts]
-        rows.append("    (" + ", ".join(f'"{text}"' for text in found) + "),")
-    quotes = '"' * 3
-    lines = (
-        f"{quotes}Where the light model has been shown to be right; written by `{command}`, never by hand.",
-        "",
-        f"A cell is {PROVEN!r} where nothing diverged, the settled force is within {FORCE_LIMIT} % of a bisection and "
-        "the path within",
-        f"{PATH_LIMIT} mm rms of that of the finest step; {PATH_OFF!r} where the path is not, {FORCE_OFF!r} where the "
-        f"force is not, {DIVERGED!r} where it",
-        "diverged.",
-        quotes,
-        "",
-        "from __future__ import annotations",
-        "",
-        f'PROVEN = "{PROVEN}"',
-        f"STEPS = {_numbers(plan.map_steps)}  # s",
-        f"CONTACT_STIFFNESSES = {_numbers(plan.map_contacts)}  # N/m",
-        f"SERVO_STIFFNESSES = {_numbers(plan.map_servos)}  # N·m/rad",
-        "# For each servo stiffness, for each contact stiffness: a character for each step.",
-        "CELLS = (",
-        *rows,
-        ")",
-    )
-    return "\n".join(lines) + "\n"
+    rows = [
+        ["".join(cells[servo, contact, step] for step in plan.map_steps) for contact in plan.map_contacts]
+        for servo in plan.map_servos
+    ]
+    axes = {"steps": plan.map_steps, "contacts": plan.map_contacts, "servos": plan.map_servos}
+    judged = {"proven": PROVEN, "path_off": PATH_OFF, "force_off": FORCE_OFF, "diverged": DIVERGED}
+    limits = {"force_limit": FORCE_LIMIT, "path_limit": PATH_LIMIT}
+    written = {name: _numbers(each) for name, each in axes.items()}
+    return rendered(f"{MODULE}.j2", {"command": command, "rows": rows, **written, **judged, **limits})
 
 
 def _numbers(values: tuple[float, ...]) -> str:
