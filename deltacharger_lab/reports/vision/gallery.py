@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,18 +55,16 @@ def renderers(plan: Plan, path: Path) -> None:
     shown = [CONDITIONS[name] for name in names if CONDITIONS[name] in plan.conditions()]
     width, height = 0.3 + 5.6 * len(shown), 1.2 + 3.5
     about = "simulated images; the same scene and the same defects; green: what was detected"
-    detector, photographer = ElectrodeDetector(), Photographer()
-    try:
-        with picture(path, width, height, "Both renderers" if len(shown) > 1 else shown[0].renderer, about) as figure:
-            panels = figure.subplots(1, len(shown), squeeze=False)[0]
-            figure.subplots_adjust(left=0.01, right=0.99, top=1.0 - 1.1 / height, bottom=0.02, wspace=0.03)
-            for axes, condition in zip(panels, shown, strict=True):
-                sample = photographer.take(condition, plan.first_seed)
-                axes.imshow(annotated(sample.image, detector.detect(sample.image)), interpolation="antialiased")
-                axes.set_title(condition.renderer, loc="left", pad=4)
-                axes.axis("off")
-    finally:
-        photographer.close()
+    title = "Both renderers" if len(shown) > 1 else shown[0].renderer
+    detector, closing = ElectrodeDetector(), contextlib.closing(Photographer())
+    with closing as photographer, picture(path, width, height, title, about) as figure:
+        panels = figure.subplots(1, len(shown), squeeze=False)[0]
+        figure.subplots_adjust(left=0.01, right=0.99, top=1.0 - 1.1 / height, bottom=0.02, wspace=0.03)
+        for axes, condition in zip(panels, shown, strict=True):
+            sample = photographer.take(condition, plan.first_seed)
+            axes.imshow(annotated(sample.image, detector.detect(sample.image)), interpolation="antialiased")
+            axes.set_title(condition.renderer, loc="left", pad=4)
+            axes.axis("off")
 
 
 def hard(images: dict[str, list[list[float]]], path: Path) -> None:
@@ -76,8 +75,8 @@ def hard(images: dict[str, list[list[float]]], path: Path) -> None:
     about = (
         "simulated images: of each row one that was missed, or the one with the largest error; blue: what was detected"
     )
-    detector, photographer = ElectrodeDetector(), Photographer()
-    with picture(path, width, height, "Hard images", about) as figure:
+    detector, closing = ElectrodeDetector(), contextlib.closing(Photographer())
+    with closing as photographer, picture(path, width, height, "Hard images", about) as figure:
         panels = figure.subplots(lines, _COLUMNS, squeeze=False)
         figure.subplots_adjust(left=0.015, right=0.985, top=1.0 - 1.1 / height, bottom=0.015, wspace=0.05, hspace=0.16)
         for axes in panels.flat:

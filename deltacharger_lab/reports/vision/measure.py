@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -71,15 +72,13 @@ class Photographer:
 def judge(name: str, seeds: Sequence[int]) -> tuple[str, list[list[float]]]:
     """Return a condition's name and a row of FIELDS for each seed."""
     one_thread()
-    condition, detector, photographer = CONDITIONS[name], ElectrodeDetector(), Photographer()
-    try:
+    condition, detector = CONDITIONS[name], ElectrodeDetector()
+    with contextlib.closing(Photographer()) as photographer:
         rows = []
         for seed in seeds:
             sample = photographer.take(condition, seed)
             found = detector.detect(sample.image)
             rows.append([float(seed), *errors(found, sample.view.pose, condition.real)])
-    finally:
-        photographer.close()
     return name, rows
 
 
@@ -106,8 +105,8 @@ def times(names: Sequence[str], seeds: Sequence[int]) -> dict[str, dict[str, flo
     least of three runs.
     """
     one_thread()
-    detector, photographer, found = ElectrodeDetector(), Photographer(), {}
-    try:
+    detector, found = ElectrodeDetector(), {}
+    with contextlib.closing(Photographer()) as photographer:
         for name in names:
             condition = CONDITIONS[name]
             photographer.take(condition, seeds[0])
@@ -124,8 +123,6 @@ def times(names: Sequence[str], seeds: Sequence[int]) -> dict[str, dict[str, flo
                 "p95_ms": float(np.percentile(taken, 95)),
                 "image_ms": float(np.median(images)),
             }
-    finally:
-        photographer.close()
     return found
 
 
