@@ -239,7 +239,7 @@ def write(path: Path, topics: dict[str, int]) -> None:
     ("words", "complaint"),
     [
         (("--save", "view.png"), "end it in .rrd"),
-        (("--save", "/no/such/folder/a.rrd"), "folder that exists"),
+        (("--save", "/no/such/folder/a.rrd"), "does not exist"),
         (("--connect", "localhost"), "rerun+http"),
         (("--save", "a.rrd", "--connect", "rerun+http://h:1/proxy"), "not allowed with"),
         (("--recording", __file__, "--stop-after-s", "3", "--save", "a.rrd"), "for a running charger"),
