@@ -77,6 +77,8 @@ class Declaration:
             return self._problem(value)
         if not isinstance(value, list | tuple):
             return f"{value!r} is not a list"
+        if self.kind is not str and len(value) != len(self.default):
+            return f"has {len(value)} numbers; give {len(self.default)}"
         return next((problem for item in value if (problem := self._problem(item))), "")
 
     def _problem(self, value: Any) -> str:

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 from deltacharger_core.machine import BAR_GAP, BAR_LENGTH, GRAVITY, SERVO_DAMPING, SERVO_STIFFNESS, STALL_CURRENT
-from deltacharger_core.parameters import Bounded, ParameterError, choice, flag, number
+from deltacharger_core.parameters import Bounded, ParameterError, choice, flag, number, numbers, words
 from deltacharger_kinematics.geometry import Vector
 
 APPROACHES = ("guarded", "paper")
@@ -128,3 +128,17 @@ class DockingParameters(Bounded):
     def current_target(self) -> float:
         """Middle of the contact current's band, A."""
         return 0.5 * (self.current_min + self.current_max)
+
+
+@dataclass(frozen=True)
+class DockingNodeParameters(Bounded):
+    """Where the charger is on its robot."""
+
+    base_frame: str = words("base_link", "the robot's frame in which goals may be given besides charger_base")
+    base_pose: tuple[float, ...] = numbers(
+        (0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5),
+        -math.inf,
+        math.inf,
+        "",
+        "charger_base in base_frame: x, y, z in m, then the quaternion x, y, z, w",
+    )

@@ -13,6 +13,7 @@ Parameters: geometry_file or the arm's single dimensions, gravity, torque_consta
 from __future__ import annotations
 
 import array
+import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,11 +29,12 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_kinematics.parameters import GeometryFileParameters, GeometryParameters, KinematicsNodeParameters
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
+from deltacharger_ros.parameters import declare_all, reject_unknown
 
 _DEFAULT_DEPTH = 10
 _LOOK = 0.2  # s between looks for who wants pose or wrench
@@ -44,16 +46,9 @@ class KinematicsNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("kinematics_node", **kwargs)
         geometry = declare_geometry(self)
-        gravity = node_support.declare(
-            self, "gravity", list(GRAVITY), "gravity in charger_base (m/s²), +z toward the target, +y up", -20.0, 20.0
-        )
-        self._torque_constant = node_support.declare(
-            self, "torque_constant", TORQUE_CONSTANT, "torque per current of a servo (N·m/A)", 0.1, 10.0
-        )
-        node_support.reject_unknown(self)
-        if len(gravity) != 3:
-            raise node_support.StartupError(f"kinematics_node: parameter 'gravity' has {len(gravity)} numbers; give 3")
-        self._gravity = (float(gravity[0]), float(gravity[1]), float(gravity[2]))
+        given = declare_all(self, KinematicsNodeParameters)
+        reject_unknown(self)
+        self._gravity, self._torque_constant = given.gravity, given.torque_constant
         self._delta = Delta(geometry)
         self._scalar = ScalarDelta(geometry)
         self._pose = self.create_publisher(PoseStamped, "end_effector_pose", _DEFAULT_DEPTH)
@@ -142,22 +137,6 @@ def points(values: Sequence[float]) -> np.ndarray[Any, np.dtype[np.float64]]:
     return (np.concatenate([flat, np.full(missing, np.nan)]) if missing else flat).reshape(-1, 3)
 
 
-_GEOMETRY: dict[str, tuple[str, float, float]] = {
-    "base_radius": ("motor axis from the centre of the setup ring (m)", 0.001, 1.0),
-    "arm": ("driven link, motor axis to elbow (m)", 0.001, 1.0),
-    "rod": ("passive link, elbow to platform joint (m)", 0.001, 1.0),
-    "platform_radius": ("platform joint from the centre of the platform (m)", 0.001, 1.0),
-    "z_offset": ("motor plane to the plane z = 0 of charger_base (m)", -1.0, 1.0),
-    "joint_min": ("smallest arm angle (rad)", -math.pi, math.pi),
-    "joint_max": ("largest arm angle (rad)", -math.pi, math.pi),
-    "workspace_min": ("lower corner of the workspace in charger_base, x, y, z (m)", -1.0, 1.0),
-    "workspace_max": ("upper corner of the workspace in charger_base, x, y, z (m)", -1.0, 1.0),
-    "swing_max": ("largest angle between a rod and the plane its arm turns in (rad)", 0.01, math.pi / 2),
-    "platform_mass": ("end effector with electrodes, magnets and pads (kg)", 0.0, 10.0),
-    "rod_mass": ("one rod pair (kg)", 0.0, 10.0),
-}
-
-
 def declare_geometry(node: Node) -> DeltaGeometry:
     """Declare the geometry as parameters of `node` and return it.
 
@@ -167,26 +146,20 @@ def declare_geometry(node: Node) -> DeltaGeometry:
     Raises:
         StartupError: the file is missing or refused, a value is out of its range, or both were given and differ.
     """
-    file = node_support.declare(
-        node, "geometry_file", "", "YAML file that alone decides the arm's geometry; empty = the single parameters"
-    )
+    file = declare_all(node, GeometryFileParameters).geometry_file
     base = _load(node, file) if file else DeltaGeometry()
-    values: dict[str, Any] = {}
-    for name, (text, low, high) in _GEOMETRY.items():
-        told = getattr(base, name)
-        default = [float(item) for item in told] if isinstance(told, tuple) else float(told)
-        try:
-            value = node_support.declare(node, name, default, text, low, high)
-        except node_support.StartupError as error:
-            raise node_support.StartupError(f"{error} (geometry_file '{file}')" if file else str(error)) from error
-        values[name] = tuple(value) if isinstance(told, tuple) else value
-        if file and values[name] != told:
+    try:
+        given = dataclasses.asdict(declare_all(node, GeometryParameters, defaults=base))
+    except node_support.StartupError as error:
+        raise node_support.StartupError(f"{error} (geometry_file '{file}')" if file else str(error)) from error
+    for name, value in given.items():
+        if file and value != (told := getattr(base, name)):
             raise node_support.StartupError(
                 f"{node.get_name()}: parameter '{name}' is {value!r}, but parameter 'geometry_file' ('{file}') says "
-                f"{default!r}; the file decides, so remove '{name}' or correct the file"
+                f"{told!r}; the file decides, so remove '{name}' or correct the file"
             )
     try:
-        return base.with_values(**values)
+        return base.with_values(**given)
     except ValueError as error:
         raise node_support.StartupError(f"{node.get_name()}: {error}") from error
 

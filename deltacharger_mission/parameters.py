@@ -6,7 +6,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from deltacharger_core.parameters import Bounded, number
+from deltacharger_core.parameters import Bounded, choice, number, numbers, words
+from deltacharger_docking.parameters import DockingNodeParameters
 
 
 @dataclass(frozen=True)
@@ -56,3 +57,20 @@ class MissionParameters(Bounded):
     return_timeout: float = number(300.0, 1.0, 86400.0, "s", "limit for RETURN")
     cancel_timeout: float = number(30.0, 0.5, 300.0, "s", "how long the end of something called off is waited for")
     mission_timeout: float = number(18000.0, 5.0, 172800.0, "s", "limit for all of it until the way out begins")
+
+
+@dataclass(frozen=True)
+class MissionNodeParameters(Bounded):
+    """Who drives, and where the charger is on the robot."""
+
+    navigation: str = choice("none", ("nav2", "none"), "who drives: nav2, or none: the target comes to the charger")
+    map_frame: str = words("map", "the navigator's frame in which home is given")
+    behavior_tree: str = words("", "file of the navigator's tree; empty = its own")
+    precise_behavior_tree: str = words("", "the same for small moves near the target")
+    base_pose: tuple[float, ...] = numbers(
+        DockingNodeParameters.base_pose,
+        -math.inf,
+        math.inf,
+        "",
+        "charger_base in the robot's base frame, as docking_node's: x, y, z in m, then the quaternion x, y, z, w",
+    )

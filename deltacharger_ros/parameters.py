@@ -6,21 +6,25 @@ from __future__ import annotations
 import math
 from typing import Any, TypeVar
 
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException, ParameterException
 from rclpy.node import Node
 
-from deltacharger_core.parameters import ParameterError, declared
-from deltacharger_ros import node_support
+from deltacharger_core.parameters import Declaration, ParameterError, declared, did_you_mean
+from deltacharger_ros.node_support import StartupError
 
 T = TypeVar("T")
 
+_OF_EVERY_NODE = {"use_sim_time", "start_type_description_service"}
 
-def declare_all(node: Node, table: type[T], defaults: T | None = None, form: str = "{text} ({unit})") -> T:
+
+def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{text} ({unit})") -> T:
     """Declare every parameter of a class as one of the node, and return what was given.
 
     Args:
         node: the node that owns them.
         table: a parameter class without groups.
-        defaults: in place of the class's own.
+        defaults: of the same names, in place of the class's own.
         form: of the descriptions, see `Declaration.description`.
 
     Raises:
@@ -29,18 +33,55 @@ def declare_all(node: Node, table: type[T], defaults: T | None = None, form: str
     values: dict[str, Any] = {}
     for each in declared(table):
         default = each.default if defaults is None else getattr(defaults, each.name)
-        value = node_support.declare(
-            node,
-            each.name,
-            list(default) if isinstance(default, tuple) else default,
-            each.description(form),
-            each.low if math.isfinite(each.low) else None,
-            each.high if math.isfinite(each.high) else None,
-            each.choices,
-            read_only=not each.live,
-        )
-        values[each.name] = tuple(value) if isinstance(default, tuple) else value
+        values[each.name] = _declare(node, each, default, each.description(form))
     try:
         return table(**values)
     except ParameterError as error:
-        raise node_support.StartupError(f"{node.get_name()}: parameter '{error.key}': {error.problem}") from error
+        raise _refusal(node, error.key, error.problem) from error
+
+
+def reject_unknown(node: Node) -> None:
+    """Stop the node where a parameter was given that it does not have.
+
+    Raises:
+        StartupError: names the parameter and the nearest known one.
+    """
+    known = set(node._parameters) | _OF_EVERY_NODE
+    for name in node._parameter_overrides:
+        if name not in known and not name.startswith("qos_overrides."):
+            hint = did_you_mean(name, sorted(known))
+            raise StartupError(f"{node.get_name()}: unknown parameter '{name}'{hint}")
+
+
+def _declare(node: Node, each: Declaration, default: Any, description: str) -> Any:
+    """Declare one parameter and return its value, several as a tuple."""
+    several = isinstance(each.default, tuple)
+    usual = [each.kind(item) for item in default] if several else each.kind(default)
+    try:
+        value = node.declare_parameter(each.name, usual, _descriptor(each, description)).value
+    except (InvalidParameterTypeException, InvalidParameterValueException, ParameterException) as error:
+        raise _refusal(node, each.name, f"{error}. {description}") from error
+    value = tuple(value) if several else value
+    if problem := each.problem(value):
+        raise _refusal(node, each.name, f"{problem}. {description}")
+    return value
+
+
+def _descriptor(each: Declaration, description: str) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(name=each.name, description=description, read_only=not each.live)
+    if each.choices:
+        descriptor.additional_constraints = "one of: " + ", ".join(each.choices)
+    elif not math.isfinite(each.low):
+        pass
+    elif isinstance(each.default, tuple):
+        descriptor.additional_constraints = f"{each.low} to {each.high}"
+    elif each.kind is int:
+        descriptor.integer_range = [IntegerRange(from_value=int(each.low), to_value=int(each.high), step=0)]
+    else:
+        bounds = FloatingPointRange(from_value=float(each.low), to_value=float(each.high), step=0.0)
+        descriptor.floating_point_range = [bounds]
+    return descriptor
+
+
+def _refusal(node: Node, name: str, problem: str) -> StartupError:
+    return StartupError(f"{node.get_name()}: parameter '{name}': {problem}")

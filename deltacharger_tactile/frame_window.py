@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.machine import FRAME_RATE
+from deltacharger_tactile.parameters import FRAMES_MAX
 
 Array = NDArray[np.float64]
-
-LARGEST = 240
-"""Frames that are kept: two seconds."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,9 @@ class FrameWindow:
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
-        self._frames: deque[tuple[float, Frame]] = deque(maxlen=LARGEST)  # with the time.monotonic() of their arrival
+        self._frames: deque[tuple[float, Frame]] = deque(
+            maxlen=FRAMES_MAX
+        )  # with the time.monotonic() of their arrival
         self._arrived = threading.Condition()
         self._closed = False
 
@@ -87,7 +87,7 @@ class FrameWindow:
         The second matters where the clock is set back: then frames of before claim to come after now.
 
         Args:
-            wanted: frames, at most LARGEST.
+            wanted: frames, at most FRAMES_MAX.
             timeout: s beyond the time that they take at 120 Hz.
 
         Raises:

@@ -25,9 +25,11 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 from deltacharger_ros import node_support
 from deltacharger_ros.on_demand import OnDemandSubscription
-from deltacharger_tactile import frame_window, misalignment_node_io
+from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_tactile import misalignment_node_io
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.frame_window import Frame, FrameWindow, Refused
+from deltacharger_tactile.parameters import FRAMES_MAX, MisalignmentNodeParameters
 from deltacharger_tactile.perception import Perception, PerceptionError
 
 _FILES = ("model", "calibration", "classifiers")
@@ -38,19 +40,12 @@ class MisalignmentNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("misalignment_node", **kwargs)
-        files = self._declare_files()
-        self._default_frames: int = node_support.declare(
-            self, "frames", 12, "Frames averaged where a request says 0.", 1, frame_window.LARGEST
-        )
-        rate = node_support.declare(self, "rate", 0.0, "Rate of the topic misalignment, Hz; 0 = off.", 0.0, 120.0)
-        self._max_age: float = node_support.declare(
-            self, "max_age", 0.1, "Oldest sampling of the newest frame that still counts, s.", 0.01, 10.0
-        )
-        text = "Longest wait for frames beyond the time that they take at 120 Hz, s."
-        self._timeout: float = node_support.declare(self, "timeout", 1.0, text, 0.05, 30.0)
-        node_support.reject_unknown(self)
+        given = declare_all(self, MisalignmentNodeParameters, form="{text}, {unit}.")
+        reject_unknown(self)
+        self._default_frames, self._max_age, self._timeout = given.frames, given.max_age, given.timeout
+        rate = given.rate
         try:
-            self._perception = Perception.load(**files)
+            self._perception = Perception.load(given.model, given.calibration, given.classifiers)
         except PerceptionError as error:
             raise node_support.StartupError(f"{self.get_name()}: {error}") from error
         self._prepared: Perception | None = None
@@ -67,22 +62,6 @@ class MisalignmentNode(Node):
         if rate > 0.0:
             self._thread = threading.Thread(target=self._publish, args=(1.0 / rate,), name="misalignment", daemon=True)
             self._thread.start()
-
-    def _declare_files(self) -> dict[str, Any]:
-        running = "May be set while the node runs."
-        texts = {
-            "model": ("", f"Pose model (npz); empty = the packaged one. {running}"),
-            "calibration": ("", f"Calibration of this rig's pads (YAML); empty = none. {running}"),
-            "classifiers": (
-                [""],
-                "Classifiers (npz) whose class probabilities replace the pose model's, one per target at most; "
-                f"[''] = none. {running}",
-            ),
-        }
-        return {
-            name: node_support.declare(self, name, default, text, read_only=False)
-            for name, (default, text) in texts.items()
-        }
 
     def close(self) -> None:
         """Release waiting requests and join the publisher."""
@@ -132,8 +111,8 @@ class MisalignmentNode(Node):
     ) -> PredictMisalignment.Response:
         wanted = request.frames or self._default_frames
         response.success = False
-        if wanted > frame_window.LARGEST:
-            kept = frame_window.LARGEST
+        if wanted > FRAMES_MAX:
+            kept = FRAMES_MAX
             response.message = f"{wanted} frames asked for, at most {kept} are kept; ask for fewer"
             return response
         try:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every number of the tactile generator: named, bounded, documented, frozen.
+"""Every number of the tactile generator, and the parameters of misalignment_node.
 
-The defaults describe a plausible device, not a measured one (the paper's data are not public). They are stored with
-every data set and every model that was made with them.
+The generator's defaults describe a plausible device, not a measured one (the paper's data are not public). They are
+stored with every data set and every model that was made with them.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ import math
 from dataclasses import dataclass, field
 
 from deltacharger_core.machine import MAGNET_FLOOR, MAGNET_FORCE, MAGNET_WIDTH
-from deltacharger_core.parameters import Bounded, number
+from deltacharger_core.parameters import Bounded, number, words
 
+FRAMES_MAX = 240
+"""Tactile frames that one estimate averages at most: two seconds."""
 _DEGREE = math.pi / 180.0
 
 
@@ -95,3 +97,24 @@ class TactileParameters:
     def digest(self) -> str:
         """Return 16 hexadecimal digits that change when any value changes."""
         return hashlib.sha256(self.to_json().encode()).hexdigest()[:16]
+
+
+_LIVE = "May be set while the node runs."
+
+
+@dataclass(frozen=True)
+class MisalignmentNodeParameters(Bounded):
+    """What misalignment_node estimates with, and how old the frames may be."""
+
+    model: str = words("", f"Pose model (npz); empty = the packaged one. {_LIVE}", live=True)
+    calibration: str = words("", f"Calibration of this rig's pads (YAML); empty = none. {_LIVE}", live=True)
+    classifiers: tuple[str, ...] = words(
+        ("",),
+        "Classifiers (npz) whose class probabilities replace the pose model's, one per target at most; "
+        f"[''] = none. {_LIVE}",
+        live=True,
+    )
+    frames: int = number(12, 1, FRAMES_MAX, "", "Frames averaged where a request says 0.")
+    rate: float = number(0.0, 0.0, 120.0, "Hz", "Rate of the topic misalignment, {unit}; 0 = off.")
+    max_age: float = number(0.1, 0.01, 10.0, "s", "Oldest sampling of the newest frame that still counts")
+    timeout: float = number(1.0, 0.05, 30.0, "s", "Longest wait for frames beyond the time that they take at 120 Hz")

@@ -197,6 +197,11 @@ def line_angle(x: float, y: float) -> float:
     return angle - math.copysign(math.pi, angle) if not -0.5 * math.pi < angle <= 0.5 * math.pi else angle
 
 
+def pose_numbers(pose: Array) -> tuple[float, ...]:
+    """Return a pose (4, 4) as `Mount.from_numbers` takes it: x, y, z in m, then the quaternion x, y, z, w."""
+    return tuple(float(value) for value in (*pose[:3, 3], *quaternion(pose[:3, :3])))
+
+
 def quaternion(rotation: Array) -> Array:
     """Return the unit quaternion (x, y, z, w), w ≥ 0, of a rotation (3, 3): the largest eigenvector (Bar-Itzhack)."""
     r = rotation

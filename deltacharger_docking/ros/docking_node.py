@@ -25,7 +25,7 @@ from trajectory_msgs.msg import JointTrajectory
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Command, Observation, Outcome, Request, Service
-from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.goals import Goals
 from deltacharger_docking.ros.inputs import Inputs
@@ -33,7 +33,7 @@ from deltacharger_docking.ros.reports import Reports
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.kinematics_node import declare_geometry
 from deltacharger_ros import node_support
-from deltacharger_ros.parameters import declare_all
+from deltacharger_ros.parameters import declare_all, reject_unknown
 
 _TICK = 0.02  # s; pace where servo_state does not come
 _OPEN_TIMEOUT = 0.6  # s to see the contactor open when the node closes
@@ -56,18 +56,8 @@ class DockingNode(Node):
         super().__init__("docking_node", **kwargs)
         self._settings = declare_all(self, DockingParameters, form="{text}, {unit}")
         geometry = declare_geometry(self)
-        self._base_frame = node_support.declare(
-            self, "base_frame", "base_link", "the robot's frame in which goals may be given besides charger_base"
-        )
-        self._base_pose = node_support.declare(
-            self,
-            "base_pose",
-            [0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5],
-            "charger_base in base_frame: x, y, z in m, then the quaternion x, y, z, w",
-        )
-        if len(self._base_pose) != 7:
-            raise node_support.StartupError("docking_node: parameter 'base_pose' needs 7 numbers: x y z qx qy qz qw")
-        node_support.reject_unknown(self)
+        mount = declare_all(self, DockingNodeParameters)
+        reject_unknown(self)
         self._machine = DockingMachine(self._settings, geometry)
         self._lock = threading.RLock()
         self._stopping = threading.Event()
@@ -85,7 +75,7 @@ class DockingNode(Node):
             self._inputs.observation,  # takes no reply that the running goal waits for
             self._begun,
             self._calls.misalignment,
-            (self._base_frame, self._base_pose),
+            (mount.base_frame, mount.base_pose),
             held,
         )
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)

@@ -26,7 +26,6 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
-from deltacharger_core.machine import BAUD_RATE, FRAME_RATE
 from deltacharger_driver.board.contactor_guard import STALE_FRAME, STALE_POWER
 from deltacharger_driver.board.keeper import BoardKeeper
 from deltacharger_driver.board.port import BoardPort
@@ -34,9 +33,11 @@ from deltacharger_driver.board.protocol import fault_name
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_driver.board.tactile_node_io import SamplePublishers
 from deltacharger_driver.errors import DriverError
+from deltacharger_driver.parameters import TactileNodeParameters
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_ros.parameters import declare_all, reject_unknown
 
 _RELIABLE_LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
 _DIAGNOSTICS_PERIOD = 1.0  # s
@@ -51,29 +52,26 @@ class TactileNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("tactile_node", **kwargs)
-        port = node_support.declare(self, "port", "/dev/ttyACM0", "serial port of the board")
-        baud_rate = node_support.declare(
-            self, "baud_rate", BAUD_RATE, "speed on a UART (baud); any on USB", 9600, 4_000_000
-        )
-        rate = node_support.declare(self, "rate", FRAME_RATE, "tactile frames per second (Hz)", 1.0, 200.0)
-        pitch = node_support.declare(self, "pitch", 0.0024, "distance between neighbouring taxels (m)", 0.0001, 0.1)
-        node_support.reject_unknown(self)
+        given = declare_all(self, TactileNodeParameters)
+        reject_unknown(self)
         try:  # a port that cannot be opened now is a wrong set-up; one that vanishes later is waited for
-            BoardPort(port, baud_rate).close()
+            BoardPort(given.port, given.baud_rate).close()
         except DriverError as error:
             raise node_support.StartupError(f"tactile_node: {error}") from error
         self._frame: TactileSample | None = None
         self._power: PowerSample | None = None
         self._frame_rate, self._power_rate = RateMeter(time.monotonic), RateMeter(time.monotonic)
-        self._period = 1.0 / rate
-        self._samples = SamplePublishers(self, _RELIABLE_LATEST, pitch)
+        self._period = 1.0 / given.rate
+        self._samples = SamplePublishers(self, _RELIABLE_LATEST, given.pitch)
         self._diagnostics = Diagnostics(self)
         group = ReentrantCallbackGroup()
         self.create_service(Trigger, "tare", self._on_tare, callback_group=group)
         self.create_service(Probe, "probe", self._on_probe, callback_group=group)
         self.create_service(SetContactor, "set_contactor", self._on_contactor, callback_group=ReentrantCallbackGroup())
         self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose)
-        self._keeper = BoardKeeper(port, baud_rate, rate, self._publish_frame, self._publish_power, self._report)
+        self._keeper = BoardKeeper(
+            given.port, given.baud_rate, given.rate, self._publish_frame, self._publish_power, self._report
+        )
         self._keeper.start()
 
     def close(self) -> None:

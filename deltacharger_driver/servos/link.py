@@ -10,8 +10,9 @@ from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
 from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS
 
 from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortGone, ServoFault, WrongThread
+from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_driver.servos.mx64 import ALERT, REGISTERS, describe_status_error
-from deltacharger_driver.servos.port import PATIENCE, REPLY_MARGIN, ServoPort
+from deltacharger_driver.servos.port import PATIENCE, ServoPort
 from deltacharger_driver.servos.protocol import TAKES_NOTHING, LinkCounters, ServoProtocol
 
 ATTEMPTS = 3
@@ -24,7 +25,7 @@ class ServoLink:
     Args:
         port: path of the serial port.
         baud_rate: bit/s.
-        reply_margin: s, for what is asked in a hurry, see `port.REPLY_MARGIN`.
+        reply_margin: s, for what is asked in a hurry, see `parameters.REPLY_MARGIN`.
     """
 
     def __init__(self, port: str, baud_rate: int, reply_margin: float = REPLY_MARGIN) -> None:

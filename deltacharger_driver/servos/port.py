@@ -20,13 +20,11 @@ from dynamixel_sdk.port_handler import PortHandler
 from deltacharger_core.machine import BAUD_RATE
 from deltacharger_driver.board.protocol import PacketDecoder
 from deltacharger_driver.errors import PortGone, WrongDevice
+from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_driver.serial_open import HANG_UPS, open_serial
 
-REPLY_MARGIN = 0.02
-"""s beyond wire time and USB latency until a reply in the cycle counts as lost. A healthy servo answers in 1 ms, so
-this costs nothing until something fails, and it rides over the scheduling hiccups of an ordinary kernel."""
 PATIENCE = 0.1
-"""The same outside the cycle, where nothing waits for the answer but the set-up."""
+"""s, as `parameters.REPLY_MARGIN`, outside the cycle, where nothing waits for the answer but the set-up."""
 USB_LATENCY = 1e-3  # s, one USB frame; where the adapter's driver names no latency timer
 _DRAIN_LONGEST = 0.02  # s
 _SUSPECT_BYTES = 4096
@@ -52,7 +50,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
     Args:
         port: path, e.g. /dev/ttyUSB0.
         baud_rate: bit/s.
-        reply_margin: s, see `REPLY_MARGIN`.
+        reply_margin: s, see `parameters.REPLY_MARGIN`.
 
     Attributes:
         margin: the same, for the packets to come.

@@ -31,12 +31,12 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from deltacharger_core.machine import BAUD_RATE, CURRENT_BOUND, JOINTS, SERVO_IDS, STALL_CURRENT, TORQUE_CONSTANT
+from deltacharger_core.machine import JOINTS
 from deltacharger_driver.errors import DriverError, TrajectoryRefused
+from deltacharger_driver.parameters import ServoNodeParameters
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.diagnostics import bus_entry, servo_entry
-from deltacharger_driver.servos.port import REPLY_MARGIN
 from deltacharger_driver.servos.report import Phase, ServoReport
 from deltacharger_driver.servos.servo_node_io import ContactorClient, StatePublishers, age, waypoint
 from deltacharger_driver.servos.snapshot import BusSettings
@@ -44,6 +44,7 @@ from deltacharger_driver.servos.trajectory import JointLimits, check, check_age
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import Diagnostics
 from deltacharger_ros.on_demand import LatestMessage
+from deltacharger_ros.parameters import declare_all, reject_unknown
 
 _RELIABLE_LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
 _DIAGNOSTICS_PERIOD = 1.0  # s
@@ -97,45 +98,26 @@ class ServoNode(Node):
 
     def _configure(self) -> tuple[ServoController, JointLimits]:
         """Declare the parameters and build the controller."""
-
-        def declare(name: str, default: Any, text: str, low: float | None = None, high: float | None = None) -> Any:
-            return node_support.declare(self, name, default, text, low, high)
-
-        port = declare("port", "/dev/ttyUSB0", "serial port of the servos")
-        baud_rate = declare("baud_rate", BAUD_RATE, "speed of the servos' bus (bit/s)", 9600, 4_000_000)
-        ids = declare("ids", list(SERVO_IDS), "servo ids of limbs 0, 1, 2", 0, 252)
-        rate = declare("rate", 100.0, "bus cycles per second (Hz)", 20.0, 200.0)
-        zero = declare("zero_ticks", [2048, 2048, 2048], "encoder count at arm angle 0, per limb", -1048575, 1048575)
-        sign = declare("direction", [1, 1, 1], "1 or -1 per limb: whether the count rises with the angle", -1, 1)
-        constant = declare("torque_constant", TORQUE_CONSTANT, "torque per current of a servo (N·m/A)", 0.1, 10.0)
-        bound = declare(
-            "current_bound", CURRENT_BOUND, "current bound where a trajectory sets none (A)", 0.0, STALL_CURRENT
-        )
-        largest = declare("current_max", 3.0, "largest current bound a trajectory may set (A)", 0.0, STALL_CURRENT)
-        low = declare("joint_min", math.radians(-65.0), "smallest arm angle (rad)", -math.pi, math.pi)
-        high = declare("joint_max", math.radians(70.0), "largest arm angle (rad)", -math.pi, math.pi)
-        margin = declare("reply_margin", REPLY_MARGIN, "time until a reply is missing (s)", 0.002, 0.1)
-        node_support.reject_unknown(self)
-        problem = ""
-        if len(ids) != len(JOINTS):
-            problem = f"parameter 'ids' has {len(ids)} values; give {len(JOINTS)}"
-        elif low >= high:
-            problem = f"parameter 'joint_min' ({low}) is not below 'joint_max' ({high})"
-        elif bound > largest:
-            problem = f"parameter 'current_bound' ({bound}) is above 'current_max' ({largest})"
-        if problem:
-            raise node_support.StartupError(f"servo_node: {problem}")
+        given = declare_all(self, ServoNodeParameters)
+        reject_unknown(self)
         try:
             settings = BusSettings(
-                port, baud_rate, tuple(ids), tuple(zero), tuple(sign), reply_margin=margin, current_max=largest
+                given.port,
+                given.baud_rate,
+                given.ids,
+                given.zero_ticks,
+                given.direction,
+                reply_margin=given.reply_margin,
+                current_max=given.current_max,
             )
         except DriverError as error:
             raise node_support.StartupError(f"servo_node: {error}") from error
-        self._period = 1.0 / rate
-        self._torque_constant = constant
+        self._period = 1.0 / given.rate
+        self._torque_constant = constant = given.torque_constant
+        largest = given.current_max * constant * (1.0 + 1e-9)
         return (
-            ServoController(settings, bound, constant, self._log, contactor=self._contactor),
-            JointLimits(JOINTS, low, high, largest * constant * (1.0 + 1e-9)),
+            ServoController(settings, given.current_bound, constant, self._log, contactor=self._contactor),
+            JointLimits(JOINTS, given.joint_min, given.joint_max, largest),
         )
 
     def _run(self) -> None:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from deltacharger_core.machine import BAUD_RATE, SERVO_IDS, STALL_CURRENT
 from deltacharger_driver.errors import DriverError, RangeError
+from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_driver.servos.mx64 import (
     CURRENT_UNIT,
     LARGEST_CURRENT,
@@ -18,7 +19,6 @@ from deltacharger_driver.servos.mx64 import (
     WATCHDOG_TRIPPED,
     indirect_data,
 )
-from deltacharger_driver.servos.port import REPLY_MARGIN
 
 WATCHDOG = 6
 """Bus watchdog, units of 20 ms: a servo that hears nothing for 120 ms stops by itself."""
@@ -67,7 +67,7 @@ class BusSettings:
         zero_ticks: encoder count at angle 0, per servo.
         direction: +1 or −1 per servo: whether the count rises with the angle.
         watchdog: units of 20 ms, 1–6.
-        reply_margin: s, see `port.REPLY_MARGIN`.
+        reply_margin: s, see `parameters.REPLY_MARGIN`.
         current_max: largest current bound that will be asked for, A. A servo whose current limit is lower ignores the
             whole goal, so it is refused at the set-up.
     """

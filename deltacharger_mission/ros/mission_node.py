@@ -21,16 +21,15 @@ from deltacharger_docking.codes import Busy, Code, DockingError, Rejected
 from deltacharger_docking.ros.messages import duration
 from deltacharger_mission.dialogue import Outcome, Stage
 from deltacharger_mission.machine import MissionMachine
-from deltacharger_mission.parameters import MissionParameters
+from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
 from deltacharger_mission.places import Mount, Place
 from deltacharger_mission.ros import messages as io
 from deltacharger_mission.ros.others import Others
 from deltacharger_ros import node_support
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
 from deltacharger_ros.diagnostics import OK, WARN, Diagnostics
-from deltacharger_ros.parameters import declare_all
+from deltacharger_ros.parameters import declare_all, reject_unknown
 
-NAVIGATION = ("nav2", "none")
 _TICK = 0.05  # s
 _FEEDBACK = 1.0  # s between feedbacks without a change
 _DIAGNOSTICS = 1.0  # s
@@ -75,32 +74,19 @@ class MissionNode(Node):
         self._closed = True  # nothing to call off before the node is complete
         super().__init__("mission_node", **kwargs)
         self._settings = declare_all(self, MissionParameters, form="{text}, {unit}")
-        navigation = node_support.declare(
-            self, "navigation", "none", "who drives: nav2, or none: the target comes to the charger", choices=NAVIGATION
-        )
-        map_frame = node_support.declare(self, "map_frame", "map", "the navigator's frame in which home is given")
-        trees = (
-            node_support.declare(self, "behavior_tree", "", "file of the navigator's tree; empty = its own"),
-            node_support.declare(self, "precise_behavior_tree", "", "the same for small moves near the target"),
-        )
-        pose = node_support.declare(
-            self,
-            "base_pose",
-            [0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5],
-            "charger_base in the robot's base frame, as docking_node's: x, y, z in m, then the quaternion x, y, z, w",
-        )
-        node_support.reject_unknown(self)
+        given = declare_all(self, MissionNodeParameters)
+        reject_unknown(self)
         try:
-            mount = Mount(pose)
+            mount = Mount(given.base_pose)
         except ValueError as error:
             raise node_support.StartupError(f"mission_node: parameter 'base_pose': {error}") from error
-        navigate_to_pose = load_navigation(navigation)
+        navigate_to_pose = load_navigation(given.navigation)
         settings = self._settings
         self._electrodes = (settings.electrodes_x, settings.electrodes_y, settings.electrodes_yaw)
         self._drives = navigate_to_pose is not None
-        home = Place(settings.home_x, settings.home_y, settings.home_yaw, map_frame) if self._drives else None
+        home = Place(settings.home_x, settings.home_y, settings.home_yaw, given.map_frame) if self._drives else None
         self._machine = MissionMachine(settings, mount, home)
-        self._others = Others(self, navigate_to_pose, trees)
+        self._others = Others(self, navigate_to_pose, (given.behavior_tree, given.precise_behavior_tree))
         self._diagnostics = Diagnostics(self)
         self._lock = threading.RLock()
         self._mission: _Mission | None = None

@@ -23,6 +23,7 @@ from deltacharger_core import environment
 from deltacharger_core.mcap_file import Raw, RecordingError, require_mcap
 from deltacharger_core.version import package_version
 from deltacharger_records.node_parameters import ParameterReader
+from deltacharger_records.parameters import DockingRecorderNodeParameters
 from deltacharger_records.recording.docking_recorder import DockingRecorder, gate_for
 from deltacharger_records.recording.docking_topics import ACTIONS, STATE, TOPICS
 from deltacharger_records.recording.folder import RecordFolder
@@ -30,6 +31,7 @@ from deltacharger_records.recording.mcap_recording import schema_text
 from deltacharger_ros import node_support
 from deltacharger_ros.client import to_outcome
 from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
+from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.raw_topics import PolledTopics
 
 _POLL = 0.02  # s between looks at the topics
@@ -45,13 +47,10 @@ class DockingRecorderNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         self._closed = True
         super().__init__("docking_recorder_node", **kwargs)
-        self._folder_path = Path(self._declare("folder", "~/deltacharger_records", "where records go")).expanduser()
-        files = self._declare("max_files", 200, "records in the folder, the oldest are removed", 1, 100_000)
-        megabytes = self._declare("max_megabytes", 500, "1e6 bytes that the records take in all", 10, 1_000_000)
-        before = self._declare("before", 2.0, "s kept from before the goal, and from before an event", 0.0, 30.0)
-        rate = self._declare("charging_rate", 1.0, "messages of each topic per second kept while charging", 0.01, 100.0)
-        scene = self._declare("scene", "", "told in each record")
-        node_support.reject_unknown(self)
+        given = declare_all(self, DockingRecorderNodeParameters)
+        reject_unknown(self)
+        self._folder_path = Path(given.folder).expanduser()
+        largest = given.max_megabytes * 10**6
         environment.prepare()
         try:
             require_mcap()
@@ -61,11 +60,11 @@ class DockingRecorderNode(Node):
             raise node_support.StartupError(f"docking_recorder_node: {error}") from error
         topics = {topic.name: self.resolve_topic_name(topic.name) for topic in TOPICS}
         self._recorder = DockingRecorder(
-            RecordFolder(self._folder_path, files, megabytes * 10**6),
-            gate_for(topics, before, rate, megabytes * 10**6),
+            RecordFolder(self._folder_path, given.max_files, largest),
+            gate_for(topics, given.before, given.charging_rate, largest),
             topics,
             {topics[topic.name]: topic.kind for topic in TOPICS},
-            {"version": package_version(), "scene": scene, "namespace": self.get_namespace()},
+            {"version": package_version(), "scene": given.scene, "namespace": self.get_namespace()},
         )
         self._state = topics[STATE]
         self._feedback = {topics[f"{action}/_action/feedback"]: action for action in ACTIONS}
@@ -83,9 +82,6 @@ class DockingRecorderNode(Node):
         self._closed = False
         self._thread = threading.Thread(target=self._loop, name="docking recorder", daemon=True)
         self._thread.start()
-
-    def _declare(self, name: str, default: Any, text: str, low: float | None = None, high: float | None = None) -> Any:
-        return node_support.declare(self, name, default, text, low, high)
 
     def close(self) -> None:
         """Write what has come, and complete the record under way. Safe to call twice."""

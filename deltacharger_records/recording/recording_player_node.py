@@ -24,10 +24,12 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import CUT_SHORT, RecordingError
+from deltacharger_records.parameters import RecordingPlayerNodeParameters
 from deltacharger_records.recording.docking_topics import STATE, TOPICS
 from deltacharger_records.replay.file import Recording, decoded
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.raw_topics import Topic
 
 _COMMANDS = "joint_trajectory"
@@ -49,17 +51,10 @@ class RecordingPlayerNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         self._closed = True
         super().__init__("recording_player_node", **kwargs)
-        file = self._declare("file", "", "record of a docking, or MCAP file of `ros2 bag record`, that is played")
-        charger = self._declare("charger", "", "namespace that is played of a recording of several; '' = the only one")
-        text = (
-            "s before it begins: meanwhile it looks for a charger, which may take 3 s to be seen, and readers find it"
-        )
-        self._delay: float = self._declare("delay", 3.5, text, 0.0, 600.0)
-        self._rate: float = self._declare("rate", 1.0, "times as fast as it was", 0.01, 100.0)
-        self._loop: bool = self._declare("loop", False, "begin again at the end")
-        node_support.reject_unknown(self)
+        self._given = declare_all(self, RecordingPlayerNodeParameters)
+        reject_unknown(self)
         environment.prepare()
-        self._recording, self._first, self._last = _survey(file, charger)
+        self._recording, self._first, self._last = _survey(self._given.file, self._given.charger)
         self.passes, self.problem = 0, ""
         self._count = 0  # messages that were played
         self._place = 0  # ns since 1970 of the message that was played last
@@ -76,9 +71,6 @@ class RecordingPlayerNode(Node):
         self._thread = threading.Thread(target=self._run, name="recording player", daemon=True)
         self.create_timer(_DIAGNOSTICS, self._diagnose)
         self._thread.start()
-
-    def _declare(self, name: str, default: Any, text: str, low: float | None = None, high: float | None = None) -> Any:
-        return node_support.declare(self, name, default, text, low, high)
 
     def close(self) -> None:
         """Stop playing. Safe to call twice."""
@@ -106,9 +98,9 @@ class RecordingPlayerNode(Node):
 
     def _run(self) -> None:
         try:
-            while (self.passes or self._wait(time.monotonic() + self._delay, True)) and self._play():
+            while (self.passes or self._wait(time.monotonic() + self._given.delay, True)) and self._play():
                 self.passes += 1
-                if not self._loop:
+                if not self._given.loop:
                     break
                 self._stopping.wait(_LEAST_GAP)
         except (OSError, RecordingError) as error:  # the file has changed meanwhile
@@ -125,7 +117,7 @@ class RecordingPlayerNode(Node):
         """Publish the recording once; return whether it came to the end."""
         started = time.monotonic()
         for name, received, data in self._recording.messages():
-            due = started + 1e-9 * (received - self._first) / self._rate
+            due = started + 1e-9 * (received - self._first) / self._given.rate
             if not self._wait(due, name == _COMMANDS):
                 return False
             message = decoded(name, data)
@@ -170,11 +162,11 @@ class RecordingPlayerNode(Node):
         level, text = OK, f"at {place:.1f} of {length:.1f} s" if self._count else "about to begin"
         if self.problem:
             level, text = ERROR, self.problem
-        elif self.passes and not self._loop:
+        elif self.passes and not self._given.loop:
             text = f"the recording is over; {length:.1f} s were played"
         if recording.damage and not self.problem:
             level, text = WARN, f"{text}; {recording.damage}"
-        told = {"file": recording.path, "passes": self.passes, "rate": self._rate, "messages": self._count}
+        told = {"file": recording.path, "passes": self.passes, "rate": self._given.rate, "messages": self._count}
         self._diagnostics.tell(level, text, told, hardware=str(recording.path))
 
 

@@ -21,8 +21,10 @@ from sensor_msgs.msg import JointState
 
 from deltacharger_kinematics.kinematics_node import declare_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_records.parameters import PassiveJointsNodeParameters
 from deltacharger_records.view.mechanism import passive_joints
 from deltacharger_ros import node_support, qos
+from deltacharger_ros.parameters import declare_all, reject_unknown
 
 
 class PassiveJointsNode(Node):
@@ -30,9 +32,9 @@ class PassiveJointsNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("passive_joints_node", **kwargs)
-        rate = node_support.declare(self, "rate", 30.0, "of joint_states at most (Hz)", 0.1, 200.0)
+        rate = declare_all(self, PassiveJointsNodeParameters).rate
         self._delta = ScalarDelta(declare_geometry(self))
-        node_support.reject_unknown(self)
+        reject_unknown(self)
         self._period = 1.0 / rate
         self._last = -math.inf
         self._joints = self.create_publisher(JointState, "joint_states", qos.DEFAULT_DEPTH)

@@ -23,11 +23,11 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
 
-from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_ros import node_support, qos
-from deltacharger_scenes.mocks.parameters import FaultSwitch
+from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_scenes.mocks.fault_switch import FaultSwitch
+from deltacharger_scenes.mocks.parameters import DETECTOR_FAULTS, MockDetectorNodeParameters
 
-FAULTS = ("none", "nothing", "stale", "beyond_reach", "unsure_roll")
 _STALE_AGE = 10.0  # s
 _FAR = 0.5  # m
 _ROLL_INDEX = 35  # of the 6 × 6 covariance, row-major: rotation about z
@@ -39,20 +39,10 @@ class MockDetectorNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("electrode_detector_node", **kwargs)
-        self._x = node_support.declare(self, "x", 0.0, "electrodes along x of charger_base (m)", -1.0, 1.0)
-        self._y = node_support.declare(self, "y", 0.0, "electrodes along y of charger_base (m)", -1.0, 1.0)
-        self._z = node_support.declare(self, "z", DOCK_DISTANCE, "electrodes along z of charger_base (m)", -1.0, 1.0)
-        self._roll = node_support.declare(
-            self, "roll", 0.0, "of the electrodes about z (rad)", -math.pi / 2, math.pi / 2
-        )
-        self._position_stddev = node_support.declare(
-            self, "position_stddev", 0.001, "standard deviation of each coordinate (m)", 0.0, 0.1
-        )
-        self._roll_stddev = node_support.declare(
-            self, "roll_stddev", 0.004, "standard deviation of the roll (rad)", 0.0, 1.0
-        )
-        self._fault = FaultSwitch(self, FAULTS)
-        node_support.reject_unknown(self)
+        given = declare_all(self, MockDetectorNodeParameters)
+        reject_unknown(self)
+        self._given = given
+        self._fault = FaultSwitch(self, DETECTOR_FAULTS, given.fault_delay)
         self._detections = self.create_publisher(ElectrodeDetection, "electrode_detection", qos.DEFAULT_DEPTH)
         self.create_service(
             DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=ReentrantCallbackGroup()
@@ -83,15 +73,15 @@ class MockDetectorNode(Node):
         detection.header.stamp = stamp.to_msg()
         detection.header.frame_id = "charger_base"
         pose = detection.pose.pose
-        pose.position.x, pose.position.y = self._x, self._y
-        pose.position.z = _FAR if fault == "beyond_reach" else self._z
-        pose.orientation.z, pose.orientation.w = math.sin(0.5 * self._roll), math.cos(0.5 * self._roll)
+        pose.position.x, pose.position.y = self._given.x, self._given.y
+        pose.position.z = _FAR if fault == "beyond_reach" else self._given.z
+        pose.orientation.z, pose.orientation.w = math.sin(0.5 * self._given.roll), math.cos(0.5 * self._given.roll)
         covariance = [0.0] * 36
         for index in (0, 7, 14):
-            covariance[index] = self._position_stddev**2
-        covariance[_ROLL_INDEX] = (_UNSURE_ROLL if fault == "unsure_roll" else self._roll_stddev) ** 2
+            covariance[index] = self._given.position_stddev**2
+        covariance[_ROLL_INDEX] = (_UNSURE_ROLL if fault == "unsure_roll" else self._given.roll_stddev) ** 2
         detection.pose.covariance = covariance
-        detection.roll = self._roll
+        detection.roll = self._given.roll
         detection.confidence = 0.95
         detection.range = math.dist((pose.position.x, pose.position.y, pose.position.z), (0.0, 0.12, -0.12))
         return detection

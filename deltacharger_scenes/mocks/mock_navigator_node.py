@@ -31,9 +31,10 @@ from deltacharger_mission.ros.messages import fill_pose
 from deltacharger_mission.ros.messages import place as read_place
 from deltacharger_mission.ros.mission_node import load_navigation
 from deltacharger_ros import node_support
-from deltacharger_scenes.mocks.parameters import FaultSwitch
+from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_scenes.mocks.fault_switch import FaultSwitch
+from deltacharger_scenes.mocks.parameters import NAVIGATOR_FAULTS, MockNavigatorNodeParameters
 
-FAULTS = ("none", "refuse", "abort", "lost", "never_answers", "slow", "mute")
 _TICK = 0.02  # s
 _SLOW = 0.1  # of its speed
 _TF_ERROR = 9002  # Nav2's codes since Kilted
@@ -49,23 +50,13 @@ class MockNavigatorNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("mock_navigator_node", **kwargs)
-        x, y, yaw = (
-            node_support.declare(self, name, 0.0, f"where the base stands at first, {name} ({unit})", -1e5, 1e5)
-            for name, unit in (("x", "m"), ("y", "m"), ("yaw", "rad"))
-        )
-        self._frame = node_support.declare(self, "frame", "map", "of its poses; goals in another one are aborted")
-        self._speed = node_support.declare(self, "speed", 0.5, "of the base (m/s)", 0.01, 1000.0)
-        self._turn_speed = node_support.declare(self, "turn_speed", 1.0, "of the base (rad/s)", 0.01, 1000.0)
-        self._miss = tuple(
-            node_support.declare(
-                self, f"miss_{name}", 0.0, f"how far beside a goal it stops, {name} ({unit})", -1.0, 1.0
-            )
-            for name, unit in (("x", "m"), ("y", "m"), ("yaw", "rad"))
-        )
-        self._fault = FaultSwitch(self, FAULTS)
-        node_support.reject_unknown(self)
+        given = declare_all(self, MockNavigatorNodeParameters)
+        reject_unknown(self)
+        self._frame, self._speed, self._turn_speed = given.frame, given.speed, given.turn_speed
+        self._miss = (given.miss_x, given.miss_y, given.miss_yaw)
+        self._fault = FaultSwitch(self, NAVIGATOR_FAULTS, given.fault_delay)
         self._action = load_navigation("nav2")
-        self._place = Place(x, y, yaw, self._frame)
+        self._place = Place(given.x, given.y, given.yaw, self._frame)
         self.arrived: list[Place] = []
         self._stopping = threading.Event()
         self._server: ActionServer[Any, Any, Any] = ActionServer(

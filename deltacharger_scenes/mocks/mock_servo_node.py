@@ -30,21 +30,18 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_core.machine import (
-    CURRENT_BOUND,
     JOINTS,
     NOMINAL_VOLTAGE,
-    SERVO_DAMPING,
-    SERVO_STIFFNESS,
-    STALL_CURRENT,
     TORQUE_CONSTANT,
 )
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.diagnostics import WARN, Diagnostics
+from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_scenes.mocks.arm import MockArm
-from deltacharger_scenes.mocks.parameters import FaultSwitch, declare_target
+from deltacharger_scenes.mocks.fault_switch import FaultSwitch
+from deltacharger_scenes.mocks.parameters import SERVO_FAULTS, MockServoNodeParameters
 
-FAULTS = ("none", "silence", "nan_current", "missing", "hardware_error", "jam")
 _BROKEN = 1  # index of the servo that the faults concern
 _OLDEST_STAMP = 0.5  # s
 
@@ -54,23 +51,14 @@ class MockServoNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("servo_node", **kwargs)
-        self._rate = node_support.declare(self, "rate", 100.0, "cycles per second (Hz)", 1.0, 500.0)
-        stiffness = node_support.declare(
-            self, "stiffness", SERVO_STIFFNESS, "of a servo's position loop (N·m/rad)", 1.0, 50.0
-        )
-        damping = node_support.declare(
-            self, "damping", SERVO_DAMPING, "of a servo's position loop (N·m·s/rad)", 0.2, 5.0
-        )
-        self._default_bound = node_support.declare(
-            self, "current_bound", CURRENT_BOUND, "bound without effort (A)", 0.0, STALL_CURRENT
-        )
+        given = declare_all(self, MockServoNodeParameters)
+        reject_unknown(self)
+        self._rate, self._default_bound = given.rate, given.current_bound
         geometry = DeltaGeometry()
         self._joint_min, self._joint_max = geometry.joint_min, geometry.joint_max
-        target = declare_target(self)
-        self._fault = FaultSwitch(self, FAULTS)
-        node_support.reject_unknown(self)
+        self._fault = FaultSwitch(self, SERVO_FAULTS, given.fault_delay)
         self._lock = threading.Lock()
-        self._arm = MockArm(target, stiffness, damping)
+        self._arm = MockArm(given.target(), given.stiffness, given.damping)
         self._plan: list[tuple[float, list[float], list[float]]] = []  # (monotonic s, angles, bounds in A) to come
         self._plan_start: tuple[float, list[float]] = (0.0, list(self._arm.goals))
         self._error = [0, 0, 0]

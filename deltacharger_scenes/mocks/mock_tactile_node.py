@@ -38,21 +38,14 @@ from deltacharger_core.machine import CONTACT_FORCE, GRAVITY, PADS, TORQUE_CONST
 from deltacharger_driver.board.contactor_lease import LeaseRefused
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
-from deltacharger_scenes.mocks.parameters import FaultSwitch, declare_target
+from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_scenes.mocks.fault_switch import FaultSwitch
+from deltacharger_scenes.mocks.parameters import POWER_FAULTS, TACTILE_FAULTS, MockTactileNodeParameters
 from deltacharger_scenes.mocks.power import BATTERY, TARGET, MockPower
 from deltacharger_tactile.generator import contact_force
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.source import ContactSource
 
-POWER_FAULTS = (
-    "short",
-    "open_circuit",
-    "reverse_polarity",
-    "contactor_refusal",
-    "no_charge_current",
-    "contactor_welded",
-)
-FAULTS = ("none", "silence", "zero_frames", "unsure", "power_silence", "tare_refusal", *POWER_FAULTS)
 _TARE_FRAMES = 20
 _POWER_RATE = 20.0  # Hz
 _PROBE_TIME = 0.05  # s
@@ -63,15 +56,13 @@ class MockTactileNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("tactile_node", **kwargs)
-        self._rate = node_support.declare(self, "rate", 120.0, "tactile frames per second (Hz)", 1.0, 200.0)
-        rig_seed = node_support.declare(self, "rig_seed", 0, "which device's gains and offsets", 0, 2**31 - 1)
-        seed = node_support.declare(self, "seed", 0, "course of noise and jitter", 0, 2**31 - 1)
-        self._target = declare_target(self)
-        self._fault = FaultSwitch(self, FAULTS)
-        node_support.reject_unknown(self)
+        given = declare_all(self, MockTactileNodeParameters)
+        reject_unknown(self)
+        self._rate, self._target = given.rate, given.target()
+        self._fault = FaultSwitch(self, TACTILE_FAULTS, given.fault_delay)
         self._lock = threading.Lock()
         self._model = TactileParameters()
-        self._source = ContactSource(self._model, rig_seed, seed)
+        self._source = ContactSource(self._model, given.rig_seed, given.seed)
         self._power = MockPower()
         self._delta = ScalarDelta()
         self._position = (math.nan,) * 3

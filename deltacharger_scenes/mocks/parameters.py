@@ -1,80 +1,107 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the mock nodes share: the target's parameters, and a fault that can be switched while they run."""
+"""The parameters of the mock nodes."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass, fields
 
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.node import Node
-from rclpy.parameter import Parameter
-
-from deltacharger_ros import node_support
+from deltacharger_core.machine import (
+    CURRENT_BOUND,
+    DOCK_DISTANCE,
+    FRAME_RATE,
+    SERVO_DAMPING,
+    SERVO_STIFFNESS,
+    STALL_CURRENT,
+)
+from deltacharger_core.parameters import Bounded, choice, number, words
 from deltacharger_scenes.mocks.arm import MockTarget
 
-
-def declare_target(node: Node) -> MockTarget:
-    """Declare where the mock's target is; mock_servo_node and mock_tactile_node must be told the same.
-
-    Raises:
-        StartupError: a value is out of its range.
-    """
-    default = MockTarget()
-    ranges = {
-        "x": ("midpoint of the target's electrodes along x (m)", -0.1, 0.1),
-        "y": ("midpoint of the target's electrodes along y (m)", -0.1, 0.1),
-        "z": ("plane in which contact begins (m)", 0.0, 0.2),
-        "angle": ("of the target about +z (rad)", -math.pi / 2, math.pi / 2),
-        "stiffness": ("of the contact (N/m)", 1e3, 2e5),
-        "friction": ("coefficient of the contact", 0.0, 2.0),
-        "grip": ("normal force of the magnets as friction feels it (N)", 0.0, 200.0),
-    }
-    values = {
-        name: node_support.declare(node, f"target_{name}", getattr(default, name), text, low, high)
-        for name, (text, low, high) in ranges.items()
-    }
-    return MockTarget(**values)
+SERVO_FAULTS = ("none", "silence", "nan_current", "missing", "hardware_error", "jam")
+POWER_FAULTS = (
+    "short",
+    "open_circuit",
+    "reverse_polarity",
+    "contactor_refusal",
+    "no_charge_current",
+    "contactor_welded",
+)
+TACTILE_FAULTS = ("none", "silence", "zero_frames", "unsure", "power_silence", "tare_refusal", *POWER_FAULTS)
+DETECTOR_FAULTS = ("none", "nothing", "stale", "beyond_reach", "unsure_roll")
+NAVIGATOR_FAULTS = ("none", "refuse", "abort", "lost", "never_answers", "slow", "mute")
+_FAULT = "how to misbehave"
 
 
-class FaultSwitch:
-    """The parameters `fault` (may be set while the node runs) and `fault_delay` (s from then until it acts)."""
+@dataclass(frozen=True)
+class MockFaultParameters(Bounded):
+    """When a mock misbehaves."""
 
-    def __init__(self, node: Node, faults: Sequence[str]) -> None:
-        self._node = node
-        self._faults = tuple(faults)
-        node_support.declare(node, "fault", "none", "how to misbehave", choices=self._faults, read_only=False)
-        self._delay = node_support.declare(
-            node, "fault_delay", 0.0, "time from setting the fault (or the start) until it acts (s)", 0.0, 1e6
-        )
-        self._name = "none"
-        self._since = time.monotonic()
-        self._reported = False
-        self._refresh(node.get_parameter("fault").value)
-        node.add_on_set_parameters_callback(self._on_set)
+    fault_delay: float = number(0.0, 0.0, 1e6, "s", "time from setting the fault (or the start) until it acts")
 
-    def active(self) -> str:
-        """Return the fault that acts now, "none" where none does."""
-        return self._name if time.monotonic() - self._since >= self._delay else "none"
 
-    def first_time(self) -> bool:
-        """Return True once for each time that a fault was set and acts."""
-        fresh = not self._reported
-        self._reported = True
-        return fresh
+@dataclass(frozen=True)
+class MockTargetParameters(Bounded):
+    """Where a mock's target is; mock_servo_node and mock_tactile_node must be told the same."""
 
-    def _refresh(self, name: str) -> None:
-        if name != self._name:
-            self._name, self._since, self._reported = name, time.monotonic(), False
+    target_x: float = number(0.0, -0.1, 0.1, "m", "midpoint of the target's electrodes along x")
+    target_y: float = number(0.0, -0.1, 0.1, "m", "midpoint of the target's electrodes along y")
+    target_z: float = number(MockTarget.z, 0.0, 0.2, "m", "plane in which contact begins")
+    target_angle: float = number(0.0, -math.pi / 2, math.pi / 2, "rad", "of the target about +z")
+    target_stiffness: float = number(MockTarget.stiffness, 1e3, 2e5, "N/m", "of the contact")
+    target_friction: float = number(MockTarget.friction, 0.0, 2.0, "", "coefficient of the contact")
+    target_grip: float = number(MockTarget.grip, 0.0, 200.0, "N", "normal force of the magnets as friction feels it")
 
-    def _on_set(self, parameters: Sequence[Parameter[Any]]) -> SetParametersResult:
-        for parameter in parameters:
-            if parameter.name != "fault":
-                continue
-            if parameter.value not in self._faults:
-                reason = f"fault '{parameter.value}' is not one of {', '.join(self._faults)}"
-                return SetParametersResult(successful=False, reason=reason)
-            self._refresh(parameter.value)
-        return SetParametersResult(successful=True)
+    def target(self) -> MockTarget:
+        """Return the target itself."""
+        names = (item.name for item in fields(MockTarget))
+        return MockTarget(**{name: getattr(self, f"target_{name}") for name in names})
+
+
+@dataclass(frozen=True)
+class MockServoNodeParameters(MockTargetParameters, MockFaultParameters):
+    """How the mock servos move."""
+
+    rate: float = number(100.0, 1.0, 500.0, "Hz", "cycles per second")
+    stiffness: float = number(SERVO_STIFFNESS, 1.0, 50.0, "N·m/rad", "of a servo's position loop")
+    damping: float = number(SERVO_DAMPING, 0.2, 5.0, "N·m·s/rad", "of a servo's position loop")
+    current_bound: float = number(CURRENT_BOUND, 0.0, STALL_CURRENT, "A", "bound without effort")
+    fault: str = choice("none", SERVO_FAULTS, _FAULT, live=True)
+
+
+@dataclass(frozen=True)
+class MockTactileNodeParameters(MockTargetParameters, MockFaultParameters):
+    """What the mock pads feel."""
+
+    rate: float = number(FRAME_RATE, 1.0, 200.0, "Hz", "tactile frames per second")
+    rig_seed: int = number(0, 0, 2**31 - 1, "", "which device's gains and offsets")
+    seed: int = number(0, 0, 2**31 - 1, "", "course of noise and jitter")
+    fault: str = choice("none", TACTILE_FAULTS, _FAULT, live=True)
+
+
+@dataclass(frozen=True)
+class MockDetectorNodeParameters(MockFaultParameters):
+    """Where the electrodes seem to be."""
+
+    x: float = number(0.0, -1.0, 1.0, "m", "electrodes along x of charger_base")
+    y: float = number(0.0, -1.0, 1.0, "m", "electrodes along y of charger_base")
+    z: float = number(DOCK_DISTANCE, -1.0, 1.0, "m", "electrodes along z of charger_base")
+    roll: float = number(0.0, -math.pi / 2, math.pi / 2, "rad", "of the electrodes about z")
+    position_stddev: float = number(0.001, 0.0, 0.1, "m", "standard deviation of each coordinate")
+    roll_stddev: float = number(0.004, 0.0, 1.0, "rad", "standard deviation of the roll")
+    fault: str = choice("none", DETECTOR_FAULTS, _FAULT, live=True)
+
+
+@dataclass(frozen=True)
+class MockNavigatorNodeParameters(MockFaultParameters):
+    """Where the mock base stands, and how well it drives."""
+
+    x: float = number(0.0, -1e5, 1e5, "m", "where the base stands at first, x")
+    y: float = number(0.0, -1e5, 1e5, "m", "where the base stands at first, y")
+    yaw: float = number(0.0, -1e5, 1e5, "rad", "where the base stands at first, yaw")
+    frame: str = words("map", "of its poses; goals in another one are aborted")
+    speed: float = number(0.5, 0.01, 1000.0, "m/s", "of the base")
+    turn_speed: float = number(1.0, 0.01, 1000.0, "rad/s", "of the base")
+    miss_x: float = number(0.0, -1.0, 1.0, "m", "how far beside a goal it stops, x")
+    miss_y: float = number(0.0, -1.0, 1.0, "m", "how far beside a goal it stops, y")
+    miss_yaw: float = number(0.0, -1.0, 1.0, "rad", "how far beside a goal it stops, yaw")
+    fault: str = choice("none", NAVIGATOR_FAULTS, _FAULT, live=True)

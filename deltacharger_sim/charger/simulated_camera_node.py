@@ -26,15 +26,16 @@ from sensor_msgs.msg import CameraInfo, Image
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
+from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_sim.charger import simulated_camera_node_io as io
+from deltacharger_sim.charger.parameters import ImageParameters, SimulatedCameraNodeParameters
+from deltacharger_vision.errors import VisionError
+from deltacharger_vision.parameters import CAMERA_INFO, COLOR, DEPTH
 from deltacharger_vision.rendering.board_drawing import with_board
 from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
 from deltacharger_vision.rendering.scene import Scene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts
 from deltacharger_vision.ros.messages import (
-    CAMERA_INFO,
-    COLOR,
-    DEPTH,
     camera_info_message,
     color_message,
     depth_message,
@@ -54,15 +55,19 @@ class SimulatedCameraNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("simulated_camera_node", **kwargs)
-        self._period = 1.0 / node_support.declare(self, "rate", 10.0, "images per second (Hz)", 0.1, 120.0)
-        seed = node_support.declare(self, "seed", 1, "surroundings, light, noise and the mount's error", 0, 2**31 - 1)
-        self._random = np.random.default_rng(seed)
-        self._mount = io.declare_mount(self, self._random)
-        self._target = io.declare_target(self)
-        self._scene = io.declare_scene(self, self._random)
-        self._make_camera = io.declare_camera(self)
-        self._board = io.declare_board(self)
-        node_support.reject_unknown(self)
+        given = declare_all(self, SimulatedCameraNodeParameters)
+        defects = declare_all(self, ImageParameters)
+        reject_unknown(self)
+        self._period = 1.0 / given.rate
+        self._random = np.random.default_rng(given.seed)
+        try:
+            self._mount = io.mounted(given, self._random)
+            self._target = io.target_pose(given)
+            self._scene = io.scene(given, self._random)
+            self._make_camera = io.camera_maker(given, defects)
+            self._board = io.board(given)
+        except VisionError as error:
+            raise node_support.StartupError(f"simulated_camera_node: {error}") from error
         io.try_out(self, self._make_camera)
         self._kinematics = ScalarDelta(DeltaGeometry())
         self._angles: tuple[float, float, float] | None = None

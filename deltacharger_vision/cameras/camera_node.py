@@ -27,12 +27,13 @@ from rclpy.utilities import remove_ros_args
 from deltacharger_core.mcap_file import RecordingError
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
-from deltacharger_ros.parameters import declare_all
+from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_vision.cameras.camera_node_io import CameraPublishers, RecordingPlayer
 from deltacharger_vision.cameras.keeper import CameraKeeper, OpenCamera
 from deltacharger_vision.cameras.oak_pipeline import OakCamera, OakImage, OakSettings
 from deltacharger_vision.cameras.recording import CameraRecording
 from deltacharger_vision.errors import VisionError
+from deltacharger_vision.parameters import ReplayParameters
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
 OpenOak = Callable[[OakSettings, Callable[[], bool], Callable[[OakImage], None]], OpenCamera]
@@ -49,9 +50,9 @@ class CameraNode(Node):
     def __init__(self, open_camera: OpenOak | None = None, **kwargs: Any) -> None:
         super().__init__("camera_node", **kwargs)
         self._settings = declare_all(self, OakSettings)
-        path = node_support.declare(self, "replay", "", "MCAP recording to publish in place of a camera")
-        loop = node_support.declare(self, "replay_loop", False, "begin the recording again at its end")
-        node_support.reject_unknown(self)
+        replayed = declare_all(self, ReplayParameters)
+        path, loop = replayed.replay, replayed.replay_loop
+        reject_unknown(self)
         self._path = path
         self._images = CameraPublishers(self)
         self._diagnostics = Diagnostics(self)

@@ -13,12 +13,12 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_core.mcap_file import RecordingError
+from deltacharger_vision import parameters as topics
 from deltacharger_vision.cameras import recording as camera_recording
 from deltacharger_vision.cameras.keeper import ImageSource
 from deltacharger_vision.cameras.recording import CameraRecording, Recorded
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME
-from deltacharger_vision.ros import messages
 from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message, stamp_ns
 from deltacharger_vision.ros.recorded import decoded
 
@@ -38,9 +38,9 @@ class CameraPublishers:
         self._clock = node.get_clock()
         self._context = node.context
         self._publishers = {
-            camera_recording.COLOR: node.create_publisher(Image, messages.COLOR, qos_profile_sensor_data),
-            camera_recording.DEPTH: node.create_publisher(Image, messages.DEPTH, qos_profile_sensor_data),
-            camera_recording.INFO: node.create_publisher(CameraInfo, messages.CAMERA_INFO, qos_profile_sensor_data),
+            camera_recording.COLOR: node.create_publisher(Image, topics.COLOR, qos_profile_sensor_data),
+            camera_recording.DEPTH: node.create_publisher(Image, topics.DEPTH, qos_profile_sensor_data),
+            camera_recording.INFO: node.create_publisher(CameraInfo, topics.CAMERA_INFO, qos_profile_sensor_data),
         }
         self.published = 0
 

@@ -27,14 +27,15 @@ from sensor_msgs.msg import Image
 
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
-from deltacharger_ros.parameters import declare_all
+from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.detector.electrode_detector_node_io import Camera, Shot, to_message
 from deltacharger_vision.errors import MountError, VisionError
 from deltacharger_vision.images import RgbdImage
-from deltacharger_vision.mount import POSITION_STDDEV, ROTATION_STDDEV, Mount, quaternion
-from deltacharger_vision.ros.messages import CAMERA_INFO, COLOR, DEPTH, color_message
+from deltacharger_vision.mount import Mount
+from deltacharger_vision.parameters import DetectorNodeParameters
+from deltacharger_vision.ros.messages import color_message
 from deltacharger_vision.terminal import Terminal
 
 _FUTURE = 0.05  # s by which a stamp may be ahead of this computer's clock
@@ -55,31 +56,14 @@ class ElectrodeDetectorNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("electrode_detector_node", **kwargs)
-        rate = node_support.declare(
-            self, "rate", 0.0, "images looked at while somebody subscribes (Hz); 0 = none", 0, 60
-        )
-        self._timeout = node_support.declare(
-            self, "timeout", 2.0, "how long a request without its own timeout looks (s)", 0.1, 60.0
-        )
-        self._image_age_max = node_support.declare(
-            self, "image_age_max", 0.5, "oldest image that still counts (s)", 0.02, 10.0
-        )
-        tolerance = node_support.declare(
-            self, "stamp_tolerance", 0.015, "largest difference between the stamps of colour and depth (s)", 0.0, 1.0
-        )
-        topics = [
-            node_support.declare(self, name, default, f"topic of the {what}")
-            for name, default, what in (
-                ("color_topic", COLOR, "colour images"),
-                ("depth_topic", DEPTH, "depth images, aligned to colour"),
-                ("camera_info_topic", CAMERA_INFO, "colour images' calibration"),
-            )
-        ]
-        self._mount = _declare_mount(self)
+        given = declare_all(self, DetectorNodeParameters)
         terminal = declare_all(self, Terminal)
-        node_support.reject_unknown(self)
+        reject_unknown(self)
+        self._timeout, self._image_age_max, rate = given.timeout, given.image_age_max, given.rate
+        topics = [given.color_topic, given.depth_topic, given.camera_info_topic]
+        self._mount = _mount(self, given)
         self._detector = _detector(terminal)
-        self._camera = Camera(self, tolerance, topics)
+        self._camera = Camera(self, given.stamp_tolerance, topics)
         self._tally = _Tally()
         self._looking = threading.Lock()
         self._stopping = threading.Event()
@@ -189,24 +173,11 @@ class ElectrodeDetectorNode(Node):
         self._diagnostics.tell(level, text, values, "camera", self._camera.names[0])
 
 
-def _declare_mount(node: Node) -> Mount:
-    """Declare where the camera is and return it."""
-    path = node_support.declare(node, "mount_file", "", "YAML of `deltacharger calibrate camera`; replaces mount*")
-    usual = Mount.default().pose
-    seven = node_support.declare(
-        node,
-        "mount",
-        [float(value) for value in (*usual[:3, 3], *quaternion(usual[:3, :3]))],
-        "camera_color_optical_frame in charger_base: x, y, z in m, then the quaternion x, y, z, w",
-    )
-    position = node_support.declare(
-        node, "mount_position_stddev", POSITION_STDDEV, "error of the mount's place, per axis (m)", 0.0, 0.1
-    )
-    rotation = node_support.declare(
-        node, "mount_rotation_stddev", ROTATION_STDDEV, "error of the mount's direction, per axis (rad)", 0.0, 0.5
-    )
+def _mount(node: Node, given: DetectorNodeParameters) -> Mount:
+    """Return where the camera is."""
+    seven, deviations = given.mount, (given.mount_position_stddev, given.mount_rotation_stddev)
     try:
-        return Mount.load(path) if path else Mount.from_numbers(seven, position, rotation)
+        return Mount.load(given.mount_file) if given.mount_file else Mount.from_numbers(seven, *deviations)
     except (OSError, MountError) as error:
         raise node_support.StartupError(f"{node.get_name()}: {error}") from error
 

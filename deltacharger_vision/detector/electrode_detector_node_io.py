@@ -21,7 +21,8 @@ from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import FRAME, Placed
-from deltacharger_vision.ros.messages import CAMERA_INFO, COLOR, DEPTH, intrinsics_of, rgbd_of, stamp_ns
+from deltacharger_vision.parameters import CAMERA_INFO, COLOR, DEPTH
+from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, stamp_ns
 
 SILENT = 1.0
 """A topic without a message for so long counts as silent, s."""

@@ -17,9 +17,6 @@ from deltacharger_vision.cameras.ros_images import color_array, depth_array
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME
 
-COLOR, DEPTH, CAMERA_INFO = "color/image_raw", "depth/image_raw", "color/camera_info"
-"""Relative names of the topics of an RGB-D camera."""
-
 
 def stamp_ns(message: Any) -> int:
     """Return the stamp of a message's header, ns."""

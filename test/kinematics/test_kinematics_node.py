@@ -290,9 +290,9 @@ def test_a_refused_geometry_file_stops_the_node_with_the_reason(
     [
         ({"workspace_min": [0.0, 0.0]}, "workspace_min"),
         ({"workspace_min": [0.0, 0.0, 0.2]}, "workspace_min.*not below"),
-        ({"workspace_max": [0.06, 0.06, 2.0]}, "'workspace_max'.*above 1"),
+        ({"workspace_max": [0.06, 0.06, 2.0]}, "'workspace_max'.*-1 to 1 m"),
         ({"joint_min": 0.5, "joint_max": 0.4}, "joint_min.*not below"),
-        ({"gravity": [0.0, -9.81]}, "'gravity' has 2 numbers"),
+        ({"gravity": [0.0, -9.81]}, "'gravity': has 2 numbers"),
     ],
 )
 def test_impossible_parameters_stop_the_node(context: Any, parameters: dict[str, Any], reason: str) -> None:

@@ -324,7 +324,7 @@ def test_closing_releases_who_waits(context: Any, namespace: str, driver: Driver
     ("values", "words"),
     [
         ({"mount_file": "/nowhere/mount.yaml"}, "mount.yaml"),
-        ({"mount": [0.0, 0.1]}, "seven"),
+        ({"mount": [0.0, 0.1]}, "has 2 numbers; give 7"),
         ({"mount": [0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0]}, "length"),
         ({"bar_length": 70.0}, "bar_length"),
         ({"rate": -1.0}, "rate"),

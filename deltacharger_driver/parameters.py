@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters of servo_node and tactile_node."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from deltacharger_core.machine import BAUD_RATE, CURRENT_BOUND, FRAME_RATE, SERVO_IDS, STALL_CURRENT, TORQUE_CONSTANT
+from deltacharger_core.parameters import Bounded, ParameterError, number, numbers, words
+
+REPLY_MARGIN = 0.02
+"""s beyond wire time and USB latency until a reply in the cycle counts as lost. A healthy servo answers in 1 ms, so
+this costs nothing until something fails, and it rides over the scheduling hiccups of an ordinary kernel."""
+
+
+@dataclass(frozen=True)
+class ServoNodeParameters(Bounded):
+    """What servo_node drives and how far it may go.
+
+    Raises:
+        ParameterError: a value lies outside its bounds, or two contradict each other.
+    """
+
+    port: str = words("/dev/ttyUSB0", "serial port of the servos")
+    baud_rate: int = number(BAUD_RATE, 9600, 4_000_000, "bit/s", "speed of the servos' bus")
+    ids: tuple[int, ...] = numbers(SERVO_IDS, 0, 252, "", "servo ids of limbs 0, 1, 2")
+    rate: float = number(100.0, 20.0, 200.0, "Hz", "bus cycles per second")
+    zero_ticks: tuple[int, ...] = numbers(
+        (2048, 2048, 2048), -1048575, 1048575, "", "encoder count at arm angle 0, per limb"
+    )
+    direction: tuple[int, ...] = numbers(
+        (1, 1, 1), -1, 1, "", "1 or -1 per limb: whether the count rises with the angle"
+    )
+    torque_constant: float = number(TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current of a servo")
+    current_bound: float = number(CURRENT_BOUND, 0.0, STALL_CURRENT, "A", "current bound where a trajectory sets none")
+    current_max: float = number(3.0, 0.0, STALL_CURRENT, "A", "largest current bound a trajectory may set")
+    joint_min: float = number(math.radians(-65.0), -math.pi, math.pi, "rad", "smallest arm angle")
+    joint_max: float = number(math.radians(70.0), -math.pi, math.pi, "rad", "largest arm angle")
+    reply_margin: float = number(REPLY_MARGIN, 0.002, 0.1, "s", "time until a reply is missing")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for low, high in (("joint_min", "joint_max"), ("current_bound", "current_max")):
+            smaller, larger = getattr(self, low), getattr(self, high)
+            if smaller > larger or (smaller == larger and low == "joint_min"):
+                raise ParameterError(low, smaller, f"{smaller!r} is not below '{high}' ({larger!r})")
+
+
+@dataclass(frozen=True)
+class TactileNodeParameters(Bounded):
+    """Where tactile_node finds the board and what it asks of it."""
+
+    port: str = words("/dev/ttyACM0", "serial port of the board")
+    baud_rate: int = number(BAUD_RATE, 9600, 4_000_000, "baud", "speed on a UART ({unit}); any on USB")
+    rate: float = number(FRAME_RATE, 1.0, 200.0, "Hz", "tactile frames per second")
+    pitch: float = number(0.0024, 0.0001, 0.1, "m", "distance between neighbouring taxels")

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters of simulated_camera_node."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from deltacharger_core.machine import DOCK_DISTANCE
+from deltacharger_core.parameters import Bounded, choice, flag, like, number, numbers, words
+from deltacharger_vision.hand_eye.board import LARGEST, SMALLEST
+from deltacharger_vision.mount import Mount, pose_numbers
+from deltacharger_vision.rendering.board_drawing import bracket
+from deltacharger_vision.rendering.camera import OAK_D
+from deltacharger_vision.rendering.parameters import CameraParameters
+
+
+@dataclass(frozen=True)
+class ImageParameters(Bounded):
+    """Defects of the images, as the rendered camera has them."""
+
+    exposure: float = like(CameraParameters, "exposure")
+    defocus: float = like(CameraParameters, "defocus")
+    motion_x: float = like(CameraParameters, "motion_x")
+    disparity_noise: float = like(CameraParameters, "disparity_noise")
+    hole_metal: float = like(CameraParameters, "hole_metal")
+    hole_glare: float = like(CameraParameters, "hole_glare")
+    hole_matte: float = like(CameraParameters, "hole_matte")
+
+
+@dataclass(frozen=True)
+class SimulatedCameraNodeParameters(Bounded):
+    """Where target and camera are, what else is seen, and how it is drawn."""
+
+    rate: float = number(10.0, 0.1, 120.0, "Hz", "images per second")
+    seed: int = number(1, 0, 2**31 - 1, "", "surroundings, light, noise and the mount's error")
+    mount: tuple[float, ...] = numbers(
+        pose_numbers(Mount.default().pose),
+        -math.inf,
+        math.inf,
+        "",
+        "where the camera is believed to be in charger_base: x, y, z in m, then the quaternion x, y, z, w",
+    )
+    hand_eye_position_stddev: float = number(
+        0.0, 0.0, 0.05, "m", "by how much the camera sits elsewhere, drawn per axis"
+    )
+    hand_eye_rotation_stddev: float = number(0.0, 0.0, 0.2, "rad", "by how much it looks elsewhere, drawn per axis")
+    target_present: bool = flag(True, "whether there is a target")
+    target_x: float = number(0.0, -2.0, 2.0, "m", "electrodes along x of charger_base")
+    target_y: float = number(0.0, -2.0, 2.0, "m", "electrodes along y of charger_base")
+    target_z: float = number(DOCK_DISTANCE, -2.0, 2.0, "m", "electrodes along z of charger_base")
+    target_roll: float = number(0.0, -1.6, 1.6, "rad", "of the electrodes about z")
+    target_tilt_x: float = number(0.0, -1.6, 1.6, "rad", "of the electrodes about x")
+    target_tilt_y: float = number(0.0, -1.6, 1.6, "rad", "of the electrodes about y")
+    clutter: int = number(0, 0, 100, "", "boxes around the target")
+    decoys: int = number(0, 0, 20, "", "things around it that resemble electrodes")
+    glare: float = number(-1.0, -1.0, 20.0, "", "highlight on the metal, 1 = full scale; negative = drawn by seed")
+    width: int = number(OAK_D.width, 64, 4096, "px", "of the image")
+    height: int = number(OAK_D.height, 40, 4096, "px", "of the image")
+    renderer: str = choice(
+        "numpy",
+        ("numpy", "mujoco"),
+        "numpy: a ray-caster that needs nothing else; mujoco: OpenGL with shadows, deltacharger[sim]",
+    )
+    board: str = words(
+        "", "calibration board on the platform, such as apriltag:36h11:0 or charuco:4x4_50:5x4; empty = none"
+    )
+    board_size: float = number(0.040, SMALLEST, LARGEST, "m", "side of the tag or of a square")
+    board_marker: float = number(0.0, 0.0, LARGEST, "m", "side of a marker ({unit}); 0 = three quarters")
+    board_pose: tuple[float, ...] = numbers(
+        pose_numbers(bracket()),
+        -math.inf,
+        math.inf,
+        "",
+        "of the board in end_effector: x, y, z in m, then the quaternion x, y, z, w",
+    )

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parameters of camera_node and electrode_detector_node beside those of the camera and of the terminal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from deltacharger_core.parameters import Bounded, flag, number, numbers, words
+from deltacharger_vision.mount import POSITION_STDDEV, ROTATION_STDDEV, Mount, pose_numbers
+
+COLOR, DEPTH, CAMERA_INFO = "color/image_raw", "depth/image_raw", "color/camera_info"
+"""Relative names of the topics of an RGB-D camera."""
+
+
+@dataclass(frozen=True)
+class ReplayParameters(Bounded):
+    """What camera_node publishes in place of a camera."""
+
+    replay: str = words("", "MCAP recording to publish in place of a camera")
+    replay_loop: bool = flag(False, "begin the recording again at its end")
+
+
+@dataclass(frozen=True)
+class DetectorNodeParameters(Bounded):
+    """How electrode_detector_node looks, and from where."""
+
+    rate: float = number(0.0, 0, 60, "Hz", "images looked at while somebody subscribes ({unit}); 0 = none")
+    timeout: float = number(2.0, 0.1, 60.0, "s", "how long a request without its own timeout looks")
+    image_age_max: float = number(0.5, 0.02, 10.0, "s", "oldest image that still counts")
+    stamp_tolerance: float = number(0.015, 0.0, 1.0, "s", "largest difference between the stamps of colour and depth")
+    color_topic: str = words(COLOR, "topic of the colour images")
+    depth_topic: str = words(DEPTH, "topic of the depth images, aligned to colour")
+    camera_info_topic: str = words(CAMERA_INFO, "topic of the colour images' calibration")
+    mount_file: str = words("", "YAML of `deltacharger calibrate camera`; replaces mount*")
+    mount: tuple[float, ...] = numbers(
+        pose_numbers(Mount.default().pose),
+        -float("inf"),
+        float("inf"),
+        "",
+        "camera_color_optical_frame in charger_base: x, y, z in m, then the quaternion x, y, z, w",
+    )
+    mount_position_stddev: float = number(POSITION_STDDEV, 0.0, 0.1, "m", "error of the mount's place, per axis")
+    mount_rotation_stddev: float = number(ROTATION_STDDEV, 0.0, 0.5, "rad", "error of the mount's direction, per axis")
