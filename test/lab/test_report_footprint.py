@@ -227,26 +227,11 @@ def test_figures_of_several_runs_are_median_and_spread() -> None:
     assert formats.median([float("nan")] * 3, 1) == "–"
 
 
-@pytest.mark.parametrize("words", [("--repeats", "0"), ("--repeats", "1.5"), ("--seed", "1"), ("--quik",), ("more",)])
-def test_wrong_words_are_2(words: tuple[str, ...]) -> None:
-    with pytest.raises(SystemExit) as end:
-        main(("report", "footprint", *words, "--json"))
-    assert end.value.code == 2
-
-
 def test_a_scene_that_does_not_exist_is_2_with_the_nearest_name(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(("report", "footprint", "--scene", "bensch", "--json")) == 2
     error = json.loads(capsys.readouterr().out)["error"]
     assert "--scene" in error
     assert "'bench'" in error
-
-
-def test_a_file_where_the_folder_should_be_is_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    path.write_text("kept", encoding="utf-8")
-    assert main(("report", "footprint", "--quick", "--out", str(path), "--json")) == 2
-    assert "--out" in json.loads(capsys.readouterr().out)["error"]
-    assert path.read_text("utf-8") == "kept"
 
 
 def test_with_nothing_to_measure_it_says_why(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

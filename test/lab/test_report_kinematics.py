@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,8 @@ from deltacharger_lab.reports.kinematics.pictures import NAMES
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 from deltacharger_lab.reports.kinematics.solvers import OURS, PRECISE
 
+from .conftest import Quick
+
 SETS = ("interior", "boundary", "fold", "near type 2", "wide")
 OUTSIDE = ("outside 1e-15 to 1e-3 m", "outside 1e-17 to 1e-15 m")
 TABLE_OF_EXTREMES = (
@@ -29,36 +30,16 @@ TABLE_OF_EXTREMES = (
     *("forward: spheres that do not meet", "forward: all elbows in one point", "arm of 0, −0.1, NaN or inf m"),
 )
 
-
-@pytest.fixture(scope="module")
-def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any], dict[str, Any], str]:
-    """Run the command for real: its folder, what it printed, its figures and its page."""
-    folder = tmp_path_factory.mktemp("report")
-    words = (sys.executable, "-m", "deltacharger_bringup.cli", "report", "kinematics", "--quick", "--json")
-    ended = subprocess.run([*words, "--out", str(folder)], capture_output=True, text=True, check=False)
-    assert ended.returncode == 0, ended.stderr
-    figures = json.loads((folder / "kinematics.json").read_text("utf-8"))
-    return folder, json.loads(ended.stdout), figures, (folder / "kinematics.md").read_text("utf-8")
-
-
-Quick = tuple[Path, dict[str, Any], dict[str, Any], str]
+REPORT = ("kinematics",)
+MEASURES_WITH = ()
 
 
 def rows(figures: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {row["name"]: row for row in figures["inverse"]}
 
 
-def test_the_answer_names_every_file_that_it_wrote(quick: Quick) -> None:
-    folder, answer, figures, _ = quick
-    assert answer["success"] is True
-    assert {Path(name) for name in answer["files"]} == set(folder.iterdir())
-    assert answer["targets"] == figures["targets"]
-    assert figures["pictures"] == list(NAMES)
-    assert all((folder / name).read_bytes().startswith(b"\x89PNG") for name in NAMES)
-
-
-def test_ours_answers_everywhere_on_the_right_knee_within_the_bounds(quick: Quick) -> None:
-    figures = quick[2]
+def test_ours_answers_everywhere_on_the_right_knee_within_the_bounds(quick_report: Quick) -> None:
+    figures = quick_report[2]
     for name in OURS:
         for each in SETS:
             entry = rows(figures)[name]["sets"][each]
@@ -67,36 +48,37 @@ def test_ours_answers_everywhere_on_the_right_knee_within_the_bounds(quick: Quic
     assert figures["round_trip"]["Delta.inverse"]["max"] <= 5e-16
 
 
-def test_ours_takes_no_point_for_reachable_that_is_not_and_none_the_other_way(quick: Quick) -> None:
-    decisions = quick[2]["reach"]["solvers"]
+def test_ours_takes_no_point_for_reachable_that_is_not_and_none_the_other_way(quick_report: Quick) -> None:
+    decisions = quick_report[2]["reach"]["solvers"]
     for name in OURS:
         assert [decisions[name][each] for each in (*OUTSIDE, "boundary")] == [0, 0, 0], name
     plain = decisions["single atan2"]
     assert sum(plain[each] for each in OUTSIDE) > 0, "the sets do not tell the forms apart"
 
 
-def test_the_closed_forms_lose_half_their_digits_at_the_edge_and_ours_does_not(quick: Quick) -> None:
-    curves = quick[2]["edge"]["curves"]
+def test_the_closed_forms_lose_half_their_digits_at_the_edge_and_ours_does_not(quick_report: Quick) -> None:
+    curves = quick_report[2]["edge"]["curves"]
     assert curves["single atan2"][0] > 1e-9
     assert max(each for name in OURS for each in curves[name] if each is not None) <= 8e-16
 
 
-def test_the_extremes_of_the_design_come_back_as_wanted(quick: Quick) -> None:
-    found = {each["name"]: each for each in quick[2]["extremes"]}
+def test_the_extremes_of_the_design_come_back_as_wanted(quick_report: Quick) -> None:
+    found = {each["name"]: each for each in quick_report[2]["extremes"]}
     for name in TABLE_OF_EXTREMES:
         assert found[name]["ok"], found[name]
 
 
-def test_no_robot_is_too_odd(quick: Quick) -> None:
-    for robot in quick[2]["robots"]:
+def test_no_robot_is_too_odd(quick_report: Quick) -> None:
+    for robot in quick_report[2]["robots"]:
         assert robot["count"] > 0
         assert robot["wrong_decisions"] == 0, robot
         assert robot["precise"] <= 4e-16, robot
         assert max(robot["array"], robot["point"]) <= 1e-15, robot
 
 
-def test_every_table_says_set_count_and_seed(quick: Quick) -> None:
-    _, _, figures, page = quick
+def test_every_table_says_set_count_and_seed(quick_report: Quick) -> None:
+    _, _, figures, page = quick_report
+    assert figures["pictures"] == list(NAMES)
     for each in figures["sets"] + figures["reach"]["sets"]:
         assert f"| {each['name']} | {each['about']} | {each['count']} |" in page
     assert page.count("set, seed 1") == 2
@@ -133,26 +115,6 @@ def test_without_mpmath_it_says_what_to_install(
     assert main(("report", "kinematics", "--quick", "--out", str(tmp_path), "--json")) == 1
     assert "install deltacharger[report]" in json.loads(capsys.readouterr().out)["error"]
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    "words",
-    [("--points", "0"), ("--points", "49"), ("--points", "100001"), ("--points", "1e3"), ("--seed", "-1"), ("--sed",)],
-)
-def test_wrong_numbers_are_2(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
-    with pytest.raises(SystemExit) as end:
-        main(("report", "kinematics", *words, "--json"))
-    assert end.value.code == 2
-    assert json.loads(capsys.readouterr().out)["success"] is False
-
-
-def test_a_file_where_the_folder_should_be_is_2(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path = tmp_path / "file"
-    path.write_text("kept", encoding="utf-8")
-    for out in (path, path / "below"):
-        assert main(("report", "kinematics", "--quick", "--out", str(out), "--json")) == 2
-        assert "--out" in json.loads(capsys.readouterr().out)["error"]
-    assert path.read_text("utf-8") == "kept"
 
 
 @pytest.mark.parametrize("geometry", [DeltaGeometry(), DeltaGeometry(limbs=ADJUSTED)], ids=["plain", "adjusted"])
