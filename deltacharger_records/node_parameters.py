@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -13,9 +14,11 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
+from deltacharger_core.mcap_file import McapFile
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.geometry_file import geometry_from_mapping, geometry_to_mapping, load_geometry
+from deltacharger_records.recording.folder import PARAMETERS
 
 _FILE, _GEOMETRY = "geometry_file", "geometry"
 
@@ -83,6 +86,12 @@ def known_settings(told: Mapping[str, Any]) -> tuple[DockingParameters, DeltaGeo
         return docking_settings(told)
     except OSError:
         return docking_settings({**told, _FILE: ""})
+
+
+def recorded_settings(file: McapFile) -> tuple[DockingParameters, DeltaGeometry] | None:
+    """Return the settings that a record tells; None where they were not recorded."""
+    told = file.told(PARAMETERS)
+    return known_settings({name: json.loads(text) for name, text in told[-1].items()}) if told else None
 
 
 def _of(kind: Any, told: Mapping[str, Any]) -> dict[str, Any]:

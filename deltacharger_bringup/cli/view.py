@@ -8,7 +8,6 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,14 +21,15 @@ from deltacharger_bringup.cli.parser import DEFAULT_SCENE, namespace_option
 from deltacharger_bringup.cli.scene import load_for_command
 from deltacharger_bringup.cli.types import POSITIVE
 from deltacharger_core import environment
+from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_scenes.scene import Scene
 from deltacharger_vision.mount import Mount
 
 if TYPE_CHECKING:
     from deltacharger_records.view.feed import ViewFeed
 
+Settings = tuple[DockingParameters, DeltaGeometry]
 _SILENT_AFTER = 5.0  # s; who misses the first announcement of a topic waits 3 s for the next
 _LOOK = 1.0 / 30.0  # s between two looks into the topics
 _FLUSH = 10.0  # s for what is under way to the viewer
@@ -95,13 +95,20 @@ def _has_screen() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _open(rr: Any, options: argparse.Namespace, scene: Scene) -> tuple[Any, ViewFeed]:
-    """Return a recording that goes where the options say, and the feed that fills it."""
+def _open(rr: Any, options: argparse.Namespace, scene: Scene, settings: Settings | None = None) -> tuple[Any, ViewFeed]:
+    """Return a recording that goes where the options say, and the feed that fills it.
+
+    Args:
+        rr: the module rerun.
+        options: of the command.
+        scene: whose camera is drawn, and whose arm where there are no `settings`.
+        settings: what the charger itself decides by, and its arm.
+    """
     from deltacharger_records.view.blueprint import blueprint
     from deltacharger_records.view.feed import ViewFeed
     from deltacharger_records.view.log import ViewLog
 
-    geometry, camera = geometry_of(scene), mount_of(scene)
+    (parameters, geometry), camera = settings or settings_of(scene), mount_of(scene)
     recording = rr.RecordingStream("deltacharger")
     layout = blueprint(live=options.recording is None and options.save is None)
     try:
@@ -114,7 +121,7 @@ def _open(rr: Any, options: argparse.Namespace, scene: Scene) -> tuple[Any, View
             recording.spawn(default_blueprint=layout)
     except (OSError, RuntimeError, ValueError) as error:
         raise CommandError(f"Rerun cannot start: {error}", FAILED) from error
-    return recording, ViewFeed(ViewLog(rr, recording, geometry, camera), geometry)
+    return recording, ViewFeed(ViewLog(rr, recording, geometry, camera), geometry, parameters)
 
 
 def _find_viewer() -> None:
@@ -133,20 +140,19 @@ def _close(recording: Any) -> None:
         recording.disconnect()
 
 
-def geometry_of(scene: Scene) -> DeltaGeometry:
-    """Return the arm's geometry as a scene gives it to kinematics_node.
+def settings_of(scene: Scene) -> Settings:
+    """Return what a scene has docking_node decide by, and the arm's geometry as it gives it to kinematics_node.
 
     Raises:
-        CommandError: its file cannot be read, or a value is refused; exit code 2.
+        CommandError: the geometry's file cannot be read, or a value is refused; exit code 2.
     """
+    from deltacharger_records.node_parameters import docking_settings
+
     given = scene.parameters.get("kinematics_node", {})
     try:
-        file = given.get("geometry_file")
-        known = load_geometry(Path(file).expanduser()) if file else DeltaGeometry()
-        names = [item.name for item in fields(DeltaGeometry) if item.name in given]
-        return known.with_values(**{name: _tupled(given[name]) for name in names})
+        return docking_settings({**scene.parameters.get("docking_node", {}), **given})
     except (OSError, ValueError) as error:
-        raise CommandError(f"{scene.file}: parameters.kinematics_node: {error}", WRONG_INPUT) from error
+        raise CommandError(f"{scene.file}: parameters: {error}", WRONG_INPUT) from error
 
 
 def mount_of(scene: Scene) -> NDArray[np.float64]:
@@ -162,10 +168,6 @@ def mount_of(scene: Scene) -> NDArray[np.float64]:
         return (Mount.from_numbers(given["mount"]) if "mount" in given else Mount.default()).pose
     except (OSError, ValueError) as error:
         raise CommandError(f"{scene.file}: parameters.electrode_detector_node: {error}", WRONG_INPUT) from error
-
-
-def _tupled(value: Any) -> Any:
-    return tuple(float(item) for item in value) if isinstance(value, list) else value
 
 
 def _show_charger(rr: Any, options: argparse.Namespace) -> int:
@@ -218,7 +220,8 @@ def _show_recording(rr: Any, options: argparse.Namespace) -> int:
     try:
         recorded = ShownRecording(Path(options.recording), options.namespace)
         with Interrupts() as interrupts:
-            recording, feed = _open(rr, options, scene)
+            own = recorded.settings if options.scene is None else None
+            recording, feed = _open(rr, options, scene, own)
             try:
                 recorded.play(feed, interrupts.event.is_set)
             finally:

@@ -26,7 +26,7 @@ class Recording:
         namespace: of the charger; None = the only one that it holds.
 
     Attributes:
-        path: the file.
+        path, file: the file.
         namespace: of the charger, '/' = none.
         counts: messages of each topic that can be read, by relative name.
         damage: why reading ended before the end; '' = the file is complete, as far as it was read.
@@ -39,34 +39,34 @@ class Recording:
 
     def __init__(self, path: Path, namespace: str | None = None) -> None:
         self.path = path
-        self._file = McapFile(path)
-        self.namespace = _charger(self._file, namespace)
-        self.damage = self._file.damage
+        self.file = McapFile(path)
+        self.namespace = _charger(self.file, namespace)
+        self.damage = self.file.damage
         self.counts: dict[str, int] = {}
         self.unreadable: dict[str, str] = {}
         self._names: dict[str, str] = {}
         head = self.namespace.rstrip("/") + "/"
-        for topic in self._file.types:
+        for topic in self.file.types:
             name = topic.removeprefix(head)
             if topic.startswith(head) and name in _TYPES:
-                problem = _difference(self._file, topic, _KINDS[name])
+                problem = _difference(self.file, topic, _KINDS[name])
                 if problem:
                     self.unreadable[name] = problem
                 else:
                     self._names[topic] = name
-                    self.counts[name] = self._file.counts[topic]
+                    self.counts[name] = self.file.counts[topic]
         if not self.counts.get(STATE):
             why = self.unreadable.get(STATE) or self.damage or "there is no message of it"
             raise RecordingError(f"{path} tells no docking_state: {why}")
 
     def told(self, name: str) -> list[dict[str, str]]:
         """Return the metadata of one name."""
-        return self._file.told(name)
+        return self.file.told(name)
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
         """Yield each message, undecoded, in the order of the file, up to its damage: relative topic, ns, CDR."""
         try:
-            for message in self._file.messages(*self._names):
+            for message in self.file.messages(*self._names):
                 yield self._names[message.topic], message.received, message.data
         except DamagedRecording as error:
             self.damage = error.reason

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_records.node_parameters import known_settings
-from deltacharger_records.recording.folder import ABOUT, END, PARAMETERS, RESULT
+from deltacharger_records.node_parameters import known_settings, recorded_settings
+from deltacharger_records.recording.folder import ABOUT, END, RESULT
 from deltacharger_records.replay.file import Recording
 from deltacharger_records.replay.run_builder import RunBuilder
 from deltacharger_records.replay.run_record import Run
@@ -134,8 +134,7 @@ def replay(path: Path, namespace: str | None = None) -> Replay:
         OSError: it cannot be read.
     """
     recording = Recording(path, namespace)
-    told = (recording.told(PARAMETERS) or [{}])[-1]
-    settings = known_settings({name: json.loads(text) for name, text in told.items()})
+    settings = recorded_settings(recording.file) or known_settings({})
     reader = _Reader(RunBuilder(Run(), settings))
     recording.read(reader.take)
     found = Replay(recording, settings[0], reader.build.run)

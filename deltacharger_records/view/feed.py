@@ -51,18 +51,19 @@ class ViewFeed:
     Args:
         log: is filled.
         geometry: of the arm.
+        parameters: what docking_node decides by, of which gravity tells the contact current; None = the defaults.
 
     Attributes:
         counts: messages that came, by relative topic.
         refused: what is wrong with the first message of a topic that could not be shown.
     """
 
-    def __init__(self, log: ViewLog, geometry: DeltaGeometry) -> None:
+    def __init__(self, log: ViewLog, geometry: DeltaGeometry, parameters: DockingParameters | None = None) -> None:
         self.counts: Counter[str] = Counter()
         self.refused: dict[str, str] = {}
         self._log = log
         self._delta = ScalarDelta(geometry)
-        self._contact = ContactCurrent(self._delta, DockingParameters())
+        self._contact = ContactCurrent(self._delta, parameters or DockingParameters())
         self._due: dict[str, int] = {}
         self._phase = ""
         self._energy = 0.0

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from deltacharger_core.mcap_file import McapFile, RecordingError
+from deltacharger_records.node_parameters import recorded_settings
 from deltacharger_records.recording.mcap_recording import decode, type_name
 from deltacharger_records.view.feed import TOPICS, ViewFeed
 from deltacharger_ros.raw_topics import Topic
@@ -20,6 +21,9 @@ class ShownRecording:
         path: of the file.
         namespace: of the charger; '' = the only one in it.
 
+    Attributes:
+        settings: what docking_node decided by, and its arm's geometry; None where that was not recorded.
+
     Raises:
         RecordingError: mcap is not installed, it is no MCAP file, or it holds nothing to show, or several chargers.
         OSError: it cannot be read.
@@ -27,6 +31,7 @@ class ShownRecording:
 
     def __init__(self, path: Path, namespace: str = "") -> None:
         self._file = McapFile(path)
+        self.settings = recorded_settings(self._file)
         chargers: dict[str, dict[str, Topic]] = {}
         for full, kind in self._file.types.items():
             for topic in TOPICS:

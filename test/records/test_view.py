@@ -186,13 +186,26 @@ def test_one_object_tells_what_was_shown(docking: Path, tmp_path: Path, capsys: 
 def test_a_calibrated_geometry_is_the_one_that_is_drawn(
     docking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    from deltacharger.msg import ServoState
+
+    from deltacharger_core.mcap_file import McapFile
+    from deltacharger_records.recording.folder import PARAMETERS
+    from deltacharger_records.recording.mcap_recording import McapWriter
+
     scene = tmp_path / "long.yaml"
     scene.write_text("parameters: {kinematics_node: {arm: 0.11}}\nsimulation: {}\n")
-    code, _, err = view(capsys, "--recording", docking, "--save", tmp_path / "a.rrd", "--scene", scene)
-    assert code == 0, err
-    (_, strips), *_ = Recording(tmp_path / "a.rrd").rows("charger/arms", "LineStrips3D:strips")
-    arms = np.array(strips)
-    np.testing.assert_allclose(np.linalg.norm(arms[:, 1] - arms[:, 0], axis=-1), 0.11, atol=1e-6)
+    told = tmp_path / "told.mcap"
+    file = McapFile(docking)
+    with McapWriter(told, {topic: ServoState for topic in file.types if topic.endswith("/servo_state")}) as writer:
+        for message in itertools.islice((each for each in file.messages() if each.topic.endswith("/servo_state")), 50):
+            writer.add(message)
+        writer.tell(PARAMETERS, {"arm": "0.11", "gravity_z": "9.81"})
+    for words in (("--recording", docking, "--scene", scene), ("--recording", told)):
+        code, _, err = view(capsys, *words, "--save", tmp_path / "a.rrd")
+        assert code == 0, err
+        (_, strips), *_ = Recording(tmp_path / "a.rrd").rows("charger/arms", "LineStrips3D:strips")
+        arms = np.array(strips)
+        np.testing.assert_allclose(np.linalg.norm(arms[:, 1] - arms[:, 0], axis=-1), 0.11, atol=1e-6)
 
 
 def test_what_is_no_recording_is_refused(docking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
