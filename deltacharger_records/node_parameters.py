@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters, ListParameters
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
@@ -32,9 +31,8 @@ class ParameterReader:
     """
 
     def __init__(self, node: Node, name: str) -> None:
-        group = ReentrantCallbackGroup()
-        self._names: Any = node.create_client(ListParameters, f"{name}/list_parameters", callback_group=group)
-        self._values: Any = node.create_client(GetParameters, f"{name}/get_parameters", callback_group=group)
+        self._names: Any = node.create_client(ListParameters, f"{name}/list_parameters")
+        self._values: Any = node.create_client(GetParameters, f"{name}/get_parameters")
 
     def is_ready(self) -> bool:
         """Whether it can be asked."""

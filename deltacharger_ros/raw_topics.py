@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 
 from deltacharger_core.mcap_file import Raw
@@ -24,14 +23,13 @@ class Topic:
     qos: Any
 
 
-def listen(node: Node, topics: Sequence[Topic], take: Callable[[Raw], None], group: CallbackGroup | None) -> None:
+def listen(node: Node, topics: Sequence[Topic], take: Callable[[Raw], None]) -> None:
     """Call `take` with every message of `topics` from now on, undecoded, from the node's thread.
 
     Args:
         node: subscribes.
         topics: names relative to the node's namespace.
         take: must be quick.
-        group: of the callbacks; None = the node's own.
     """
 
     def taker(topic: str) -> Callable[[Any], None]:
@@ -43,7 +41,7 @@ def listen(node: Node, topics: Sequence[Topic], take: Callable[[Raw], None], gro
 
     for topic in topics:
         full = node.resolve_topic_name(topic.name)
-        node.create_subscription(topic.kind, topic.name, taker(full), topic.qos, callback_group=group, raw=True)
+        node.create_subscription(topic.kind, topic.name, taker(full), topic.qos, raw=True)
 
 
 class PolledTopics:

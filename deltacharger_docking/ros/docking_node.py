@@ -15,7 +15,6 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -63,9 +62,8 @@ class DockingNode(Node):
         self._stopping = threading.Event()
         self._torque_off_at = math.inf
         self._slowest_tick = 0.0
-        group = ReentrantCallbackGroup()
         self._inputs = Inputs(self)
-        self._calls = Services(self, group, self._age)
+        self._calls = Services(self, self._age)
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", QoSProfile(depth=1))
         self._reports = Reports(self, self._settings.servo_age_max)
         self._goals = Goals(

@@ -12,7 +12,6 @@ from typing import Any
 
 from deltacharger.msg import Misalignment
 from deltacharger.srv import DetectElectrodes, PredictMisalignment, Probe, SetContactor
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
@@ -33,7 +32,7 @@ _LOOKING = 0.9  # of the time for a detection: why nothing was found must arrive
 class Services:
     """Calls services for the machine without waiting and collects the replies; renews the contactor's lease."""
 
-    def __init__(self, node: Node, group: ReentrantCallbackGroup, clock_age: Callable[[Any], float]) -> None:
+    def __init__(self, node: Node, clock_age: Callable[[Any], float]) -> None:
         self._lock = threading.Lock()
         self._replies: list[Reply] = []
         self._refusal = ""
@@ -45,14 +44,14 @@ class Services:
         self._wanted = False
         self._wish = 0  # counts changes of it: an answer to an earlier wish says nothing about the present one
         self._clients: dict[Service, Any] = {
-            Service.TORQUE_ON: node.create_client(SetBool, "set_torque", callback_group=group),
-            Service.TARE: node.create_client(Trigger, "tare", callback_group=group),
-            Service.PROBE: node.create_client(Probe, "probe", callback_group=group),
-            Service.ESTIMATE: node.create_client(PredictMisalignment, "predict_misalignment", callback_group=group),
-            Service.DETECT: node.create_client(DetectElectrodes, "detect_electrodes", callback_group=group),
+            Service.TORQUE_ON: node.create_client(SetBool, "set_torque"),
+            Service.TARE: node.create_client(Trigger, "tare"),
+            Service.PROBE: node.create_client(Probe, "probe"),
+            Service.ESTIMATE: node.create_client(PredictMisalignment, "predict_misalignment"),
+            Service.DETECT: node.create_client(DetectElectrodes, "detect_electrodes"),
         }
         self._clients[Service.TORQUE_OFF] = self._clients[Service.TORQUE_ON]
-        self._contactor: Any = node.create_client(SetContactor, "set_contactor", callback_group=group)
+        self._contactor: Any = node.create_client(SetContactor, "set_contactor")
         self._clients[Service.OPEN] = self._contactor
 
     def call(self, request: Request) -> None:

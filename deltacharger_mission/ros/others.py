@@ -14,7 +14,6 @@ from deltacharger.action import Dock, Undock
 from deltacharger.msg import DockingState
 from deltacharger.srv import DetectElectrodes
 from rclpy.action.client import ActionClient
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -52,7 +51,6 @@ class ActionCaller:
         node: that it belongs to.
         kind: the action.
         name: its name.
-        group: of the callbacks.
         put: takes the reply.
         read: makes the reply of number, end, result message and latest feedback.
     """
@@ -62,11 +60,10 @@ class ActionCaller:
         node: Node,
         kind: Any,
         name: str,
-        group: ReentrantCallbackGroup,
         put: Put,
         read: Callable[[int, End, Any, Any], Reply],
     ) -> None:
-        self._client: ActionClient[Any, Any, Any] = ActionClient(node, kind, name, callback_group=group)
+        self._client: ActionClient[Any, Any, Any] = ActionClient(node, kind, name)
         self._put = put
         self._read = read
         self._lock = threading.RLock()
@@ -156,8 +153,8 @@ class ActionCaller:
 class Detector:
     """Calls detect_electrodes, as `ActionCaller` does an action."""
 
-    def __init__(self, node: Node, group: ReentrantCallbackGroup, put: Put) -> None:
-        self._client: Any = node.create_client(DetectElectrodes, "detect_electrodes", callback_group=group)
+    def __init__(self, node: Node, put: Put) -> None:
+        self._client: Any = node.create_client(DetectElectrodes, "detect_electrodes")
         self._put = put
 
     @property
@@ -193,24 +190,21 @@ class Others:
     """
 
     def __init__(self, node: Node, navigate_to_pose: Any, trees: tuple[str, str]) -> None:
-        group = ReentrantCallbackGroup()
         self._navigate_to_pose = navigate_to_pose
         self._trees = trees
         self._lock = threading.Lock()
         self._replies: list[Reply] = []
         self._docking: Docking | None = None
         self.dock_result = unknown_dock()
-        self._detector = Detector(node, group, self._put)
+        self._detector = Detector(node, self._put)
         self._callers = {
-            Task.DOCK: ActionCaller(node, Dock, "dock", group, self._put, self._read_dock),
-            Task.UNDOCK: ActionCaller(node, Undock, "undock", group, self._put, read_undock),
+            Task.DOCK: ActionCaller(node, Dock, "dock", self._put, self._read_dock),
+            Task.UNDOCK: ActionCaller(node, Undock, "undock", self._put, read_undock),
         }
         if navigate_to_pose is not None:
-            self._callers[Task.DRIVE] = ActionCaller(
-                node, navigate_to_pose, "navigate_to_pose", group, self._put, read_drive
-            )
+            self._callers[Task.DRIVE] = ActionCaller(node, navigate_to_pose, "navigate_to_pose", self._put, read_drive)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        node.create_subscription(DockingState, "docking_state", self._on_state, latched, callback_group=group)
+        node.create_subscription(DockingState, "docking_state", self._on_state, latched)
 
     @property
     def is_at_work(self) -> bool:

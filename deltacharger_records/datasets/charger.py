@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.time import Time
@@ -60,8 +59,8 @@ class RecordingCharger(ArmGuest):
         self.names = {topic.name: self.node.resolve_topic_name(topic.name) for topic in TOPICS}
         self.tape = Tape(self.names["docking_state"])
         self._inputs = Inputs(self.node)
-        self._calls = Services(self.node, ReentrantCallbackGroup(), self._age)
-        listen(self.node, TOPICS, self.tape.take, None)
+        self._calls = Services(self.node, self._age)
+        listen(self.node, TOPICS, self.tape.take)
         self._tare: Any = self.node.create_client(Trigger, "tare")
         self.serve()
 

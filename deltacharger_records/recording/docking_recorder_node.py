@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger.action import Dock, Undock
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
 from deltacharger_core import environment
@@ -71,9 +70,8 @@ class DockingRecorderNode(Node):
         self._asked: deque[bytes] = deque(maxlen=_GOALS_MAX)
         self._told: deque[Callable[[], None]] = deque()
         self._stopping = threading.Event()
-        group = ReentrantCallbackGroup()
         self._results: dict[str, Any] = {
-            action: self.create_client(kind.Impl.GetResultService, f"{action}/_action/get_result", callback_group=group)
+            action: self.create_client(kind.Impl.GetResultService, f"{action}/_action/get_result")
             for action, kind in zip(ACTIONS, (Dock, Undock), strict=True)
         }
         self._docking_parameters = ParameterReader(self, "docking_node")

@@ -66,9 +66,7 @@ class MockServoNode(Node):
         self._joints = self.create_publisher(JointState, "joint_states", qos.DEFAULT_DEPTH)
         self._diagnostics = Diagnostics(self)
         group = ReentrantCallbackGroup()
-        self.create_subscription(
-            JointTrajectory, "joint_trajectory", self._on_trajectory, qos.LATEST, callback_group=group
-        )
+        self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, qos.LATEST)
         self.create_service(SetBool, "set_torque", self._on_torque, callback_group=group)
         self.create_service(Trigger, "reboot_servos", self._on_reboot, callback_group=group)
         self._stop = threading.Event()

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from deltacharger.msg import ElectrodeDetection
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
@@ -72,7 +71,6 @@ class Camera:
         self._node = node
         self._matcher: StampMatcher[Image, Image] = StampMatcher(round(1e9 * tolerance))
         self._tolerance = tolerance
-        self._group = MutuallyExclusiveCallbackGroup()
         self._news = threading.Condition()
         self._watchers = 0
         self._subscriptions: list[Any] = []
@@ -149,9 +147,7 @@ class Camera:
         takers = (self._on_color, self._on_depth, self._on_info)
         for name, kind, take in zip(self.names, kinds, takers, strict=True):
             self._subscriptions.append(
-                self._node.create_subscription(
-                    kind, name, self._listener(name, take), qos_profile_sensor_data, callback_group=self._group
-                )
+                self._node.create_subscription(kind, name, self._listener(name, take), qos_profile_sensor_data)
             )
 
     def _listener(self, name: str, take: Callable[[Any], None]) -> Callable[[Any], None]:

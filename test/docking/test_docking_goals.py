@@ -15,7 +15,6 @@ from deltacharger.msg import ChargerPower, ServoState
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.action.client import ActionClient
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool
@@ -176,8 +175,8 @@ def node(context: Any, namespace: str) -> Iterator[Node]:
 
 
 def test_torque_on_never_overtakes_torque_off_when_servo_node_comes_late(node: Node) -> None:
-    group, heard = ReentrantCallbackGroup(), list[bool]()
-    services = Services(node, group, lambda stamp: 0.0)
+    heard = list[bool]()
+    services = Services(node, lambda stamp: 0.0)
     services.call(Request(1, Service.TORQUE_ON))
     node.create_service(SetBool, "set_torque", lambda request, answer: _hear(heard, request, answer))
     client = services._clients[Service.TORQUE_ON]
@@ -188,8 +187,8 @@ def test_torque_on_never_overtakes_torque_off_when_servo_node_comes_late(node: N
 
 
 def test_what_a_goal_that_failed_had_asked_for_is_not_sent_any_more(node: Node) -> None:
-    group, heard = ReentrantCallbackGroup(), list[bool]()
-    services = Services(node, group, lambda stamp: 0.0)
+    heard = list[bool]()
+    services = Services(node, lambda stamp: 0.0)
     services.call(Request(1, Service.TORQUE_ON))
     services.call(Request(2, Service.TORQUE_OFF))
     services.forget()

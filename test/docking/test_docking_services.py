@@ -31,7 +31,7 @@ def node(context: Any, namespace: str) -> Iterator[Node]:
 
 @pytest.fixture
 def services(node: Node) -> Services:
-    return Services(node, ReentrantCallbackGroup(), lambda stamp: 0.0)
+    return Services(node, lambda stamp: 0.0)
 
 
 def reply(services: Services) -> Reply:

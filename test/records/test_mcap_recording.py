@@ -123,7 +123,7 @@ def test_what_comes_over_a_topic_is_kept(context: Any) -> None:
 
     node = Node("listener", context=context, namespace=namespace, use_global_arguments=False)
     topics = [Topic("tactile_frame", TactileFrame, qos.SENSOR), Topic("docking_state", DockingState, qos.STATE)]
-    listen(node, topics, take, None)
+    listen(node, topics, take)
     frames = node.create_publisher(TactileFrame, "tactile_frame", qos.SENSOR)
     states = node.create_publisher(DockingState, "docking_state", qos.STATE)
     spinner = Spinner(node)

@@ -46,7 +46,7 @@ def docking(tmp_path_factory: pytest.TempPathFactory, context: Any, quick_scene:
     namespace, came = new_namespace(), list[Raw]()
     with Composition(quick_scene, context, namespace), ChargerClient(namespace, context) as client:
         node = Node("recorder", context=context, namespace=namespace, use_global_arguments=False)
-        listen(node, TOPICS, came.append, None)
+        listen(node, TOPICS, came.append)
         spinner = Spinner(node)
         try:
             assert client.wait_until_ready(DEADLINE)
