@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import functools
+import os
 import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future as Job
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Any
-from weakref import WeakKeyDictionary
+from typing import Any, TextIO
 
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.exceptions import InvalidHandle
@@ -42,7 +44,7 @@ class Spinner:
         self._pools: dict[Any, ThreadPoolExecutor] = {}
         self._jobs: set[Job[None]] = set()
         self._lock = threading.Lock()
-        with contextlib.redirect_stderr(sys.__stderr__):  # for its faulthandler, which needs a real file
+        with contextlib.redirect_stderr(sys.__stderr__ or _nowhere()):  # its faulthandler needs a real file
             self._events = EventsExecutor(context=node.context)
         served: Any = _Served(node, self._answer, self.wake)
         self._events.add_node(served)
@@ -50,6 +52,7 @@ class Spinner:
         node.executor = executor
         self._thread = threading.Thread(target=self._spin, name=f"spin {node.get_name()}", daemon=True)
         self._thread.start()
+        atexit.register(self._end)  # a thread that serves while Python ends would abort the process
 
     def is_alive(self) -> bool:
         """Whether callbacks are still served."""
@@ -63,7 +66,7 @@ class Spinner:
                 closer()
         finally:
             self._end()
-            self._thread.join(_LAST)
+            atexit.unregister(self._end)
             self._events.shutdown(_LAST)
             with self._lock:
                 jobs, pools = set(self._jobs), list(self._pools.values())
@@ -85,6 +88,8 @@ class Spinner:
         def run() -> None:
             task()
             task.result()
+            if not task.done():
+                raise TypeError("the callback of a goal may wait, but not await")
 
         self._submit(None, run)
         return task
@@ -104,6 +109,11 @@ class Spinner:
             raise self._failure
 
     def _end(self) -> None:
+        """Serve no longer, and wait for the callback that is served now."""
+        self._halt()
+        self._thread.join(_LAST)
+
+    def _halt(self) -> None:
         if not self._stop.done():
             self._stop.set_result(None)
 
@@ -123,7 +133,7 @@ class Spinner:
             if isinstance(error, InvalidHandle) and self._stop.done():
                 return  # nobody is left to be answered
             self._failure = error
-            self._end()
+            self._halt()
 
     def _answer(self, service: Any, request: Any, response: Any, header: Any) -> None:
         """Let a worker of its group serve a request."""
@@ -141,7 +151,7 @@ class _Served:
         self._node = node
         self._answer = answer
         self._look_again = look_again
-        self._deferred: WeakKeyDictionary[Any, _Deferred] = WeakKeyDictionary()
+        self._deferred: dict[Any, _Deferred] = {}
         self.executor: Any = None
         self.get_logger = node.get_logger
 
@@ -159,7 +169,11 @@ class _Served:
 
     @property
     def services(self) -> list[Any]:
-        return [self._defer(service) for service in _executable(self._node.services)]
+        services = _executable(self._node.services)
+        waiting = [service for service in services if isinstance(service.callback_group, ReentrantCallbackGroup)]
+        known = self._deferred
+        self._deferred = {each: known.get(each) or _Deferred(each, self._answer) for each in waiting}
+        return [self._deferred.get(service, service) for service in services]
 
     @property
     def waitables(self) -> list[Any]:
@@ -177,12 +191,10 @@ class _Served:
     def guards(self) -> list[Any]:
         return list(self._node.guards)
 
-    def _defer(self, service: Any) -> Any:
-        if not isinstance(service.callback_group, ReentrantCallbackGroup):
-            return service
-        if service not in self._deferred:
-            self._deferred[service] = _Deferred(service, self._answer)
-        return self._deferred[service]
+
+@functools.cache
+def _nowhere() -> TextIO:
+    return open(os.devnull, "w")
 
 
 def _executable(entities: Any) -> list[Any]:

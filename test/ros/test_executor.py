@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -215,6 +217,28 @@ def test_a_service_that_raises_in_its_worker_ends_the_spinner(node: Node, quiet:
         wait_until(lambda: not spinner.is_alive(), "the end of the spinner")
     finally:
         spinner.close()
+
+
+def test_a_program_that_closes_nothing_ends_well() -> None:
+    """Also where messages pour in meanwhile."""
+    code = """
+import threading, rclpy
+from rclpy.node import Node
+from std_msgs.msg import Empty
+from deltacharger_ros.executor import Spinner
+rclpy.init(args=[])
+node, heard = Node("subject"), threading.Semaphore(0)
+node.create_subscription(Empty, "topic", lambda message: heard.release(), 10)
+publisher = node.create_publisher(Empty, "topic", 10)
+spinner = Spinner(node)
+def pour():
+    while True:
+        publisher.publish(Empty())
+threading.Thread(target=pour, daemon=True).start()
+heard.acquire()
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=DEADLINE, check=False)
+    assert ended.returncode == 0, ended.stderr.decode()
 
 
 def test_the_shutdown_of_ros_ends_the_spinner(namespace: str) -> None:
