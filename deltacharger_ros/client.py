@@ -20,7 +20,6 @@ from types import TracebackType
 from typing import Any
 
 import rclpy
-from builtin_interfaces.msg import Duration
 from deltacharger.action import Dock, Undock
 from rclpy.action.client import ActionClient
 from rclpy.context import Context
@@ -28,20 +27,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from deltacharger_ros.executor import Spinner
-from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
-
-_CODE_NAMES = """
-    NONE REJECTED CANCELED TIMEOUT ELECTRODES_NOT_FOUND DETECTION_STALE UNREACHABLE NO_CONTACT OVERCURRENT SERVO_FAULT
-    STUCK NO_TACTILE_CONTACT TACTILE_STALE CRITICAL_ANGLE ESTIMATE_UNSURE MISALIGNED NO_CHARGE_CURRENT SHORT_CIRCUIT
-    POWER_STALE REVERSE_POLARITY VOLTAGE_OUT_OF_RANGE REVERSE_CURRENT CONTACTOR_WELDED INTERNAL
-"""
-_STATE_NAMES = "IDLE LOCATE APPROACH BACK_OFF CONTACT MEASURE ALIGN ENERGISE CHARGING RETRACT"
-
-CODES: dict[int, str] = {getattr(Dock.Result, name): name for name in _CODE_NAMES.split()}
-"""Names of the result codes."""
-
-PHASES: dict[int, str] = {getattr(Dock.Feedback, f"STATE_{name}"): name.lower() for name in _STATE_NAMES.split()}
-"""Names of the states, lower case."""
+from deltacharger_ros.messages import duration, fill_pose, to_outcome, to_progress
+from deltacharger_ros.outcomes import DockRequest, Outcome, Progress
 
 _INPUTS = ("servo_state", "tactile_frame", "charger_power")
 _LOST_AFTER = 5.0  # s without an action server in the graph before a running goal counts as lost
@@ -154,7 +141,7 @@ class ChargerClient:
         goal.start_charging = request.start_charging
         goal.hold = request.hold
         goal.stop_energy = float(request.stop_energy)
-        goal.stop_after = to_duration(request.stop_after)
+        goal.stop_after = duration(request.stop_after)
         goal.request_id = request.request_id
         return self._execute("dock", self._dock, goal, on_progress, cancel, deadline, give_up)
 
@@ -184,7 +171,7 @@ class ChargerClient:
 
         def on_feedback(message: Any) -> None:
             if on_progress is not None:
-                on_progress(_progress(message.feedback, time.monotonic() - started))
+                on_progress(to_progress(message.feedback, time.monotonic() - started))
 
         running = _Goal(client, goal, on_feedback)
         stop = cancel or threading.Event()
@@ -273,83 +260,3 @@ class _Goal:
             self.finished.set()
             return None
         return future.result()
-
-
-def fill_pose(message: Any, pose: Pose) -> None:
-    """Write `pose` into a geometry_msgs/PoseStamped; its stamp stays 0, which no age check applies to."""
-    message.header.frame_id = pose.frame_id
-    message.pose.position.x = float(pose.x)
-    message.pose.position.y = float(pose.y)
-    message.pose.position.z = float(pose.z)
-    message.pose.orientation.z = math.sin(0.5 * pose.roll)
-    message.pose.orientation.w = math.cos(0.5 * pose.roll)
-
-
-def to_duration(seconds: float) -> Duration:
-    """Return `seconds` (0 or more) as a message."""
-    whole = math.floor(seconds)
-    return Duration(sec=int(whole), nanosec=min(round((seconds - whole) * 1e9), 999_999_999))
-
-
-def from_duration(message: Any) -> float:
-    """Return a Duration message in seconds."""
-    return float(message.sec) + 1e-9 * float(message.nanosec)
-
-
-def _progress(feedback: Any, elapsed: float) -> Progress:
-    misalignment = getattr(feedback, "misalignment", None)
-    return Progress(
-        time=elapsed,
-        phase=PHASES.get(feedback.state, f"state {feedback.state}"),
-        z=feedback.z,
-        contact_current=getattr(feedback, "contact_current", math.nan),
-        charge_current=getattr(feedback, "charge_current", math.nan),
-        alignments=getattr(feedback, "alignments", 0),
-        horizontal=math.nan if misalignment is None else misalignment.horizontal,
-        vertical=math.nan if misalignment is None else misalignment.vertical,
-        angle=math.nan if misalignment is None else misalignment.angle,
-    )
-
-
-def to_outcome(action: str, result: Any) -> Outcome:
-    """Return a result of the action "dock" or "undock" as plain data."""
-    return Outcome(
-        action=action,
-        success=result.success,
-        error_code=result.error_code,
-        error_name=CODES.get(result.error_code, "UNKNOWN"),
-        error_message=result.error_message,
-        retriable=result.retriable,
-        elapsed=from_duration(result.elapsed),
-        details=_dock_details(result) if action == "dock" else {},
-    )
-
-
-def _dock_details(result: Any) -> dict[str, Any]:
-    felt = result.misalignment
-    suggested = result.suggested_base_pose
-    position = suggested.pose.position
-    return {
-        "aligned": result.aligned,
-        "alignments": result.alignments,
-        "misalignment": {
-            "horizontal": felt.horizontal,
-            "horizontal_stddev": felt.horizontal_stddev,
-            "vertical": felt.vertical,
-            "vertical_stddev": felt.vertical_stddev,
-            "angle": felt.angle,
-            "angle_stddev": felt.angle_stddev,
-            "sure": felt.sure,
-            "in_range": felt.in_range,
-        },
-        "contact_current": result.contact_current,
-        "contact_force": result.contact_force,
-        "charge_current": result.charge_current,
-        "energy": result.energy,
-        "suggested_base_pose": {
-            "frame_id": suggested.header.frame_id,
-            "position": [position.x, position.y, position.z],
-        }
-        if suggested.header.frame_id
-        else None,
-    }

@@ -21,6 +21,7 @@ from deltacharger_docking.observation import DockGoal, Observation, Outcome, Sta
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.reports import changes
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
+from deltacharger_ros.messages import duration, seconds
 
 _ANSWER = 1.0  # s to see a goal's callback end when the node closes
 _FEEDBACK = 0.2  # s between feedbacks without a change
@@ -157,7 +158,7 @@ class Goals:
             message.alignments = status.alignments
             message.contact_current = status.contact_current
             message.misalignment = self._misalignment(status.estimate)
-            message.elapsed = io.duration(status.elapsed)
+            message.elapsed = duration(status.elapsed)
         else:
             message.charge_current = charge_current
         goal.feed_back(message)
@@ -208,7 +209,7 @@ class Goals:
             start_charging=request.start_charging,
             hold=request.hold,
             stop_energy=request.stop_energy,
-            stop_after=io.seconds(request.stop_after),
+            stop_after=seconds(request.stop_after),
             request_id=request.request_id,
         )
 
@@ -225,7 +226,7 @@ class Goals:
             contact_force=outcome.contact_force,
             charge_current=outcome.charge_current,
             energy=outcome.energy,
-            elapsed=io.duration(outcome.elapsed),
+            elapsed=duration(outcome.elapsed),
             suggested_base_pose=io.pose_stamped(outcome.suggested_base, self._node.get_clock().now().to_msg()),
         )
 
@@ -236,7 +237,7 @@ def _undock_result(outcome: Outcome) -> Undock.Result:
         error_code=int(outcome.code),
         error_message="" if outcome.success else outcome.message,
         retriable=outcome.retriable,
-        elapsed=io.duration(outcome.elapsed),
+        elapsed=duration(outcome.elapsed),
     )
 
 

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Duration
 from deltacharger.msg import Misalignment
 from geometry_msgs.msg import Pose, PoseStamped
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -19,6 +18,7 @@ from deltacharger_docking.clearance import Estimate
 from deltacharger_docking.codes import Rejected
 from deltacharger_docking.observation import Detection, Waypoint
 from deltacharger_kinematics.geometry import Vector
+from deltacharger_ros.messages import duration
 
 _QUOTED = 60  # characters of what a client sent that a message repeats
 _UNIT = (0.9, 1.1)  # norm of a quaternion that somebody meant
@@ -49,17 +49,6 @@ def unknown() -> Misalignment:
         setattr(message, f"{name}_stddev", math.nan)
     message.left_force = message.right_force = math.nan
     return message
-
-
-def duration(seconds: float) -> Duration:
-    """Return s as a Duration."""
-    whole = math.floor(seconds)
-    return Duration(sec=int(whole), nanosec=int((seconds - whole) * 1e9))
-
-
-def seconds(value: Duration) -> float:
-    """Return a Duration in s."""
-    return float(value.sec) + float(value.nanosec) * 1e-9
 
 
 def trajectory(waypoints: Sequence[Waypoint], stamp: Any) -> JointTrajectory:

@@ -17,7 +17,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from deltacharger_docking.clearance import Estimate
 from deltacharger_docking.observation import Detection, Reply, Request, Service
-from deltacharger_docking.ros.messages import duration, estimate, unknown
+from deltacharger_docking.ros.messages import estimate, unknown
+from deltacharger_ros.messages import duration
 
 LEASE = 0.25  # s; longest lease that tactile_node grants
 _RENEWAL = 0.1  # s between renewals of the lease

@@ -37,6 +37,7 @@ from deltacharger_driver.parameters import TactileNodeParameters
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 
 _RELIABLE_LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
@@ -133,7 +134,7 @@ class TactileNode(Node):
             if not request.close:
                 guard.open()
                 return "opened"
-            lasts = guard.close(request.holder, request.lease.sec + request.lease.nanosec * 1e-9)
+            lasts = guard.close(request.holder, seconds(request.lease))
             return f"closed for {lasts:.3f} s; renew it before"
 
         return self._served(response, switch)

@@ -21,6 +21,7 @@ from deltacharger_core.machine import JOINTS
 from deltacharger_driver.servos.report import ServoReport
 from deltacharger_driver.servos.trajectory import Waypoint
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
+from deltacharger_ros.messages import seconds
 from deltacharger_ros.on_demand import LatestMessage
 
 _FRAME = "charger_base"
@@ -128,8 +129,7 @@ class StatePublishers:
 
 def waypoint(point: JointTrajectoryPoint) -> Waypoint:
     """Return a point of a message."""
-    time_from_start = point.time_from_start.sec + point.time_from_start.nanosec * 1e-9
-    return Waypoint(time_from_start, point.positions, point.effort)
+    return Waypoint(seconds(point.time_from_start), point.positions, point.effort)
 
 
 def age(node: Node, stamp: Any) -> float:

@@ -11,10 +11,11 @@ from deltacharger.action import Dock
 from geometry_msgs.msg import PoseStamped
 
 from deltacharger_docking.codes import Code, Rejected
-from deltacharger_docking.ros.messages import seconds, unknown
+from deltacharger_docking.ros.messages import unknown
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.dialogue import End, Goal, Reply
 from deltacharger_mission.places import Place
+from deltacharger_ros.messages import seconds
 
 
 def read_dock(number: int, end: End, result: Any) -> Reply:

@@ -18,7 +18,6 @@ from deltacharger.action import ChargeRobot
 from rclpy.node import Node
 
 from deltacharger_docking.codes import Busy, Code, DockingError, Rejected
-from deltacharger_docking.ros.messages import duration
 from deltacharger_mission.dialogue import Outcome, Stage
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
@@ -28,6 +27,7 @@ from deltacharger_mission.ros.others import Others
 from deltacharger_ros import node_support
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
 from deltacharger_ros.diagnostics import OK, WARN, Diagnostics
+from deltacharger_ros.messages import duration
 from deltacharger_ros.parameters import declare_all, reject_unknown
 
 _TICK = 0.05  # s

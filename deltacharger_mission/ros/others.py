@@ -18,9 +18,9 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_docking.codes import State
-from deltacharger_docking.ros.messages import duration
 from deltacharger_mission.dialogue import Docking, End, Observation, Reply, Request, Task
 from deltacharger_mission.ros.messages import fill_pose, read_dock, read_drive, read_undock, unknown_dock, vector
+from deltacharger_ros.messages import duration
 
 _LOST_AFTER = 5.0  # s without a server in the graph before what it served counts as lost
 _ENDS = {

@@ -28,8 +28,8 @@ from deltacharger_records.recording.docking_topics import ACTIONS, STATE, TOPICS
 from deltacharger_records.recording.folder import RecordFolder
 from deltacharger_records.recording.mcap_recording import schema_text
 from deltacharger_ros import node_support
-from deltacharger_ros.client import to_outcome
 from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
+from deltacharger_ros.messages import to_outcome
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.raw_topics import PolledTopics
 

@@ -17,7 +17,7 @@ from deltacharger_records.recording.folder import ABOUT, END, RESULT
 from deltacharger_records.replay.file import Recording
 from deltacharger_records.replay.run_builder import RunBuilder
 from deltacharger_records.replay.run_record import Run
-from deltacharger_ros.client import CODES, PHASES
+from deltacharger_ros.messages import CODES, PHASES
 from deltacharger_ros.outcomes import Outcome
 
 

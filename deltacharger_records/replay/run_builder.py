@@ -15,7 +15,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.replay.run_record import Decided, Run, Touch
-from deltacharger_ros.client import PHASES
+from deltacharger_ros.messages import PHASES
 
 _MEASURED = (
     *("horizontal_m", "vertical_m", "angle_rad"),

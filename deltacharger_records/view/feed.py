@@ -20,7 +20,7 @@ from deltacharger_records.recording.docking_topics import TOPICS as RECORDED
 from deltacharger_records.view.log import ViewLog
 from deltacharger_records.view.pictures import pad_picture
 from deltacharger_ros import qos
-from deltacharger_ros.client import CODES, PHASES
+from deltacharger_ros.messages import CODES, PHASES
 from deltacharger_ros.raw_topics import Topic
 
 SERVOS, PADS, POWER, FELT, SEEN = (

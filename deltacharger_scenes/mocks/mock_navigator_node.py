@@ -25,12 +25,12 @@ from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
-from deltacharger_docking.ros.messages import duration
 from deltacharger_mission.places import Place
 from deltacharger_mission.ros.messages import fill_pose
 from deltacharger_mission.ros.messages import place as read_place
 from deltacharger_mission.ros.mission_node import load_navigation
 from deltacharger_ros import node_support
+from deltacharger_ros.messages import duration
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import NAVIGATOR_FAULTS, MockNavigatorNodeParameters

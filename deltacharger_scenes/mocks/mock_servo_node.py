@@ -37,6 +37,7 @@ from deltacharger_core.machine import (
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.diagnostics import WARN, Diagnostics
+from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_scenes.mocks.arm import MockArm
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
@@ -178,7 +179,7 @@ class MockServoNode(Node):
             self._plan_start = (now, list(self._arm.goals))
             self._plan = [
                 (
-                    now + point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec,
+                    now + seconds(point.time_from_start),
                     [point.positions[index] for index in order],
                     [point.effort[index] / TORQUE_CONSTANT for index in order]
                     if len(point.effort)
@@ -206,7 +207,7 @@ class MockServoNode(Node):
                 return "a position or effort is not a usable number"
             if not all(self._joint_min <= angle <= self._joint_max for angle in point.positions):
                 return "an angle is outside the joint limits"
-            end = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+            end = seconds(point.time_from_start)
             if end < previous:
                 return "the points are not in the order of their times"
             previous = end

@@ -38,6 +38,7 @@ from deltacharger_core.machine import CONTACT_FORCE, GRAVITY, PADS, TORQUE_CONST
 from deltacharger_driver.board.contactor_lease import LeaseRefused
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
+from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import POWER_FAULTS, TACTILE_FAULTS, MockTactileNodeParameters
@@ -226,7 +227,7 @@ class MockTactileNode(Node):
                 response.message = problem
                 return response
             try:
-                lease = request.lease.sec + 1e-9 * request.lease.nanosec
+                lease = seconds(request.lease)
                 self._power.close(request.holder, lease, time.monotonic())
             except LeaseRefused as refusal:
                 response.message = str(refusal)

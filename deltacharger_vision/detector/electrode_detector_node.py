@@ -27,6 +27,7 @@ from sensor_msgs.msg import Image
 
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector
@@ -89,7 +90,7 @@ class ElectrodeDetectorNode(Node):
     def _on_detect(
         self, request: DetectElectrodes.Request, response: DetectElectrodes.Response
     ) -> DetectElectrodes.Response:
-        limit = request.timeout.sec + 1e-9 * request.timeout.nanosec
+        limit = seconds(request.timeout)
         if limit < 0.0:
             response.message = f"timeout is {limit:g} s; give 0 for the default of {self._timeout:g} s, or more"
             return response

@@ -16,7 +16,7 @@ import pytest
 from rclpy.clock import ROSClock
 from rclpy.time import Time
 
-from deltacharger_ros.client import CODES
+from deltacharger_ros.messages import CODES
 from deltacharger_ros.outcomes import Progress
 from deltacharger_scenes.scene import Scene
 

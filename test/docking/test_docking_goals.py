@@ -23,8 +23,9 @@ from deltacharger_docking.codes import State
 from deltacharger_docking.observation import Request, Service
 from deltacharger_docking.ros.reports import changes
 from deltacharger_docking.ros.services import Services
-from deltacharger_ros.client import ChargerClient, fill_pose
+from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.executor import Spinner
+from deltacharger_ros.messages import fill_pose
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene

@@ -24,6 +24,7 @@ from deltacharger_docking.ros import messages as io
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_ros.client import ChargerClient, ClientError
+from deltacharger_ros.messages import seconds
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import load_scene
@@ -47,7 +48,7 @@ def test_a_line_is_sent_with_positions_velocities_and_efforts_and_ends_at_rest()
         assert tuple(point.positions) == waypoint.angles
         assert tuple(point.velocities) == waypoint.velocities
         assert tuple(point.effort) == waypoint.torque_bound
-        assert abs(io.seconds(point.time_from_start) - waypoint.time) < 1e-8
+        assert abs(seconds(point.time_from_start) - waypoint.time) < 1e-8
     assert list(message.points[-1].velocities) == [0.0, 0.0, 0.0]
     assert max(message.points[len(message.points) // 2].velocities) > 0.5
 

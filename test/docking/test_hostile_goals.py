@@ -17,7 +17,8 @@ from builtin_interfaces.msg import Duration
 from deltacharger.action import Dock, Undock
 from rclpy.action.client import ActionClient
 
-from deltacharger_ros.client import CODES, ChargerClient
+from deltacharger_ros.client import ChargerClient
+from deltacharger_ros.messages import CODES
 from deltacharger_ros.outcomes import DockRequest, Pose
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene

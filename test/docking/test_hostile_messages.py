@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from deltacharger.msg import ServoState
 
-from deltacharger_ros.client import CODES
+from deltacharger_ros.messages import CODES
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import wait_until

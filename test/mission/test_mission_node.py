@@ -23,11 +23,11 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from deltacharger_core.yaml_file import read_yaml
-from deltacharger_docking.ros.messages import duration
 from deltacharger_mission.dialogue import Stage
 from deltacharger_mission.places import Place
-from deltacharger_ros.client import CODES, ChargerClient
+from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.executor import Spinner
+from deltacharger_ros.messages import CODES, duration
 from deltacharger_ros.node_support import StartupError
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene, load_scene, parse_scene

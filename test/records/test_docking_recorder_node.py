@@ -26,8 +26,9 @@ from deltacharger_records.recording.folder import PARTIAL
 from deltacharger_records.replay.record import Replay, replay
 from deltacharger_records.replay.words import why
 from deltacharger_ros import qos
-from deltacharger_ros.client import PHASES, ChargerClient
+from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.executor import Spinner
+from deltacharger_ros.messages import PHASES
 from deltacharger_ros.node_support import StartupError
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_scenes.composition import Composition

@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from deltacharger.msg import DockingState
 
-from deltacharger_ros.client import CODES
+from deltacharger_ros.messages import CODES
 
 from ..chargers import new_namespace, wait_until
 from .killed import NODE_NAMES, Rig

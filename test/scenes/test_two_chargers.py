@@ -16,7 +16,8 @@ from deltacharger.msg import ChargerPower, DockingState, ServoState
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from deltacharger_ros.client import CODES, ChargerClient
+from deltacharger_ros.client import ChargerClient
+from deltacharger_ros.messages import CODES
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene

@@ -16,7 +16,8 @@ from deltacharger.msg import DockingState, ServoState, TactileFrame
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
-from deltacharger_ros.client import CODES, ChargerClient
+from deltacharger_ros.client import ChargerClient
+from deltacharger_ros.messages import CODES
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import parse_scene

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Between messages and plain values, for more than one package: durations, goals, feedback, results."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from builtin_interfaces.msg import Duration
+from deltacharger.action import Dock
+
+from deltacharger_ros.outcomes import Outcome, Pose, Progress
+
+_CODE_NAMES = """
+    NONE REJECTED CANCELED TIMEOUT ELECTRODES_NOT_FOUND DETECTION_STALE UNREACHABLE NO_CONTACT OVERCURRENT SERVO_FAULT
+    STUCK NO_TACTILE_CONTACT TACTILE_STALE CRITICAL_ANGLE ESTIMATE_UNSURE MISALIGNED NO_CHARGE_CURRENT SHORT_CIRCUIT
+    POWER_STALE REVERSE_POLARITY VOLTAGE_OUT_OF_RANGE REVERSE_CURRENT CONTACTOR_WELDED INTERNAL
+"""
+_STATE_NAMES = "IDLE LOCATE APPROACH BACK_OFF CONTACT MEASURE ALIGN ENERGISE CHARGING RETRACT"
+
+CODES: dict[int, str] = {getattr(Dock.Result, name): name for name in _CODE_NAMES.split()}
+"""Names of the result codes."""
+
+PHASES: dict[int, str] = {getattr(Dock.Feedback, f"STATE_{name}"): name.lower() for name in _STATE_NAMES.split()}
+"""Names of the states, lower case."""
+
+
+def fill_pose(message: Any, pose: Pose) -> None:
+    """Write `pose` into a geometry_msgs/PoseStamped; its stamp stays 0, which no age check applies to."""
+    message.header.frame_id = pose.frame_id
+    message.pose.position.x = float(pose.x)
+    message.pose.position.y = float(pose.y)
+    message.pose.position.z = float(pose.z)
+    message.pose.orientation.z = math.sin(0.5 * pose.roll)
+    message.pose.orientation.w = math.cos(0.5 * pose.roll)
+
+
+def duration(length: float) -> Duration:
+    """Return s as a message."""
+    whole = math.floor(length)
+    return Duration(sec=int(whole), nanosec=min(round((length - whole) * 1e9), 999_999_999))
+
+
+def seconds(message: Any) -> float:
+    """Return a Duration message in s."""
+    return float(message.sec) + 1e-9 * float(message.nanosec)
+
+
+def to_progress(feedback: Any, elapsed: float) -> Progress:
+    """Return a feedback message, heard `elapsed` s after the goal was sent, as plain data."""
+    misalignment = getattr(feedback, "misalignment", None)
+    return Progress(
+        time=elapsed,
+        phase=PHASES.get(feedback.state, f"state {feedback.state}"),
+        z=feedback.z,
+        contact_current=getattr(feedback, "contact_current", math.nan),
+        charge_current=getattr(feedback, "charge_current", math.nan),
+        alignments=getattr(feedback, "alignments", 0),
+        horizontal=math.nan if misalignment is None else misalignment.horizontal,
+        vertical=math.nan if misalignment is None else misalignment.vertical,
+        angle=math.nan if misalignment is None else misalignment.angle,
+    )
+
+
+def to_outcome(action: str, result: Any) -> Outcome:
+    """Return a result of the action "dock" or "undock" as plain data."""
+    return Outcome(
+        action=action,
+        success=result.success,
+        error_code=result.error_code,
+        error_name=CODES.get(result.error_code, "UNKNOWN"),
+        error_message=result.error_message,
+        retriable=result.retriable,
+        elapsed=seconds(result.elapsed),
+        details=_dock_details(result) if action == "dock" else {},
+    )
+
+
+def _dock_details(result: Any) -> dict[str, Any]:
+    felt = result.misalignment
+    suggested = result.suggested_base_pose
+    position = suggested.pose.position
+    return {
+        "aligned": result.aligned,
+        "alignments": result.alignments,
+        "misalignment": {
+            "horizontal": felt.horizontal,
+            "horizontal_stddev": felt.horizontal_stddev,
+            "vertical": felt.vertical,
+            "vertical_stddev": felt.vertical_stddev,
+            "angle": felt.angle,
+            "angle_stddev": felt.angle_stddev,
+            "sure": felt.sure,
+            "in_range": felt.in_range,
+        },
+        "contact_current": result.contact_current,
+        "contact_force": result.contact_force,
+        "charge_current": result.charge_current,
+        "energy": result.energy,
+        "suggested_base_pose": {
+            "frame_id": suggested.header.frame_id,
+            "position": [position.x, position.y, position.z],
+        }
+        if suggested.header.frame_id
+        else None,
+    }
