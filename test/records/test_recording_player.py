@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +20,7 @@ pytest.importorskip("mcap", reason="recordings need deltacharger[record]")
 from deltacharger.msg import ServoState
 from deltacharger.srv import PredictMisalignment
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
@@ -30,7 +32,6 @@ from deltacharger_records.recording.docking_topics import TOPICS
 from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_records.recording.recording_player_node import RecordingPlayerNode
 from deltacharger_ros import qos
-from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import load_scene
@@ -71,7 +72,10 @@ class Audience:
             self.node.create_subscription(topic.kind, topic.name, self._taker(topic.name), topic.qos)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.estimates: Any = self.node.create_client(PredictMisalignment, "predict_misalignment")
-        self._spinner = Spinner(self.node)
+        self._executor = SingleThreadedExecutor(context=context)  # Spinner's hands no MessageInfo over
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._executor.spin)
+        self._thread.start()
 
     def _taker(self, name: str) -> Callable[[Any, Any], None]:
         def take(message: Any, info: Any) -> None:
@@ -91,7 +95,9 @@ class Audience:
         return [getattr(message, field) for _, message in list(self.heard[name])]
 
     def close(self) -> None:
-        self._spinner.close()
+        self._executor.shutdown()
+        self._thread.join(DEADLINE)
+        self.node.destroy_node()
 
 
 @pytest.fixture
