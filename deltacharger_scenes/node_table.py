@@ -13,6 +13,7 @@ class NodeSpec:
     Attributes:
         module: Python module.
         class_name: node class in it.
+        parameters: the classes that declare its parameters, with their modules.
         port: which port of the scene is its parameter `port` ("servo", "board" or "" for none).
         stands_in_for: the node whose topics and services it provides, where it is a mock or a simulation.
         plays: the nodes whose topics it publishes from a recording, and which cannot run beside it.
@@ -28,6 +29,7 @@ class NodeSpec:
 
     module: str
     class_name: str
+    parameters: tuple[str, ...] = ()
     port: str = ""
     stands_in_for: str = ""
     plays: tuple[str, ...] = ()
@@ -43,42 +45,64 @@ class NodeSpec:
         return name == self.stands_in_for or name in self.plays
 
 
+_GEOMETRY = (
+    "deltacharger_kinematics.parameters.GeometryFileParameters",
+    "deltacharger_kinematics.parameters.GeometryParameters",
+)
+
 NODES: dict[str, NodeSpec] = {
     "servo_node": NodeSpec(
         "deltacharger_driver.servos.servo_node",
         "ServoNode",
+        parameters=("deltacharger_driver.parameters.ServoNodeParameters",),
         port="servo",
         lacks="no arm moves",
         needs=("dynamixel_sdk", "serial"),
     ),
     "mock_servo_node": NodeSpec(
-        "deltacharger_scenes.mocks.mock_servo_node", "MockServoNode", stands_in_for="servo_node"
+        "deltacharger_scenes.mocks.mock_servo_node",
+        "MockServoNode",
+        parameters=("deltacharger_scenes.mocks.parameters.MockServoNodeParameters",),
+        stands_in_for="servo_node",
     ),
     "tactile_node": NodeSpec(
         "deltacharger_driver.board.tactile_node",
         "TactileNode",
+        parameters=("deltacharger_driver.parameters.TactileNodeParameters",),
         port="board",
         lacks="nothing is felt, nothing is charged",
         needs=("dynamixel_sdk", "serial"),
     ),
     "mock_tactile_node": NodeSpec(
-        "deltacharger_scenes.mocks.mock_tactile_node", "MockTactileNode", stands_in_for="tactile_node"
+        "deltacharger_scenes.mocks.mock_tactile_node",
+        "MockTactileNode",
+        parameters=("deltacharger_scenes.mocks.parameters.MockTactileNodeParameters",),
+        stands_in_for="tactile_node",
     ),
     "kinematics_node": NodeSpec(
         "deltacharger_kinematics.kinematics_node",
         "KinematicsNode",
+        parameters=(
+            "deltacharger_kinematics.parameters.KinematicsNodeParameters",
+            *_GEOMETRY,
+        ),
         may_restart=True,
         lacks="no end_effector_pose, no contact_wrench, no kinematics services",
     ),
     "misalignment_node": NodeSpec(
         "deltacharger_tactile.misalignment_node",
         "MisalignmentNode",
+        parameters=("deltacharger_tactile.parameters.MisalignmentNodeParameters",),
         may_restart=True,
         lacks="no misalignment is estimated",
     ),
     "camera_node": NodeSpec(
         "deltacharger_vision.cameras.camera_node",
         "CameraNode",
+        parameters=(
+            "deltacharger_vision.cameras.oak_pipeline.OakSettings",
+            "deltacharger_vision.parameters.ReplayParameters",
+        ),
         may_restart=True,
         lacks="no images but those of a camera's own driver",
         needs_when_used=("depthai", "mcap"),
@@ -86,6 +110,10 @@ NODES: dict[str, NodeSpec] = {
     "simulated_camera_node": NodeSpec(
         "deltacharger_sim.charger.simulated_camera_node",
         "SimulatedCameraNode",
+        parameters=(
+            "deltacharger_sim.charger.parameters.SimulatedCameraNodeParameters",
+            "deltacharger_sim.charger.parameters.ImageParameters",
+        ),
         stands_in_for="camera_node",
         sees_target=True,
         may_restart=True,
@@ -94,6 +122,10 @@ NODES: dict[str, NodeSpec] = {
     "electrode_detector_node": NodeSpec(
         "deltacharger_vision.detector.electrode_detector_node",
         "ElectrodeDetectorNode",
+        parameters=(
+            "deltacharger_vision.parameters.DetectorNodeParameters",
+            "deltacharger_vision.terminal.Terminal",
+        ),
         may_restart=True,
         lacks="docking needs coordinates",
         needs_when_used=("cv2",),
@@ -101,12 +133,14 @@ NODES: dict[str, NodeSpec] = {
     "mock_detector_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_detector_node",
         "MockDetectorNode",
+        parameters=("deltacharger_scenes.mocks.parameters.MockDetectorNodeParameters",),
         stands_in_for="electrode_detector_node",
         may_restart=True,
     ),
     "docking_recorder_node": NodeSpec(
         "deltacharger_records.recording.docking_recorder_node",
         "DockingRecorderNode",
+        parameters=("deltacharger_records.parameters.DockingRecorderNodeParameters",),
         told_scene=True,
         may_restart=True,
         lacks="dockings leave no record, unless --record asks for them",
@@ -115,18 +149,33 @@ NODES: dict[str, NodeSpec] = {
     "recording_player_node": NodeSpec(
         "deltacharger_records.recording.recording_player_node",
         "RecordingPlayerNode",
+        parameters=("deltacharger_records.parameters.RecordingPlayerNodeParameters",),
         plays=("servo_node", "tactile_node", "kinematics_node", "electrode_detector_node", "docking_node"),
         needs_when_used=("mcap",),
     ),
     "mock_navigator_node": NodeSpec(
-        "deltacharger_scenes.mocks.mock_navigator_node", "MockNavigatorNode", needs_when_used=("nav2_msgs",)
+        "deltacharger_scenes.mocks.mock_navigator_node",
+        "MockNavigatorNode",
+        parameters=("deltacharger_scenes.mocks.parameters.MockNavigatorNodeParameters",),
+        needs_when_used=("nav2_msgs",),
     ),
     "docking_node": NodeSpec(
-        "deltacharger_docking.ros.docking_node", "DockingNode", lacks="no actions dock and undock"
+        "deltacharger_docking.ros.docking_node",
+        "DockingNode",
+        parameters=(
+            "deltacharger_docking.parameters.DockingParameters",
+            "deltacharger_docking.parameters.DockingNodeParameters",
+            *_GEOMETRY,
+        ),
+        lacks="no actions dock and undock",
     ),
     "mission_node": NodeSpec(
         "deltacharger_mission.ros.mission_node",
         "MissionNode",
+        parameters=(
+            "deltacharger_mission.parameters.MissionParameters",
+            "deltacharger_mission.parameters.MissionNodeParameters",
+        ),
         lacks="no action charge_robot",
         needs_when_used=("nav2_msgs",),
     ),

@@ -18,6 +18,7 @@ from deltacharger_core import environment
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import Bounded, ParameterError, from_mapping, number, words
 from deltacharger_core.yaml_file import YamlError, read_yaml
+from deltacharger_scenes.following import followed
 from deltacharger_scenes.node_table import NODES
 from deltacharger_sim.charger.simulation import Simulation
 
@@ -105,6 +106,8 @@ class Scene:
             ports: "servo" and "board" of a simulated charger; empty takes the scene's own.
         """
         parameters = dict(self.parameters.get(name, {}))
+        if self.simulation is not None:
+            parameters = followed(name, self.simulation.world) | parameters
         if NODES[name].sees_target and self.simulation is not None:
             target = self.simulation.world.target
             parameters = {f"target_{item.name}": getattr(target, item.name) for item in fields(target)} | parameters

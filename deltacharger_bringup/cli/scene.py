@@ -12,7 +12,9 @@ from typing import Any
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell, write_json
 from deltacharger_bringup.cli.parser import DEFAULT_SCENE
 from deltacharger_core.parameters import Declaration, declaration
+from deltacharger_scenes.following import contradictions
 from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.parameter_check import problems
 from deltacharger_scenes.scene import Scene, SceneError, load_scene, packaged_scenes
 from deltacharger_sim.proven import doubts
 
@@ -59,16 +61,19 @@ def list_scenes(options: argparse.Namespace) -> int:
 
 
 def check(options: argparse.Namespace) -> int:
-    """Load scenes and report each one's first problem, and what of a simulated world is not proven."""
+    """Load scenes and report each one's first problem, what of its world is not proven and what contradicts it."""
     reports = []
     for name in options.scenes or list(packaged_scenes()):
         try:
             scene = load_scene(name)
-            warnings = [] if scene.simulation is None else list(doubts(scene.simulation.world))
+            wrong = next(problems(scene), None)
+            if wrong is not None:
+                raise SceneError(scene.file, *wrong)
+            warnings = list(_warnings(scene))
             good = {"scene": scene.name, "file": scene.file, "ok": True, "key": "", "problem": "", "warnings": warnings}
             reports.append(good)
             for warning in warnings:
-                say(f"{scene.file}: warning: simulation.world: {warning}")
+                say(f"{scene.file}: warning: {warning}")
         except SceneError as error:
             refused = {"scene": name, "file": error.file, "ok": False, "key": error.key, "problem": error.problem}
             reports.append({**refused, "warnings": []})
@@ -79,6 +84,14 @@ def check(options: argparse.Namespace) -> int:
         for report in reports:
             tell(f"{report['scene']}: {'ok' if report['ok'] else 'refused'}")
     return DONE if all(report["ok"] for report in reports) else WRONG_INPUT
+
+
+def _warnings(scene: Scene) -> Iterator[str]:
+    """Yield what of a simulated world is not proven, and where a node is told otherwise than the world is."""
+    if scene.simulation is not None:
+        yield from (f"simulation.world: {doubt}" for doubt in doubts(scene.simulation.world))
+        for key, problem in contradictions(scene.parameters, scene.simulation.world):
+            yield f"{key}: {problem}"
 
 
 def explain(options: argparse.Namespace) -> int:

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a simulated scene's nodes take arm and gravity for: what its world has, unless the scene says otherwise."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from deltacharger_sim.parameters import WorldParameters
+
+_GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
+_FOLLOWS: dict[str, dict[str, tuple[str, ...]]] = {
+    "kinematics_node": {"gravity": _GRAVITY, "torque_constant": ("servo.torque_constant",)},
+    "docking_node": {"servo_stiffness": ("servo.stiffness",), **{axis: (axis,) for axis in _GRAVITY}},
+}
+"""Of each node, its parameters with the keys of the world that they follow."""
+
+
+def followed(node: str, world: WorldParameters) -> dict[str, Any]:
+    """Return the parameters of a node that follow from the world."""
+    return {name: _value(world, keys) for name, keys in _FOLLOWS.get(node, {}).items()}
+
+
+def contradictions(parameters: Mapping[str, Mapping[str, Any]], world: WorldParameters) -> Iterator[tuple[str, str]]:
+    """Yield key and problem of each parameter that a scene sets otherwise than its own world is.
+
+    Args:
+        parameters: of each node by its executable's name, as the scene gives them.
+        world: the scene's own.
+    """
+    for node, values in parameters.items():
+        for name, true in followed(node, world).items():
+            if name in values and values[name] != true:
+                keys = ", ".join(f"simulation.world.{key}" for key in _FOLLOWS[node][name])
+                yield f"parameters.{node}.{name}", f"is {values[name]!r}, but {keys} is {true!r}; leave one of them out"
+
+
+def _value(world: WorldParameters, keys: tuple[str, ...]) -> Any:
+    values = [operator.attrgetter(key)(world) for key in keys]
+    return values if len(values) > 1 else values[0]

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a scene's parameters are those of its nodes, told from their declarations: no node is started for it."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from typing import Any
+
+from deltacharger_core.parameters import Declaration, ParameterError, declared, did_you_mean, from_mapping
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.scene import Scene
+
+_OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+
+
+def tables(node: str) -> list[type[Any]]:
+    """Return the classes that declare the parameters of a node, by its executable's name."""
+    parts = [path.rpartition(".") for path in NODES[node].parameters]
+    return [getattr(importlib.import_module(module), name) for module, _, name in parts]
+
+
+def problems(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Yield key and problem of each parameter that its node would refuse, the first of each class of parameters."""
+    for node, values in scene.parameters.items():
+        known = {each.name: (each, table) for table in tables(node) for each in declared(table)}
+        given: dict[type[Any], dict[str, Any]] = {}
+        for name, value in values.items():
+            if name in known:
+                given.setdefault(known[name][1], {})[name] = value
+            elif not name.startswith(_OF_ROS):
+                yield f"parameters.{node}.{name}", f"unknown parameter{did_you_mean(name, known)}"
+        for table, own in given.items():
+            try:
+                from_mapping(own, table, f"parameters.{node}")
+            except ParameterError as error:
+                yield error.key, error.problem
+            yield from _whole(node, own, known)
+
+
+def _whole(node: str, own: dict[str, Any], known: dict[str, tuple[Declaration, Any]]) -> Iterator[tuple[str, str]]:
+    """Yield the whole numbers where ROS takes only ones with a decimal point."""
+    for name, value in own.items():
+        numbers = value if isinstance(value, list) else [value]
+        if known[name][0].kind is float and any(type(number) is int for number in numbers):
+            yield f"parameters.{node}.{name}", f"is {value!r}; write it with a decimal point"

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scene's parameters are checked without its nodes; what nodes believe of a simulated world is what it is."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deltacharger_bringup.cli.main import main
+from deltacharger_core.parameters import declared
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.parameter_check import problems, tables
+from deltacharger_scenes.scene import load_scene, packaged_scenes, parse_scene
+
+HEAVY = """
+import sys
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.parameter_check import tables
+assert all(tables(name) for name in NODES)
+sys.exit(sorted({"rclpy", "cv2", "depthai", "mujoco", "serial", "matplotlib", "scipy"} & set(sys.modules)) or None)
+"""
+
+
+def problems_of(parameters: dict[str, Any]) -> list[tuple[str, str]]:
+    return list(problems(parse_scene({"nodes": [*parameters], "simulation": {}, "parameters": parameters}, "mine")))
+
+
+def test_packaged_scenes_give_only_what_their_nodes_take() -> None:
+    for name in packaged_scenes():
+        assert not list(problems(load_scene(name))), name
+
+
+@pytest.mark.parametrize(
+    ("node", "parameter", "value", "problem"),
+    [
+        ("servo_node", "rte", 100.0, "did you mean 'rate'"),
+        ("servo_node", "rate", 900.0, "outside 20 to 200 Hz"),
+        ("servo_node", "rate", 100, "decimal point"),
+        ("servo_node", "ids", [1, 2], "has 2 numbers; give 3"),
+        ("servo_node", "current_bound", 3.5, "is not below"),
+        ("docking_node", "approach", "fast", "not one of guarded, paper"),
+        ("docking_node", "arm", 2.0, "outside 0.001 to 1 m"),
+        ("misalignment_node", "frames", 12.5, "not a whole number"),
+        ("mock_servo_node", "target_x", 1.0, "outside"),
+        ("electrode_detector_node", "gap", "wide", "not a number"),
+    ],
+)
+def test_what_a_node_would_refuse_is_told_without_it(node: str, parameter: str, value: Any, problem: str) -> None:
+    ((key, told),) = problems_of({node: {parameter: value}})
+    assert key == f"parameters.{node}.{parameter}"
+    assert problem in told
+
+
+def test_what_every_node_has_is_taken() -> None:
+    assert not problems_of({"servo_node": {"use_sim_time": True, "rate": 50.0}})
+
+
+def test_each_parameter_of_a_node_is_declared_once_and_nothing_heavy_is_loaded_for_it() -> None:
+    for node in NODES:
+        names = [each.name for table in tables(node) for each in declared(table)]
+        assert names, node
+        assert len(names) == len(set(names)), node
+    ran = subprocess.run([sys.executable, "-c", HEAVY], capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+
+
+def test_nodes_follow_the_world_unless_the_scene_says_otherwise() -> None:
+    world = {"servo": {"stiffness": 6.0, "torque_constant": 1.2}, "gravity_y": -9.0, "gravity_z": 3.0}
+    content = {"simulation": {"world": world}, "parameters": {"docking_node": {"gravity_z": 0.0}}}
+    scene = parse_scene(content, "mine")
+    assert scene.node_parameters("docking_node", {}) == {
+        "servo_stiffness": 6.0,
+        "gravity_x": 0.0,
+        "gravity_y": -9.0,
+        "gravity_z": 0.0,
+    }
+    assert scene.node_parameters("kinematics_node", {}) == {"gravity": [0.0, -9.0, 3.0], "torque_constant": 1.2}
+
+
+def test_check_names_a_contradiction_and_a_wrong_parameter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("{simulation: {}, parameters: {docking_node: {servo_stiffness: 6.0}}}", encoding="utf-8")
+    assert main(["scene", "check", str(path), "--json"]) == 0
+    (report,) = json.loads(capsys.readouterr().out)["scenes"]
+    (warning,) = report["warnings"]
+    assert "docking_node.servo_stiffness: is 6.0, but simulation.world.servo.stiffness is 15.0" in warning
+    path.write_text("{simulation: {}, parameters: {docking_node: {servo_stifness: 6.0}}}", encoding="utf-8")
+    assert main(["scene", "check", str(path), "--json"]) == 2
+    (report,) = json.loads(capsys.readouterr().out)["scenes"]
+    assert (report["ok"], report["key"]) == (False, "parameters.docking_node.servo_stifness")
