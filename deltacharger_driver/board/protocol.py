@@ -98,7 +98,6 @@ _ALL_FLAGS = FLAG_TARED | FLAG_OVERRUN
 _SAMPLE_FORMATS = (SampleFormat.U8, SampleFormat.U12, SampleFormat.U16)
 
 _FROM_BOARD = frozenset({PacketType.TACTILE, PacketType.POWER, PacketType.HELLO, PacketType.PING, PacketType.ACK})
-_FROM_HOST = frozenset(set(PacketType) - {PacketType.TACTILE, PacketType.POWER, PacketType.ACK})
 
 
 class PacketError(DriverError, ValueError):
@@ -273,8 +272,3 @@ def check_header(packet: Packet) -> None:
 def is_from_board(type: int) -> bool:
     """Whether the board sends packets of this type."""
     return type in _FROM_BOARD
-
-
-def is_from_host(type: int) -> bool:
-    """Whether the host sends packets of this type."""
-    return type in _FROM_HOST

@@ -22,7 +22,6 @@ CURRENT_UNIT = 3.36e-3  # A
 VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0  # rad/s
 ACCELERATION_UNIT = 214.577 * 2.0 * math.pi / 3600.0  # rad/s², of 214.577 rev/min²
 VOLTAGE_UNIT = 0.1  # V
-RETURN_DELAY_UNIT = 2e-6  # s
 WATCHDOG_UNIT = 0.02  # s
 WATCHDOG_TRIPPED = 255  # −1 in one byte
 EXTENDED_TICKS = 1_048_575
@@ -217,28 +216,6 @@ def current_to_counts(current: float) -> int:
     if not -LARGEST_CURRENT <= current <= LARGEST_CURRENT:
         raise RangeError("current", current, -LARGEST_CURRENT, LARGEST_CURRENT, " A")
     return int(current / CURRENT_UNIT + math.copysign(1e-9, current))
-
-
-def counts_to_current(counts: int) -> float:
-    """Return the current, A, of counts of 3.36 mA."""
-    return counts * CURRENT_UNIT
-
-
-def velocity_to_counts(velocity: float) -> int:
-    """Return a velocity, rad/s, in counts of 0.229 rev/min, rounded.
-
-    Raises:
-        RangeError: beyond what four bytes hold, or not finite.
-    """
-    limit = (1 << 31) * VELOCITY_UNIT * 0.999
-    if not -limit <= velocity <= limit:
-        raise RangeError("velocity", velocity, -limit, limit, " rad/s")
-    return round(velocity / VELOCITY_UNIT)
-
-
-def counts_to_velocity(counts: int) -> float:
-    """Return the velocity, rad/s, of counts of 0.229 rev/min."""
-    return counts * VELOCITY_UNIT
 
 
 def describe_hardware_error(bits: int) -> str:

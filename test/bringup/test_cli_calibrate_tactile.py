@@ -155,7 +155,7 @@ def test_what_makes_estimates_worse_is_not_written(
         (("--data", "DATA"), "--out"),
         (("--data", "none.npz", "--out", "new.yaml"), "none.npz: there is no such file"),
         (("--data", "DATA", "--out", "no/folder.yaml"), "folder"),
-        (("--data", "DATA", "--out", "."), "exists"),
+        (("--data", "DATA", "--out", "."), "cannot be written"),
         (("--data", "DATA", "--out", "new.yaml", "--model", "DATA"), "model"),
         (("--data", "DATA", "--out", "new.yaml", "--model", "none.npz"), "none.npz"),
         (("--data", "DATA", "--out", "new.yaml", "--rig", "-1"), "--rig"),
