@@ -19,7 +19,7 @@ from deltacharger_kinematics.calibration.calibrate import fit
 from deltacharger_kinematics.calibration.data import TICK, Encoder, Measurements
 from deltacharger_kinematics.calibration.plan import plan
 from deltacharger_kinematics.calibration.problem import COUNT, Uncertainty, numbers, rms, with_numbers
-from deltacharger_kinematics.calibration.recording import Recording
+from deltacharger_kinematics.calibration.recording import PoseRecording
 
 NOMINAL = DeltaGeometry()
 STATED = Uncertainty()
@@ -121,7 +121,7 @@ def example(path: Path) -> None:
     poses = plan(NOMINAL)
     noted = measure(arm, random, np.array([pose.position for pose in poses]), ticks=True)
     encoder = Encoder()
-    recording = Recording(path, encoder)
+    recording = PoseRecording(path, encoder)
     for pose, angles, position in zip(poses, noted.angles, noted.positions, strict=True):
         first, second, third = encoder.ticks(angles)
         x, y, z = np.round(position, 5)

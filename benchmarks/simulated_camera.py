@@ -16,7 +16,7 @@ from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import look_at
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
-from deltacharger_vision.rendering.scene import Scene, shifted
+from deltacharger_vision.rendering.scene import RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts, draw_scene
 
 DISTORTION = (-0.30, 0.12, 0.001, -0.0005, -0.02)
@@ -30,7 +30,9 @@ def facing(distance: float) -> np.ndarray:
     return pose
 
 
-def cost(camera: SimulatedCamera, scene: Scene, pose: np.ndarray, images: int, color_only: bool = False) -> np.ndarray:
+def cost(
+    camera: SimulatedCamera, scene: RenderedScene, pose: np.ndarray, images: int, color_only: bool = False
+) -> np.ndarray:
     """Return CPU milliseconds (images,) of single images, after two for nothing."""
     random, found = np.random.default_rng(1), []
     for _ in range(images + 2):
@@ -44,15 +46,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--images", type=int, default=40, help="per line")
     images = parser.parse_args().images
-    plain, even = Scene(), Scene(parameters=SceneParameters.even())
+    plain, even = RenderedScene(), RenderedScene(parameters=SceneParameters.even())
     drawn = draw_scene(np.random.default_rng(3), clutter=12, decoys=6)
     mount = look_at(CAMERA_AT, CENTRED)
-    docking = Scene(foreground=tuple(charger_parts(mount, (0.0, 0.0, 0.02))))
+    docking = RenderedScene(foreground=tuple(charger_parts(mount, (0.0, 0.0, 0.02))))
     at_dock = np.linalg.inv(mount) @ shifted(CENTRED)
     blurred = dataclasses.replace(CameraParameters(), motion_x=6.0, defocus=1.0)
     lens = dataclasses.replace(OAK_D, distortion=DISTORTION)
     large = OAK_D.scaled(1280, 800)
-    cases: list[tuple[str, Intrinsics, CameraParameters, Scene, np.ndarray, bool]] = [
+    cases: list[tuple[str, Intrinsics, CameraParameters, RenderedScene, np.ndarray, bool]] = [
         ("terminal at 0.15 m", OAK_D, CameraParameters(), plain, facing(0.15), False),
         ("terminal at 0.3 m", OAK_D, CameraParameters(), plain, facing(0.3), False),
         ("terminal at 1 m", OAK_D, CameraParameters(), plain, facing(1.0), False),

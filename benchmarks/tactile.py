@@ -16,7 +16,7 @@ import numpy as np
 from deltacharger_tactile import Estimate, PoseEstimator, default_model
 from deltacharger_tactile.contact import ContactModel
 from deltacharger_tactile.generator import generate_continuous, measure
-from deltacharger_tactile.parameters import DockingParameters, SensorParameters, TactileParameters
+from deltacharger_tactile.parameters import PadDockingParameters, SensorParameters, TactileParameters
 from deltacharger_tactile.sensor import Rig
 
 HALF_GAP, HALF_LENGTH, CLEARANCE_MIN = 3.7, 35.0, 0.3
@@ -112,7 +112,7 @@ def print_acts(model: PoseEstimator, count: int) -> None:
 
 def print_shifts(model: PoseEstimator, count: int) -> None:
     base = TactileParameters()
-    docking: DockingParameters = base.docking
+    docking: PadDockingParameters = base.docking
     sensor: SensorParameters = base.sensor
     families = {
         "as trained for": base,

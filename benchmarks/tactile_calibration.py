@@ -15,7 +15,7 @@ import time
 import numpy as np
 
 from deltacharger_tactile import PoseEstimator, default_model
-from deltacharger_tactile.calibration.faults import Dockings
+from deltacharger_tactile.calibration.faults import KnownDockings
 from deltacharger_tactile.calibration.fit import Parts, fit, predict
 from deltacharger_tactile.calibration.rig import AXES, TactileCalibration
 from deltacharger_tactile.dataset import POSITION_CLASSES
@@ -59,14 +59,14 @@ def device(world: str, seed: int) -> Rig:
     return rig
 
 
-def dock(world: str, seed: int, pose: np.ndarray, draw: int) -> Dockings:
+def dock(world: str, seed: int, pose: np.ndarray, draw: int) -> KnownDockings:
     """Dock once at each pose (N, 3): m, m, rad; 12 frames each, not thresholded."""
     random = np.random.default_rng([draw, seed])
     off = MOUNTED if world == "pads mounted off" else np.zeros(3)
     got = measure(family(world), device(world, seed), pose + off, random, 12, 0.0)
     frames = np.stack([got["left"], got["right"]], axis=1).astype(float)
     frames[got["dead"]] = np.nan
-    return Dockings(frames, pose, got["contact_pose"] - off, got["tare"][:1].astype(float), seed, 0.0)
+    return KnownDockings(frames, pose, got["contact_pose"] - off, got["tare"][:1].astype(float), seed, 0.0)
 
 
 def scattered(seed: int, draw: int, count: int) -> np.ndarray:
@@ -86,7 +86,9 @@ class Score:
         self.ratios: list[np.ndarray] = []
         self.shares: list[tuple[float, ...]] = []
 
-    def add(self, model: PoseEstimator, made: TactileCalibration, held_out: Dockings, sets: list[Dockings]) -> None:
+    def add(
+        self, model: PoseEstimator, made: TactileCalibration, held_out: KnownDockings, sets: list[KnownDockings]
+    ) -> None:
         pose, spread, usable = predict(model, made, held_out.frames)
         error, spread = (pose - held_out.truth)[usable], spread[usable]
         self.errors.append(error)
@@ -105,7 +107,9 @@ class Score:
         )
 
 
-def accuracies(model: PoseEstimator, made: TactileCalibration, places: Dockings, angles: Dockings) -> list[float]:
+def accuracies(
+    model: PoseEstimator, made: TactileCalibration, places: KnownDockings, angles: KnownDockings
+) -> list[float]:
     """Return the shares of right classes: horizontal, vertical, angle."""
     shares = []
     for axis, rows in zip(AXES, (places, places, angles), strict=True):

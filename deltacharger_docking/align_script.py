@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 from deltacharger_docking.alignment import AlignmentFilter
-from deltacharger_docking.clearance import Estimate, Verdict, clearance, clearance_stddev, judge
+from deltacharger_docking.clearance import FeltPose, Verdict, clearance, clearance_stddev, judge
 from deltacharger_docking.codes import CriticalAngle, EstimateUnsure, Misaligned, NoTactileContact, State, TactileStale
 from deltacharger_docking.contact_script import contact
 from deltacharger_docking.context import Context, Script
@@ -112,7 +112,7 @@ class Alignment:
         self._passed = 0
         return False
 
-    def _measure(self) -> Script[Estimate]:
+    def _measure(self) -> Script[FeltPose]:
         """Return what the pads feel, sure or not.
 
         Raises:
@@ -132,7 +132,7 @@ class Alignment:
             raise NoTactileContact("the pads lost contact before the misalignment was measured")
         return reply.estimate
 
-    def _look_elsewhere(self, estimate: Estimate) -> tuple[float, float]:
+    def _look_elsewhere(self, estimate: FeltPose) -> tuple[float, float]:
         """Return by how much (m) to move before measuring again: where an unsure estimate points, or nowhere.
 
         A pad that has lost its ridge still tells the direction. It only moves the arm; energising needs a sure one.
@@ -153,7 +153,7 @@ class Alignment:
         self._context.decide("again", "the estimate is unsure and is made anew by docking again", times=self._unsure)
         return 0.0, 0.0
 
-    def _tell(self, estimate: Estimate) -> None:
+    def _tell(self, estimate: FeltPose) -> None:
         self._context.decide(
             "measured",
             "sure" if estimate.sure and estimate.in_range else "unsure" if estimate.in_range else "out of range",
@@ -165,7 +165,7 @@ class Alignment:
             horizontal_stddev_m=estimate.horizontal_stddev,
         )
 
-    def _tell_verdict(self, estimate: Estimate, verdict: Verdict) -> None:
+    def _tell_verdict(self, estimate: FeltPose, verdict: Verdict) -> None:
         parameters = self._context.parameters
         gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
         left = clearance(estimate.angle, estimate.vertical, gap, length)
@@ -178,14 +178,14 @@ class Alignment:
             margin_6_sigma_m=left - 6.0 * sigma - parameters.clearance_min,
         )
 
-    def _give_up(self, estimate: Estimate) -> None:
+    def _give_up(self, estimate: FeltPose) -> None:
         limit = min(self.critical_angle, self._context.parameters.critical_angle)
         if math.isfinite(estimate.angle) and abs(estimate.angle) >= limit:
             raise CriticalAngle(_too_tilted(estimate.angle))
         what = "outside what the estimator knows" if not estimate.in_range else "unsure"
         raise EstimateUnsure(f"the tactile estimate stayed {what} after {self._unsure} dockings; check pads and target")
 
-    def _judge(self, estimate: Estimate) -> Verdict:
+    def _judge(self, estimate: FeltPose) -> Verdict:
         """Judge this docking, and the mean angle once two have been made."""
         parameters = self._context.parameters
         self._angles.append(estimate.angle)
@@ -194,7 +194,7 @@ class Alignment:
         self._passed = self._passed + 1 if verdict in (Verdict.SAFE, Verdict.PROBABLY_SAFE) else 0
         if len(self._angles) >= 2:
             mean = sum(self._angles) / len(self._angles)
-            centred = Estimate(
+            centred = FeltPose(
                 mean, estimate.angle_stddev, 0.0, estimate.vertical_stddev, 0.0, estimate.horizontal_stddev
             )
             if judge(centred, parameters, self.critical_angle) is Verdict.CRITICAL:
@@ -220,7 +220,7 @@ class Alignment:
         yield from contact(context, self._depth)
 
 
-def _pointed_at(estimate: Estimate) -> tuple[float, float]:
+def _pointed_at(estimate: FeltPose) -> tuple[float, float]:
     """Return where (m) an unsure estimate points: out of range all of it, else along the axes that it knows."""
     x, y = estimate.horizontal, estimate.vertical
     if estimate.in_range:

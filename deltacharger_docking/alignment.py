@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.clearance import FeltPose
 
 _SIGMAS = 2.15  # that a contact is judged at; what it leaves beyond the limit: docs/docking.md
 _FELT_SIGMAS = 1.65  # of what the pads feel alone: a landing far out is rare, and rarer where they see well
@@ -33,7 +33,7 @@ class AlignmentFilter:
         self.landing = math.inf
         """How far (m) the last contact may lie off on its worse axis: |mean| + 2.15 σ, at least 1.65 σ felt."""
 
-    def update(self, platform: tuple[float, float], estimate: Estimate) -> None:
+    def update(self, platform: tuple[float, float], estimate: FeltPose) -> None:
         """Take one estimate made with the platform at (x, y) m of charger_base."""
         readings = (
             (platform[0] + estimate.horizontal, estimate.horizontal, estimate.horizontal_stddev),

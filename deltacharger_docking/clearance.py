@@ -17,7 +17,7 @@ from deltacharger_docking.parameters import DockingParameters
 
 
 @dataclass(frozen=True)
-class Estimate:
+class FeltPose:
     """Misalignment as felt: pose of the target in end_effector with standard deviations (rad, m)."""
 
     angle: float
@@ -66,13 +66,13 @@ def clearance(angle: float, vertical: float, half_gap: float, half_length: float
     return half_gap * (1.0 + math.cos(angle)) - half_length * abs(math.sin(angle)) - abs(vertical)
 
 
-def clearance_stddev(estimate: Estimate, half_gap: float, half_length: float) -> float:
+def clearance_stddev(estimate: FeltPose, half_gap: float, half_length: float) -> float:
     """Return the standard deviation (m) of the clearance to first order in angle and vertical error."""
     slope = half_gap * abs(math.sin(estimate.angle)) + half_length * math.cos(estimate.angle)
     return math.hypot(slope * estimate.angle_stddev, estimate.vertical_stddev)
 
 
-def judge(estimate: Estimate, parameters: DockingParameters, critical_angle: float | None = None) -> Verdict:
+def judge(estimate: FeltPose, parameters: DockingParameters, critical_angle: float | None = None) -> Verdict:
     """Decide what `estimate` allows.
 
     Args:

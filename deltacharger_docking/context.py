@@ -12,7 +12,16 @@ from typing import TypeVar
 from deltacharger_docking.codes import DockingError, PhaseTimeout, ServoFailure, State
 from deltacharger_docking.contact_current import ContactCurrent
 from deltacharger_docking.motion import Planner
-from deltacharger_docking.observation import NAN3, Command, Decision, Observation, Reply, Request, Service, Status
+from deltacharger_docking.observation import (
+    NAN3,
+    Command,
+    Decision,
+    DockingStatus,
+    Observation,
+    Reply,
+    Request,
+    Service,
+)
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.trajectory_feed import Piece, TrajectoryFeed
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
@@ -41,7 +50,7 @@ class Context:
         self.contact = ContactCurrent(self.kinematics, parameters)
         self.planner = planner or Planner(parameters, geometry)
         self.feed = feed or TrajectoryFeed(parameters.servo_damping / parameters.servo_stiffness)
-        self.status = Status()
+        self.status = DockingStatus()
         self.observation = Observation(time=0.0)
         self.time = 0.0  # s, the observations' clock; stands still where that is set back
         self.slept = 0.0  # s that this observation came later than expected, or its clock was set back

@@ -23,10 +23,10 @@ from deltacharger_docking.context import Context, Script
 from deltacharger_docking.energy_script import CONTACT_LOST, de_energise, energise
 from deltacharger_docking.goal_check import check_place
 from deltacharger_docking.goal_desk import GoalDesk
-from deltacharger_docking.observation import Detection, DockGoal, Service
+from deltacharger_docking.observation import DockGoal, ElectrodePose, Service
 
 
-class Docking:
+class TargetVisit:
     """One target, from the first goal on it until the electrodes leave it.
 
     Attributes:
@@ -151,7 +151,7 @@ class Docking:
             yield
         return True
 
-    def _locate(self) -> Script[Detection]:
+    def _locate(self) -> Script[ElectrodePose]:
         """Ask the camera where the electrodes are."""
         context, parameters = self._context, self._context.parameters
         context.enter(State.LOCATE, parameters.locate_timeout + 1.0)
@@ -168,7 +168,7 @@ class Docking:
         context.decide("located", "the camera sees the electrodes", x_m=x, y_m=y, z_m=z, roll_rad=found.roll)
         return found
 
-    def _check_roll(self, electrodes: Detection) -> None:
+    def _check_roll(self, electrodes: ElectrodePose) -> None:
         limit, roll = self._order.critical_angle, electrodes.roll
         if abs(roll) + 2.0 * electrodes.roll_stddev < limit:
             return

@@ -8,7 +8,7 @@ import math
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_docking.codes import DockingError, Rejected, Unreachable
 from deltacharger_docking.motion import Planner
-from deltacharger_docking.observation import Detection, DockGoal
+from deltacharger_docking.observation import DockGoal, ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 
@@ -33,7 +33,7 @@ def check_goal(goal: DockGoal, planner: Planner, parameters: DockingParameters) 
         check_place(goal.electrodes, planner, parameters)
 
 
-def check_place(electrodes: Detection, planner: Planner, parameters: DockingParameters) -> None:
+def check_place(electrodes: ElectrodePose, planner: Planner, parameters: DockingParameters) -> None:
     """Refuse electrodes (charger_base) that are not finite or out of reach; errors as in `check_goal`."""
     x, y, z = electrodes.position
     if not all(math.isfinite(value) for value in (x, y, z, electrodes.roll)):

@@ -9,7 +9,7 @@ from dataclasses import replace
 from deltacharger_docking.codes import Code, DockingError
 from deltacharger_docking.context import Context
 from deltacharger_docking.goal_check import suggested_base
-from deltacharger_docking.observation import Observation, Outcome
+from deltacharger_docking.observation import DockingOutcome, Observation
 
 
 class GoalDesk:
@@ -31,7 +31,7 @@ class GoalDesk:
         self.deadline = math.inf
         self.wants_back = False
         self.aligned = False
-        self.outcome: Outcome | None = None
+        self.outcome: DockingOutcome | None = None
 
     def begin(self, request_id: str, observation: Observation) -> None:
         """Take a goal."""
@@ -58,9 +58,9 @@ class GoalDesk:
         outcome = self._outcome(False, error.code, self._context.status.message, error.retriable)
         self._end(replace(outcome, suggested_base=suggested_base(error)))
 
-    def _outcome(self, success: bool, code: Code, message: str, retriable: bool) -> Outcome:
+    def _outcome(self, success: bool, code: Code, message: str, retriable: bool) -> DockingOutcome:
         context = self._context
-        return Outcome(
+        return DockingOutcome(
             success=success,
             code=code,
             message=message,
@@ -75,7 +75,7 @@ class GoalDesk:
             elapsed=context.time - self.started,
         )
 
-    def _end(self, outcome: Outcome) -> None:
+    def _end(self, outcome: DockingOutcome) -> None:
         if not self.is_open:
             return
         self.is_open, self.wants_back, self.deadline, self.outcome = False, False, math.inf, outcome

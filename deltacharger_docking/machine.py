@@ -26,11 +26,11 @@ from deltacharger_docking.codes import (
     TactileStale,
 )
 from deltacharger_docking.context import Context, Script
-from deltacharger_docking.dock_script import Docking
+from deltacharger_docking.dock_script import TargetVisit
 from deltacharger_docking.goal_check import check_goal
 from deltacharger_docking.goal_desk import GoalDesk
 from deltacharger_docking.motion import Planner
-from deltacharger_docking.observation import Command, DockGoal, Observation, Outcome, Status
+from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.trajectory_feed import TrajectoryFeed
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
@@ -61,16 +61,16 @@ class DockingMachine:
         self._desk = GoalDesk(self._context)
         self._script: Generator[None, None, None] | None = None
         self._interruptible = False
-        self._docking: Docking | None = None
+        self._docking: TargetVisit | None = None
         self._refusal: DockingError | None = None  # what a further goal brings to an end
 
     @property
-    def status(self) -> Status:
+    def status(self) -> DockingStatus:
         """Present state, for feedback and docking_state."""
         return self._context.status
 
     @property
-    def outcome(self) -> Outcome | None:
+    def outcome(self) -> DockingOutcome | None:
         """How the last goal ended; the shell takes it by setting None."""
         return self._desk.outcome
 
@@ -121,7 +121,7 @@ class DockingMachine:
         if self._is_supervising and self._docking is not None:
             self._refusal = self._docking.take(goal)
             return
-        self._docking = docking = Docking(self._context, self._desk, goal)
+        self._docking = docking = TargetVisit(self._context, self._desk, goal)
         self._script = self._serve(docking.run, self.parameters.redockings_max)
 
     def start_undock(self, request_id: str, observation: Observation) -> None:

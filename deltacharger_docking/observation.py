@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Code, State
 from deltacharger_kinematics.geometry import Vector
 
@@ -37,7 +37,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Detection:
+class ElectrodePose:
     """Midpoint of the target's electrodes (m, charger_base), roll about z and its standard deviation (rad), age (s)."""
 
     position: Vector
@@ -53,8 +53,8 @@ class Reply:
     number: int
     success: bool
     message: str = ""
-    estimate: Estimate | None = None
-    detection: Detection | None = None
+    estimate: FeltPose | None = None
+    detection: ElectrodePose | None = None
     resistance: float = math.nan
     target_voltage: float = math.nan
 
@@ -128,7 +128,7 @@ class Command:
 class DockGoal:
     """What a client wants; `electrodes` None = ask the camera."""
 
-    electrodes: Detection | None
+    electrodes: ElectrodePose | None
     critical_angle: float = 0.0
     start_charging: bool = True
     hold: bool = False
@@ -138,7 +138,7 @@ class DockGoal:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class DockingOutcome:
     """How a goal ended. NaN = not measured; `suggested_base` (m, charger_base) only when unreachable."""
 
     success: bool = False
@@ -147,7 +147,7 @@ class Outcome:
     retriable: bool = False
     aligned: bool = False
     alignments: int = 0
-    estimate: Estimate | None = None
+    estimate: FeltPose | None = None
     contact_current: float = math.nan
     contact_force: float = math.nan
     charge_current: float = math.nan
@@ -162,7 +162,7 @@ class Outcome:
 
 
 @dataclass
-class Status:
+class DockingStatus:
     """What the machine tells about itself between commands."""
 
     state: State = State.IDLE
@@ -174,5 +174,5 @@ class Status:
     alignments: int = 0
     position: Vector = NAN3
     contact_current: float = math.nan
-    estimate: Estimate | None = None
+    estimate: FeltPose | None = None
     elapsed: float = 0.0

@@ -10,7 +10,17 @@ from dataclasses import replace
 from typing import TypeVar
 
 from deltacharger_docking.codes import Busy, Code, DockingError, ElectrodesNotFound, PhaseTimeout, Rejected, Unreachable
-from deltacharger_mission.dialogue import Command, End, Goal, Observation, Reply, Request, Stage, Status, Task
+from deltacharger_mission.dialogue import (
+    End,
+    MissionCommand,
+    MissionGoal,
+    MissionObservation,
+    MissionStatus,
+    Stage,
+    Task,
+    TaskReply,
+    TaskRequest,
+)
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import Place
 
@@ -49,7 +59,7 @@ class DockFailed(DockingError):
         reply: what it said, with its own code.
     """
 
-    def __init__(self, reply: Reply) -> None:
+    def __init__(self, reply: TaskReply) -> None:
         self.reply = reply
         super().__init__(reply.message)
 
@@ -64,31 +74,31 @@ class MissionContext:
 
     def __init__(self, parameters: MissionParameters) -> None:
         self.parameters = parameters
-        self.status = Status()
-        self.observation = Observation(0.0)
+        self.status = MissionStatus()
+        self.observation = MissionObservation(0.0)
         self.touched = self.left = False
         self.deadline = math.inf
         self._numbers = itertools.count(1)
-        self._requests: list[Request] = []
+        self._requests: list[TaskRequest] = []
         self._cancels: list[int] = []
         self._open: set[int] = set()
-        self._replies: dict[int, Reply] = {}
+        self._replies: dict[int, TaskReply] = {}
 
     @property
     def time(self) -> float:
         """Now (s, the clock of the observations)."""
         return self.observation.time
 
-    def begin(self, request_id: str, observation: Observation) -> None:
+    def begin(self, request_id: str, observation: MissionObservation) -> None:
         """Forget the last mission; where the robot stands is not known again before it drives."""
         self.observation = observation
-        self.status = Status(request_id=request_id)
+        self.status = MissionStatus(request_id=request_id)
         self.touched = self.left = False
         self.deadline = math.inf
         self._open.clear()
         self._replies.clear()
 
-    def observe(self, observation: Observation) -> None:
+    def observe(self, observation: MissionObservation) -> None:
         """Take the observation of this tick."""
         self.observation = observation
         for reply in observation.replies:
@@ -96,9 +106,9 @@ class MissionContext:
                 self._open.discard(reply.number)
                 self._replies[reply.number] = reply
 
-    def command(self) -> Command:
+    def command(self) -> MissionCommand:
         """Return and forget what was asked for in this tick."""
-        command = Command(tuple(self._requests), tuple(self._cancels))
+        command = MissionCommand(tuple(self._requests), tuple(self._cancels))
         self._requests, self._cancels = [], []
         return command
 
@@ -130,14 +140,14 @@ class MissionContext:
         while self.time < end:
             yield
 
-    def send(self, task: Task, **details: Place | Goal | bool | float | None) -> int:
-        """Send a request, its details by the names of `Request`, and return its number."""
-        request = replace(Request(next(self._numbers), task), **details)  # type: ignore[arg-type]
+    def send(self, task: Task, **details: Place | MissionGoal | bool | float | None) -> int:
+        """Send a request, its details by the names of `TaskRequest`, and return its number."""
+        request = replace(TaskRequest(next(self._numbers), task), **details)  # type: ignore[arg-type]
         self._requests.append(request)
         self._open.add(request.number)
         return request.number
 
-    def answer(self, number: int) -> Script[Reply]:
+    def answer(self, number: int) -> Script[TaskReply]:
         """Wait for a reply; the stage's limit ends the wait."""
         while number not in self._replies:
             yield
@@ -162,7 +172,7 @@ class MissionContext:
         if not docking.free:
             raise Busy(f"the charger is at work ({docking.state.name}) or docked: undock it, then send the goal again")
 
-    def look(self) -> Script[Reply]:
+    def look(self) -> Script[TaskReply]:
         """Let the camera look once, for look_timeout.
 
         Raises:
@@ -179,7 +189,7 @@ class MissionContext:
             raise ElectrodesNotFound("detect_electrodes went away: look at electrode_detector_node's log")
         return reply
 
-    def dock(self, goal: Goal) -> Script[Reply]:
+    def dock(self, goal: MissionGoal) -> Script[TaskReply]:
         """Dock and charge until docking ends its goal; the stage turns to CHARGE when it says that current flows."""
         self.enter(Stage.DOCK, self.parameters.dock_timeout)
         number = self.send(Task.DOCK, goal=goal)
@@ -229,14 +239,14 @@ class MissionContext:
         self.status.place = told if known else place
 
 
-def dock_failure(reply: Reply, consequence: str = "") -> DockingError:
+def dock_failure(reply: TaskReply, consequence: str = "") -> DockingError:
     """Return the error of docking or undocking that did not succeed."""
     if reply.end is End.LOST:
         return PhaseTimeout("docking_node went away; start it again and look at its log" + consequence)
     return DockFailed(replace(reply, message=reply.message + consequence))
 
 
-def _drive_failure(reply: Reply, place: Place) -> DockingError:
+def _drive_failure(reply: TaskReply, place: Place) -> DockingError:
     where = f"({place.x:.2f}, {place.y:.2f}) of {place.frame}"
     if reply.end is End.REFUSED:
         return Rejected(f"the navigator refused to drive to {where}: is it active, and does it know this frame?")

@@ -24,7 +24,7 @@ class Stage(IntEnum):
 
 
 class Task(Enum):
-    """What the machine may ask others to do; each request is answered by a `Reply`."""
+    """What the machine may ask others to do; each request is answered by a `TaskReply`."""
 
     DRIVE = "navigate_to_pose"
     DETECT = "detect_electrodes"
@@ -33,7 +33,7 @@ class Task(Enum):
 
 
 @dataclass(frozen=True)
-class Goal:
+class MissionGoal:
     """What a client wants: electrodes that should be at `electrodes` (None where nobody drives), and stop conditions.
 
     `stop_energy` in J and `stop_after` in s, 0 = none.
@@ -46,7 +46,7 @@ class Goal:
 
 
 @dataclass(frozen=True)
-class Request:
+class TaskRequest:
     """One errand for somebody else; `number` comes back in the reply.
 
     `place` and `precise` (a small move near the target) belong to DRIVE, `timeout` (s) to DETECT, `goal` to DOCK.
@@ -57,7 +57,7 @@ class Request:
     place: Place | None = None
     precise: bool = False
     timeout: float = 0.0
-    goal: Goal | None = None
+    goal: MissionGoal | None = None
 
 
 class End(Enum):
@@ -71,7 +71,7 @@ class End(Enum):
 
 
 @dataclass(frozen=True)
-class Reply:
+class TaskReply:
     """Answer to the request of the same number.
 
     Attributes:
@@ -95,7 +95,7 @@ class Reply:
 
 
 @dataclass(frozen=True)
-class Docking:
+class DockingReport:
     """docking_state: what docking_node is at."""
 
     state: State = State.IDLE
@@ -109,25 +109,25 @@ class Docking:
 
 
 @dataclass(frozen=True)
-class Observation:
+class MissionObservation:
     """Everything known at `time` (s, monotonic); `docking` None = docking_state was never heard."""
 
     time: float
     served: frozenset[Task] = frozenset()
-    docking: Docking | None = None
-    replies: tuple[Reply, ...] = ()
+    docking: DockingReport | None = None
+    replies: tuple[TaskReply, ...] = ()
 
 
 @dataclass(frozen=True)
-class Command:
+class MissionCommand:
     """What to do now: requests to send, and numbers of requests to call off."""
 
-    requests: tuple[Request, ...] = ()
+    requests: tuple[TaskRequest, ...] = ()
     cancels: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
-class Outcome:
+class MissionOutcome:
     """How a mission ended; `returned`: the robot stands at its base and nothing holds it."""
 
     success: bool = False
@@ -144,7 +144,7 @@ class Outcome:
 
 
 @dataclass
-class Status:
+class MissionStatus:
     """What the machine tells about itself between commands."""
 
     stage: Stage = Stage.WAIT

@@ -15,9 +15,18 @@ from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, ElectrodesNotFound, PhaseTimeout, Rejected
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.context import DockFailed, MissionContext, Script, code_of, dock_failure
-from deltacharger_mission.dialogue import Command, End, Goal, Observation, Outcome, Stage, Status, Task
+from deltacharger_mission.dialogue import (
+    End,
+    MissionCommand,
+    MissionGoal,
+    MissionObservation,
+    MissionOutcome,
+    MissionStatus,
+    Stage,
+    Task,
+)
 from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.places import Mount, Place, views
+from deltacharger_mission.places import BaseMount, Place, views
 
 _FUTILE = 0.005  # m, and
 _FUTILE_TURN = 0.02  # rad, of correction that are nothing to a mobile base: what is out of reach then stays so
@@ -33,7 +42,7 @@ class MissionMachine:
         home: where the base returns to; None = nobody drives, the charger stands still and the target comes to it.
     """
 
-    def __init__(self, parameters: MissionParameters, mount: Mount, home: Place | None) -> None:
+    def __init__(self, parameters: MissionParameters, mount: BaseMount, home: Place | None) -> None:
         self.parameters = parameters
         self._mount = mount
         self._home = home
@@ -41,10 +50,10 @@ class MissionMachine:
         self._script: Generator[None, None, None] | None = None
         self._cancel = self._interruptible = self._charged = False
         self._started = 0.0
-        self.outcome: Outcome | None = None
+        self.outcome: MissionOutcome | None = None
 
     @property
-    def status(self) -> Status:
+    def status(self) -> MissionStatus:
         """Present state, for feedback and diagnostics."""
         return self._context.status
 
@@ -53,7 +62,7 @@ class MissionMachine:
         """Whether a goal is being served."""
         return self._script is not None
 
-    def start(self, goal: Goal, observation: Observation) -> None:
+    def start(self, goal: MissionGoal, observation: MissionObservation) -> None:
         """Begin a mission.
 
         Raises:
@@ -77,7 +86,7 @@ class MissionMachine:
         """Let the goal end with CANCELED: undocked and returned; on the way back already, where the robot stands."""
         self._cancel = True
 
-    def step(self, observation: Observation) -> Command:
+    def step(self, observation: MissionObservation) -> MissionCommand:
         """Advance by one tick and return what to do."""
         self._context.observe(observation)
         if self._script is not None:
@@ -85,7 +94,7 @@ class MissionMachine:
             self._advance()
         return self._context.command()
 
-    def emergency(self) -> Command:
+    def emergency(self) -> MissionCommand:
         """Return the command that calls everything off, and forget the goal: for a shell that must end."""
         self._script = None
         self._context.drop()
@@ -114,7 +123,7 @@ class MissionMachine:
             return PhaseTimeout(f"{stage.name} took longer than {stage.name.lower()}_timeout")
         return None
 
-    def _mission(self, goal: Goal) -> Generator[None, None, None]:
+    def _mission(self, goal: MissionGoal) -> Generator[None, None, None]:
         """Run the errand; whatever ends it, take the way out and keep the first error."""
         first: DockingError | None = None
         message, returned = "", False
@@ -144,15 +153,15 @@ class MissionMachine:
     def _note(self, error: DockingError | None) -> None:
         self.status.code, self.status.message = (Code.NONE, "") if error is None else (code_of(error), str(error))
 
-    def _outcome(self, first: DockingError | None, message: str, returned: bool) -> Outcome:
+    def _outcome(self, first: DockingError | None, message: str, returned: bool) -> MissionOutcome:
         elapsed = self._context.time - self._started
         if first is None:
-            return Outcome(True, Code.NONE, message, returned=returned, elapsed=elapsed)
+            return MissionOutcome(True, Code.NONE, message, returned=returned, elapsed=elapsed)
         retriable = first.reply.retriable if isinstance(first, DockFailed) else first.retriable
         # A target that has been charged needs no second mission, whatever became of the charger.
-        return Outcome(False, code_of(first), message, retriable and not self._charged, returned, elapsed)
+        return MissionOutcome(False, code_of(first), message, retriable and not self._charged, returned, elapsed)
 
-    def _errand(self, goal: Goal) -> Script[str]:
+    def _errand(self, goal: MissionGoal) -> Script[str]:
         """Do what was asked, and return in words how it ended."""
         context, parameters = self._context, self.parameters
         context.enter(Stage.WAIT, math.inf)

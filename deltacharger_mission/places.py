@@ -43,7 +43,7 @@ def wrapped(angle: float) -> float:
     return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 
-class Mount:
+class BaseMount:
     """charger_base in the robot's base frame (REP-103: x forward, y left, z up).
 
     Args:
@@ -92,7 +92,7 @@ class Mount:
         return replace(electrodes, yaw=yaw).at(-x, -y)
 
 
-def views(electrodes: Place, distance: float, mount: Mount, parameters: MissionParameters) -> Iterator[Place]:
+def views(electrodes: Place, distance: float, mount: BaseMount, parameters: MissionParameters) -> Iterator[Place]:
     """Yield the places from which to look for electrodes that should be at `electrodes`.
 
     The first faces them from `distance` (m); then turns to either side, wider each time; then the same from farther and

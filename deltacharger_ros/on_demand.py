@@ -22,7 +22,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 
-class Gate(CallbackGroup):
+class GatedGroup(CallbackGroup):
     """A group whose callbacks nobody calls until it is open.
 
     Attributes:
@@ -72,7 +72,7 @@ class PolledTopic:
     ) -> None:
         self.name = node.resolve_topic_name(name)
         self._node = node
-        self._gate = Gate()
+        self._gate = GatedGroup()
         self._subscription: Any = node.create_subscription(
             kind, name, callback, qos, callback_group=self._gate, raw=raw
         )

@@ -43,7 +43,7 @@ class SceneError(ValueError):
 
 
 @dataclass(frozen=True)
-class Goal(Bounded):
+class SceneGoal(Bounded):
     """Coordinates that stand in for the camera, in charger_base."""
 
     x: float = number(0.0, -0.3, 0.3, "m", "midpoint of the electrodes")
@@ -80,7 +80,7 @@ class Scene:
     nodes: tuple[str, ...] = STANDARD_NODES
     simulation: Simulation | None = None
     ports: Ports = field(default_factory=Ports)
-    goal: Goal | None = None
+    goal: SceneGoal | None = None
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     file: str = ""
 
@@ -197,7 +197,7 @@ def parse_scene(content: Any, name: str, file: str = "") -> Scene:
         nodes=nodes,
         simulation=_read_simulation(top),
         ports=from_mapping(top.mapping("ports"), Ports, "ports"),
-        goal=from_mapping(top.mapping("goal"), Goal, "goal") if top.has("goal") else None,
+        goal=from_mapping(top.mapping("goal"), SceneGoal, "goal") if top.has("goal") else None,
         parameters=_read_parameters(top, nodes),
         file=file,
     )

@@ -20,7 +20,7 @@ _LOST_TIME = 0.05  # s until it reports that current which flowed has gone
 _IDLE_CURRENT = 0.05  # A
 
 
-class Phase(Enum):
+class StagePhase(Enum):
     """What the power stage is doing."""
 
     OPEN = 0
@@ -30,7 +30,7 @@ class Phase(Enum):
 
 
 # An enumeration's members are looked up slowly, and a step asks for several.
-_OPEN, _PRECHARGE, _CLOSED, _RAMP_DOWN = Phase.OPEN, Phase.PRECHARGE, Phase.CLOSED, Phase.RAMP_DOWN
+_OPEN, _PRECHARGE, _CLOSED, _RAMP_DOWN = StagePhase.OPEN, StagePhase.PRECHARGE, StagePhase.CLOSED, StagePhase.RAMP_DOWN
 
 
 class Circuit:
@@ -125,7 +125,7 @@ class Circuit:
             return min(2.0 * self._resistance, 0.9), 0.0
         return self._parameters.target_leakage + self._resistance, self._voltage
 
-    def _enter(self, phase: Phase) -> None:
+    def _enter(self, phase: StagePhase) -> None:
         self._phase = phase
         self._since = 0.0
         if phase is _CLOSED:

@@ -22,7 +22,7 @@ from deltacharger_core.machine import NOMINAL_VOLTAGE
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, DeltaGeometry, Vector
 from deltacharger_sim.linkage import Linkage
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.touch import Touch
+from deltacharger_sim.touch import TargetTouch
 
 GEAR_BRISTLE = 400.0  # N·m/rad; a gear yields 0.15 mrad before it slips
 END_STOP = 2000.0  # N·m/rad behind a joint limit
@@ -79,7 +79,7 @@ class Mechanics:
             )
         )
         self._target_z = parameters.target.z if parameters.target.present else math.inf
-        self._touch = Touch(parameters)
+        self._touch = TargetTouch(parameters)
         self._play = 0.5 * parameters.servo.backlash
         here = self._linkage.linearise(*start)
         if here is None:

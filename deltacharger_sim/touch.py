@@ -11,7 +11,7 @@ from deltacharger_sim.tilt import PlatformTilt, tilts
 LATERAL_MOST = 1e6  # N/m; stiffer bristles would give less than 20 µm and only make stick and slip hard to solve
 
 
-class Touch:
+class TargetTouch:
     """Magnets and electrodes against a target whose terminal lies aside by `lie`.
 
     Attributes:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.machine import COLUMNS, PADS, ROWS
-from deltacharger_tactile.parameters import ContactParameters
+from deltacharger_tactile.parameters import PadContactParameters
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class Waviness:
     phase: Array
 
     @staticmethod
-    def draw(parameters: ContactParameters, random: np.random.Generator) -> Waviness:
+    def draw(parameters: PadContactParameters, random: np.random.Generator) -> Waviness:
         """Draw the ridges of one rig with the rms of the parameters."""
         amplitude = np.full((PADS, WAVES), parameters.waviness * np.sqrt(2.0 / WAVES))
         length = random.uniform(0.008, 0.040, (PADS, WAVES))
@@ -65,8 +65,8 @@ class Contact:
 class ContactModel:
     """Ridge on pad for a family of rigs; immutable, so that threads may share it."""
 
-    def __init__(self, parameters: ContactParameters | None = None) -> None:
-        self.parameters = parameters or ContactParameters()
+    def __init__(self, parameters: PadContactParameters | None = None) -> None:
+        self.parameters = parameters or PadContactParameters()
         self._u, self._v = _sample_points(self.parameters)
         self._pooling = _pooling_matrix(self.parameters)
         side = self.parameters.pad_side / (ROWS * self.parameters.sub_samples)
@@ -164,7 +164,7 @@ class ContactModel:
         return np.maximum(approach[:, None] + height, 0.0), approach
 
 
-def _sample_points(parameters: ContactParameters) -> tuple[Array, Array]:
+def _sample_points(parameters: PadContactParameters) -> tuple[Array, Array]:
     """Sub-sample coordinates (900,) in the pad: row-major from +y, columns from +x."""
     count = ROWS * parameters.sub_samples
     line = parameters.pad_side * (0.5 - (np.arange(count) + 0.5) / count)
@@ -172,7 +172,7 @@ def _sample_points(parameters: ContactParameters) -> tuple[Array, Array]:
     return u.ravel(), v.ravel()
 
 
-def _pooling_matrix(parameters: ContactParameters) -> Array:
+def _pooling_matrix(parameters: PadContactParameters) -> Array:
     """(100, 900) share of each sub-sample's force that each taxel feels; columns sum to 1: no force is lost.
 
     Kernel of an elastic half-space at depth h under a point load (Boussinesq): 3 h³ / (2π (r² + h²)^2.5). What

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_tactile.errors import FrameError
-from deltacharger_tactile.parameters import ContactParameters
+from deltacharger_tactile.parameters import PadContactParameters
 
 Array = NDArray[np.float64]
 
-_PITCH = 1e3 * ContactParameters().pad_side / ROWS
-_BASELINE = 2e3 * ContactParameters().pad_distance
+_PITCH = 1e3 * PadContactParameters().pad_side / ROWS
+_BASELINE = 2e3 * PadContactParameters().pad_distance
 # Taxel centres in mm: row 0 at +y, column 0 at +x.
 _V = _PITCH * (0.5 * (ROWS - 1) - np.arange(ROWS))
 _U = _PITCH * (0.5 * (COLUMNS - 1) - np.arange(COLUMNS))

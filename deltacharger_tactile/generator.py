@@ -29,7 +29,7 @@ from deltacharger_tactile.dataset import (
     Dataset,
 )
 from deltacharger_tactile.errors import DatasetError
-from deltacharger_tactile.parameters import DockingParameters, TactileParameters
+from deltacharger_tactile.parameters import PadDockingParameters, TactileParameters
 from deltacharger_tactile.sensor import SHAPE, Dockings, Rig, Sensor
 
 Array = NDArray[np.float64]
@@ -103,7 +103,7 @@ def generate_continuous(
     return _generate("continuous", parameters, rigs, poses, subset, seed, frames, threshold, rows)
 
 
-def contact_force(parameters: DockingParameters, offset: Array, current: Array, magnets: float = 1.0) -> Array:
+def contact_force(parameters: PadDockingParameters, offset: Array, current: Array, magnets: float = 1.0) -> Array:
     """Total contact force (N,), N: magnets, weaker with the lateral offset (N, 2) m, plus the servos' push."""
     squared = np.sum(offset * offset, axis=1) / parameters.magnet_width**2
     pull = parameters.magnet_force * magnets * np.maximum(parameters.magnet_floor, 1.0 / (1.0 + squared))

@@ -22,7 +22,7 @@ _DEGREE = math.pi / 180.0
 
 
 @dataclass(frozen=True)
-class ContactParameters(Bounded):
+class PadContactParameters(Bounded):
     """Pads, ridge and elastomer; lengths in m, tilts in rad. Raises ParameterError where a value is out of bounds."""
 
     pad_distance: float = number(0.048, 0.02, 0.1, "m", "pad centre from the end effector's centre along x")
@@ -40,7 +40,7 @@ class ContactParameters(Bounded):
 
 
 @dataclass(frozen=True)
-class DockingParameters(Bounded):
+class PadDockingParameters(Bounded):
     """What differs between rigs and between two dockings at one commanded pose, and the total force."""
 
     tilt_per_x: float = number(10.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about y per horizontal offset")
@@ -86,8 +86,8 @@ class SensorParameters(Bounded):
 class TactileParameters:
     """All parameters of one family of rigs."""
 
-    contact: ContactParameters = field(default_factory=ContactParameters)
-    docking: DockingParameters = field(default_factory=DockingParameters)
+    contact: PadContactParameters = field(default_factory=PadContactParameters)
+    docking: PadDockingParameters = field(default_factory=PadDockingParameters)
     sensor: SensorParameters = field(default_factory=SensorParameters)
 
     def to_json(self) -> str:

@@ -20,7 +20,7 @@ from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError
 from deltacharger_tactile.estimator import PoseEstimator
 from deltacharger_tactile.generator import measure
-from deltacharger_tactile.parameters import DockingParameters, SensorParameters, TactileParameters
+from deltacharger_tactile.parameters import PadDockingParameters, SensorParameters, TactileParameters
 from deltacharger_tactile.sensor import Rig
 
 Array = NDArray[np.float64]
@@ -35,7 +35,7 @@ _POSITION_REACH = 0.016
 
 
 @dataclass(frozen=True)
-class Recording:
+class RobotFrames:
     """Robot frames with the pose in contact.
 
     Attributes:
@@ -59,7 +59,7 @@ def varied(rig: int) -> TactileParameters:
     """
     random = np.random.default_rng([0x7EA, rig])
     base = TactileParameters()
-    docking: DockingParameters = dataclasses.replace(
+    docking: PadDockingParameters = dataclasses.replace(
         base.docking,
         tilt_per_x=base.docking.tilt_per_x * random.uniform(0.85, 1.15),
         tilt_per_y=base.docking.tilt_per_y * random.uniform(0.7, 1.3),
@@ -87,7 +87,7 @@ def draw_poses(count: int, random: np.random.Generator) -> Array:
     return np.where(random.random((count, 1)) < 0.5, wide, near)
 
 
-def record(rigs: Sequence[int], count: int, seed: int, vary: bool = True) -> Recording:
+def record(rigs: Sequence[int], count: int, seed: int, vary: bool = True) -> RobotFrames:
     """Dock `count` times on each rig.
 
     Args:
@@ -107,7 +107,7 @@ def record(rigs: Sequence[int], count: int, seed: int, vary: bool = True) -> Rec
         frames.append(felt)
         poses.append(rows["contact_pose"])
         forces.append(rows["force"])
-    return Recording(
+    return RobotFrames(
         np.concatenate(frames),
         np.concatenate(poses),
         np.concatenate(forces),

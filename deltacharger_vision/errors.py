@@ -58,7 +58,7 @@ class MountError(_SourcedError):
     """
 
 
-class SceneError(_NamedError):
+class RenderingError(_NamedError):
     """A scene cannot be rendered. Example: a pose that is not a rigid transform.
 
     Args:

@@ -21,15 +21,15 @@ _SIGNS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 
 
 @dataclass(frozen=True)
-class Pose:
+class TerminalPose:
     """Pose of the terminal in the optical frame: rotation (3, 3), translation (3,) m."""
 
     rotation: Array
     translation: Array
 
-    def moved(self, step: Array) -> Pose:
+    def moved(self, step: Array) -> TerminalPose:
         """Return the pose after a step (6,): translation (m), then rotation about the optical axes (rad)."""
-        return Pose(turn(step[3:]) @ self.rotation, self.translation + step[:3])
+        return TerminalPose(turn(step[3:]) @ self.rotation, self.translation + step[:3])
 
     def points(self, terminal_points: Array) -> Array:
         """Return points (..., 3) of the terminal in the optical frame, m."""
@@ -62,6 +62,6 @@ def face_corners(terminal: Terminal) -> Array:
     return corners
 
 
-def facing(pose: Pose) -> float:
+def facing(pose: TerminalPose) -> float:
     """Return the cosine between the line of sight and the terminal's z axis: 1 seen from the front, 0 edge-on."""
     return float(pose.rotation[:, 2] @ pose.translation / np.linalg.norm(pose.translation))

@@ -20,7 +20,7 @@ from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import SimulatedCamera
-from deltacharger_vision.rendering.scene import Scene
+from deltacharger_vision.rendering.scene import RenderedScene
 
 out = sys.argv[1] if len(sys.argv) > 1 else "detection.png"
 mount = Mount.default()  # charger_base_T_camera
@@ -28,7 +28,9 @@ roll = math.radians(4.0)
 base_T_terminal = np.eye(4)  # noqa: N816
 base_T_terminal[:2, :2] = [[math.cos(roll), -math.sin(roll)], [math.sin(roll), math.cos(roll)]]
 base_T_terminal[:3, 3] = 0.012, -0.009, 0.084
-picture = SimulatedCamera().render(Scene(), np.linalg.inv(mount.pose) @ base_T_terminal, np.random.default_rng(1))
+picture = SimulatedCamera().render(
+    RenderedScene(), np.linalg.inv(mount.pose) @ base_T_terminal, np.random.default_rng(1)
+)
 
 found = ElectrodeDetector().detect(picture)  # None where no electrodes are
 cv2.imwrite(out, annotated(picture, found)[:, :, ::-1])

@@ -90,6 +90,17 @@ def test_no_two_files_import_each_other() -> None:
     assert not sorted((a, b) for a, b in arrows if a < b and (b, a) in arrows)
 
 
+def test_no_two_public_classes_have_one_name() -> None:
+    homes: dict[str, list[str]] = {}
+    for path in FILES:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                homes.setdefault(node.name, []).append(NAME_OF[path])
+    assert not {name: found for name, found in homes.items() if len(found) > 1}
+    messages = {path.stem for folder in ("msg", "srv", "action") for path in (ROOT / folder).iterdir()}
+    assert not messages & homes.keys(), "a class that is no message has a message's name"
+
+
 def test_every_package_has_its_place() -> None:
     assert {package_of(path) for path in FILES} == set(BELOW)
     order = list(BELOW)

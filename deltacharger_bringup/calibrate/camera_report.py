@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_bringup.calibrate.camera_views import VIEWS, Seen
+from deltacharger_bringup.calibrate.camera_views import VIEWS, SeenViews
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.hand_eye.calibrate import Calibration
@@ -38,7 +38,7 @@ class Judged:
     """
 
     found: Calibration
-    seen: Seen
+    seen: SeenViews
     away: tuple[float, float]
     doubts: list[str]
     notes: list[str]

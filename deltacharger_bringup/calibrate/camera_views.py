@@ -68,7 +68,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Seen:
+class SeenViews:
     """The views of a folder: those that show the board, their images' names, and the names of the others."""
 
     views: tuple[View, ...]
@@ -113,7 +113,9 @@ def read_rows(folder: Path) -> list[Row]:
     return rows
 
 
-def gather(folder: Path, rows: Sequence[Row], board: Board, intrinsics: Intrinsics, geometry: DeltaGeometry) -> Seen:
+def gather(
+    folder: Path, rows: Sequence[Row], board: Board, intrinsics: Intrinsics, geometry: DeltaGeometry
+) -> SeenViews:
     """Look for the board in the image of each row.
 
     Raises:
@@ -134,7 +136,7 @@ def gather(folder: Path, rows: Sequence[Row], board: Board, intrinsics: Intrinsi
         else:
             views.append(View(position, sighting, slope))
             names.append(row.image)
-    return Seen(tuple(views), tuple(names), tuple(without))
+    return SeenViews(tuple(views), tuple(names), tuple(without))
 
 
 def read_pixels(path: Path) -> NDArray[np.uint8]:

@@ -17,7 +17,7 @@ from deltacharger_bringup.cli.measurements import encoder_of, refusing
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_bringup.cli.types import SEED, between, whole
-from deltacharger_kinematics.calibration.calibrate import Calibration, calibrate, describe
+from deltacharger_kinematics.calibration.calibrate import GeometryCalibration, calibrate, describe
 from deltacharger_kinematics.calibration.checks import named
 from deltacharger_kinematics.calibration.data import Encoder, read_measurements
 from deltacharger_kinematics.calibration.plan import plan, write_plan
@@ -130,7 +130,7 @@ def _fit(options: argparse.Namespace) -> int:
     return DONE if success else FAILED
 
 
-def _doubts(found: Calibration) -> list[str]:
+def _doubts(found: GeometryCalibration) -> list[str]:
     """Return why the geometry should not be used; empty where it should."""
     doubts = []
     if not found.improves:
@@ -145,12 +145,12 @@ def _doubts(found: Calibration) -> list[str]:
     return doubts
 
 
-def _worst(found: Calibration) -> list[int]:
+def _worst(found: GeometryCalibration) -> list[int]:
     """Return the rows with the largest residuals, worst first."""
     return [int(row) for row in np.argsort(-np.linalg.norm(found.fit.residuals, axis=1))[:_WORST]]
 
 
-def _lines(found: Calibration, rows: Any) -> list[int]:
+def _lines(found: GeometryCalibration, rows: Any) -> list[int]:
     return [found.measurements.lines[row] for row in rows]
 
 
@@ -158,7 +158,7 @@ def _mm(value: float) -> str:
     return f"{value / MILLIMETRE:.3f}"
 
 
-def _header(options: argparse.Namespace, found: Calibration, digest: str) -> str:
+def _header(options: argparse.Namespace, found: GeometryCalibration, digest: str) -> str:
     """Return the comment that says what a geometry file was made from."""
     count, kept = len(found.measurements), int(found.held_out.sum())
     before, after = found.held_out_rms
@@ -181,7 +181,7 @@ def _header(options: argparse.Namespace, found: Calibration, digest: str) -> str
     )
 
 
-def _as_mapping(found: Calibration, digest: str) -> dict[str, Any]:
+def _as_mapping(found: GeometryCalibration, digest: str) -> dict[str, Any]:
     """Return everything in SI units."""
     columns = (numbers(found.nominal), numbers(found.fit.geometry), found.standard_deviations)
     before, after = found.held_out_rms
@@ -211,7 +211,7 @@ def _as_mapping(found: Calibration, digest: str) -> dict[str, Any]:
     }
 
 
-def _as_text(options: argparse.Namespace, found: Calibration) -> str:
+def _as_text(options: argparse.Namespace, found: GeometryCalibration) -> str:
     count, kept = len(found.measurements), int(found.held_out.sum())
     before, after = found.held_out_rms
     values = found.fit.singular_values
@@ -230,13 +230,13 @@ def _as_text(options: argparse.Namespace, found: Calibration) -> str:
     return "\n".join([*_table(found), "", *(f"{name:<10} {text}" for name, text in rows)])
 
 
-def _scatter_hint(found: Calibration) -> str:
+def _scatter_hint(found: GeometryCalibration) -> str:
     if found.fit.scatter < _UNEXPLAINED:
         return ""
     return ": is there play in the joints, or was it measured more coarsely than stated?"
 
 
-def _table(found: Calibration) -> list[str]:
+def _table(found: GeometryCalibration) -> list[str]:
     """Return nominal value, fitted value and its standard deviation of each number, limbs side by side."""
     shape = (LIMB_COUNT, len(NAMES))
     nominal, fitted = numbers(found.nominal), numbers(found.fit.geometry)

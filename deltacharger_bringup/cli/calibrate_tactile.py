@@ -21,8 +21,8 @@ from deltacharger_bringup.cli.types import whole
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from deltacharger_tactile.calibration.faults import Dockings, Faults, Tares
-    from deltacharger_tactile.calibration.fit import Fit, Worth
+    from deltacharger_tactile.calibration.faults import KnownDockings, PadFaults, Tares
+    from deltacharger_tactile.calibration.fit import PadFit, Worth
     from deltacharger_tactile.calibration.rig import TactileCalibration
     from deltacharger_tactile.dataset import Dataset
     from deltacharger_tactile.estimator import PoseEstimator
@@ -44,9 +44,9 @@ def add_tactile(parser: argparse.ArgumentParser) -> None:
 
 @dataclass(frozen=True)
 class _Found:
-    faults: Faults
+    faults: PadFaults
     tares: Tares
-    fit: Fit
+    fit: PadFit
     worth: Worth
     doubts: list[str]
 
@@ -111,7 +111,7 @@ def _calibrate(data: Dataset, model: PoseEstimator, options: argparse.Namespace)
     return _Found(faults, tares, fit, worth, [*pads, *_doubts_of_fit(dockings, fit, worth)])
 
 
-def _doubts_of_pads(faults: Faults, tares: Tares, model: PoseEstimator) -> list[str]:
+def _doubts_of_pads(faults: PadFaults, tares: Tares, model: PoseEstimator) -> list[str]:
     doubts = []
     most = int(faults.dead.sum(axis=(1, 2)).max())
     if most > model.limits.pad_dead:
@@ -126,7 +126,7 @@ def _doubts_of_pads(faults: Faults, tares: Tares, model: PoseEstimator) -> list[
     return doubts
 
 
-def _doubts_of_fit(dockings: Dockings, fit: Fit, worth: Worth) -> list[str]:
+def _doubts_of_fit(dockings: KnownDockings, fit: PadFit, worth: Worth) -> list[str]:
     from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT
     from deltacharger_tactile.calibration.rig import AXES, SHIFT_LIMIT
 
@@ -162,7 +162,7 @@ def _places(mask: NDArray[np.bool_], most: int = 6) -> str:
     return ", ".join(found[:most]) + more if found else "none"
 
 
-def _kinds(faults: Faults) -> dict[str, NDArray[np.bool_]]:
+def _kinds(faults: PadFaults) -> dict[str, NDArray[np.bool_]]:
     return {name: getattr(faults, name) for name in ("told", "silent", "loud", "noisy")}
 
 

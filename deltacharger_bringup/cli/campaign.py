@@ -26,7 +26,7 @@ from deltacharger_bringup.cli.output import (
 from deltacharger_bringup.cli.parser import add_command
 from deltacharger_bringup.cli.types import SEED, whole
 from deltacharger_docking.parameters import APPROACHES
-from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, Settings, versions_of
+from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, CampaignSettings, versions_of
 from deltacharger_scenes.scene import SceneError
 
 _DEFAULT_COUNT = 100
@@ -68,7 +68,7 @@ def campaign(options: argparse.Namespace) -> int:
     _demand(require_pyarrow)
     try:
         with Interrupts() as interrupts, Store(folder, settings) as store:
-            progress = Progress(settings.n, len(store.done))
+            progress = CampaignProgress(settings.n, len(store.done))
             run_missing(
                 store, options.workers or 1, options.scheduler, options.batch, progress, interrupts.event.is_set, say
             )
@@ -115,7 +115,7 @@ def compare(options: argparse.Namespace) -> int:
     return DONE
 
 
-class Progress:
+class CampaignProgress:
     """Says on stderr how far a campaign is: a bar on a terminal, else a line at every tenth.
 
     Args:
@@ -172,7 +172,7 @@ def _folder(options: argparse.Namespace) -> Path:
     return folder
 
 
-def _settings(options: argparse.Namespace) -> Settings:
+def _settings(options: argparse.Namespace) -> CampaignSettings:
     from deltacharger_lab.campaigns import paper
     from deltacharger_lab.campaigns.scene import load_campaign_scene
 
@@ -191,7 +191,7 @@ def _settings(options: argparse.Namespace) -> Settings:
         except ModuleNotFoundError as error:
             raise CommandError(f"{error.name} is not installed; install deltacharger[train]", FAILED) from error
     versions = versions_of(scene.content)
-    return Settings(count, options.seed, options.approach, options.exact, scene.content, scene.name, versions)
+    return CampaignSettings(count, options.seed, options.approach, options.exact, scene.content, scene.name, versions)
 
 
 def _demand(requirement: Any) -> None:
@@ -201,7 +201,7 @@ def _demand(requirement: Any) -> None:
         raise CommandError(str(error), FAILED) from error
 
 
-def _tell(summary: dict[str, Any], settings: Settings) -> None:
+def _tell(summary: dict[str, Any], settings: CampaignSettings) -> None:
     low, high = summary["charged_interval"]
     tell(f"{summary['n']} simulated dockings of '{settings.scene_name}', seed {settings.seed}, {settings.approach}")
     tell(f"  charged            {100 * summary['charged']:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f})")

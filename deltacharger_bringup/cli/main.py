@@ -21,7 +21,7 @@ from deltacharger_bringup.cli.parser import Parser, Version, add_command
 
 
 @dataclass(frozen=True)
-class Command:
+class CommandLine:
     """What a command does, and where: function `name` of `module` carries it out, `add_name` there adds its options."""
 
     text: str
@@ -43,50 +43,50 @@ class Group:
 
     text: str
     description: str
-    actions: dict[str, Command]
+    actions: dict[str, CommandLine]
 
 
-COMMANDS: dict[str, Command | Group] = {
-    "up": Command(
+COMMANDS: dict[str, CommandLine | Group] = {
+    "up": CommandLine(
         "run a charger in this process until it is stopped; says 'ready' when its actions answer", "up", "up"
     ),
-    "dock": Command("dock and charge, with the running charger or else with one started for it", "dock", "dock"),
-    "undock": Command("stop charging, let go and retract the arm of the running charger", "undock", "undock"),
+    "dock": CommandLine("dock and charge, with the running charger or else with one started for it", "dock", "dock"),
+    "undock": CommandLine("stop charging, let go and retract the arm of the running charger", "undock", "undock"),
     "scene": Group(
         "list, check or explain scenes",
         "Inspect scenes.",
         {
-            "list": Command("name every packaged scene", "scene", "list_scenes"),
-            "check": Command(
+            "list": CommandLine("name every packaged scene", "scene", "list_scenes"),
+            "check": CommandLine(
                 "say whether scenes are well-formed, and what is wrong; a node checks its parameters when it starts",
                 "scene",
                 "check",
             ),
-            "explain": Command("show what a scene sets and every key it could set", "scene", "explain"),
+            "explain": CommandLine("show what a scene sets and every key it could set", "scene", "explain"),
         },
     ),
-    "simulate": Command(
+    "simulate": CommandLine(
         "serve the emulated servos and board of a scene on two ports, without ROS; says 'ready' with their paths",
         "simulate",
         "simulate",
     ),
-    "fault": Command("let something go wrong with the emulated hardware of a charger that runs", "fault", "fault"),
-    "doctor": Command(
+    "fault": CommandLine("let something go wrong with the emulated hardware of a charger that runs", "fault", "fault"),
+    "doctor": CommandLine(
         "say what is wrong with this computer, its ports and what is plugged in, and how to mend it", "doctor", "doctor"
     ),
     "calibrate": Group(
         "fit this one charger's dimensions, camera and pads",
         "Calibrate.",
         {
-            "kinematics": Command(
+            "kinematics": CommandLine(
                 "plan and measure poses of the arm, and fit its geometry to them", "calibrate_kinematics", "kinematics"
             ),
-            "tactile": Command(
+            "tactile": CommandLine(
                 "find gains, dead taxels and constant errors of one rig's pads from dockings at known poses",
                 "calibrate_tactile",
                 "tactile",
             ),
-            "camera": Command(
+            "camera": CommandLine(
                 "find where the camera sits from images of a board on the platform", "calibrate_camera", "camera"
             ),
         },
@@ -95,34 +95,34 @@ COMMANDS: dict[str, Command | Group] = {
         "measure a part and write a page",
         "Measure and report.",
         {
-            "kinematics": Command(
+            "kinematics": CommandLine(
                 "error against run time of inverse and forward kinematics, extremes, and pictures of the workspace",
                 "report",
                 "kinematics",
             ),
-            "tactile": Command(
+            "tactile": CommandLine(
                 "compare the classifiers of misalignment on simulated data: accuracy, run time, splits, shifts, "
                 "confidence",
                 "report",
                 "tactile",
             ),
-            "vision": Command(
+            "vision": CommandLine(
                 "the electrode detector on simulated images: what it finds, errors, run time, false alarms, both "
                 "renderers",
                 "report",
                 "vision",
             ),
-            "simulation": Command(
+            "simulation": CommandLine(
                 "error against run time, stability, energy and extremes of the simulated charger's mechanics",
                 "report",
                 "simulation",
             ),
-            "docking": Command(
+            "docking": CommandLine(
                 "thousands of simulated dockings: what is charged, refused and never happens; the same call goes on",
                 "report",
                 "docking",
             ),
-            "footprint": Command(
+            "footprint": CommandLine(
                 "what each scene costs a computer: processes, start-up, memory, CPU at rest and docking, libraries "
                 "(Linux)",
                 "report",
@@ -134,15 +134,15 @@ COMMANDS: dict[str, Command | Group] = {
         "simulate tactile data, train and judge classifiers of misalignment",
         "Simulate tactile data, train and judge classifiers of misalignment.",
         {
-            "generate": Command("write a simulated data set", "tactile", "generate"),
-            "record": Command(
+            "generate": CommandLine("write a simulated data set", "tactile", "generate"),
+            "record": CommandLine(
                 "dock the running charger at known offsets and record what the pads feel; the same call goes on",
                 "tactile_record",
                 "record",
             ),
-            "train": Command("train a classifier", "tactile", "train"),
-            "evaluate": Command("judge a trained classifier", "tactile", "evaluate"),
-            "compare": Command(
+            "train": CommandLine("train a classifier", "tactile", "train"),
+            "evaluate": CommandLine("judge a trained classifier", "tactile", "evaluate"),
+            "compare": CommandLine(
                 "compare all models on simulated data, the same as `report tactile`", "report", "tactile"
             ),
         },
@@ -151,20 +151,20 @@ COMMANDS: dict[str, Command | Group] = {
         "find electrodes in images",
         "Find electrodes in images.",
         {
-            "detect": Command(
+            "detect": CommandLine(
                 "find a terminal's electrodes in one image, in a folder of images or in a recording", "vision", "detect"
             )
         },
     ),
-    "campaign": Command(
+    "campaign": CommandLine(
         "simulate many dockings in a row, faster than real time and without ROS; the same call goes on",
         "campaign",
         "campaign",
     ),
-    "replay": Command(
+    "replay": CommandLine(
         "say why a recorded docking ended as it did, and draw it; or list the records in a folder", "replay", "replay"
     ),
-    "view": Command(
+    "view": CommandLine(
         "show a running charger or a recording of one: mechanism, camera, pads, currents, states, decisions",
         "view",
         "view",
@@ -260,7 +260,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     for name, command in COMMANDS.items():
-        if isinstance(command, Command):
+        if isinstance(command, CommandLine):
             add_command(commands, name, command.text, command.fill)
             continue
         group = commands.add_parser(name, help=command.text, description=command.description)

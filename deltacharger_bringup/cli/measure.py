@@ -28,8 +28,8 @@ from deltacharger_bringup.cli.output import (
     write_json,
 )
 from deltacharger_kinematics.calibration.data import TICK, Encoder
-from deltacharger_kinematics.calibration.plan import Pose, read_plan
-from deltacharger_kinematics.calibration.recording import Recording
+from deltacharger_kinematics.calibration.plan import PlannedPose, read_plan
+from deltacharger_kinematics.calibration.recording import PoseRecording
 from deltacharger_kinematics.calibration.table import MILLIMETRE
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 
@@ -82,7 +82,7 @@ def measure(options: argparse.Namespace, geometry: DeltaGeometry) -> int:
             with ArmClient(context, geometry, options.namespace, interrupts.event) as arm:
                 arm.wait_until_ready(DISCOVERY)
                 with refusing(options.measure):
-                    recording = Recording(options.measure, _encoder(encoder_of(options), arm.encoder()))
+                    recording = PoseRecording(options.measure, _encoder(encoder_of(options), arm.encoder()))
                     left = [pose for pose in poses if pose.number not in recording.done]
                     _announce(options.measure, poses, left)
                     complete = not left or _visit(arm, left, recording, counts)
@@ -112,13 +112,13 @@ def _encoder(stated: Encoder | None, told: Encoder | None) -> Encoder:
     return told
 
 
-def _announce(path: str, poses: Sequence[Pose], left: Sequence[Pose]) -> None:
+def _announce(path: str, poses: Sequence[PlannedPose], left: Sequence[PlannedPose]) -> None:
     if len(left) < len(poses):
         say(f"{path} holds {len(poses) - len(left)} of {len(poses)} poses already; going on with the others")
     say("keep clear: the arm moves as soon as an answer is given, and at once now")
 
 
-def _visit(arm: ArmClient, poses: Sequence[Pose], recording: Recording, counts: dict[str, int]) -> bool:
+def _visit(arm: ArmClient, poses: Sequence[PlannedPose], recording: PoseRecording, counts: dict[str, int]) -> bool:
     """Go to the poses one by one and record what is answered; False where the input ended too early."""
     answers = Answers()
     arm.start()
@@ -138,7 +138,7 @@ def _visit(arm: ArmClient, poses: Sequence[Pose], recording: Recording, counts: 
     return True
 
 
-def _record(arm: ArmClient, pose: Pose, recording: Recording, answers: Answers) -> str:
+def _record(arm: ArmClient, pose: PlannedPose, recording: PoseRecording, answers: Answers) -> str:
     """Ask until there is an answer: "measured" and recorded, "skipped", "quit", or "end" of the input."""
     from deltacharger_records.datasets.arm_client import STILL
 

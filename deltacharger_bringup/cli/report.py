@@ -158,7 +158,7 @@ def simulation(options: argparse.Namespace) -> int:
 
 def docking(options: argparse.Namespace) -> int:
     """Run the campaigns of the docking report, or go on with them, and write what they say."""
-    from deltacharger_bringup.cli.campaign import Progress
+    from deltacharger_bringup.cli.campaign import CampaignProgress
     from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused
     from deltacharger_lab.reports.docking import plan as docking_plan
     from deltacharger_lab.reports.docking import report as docking_report
@@ -170,9 +170,9 @@ def docking(options: argparse.Namespace) -> int:
         raise CommandError(f"--only: {error}", WRONG_INPUT) from error
     command = f"deltacharger report docking{' --quick' if options.quick else ''} --seed {plan.seed}"
 
-    def progress(part: docking_plan.Part, total: int, begun: int) -> Progress:
+    def progress(part: docking_plan.CampaignPart, total: int, begun: int) -> CampaignProgress:
         say(f"{part.name}: {part.about}")
-        return Progress(total, begun)
+        return CampaignProgress(total, begun)
 
     try:
         with Interrupts() as interrupts:

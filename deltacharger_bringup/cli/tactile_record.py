@@ -27,7 +27,7 @@ from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_bringup.cli.types import MILLIMETRES, SEED, between, whole
 from deltacharger_core import environment
 from deltacharger_docking.codes import Code, Unreachable
-from deltacharger_docking.observation import Outcome
+from deltacharger_docking.observation import DockingOutcome
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, SETS, TILTED, Part
 
@@ -319,7 +319,7 @@ class _Sessions:
         if interrupts.event.is_set():
             raise CommandError("interrupted; the same call goes on", INTERRUPTED)
 
-    def _session(self, numbers: Sequence[int]) -> Outcome:
+    def _session(self, numbers: Sequence[int]) -> DockingOutcome:
         """Make the dockings of these numbers; all that is felt is on the disk when this ends."""
         from deltacharger_records.datasets.keeper import SessionKeeper
         from deltacharger_records.datasets.machine import NotKept

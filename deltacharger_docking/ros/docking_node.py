@@ -23,7 +23,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import Command, Observation, Outcome, Request, Service
+from deltacharger_docking.observation import Command, DockingOutcome, Observation, Request, Service
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.goals import Goals
@@ -110,7 +110,7 @@ class DockingNode(Node):
         else:
             self._see_torque_off()
         self._reports.show(self._machine.status, force=True)
-        self._goals.close(Outcome(code=Code.CANCELED, message=_SHUTTING_DOWN, retriable=True))
+        self._goals.close(DockingOutcome(code=Code.CANCELED, message=_SHUTTING_DOWN, retriable=True))
 
     def _see_torque_off(self) -> None:
         """Switch the torque off and wait until it is, also where an order to switch it on is still under way."""
@@ -181,7 +181,7 @@ class DockingNode(Node):
             self._carry_out(self._machine.emergency(), observation)
             self._switch_off_when_due(observation)  # here too, where every tick meets the defect
             self._torque_off_at = min(self._torque_off_at, time.monotonic() + _TORQUE_DELAY)
-            self._end_goal(Outcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log"))
+            self._end_goal(DockingOutcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log"))
 
     def _carry_out(self, command: Command, observation: Observation) -> None:
         self._calls.contactor(command.energise, observation.contactor_closed)
@@ -216,7 +216,7 @@ class DockingNode(Node):
         if outcome is not None:
             self._end_goal(outcome)
 
-    def _end_goal(self, outcome: Outcome) -> None:
+    def _end_goal(self, outcome: DockingOutcome) -> None:
         if not outcome.success:
             self._calls.forget()
         self._goals.end(outcome)

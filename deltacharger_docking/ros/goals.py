@@ -13,11 +13,11 @@ from deltacharger.action import Dock, Undock
 from deltacharger.msg import Misalignment
 from rclpy.node import Node
 
-from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Busy, Code, DockingError, State
 from deltacharger_docking.goal_check import suggested_base
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import DockGoal, Observation, Outcome, Status
+from deltacharger_docking.observation import DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.reports import changes
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
@@ -27,7 +27,7 @@ _ANSWER = 1.0  # s to see a goal's callback end when the node closes
 _FEEDBACK = 0.2  # s between feedbacks without a change
 
 
-class Goal(Work):
+class ServedGoal(Work):
     """A goal being served, and what its client was told last.
 
     Args:
@@ -66,7 +66,7 @@ class Goals:
         lock: threading.RLock,
         observe: Callable[[], Observation],
         begun: Callable[[], None],
-        misalignment: Callable[[Estimate | None], Misalignment],
+        misalignment: Callable[[FeltPose | None], Misalignment],
         base: tuple[str, Sequence[float]],
         held: bool,
     ) -> None:
@@ -77,7 +77,7 @@ class Goals:
         self._begun = begun
         self._misalignment = misalignment
         self._base = base
-        self._goal: Goal | None = None
+        self._goal: ServedGoal | None = None
         self._ended: GoalHandle | None = None  # of the goal that ended last
         self._refusal = ""
         self._waiting: list[GoalHandle] | None = [] if held else None
@@ -86,7 +86,7 @@ class Goals:
             self._serve(Undock, "undock", self._begin_undock, _undock_result),
         ]
 
-    def _serve(self, kind: Any, name: str, begin: Callable[[GoalHandle], Goal], result: Any) -> WorkServer:
+    def _serve(self, kind: Any, name: str, begin: Callable[[GoalHandle], ServedGoal], result: Any) -> WorkServer:
         return WorkServer(
             self._node,
             kind,
@@ -117,7 +117,7 @@ class Goals:
         with self._lock:
             self._refusal = reason
 
-    def close(self, outcome: Outcome) -> None:
+    def close(self, outcome: DockingOutcome) -> None:
         """End the goal being served, and give its client the time to hear of it."""
         goal = self._goal
         self.end(outcome)
@@ -130,7 +130,7 @@ class Goals:
         if goal is not None and goal.handle.is_cancel_requested:
             self._machine.cancel()
 
-    def end(self, outcome: Outcome) -> None:
+    def end(self, outcome: DockingOutcome) -> None:
         """Hand the outcome of the goal being served over."""
         goal, self._goal = self._goal, None
         if goal is not None:
@@ -148,7 +148,7 @@ class Goals:
         if shown != goal.shown or time.monotonic() - goal.shown_at >= _FEEDBACK:
             self._publish(goal, status.state, status, charge_current)
 
-    def _publish(self, goal: Goal, state: State, status: Status, charge_current: float) -> None:
+    def _publish(self, goal: ServedGoal, state: State, status: DockingStatus, charge_current: float) -> None:
         goal.state, goal.shown_at = state, time.monotonic()
         goal.shown = (state, status.alignments, status.estimate)
         message = goal.feedback()
@@ -174,21 +174,21 @@ class Goals:
         """Return whether the goal has not ended: whoever hears an acceptance knows that the arm goes back."""
         return bool(handle.is_active) and handle is not self._ended
 
-    def _begin_dock(self, handle: GoalHandle) -> Goal:
+    def _begin_dock(self, handle: GoalHandle) -> ServedGoal:
         request = handle.request
         return self._begin(
-            Goal(handle, Dock.Feedback),
+            ServedGoal(handle, Dock.Feedback),
             lambda observation: self._machine.start_dock(self._dock_goal(request), observation),
         )
 
-    def _begin_undock(self, handle: GoalHandle) -> Goal:
+    def _begin_undock(self, handle: GoalHandle) -> ServedGoal:
         request = handle.request
         return self._begin(
-            Goal(handle, Undock.Feedback),
+            ServedGoal(handle, Undock.Feedback),
             lambda observation: self._machine.start_undock(request.request_id, observation),
         )
 
-    def _begin(self, goal: Goal, start: Callable[[Observation], None]) -> Goal:
+    def _begin(self, goal: ServedGoal, start: Callable[[Observation], None]) -> ServedGoal:
         """Start a goal.
 
         Raises:
@@ -213,7 +213,7 @@ class Goals:
             request_id=request.request_id,
         )
 
-    def _dock_result(self, outcome: Outcome) -> Dock.Result:
+    def _dock_result(self, outcome: DockingOutcome) -> Dock.Result:
         return Dock.Result(
             success=outcome.success,
             error_code=int(outcome.code),
@@ -231,7 +231,7 @@ class Goals:
         )
 
 
-def _undock_result(outcome: Outcome) -> Undock.Result:
+def _undock_result(outcome: DockingOutcome) -> Undock.Result:
     return Undock.Result(
         success=outcome.success,
         error_code=int(outcome.code),
@@ -241,7 +241,9 @@ def _undock_result(outcome: Outcome) -> Undock.Result:
     )
 
 
-def _refused(error: Exception) -> Outcome:
+def _refused(error: Exception) -> DockingOutcome:
     if not isinstance(error, DockingError):
-        return Outcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log")
-    return Outcome(code=error.code, message=str(error), retriable=error.retriable, suggested_base=suggested_base(error))
+        return DockingOutcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log")
+    return DockingOutcome(
+        code=error.code, message=str(error), retriable=error.retriable, suggested_base=suggested_base(error)
+    )

@@ -14,9 +14,9 @@ from geometry_msgs.msg import Pose, PoseStamped
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Rejected
-from deltacharger_docking.observation import Detection, Waypoint
+from deltacharger_docking.observation import ElectrodePose, Waypoint
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_ros.messages import duration
 
@@ -25,9 +25,9 @@ _UNIT = (0.9, 1.1)  # norm of a quaternion that somebody meant
 _LEAN_MAX = math.radians(30.0)  # of the electrodes' z axis from charger_base's; what is docked to is the roll alone
 
 
-def estimate(message: Misalignment) -> Estimate:
+def estimate(message: Misalignment) -> FeltPose:
     """Return the plain values of a Misalignment."""
-    return Estimate(
+    return FeltPose(
         message.angle,
         message.angle_stddev,
         message.vertical,
@@ -71,7 +71,7 @@ def trajectory(waypoints: Sequence[Waypoint], stamp: Any) -> JointTrajectory:
     return message
 
 
-def electrodes(message: PoseStamped, base_frame: str, base_pose: Sequence[float]) -> Detection | None:
+def electrodes(message: PoseStamped, base_frame: str, base_pose: Sequence[float]) -> ElectrodePose | None:
     """Return a goal's electrodes in charger_base; None for an empty frame_id (ask the camera).
 
     Args:
@@ -101,7 +101,7 @@ def electrodes(message: PoseStamped, base_frame: str, base_pose: Sequence[float]
         lean = math.degrees(math.acos(max(min(float(rotation[2, 2]), 1.0), -1.0)))
         raise Rejected(f"the electrodes' z axis leans {lean:.0f}° from charger_base's; give the roll about z alone")
     point: Vector = (float(position[0]), float(position[1]), float(position[2]))
-    return Detection(point, math.atan2(rotation[1, 0], rotation[0, 0]))
+    return ElectrodePose(point, math.atan2(rotation[1, 0], rotation[0, 0]))
 
 
 def pose_stamped(position: Vector | None, stamp: Any) -> PoseStamped:

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_docking.codes import State
-from deltacharger_docking.observation import Decision, Observation, Status
+from deltacharger_docking.observation import Decision, DockingStatus, Observation
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 
 _DECISIONS = 50  # depth: none of a docking's decisions is lost while a reader is busy
@@ -41,22 +41,22 @@ class Reports:
     def __init__(self, node: Node, servo_age_max: float) -> None:
         self._node = node
         self._servo_age_max = servo_age_max
-        self._shown: Status | None = None
+        self._shown: DockingStatus | None = None
         self._diagnosed = -math.inf
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._state = node.create_publisher(DockingState, "docking_state", latched)
         self._decision = node.create_publisher(DockingDecision, "docking_decision", QoSProfile(depth=_DECISIONS))
         self._diagnostics = Diagnostics(node)
 
-    def show(self, status: Status, passed: Sequence[State] = (), force: bool = False) -> None:
+    def show(self, status: DockingStatus, passed: Sequence[State] = (), force: bool = False) -> None:
         """Publish docking_state where it changed, once for each state passed through since the last call."""
-        before = self._shown or Status()
+        before = self._shown or DockingStatus()
         for state in changes(before.state, passed, status.state)[:-1]:
             self._publish(replace(status, state=state, docked=before.docked, charging=before.charging))
         if force or self._shown is None or _key(status) != _key(self._shown):
             self._publish(replace(status))
 
-    def _publish(self, status: Status) -> None:
+    def _publish(self, status: DockingStatus) -> None:
         self._shown = status
         message = DockingState(
             state=int(status.state),
@@ -85,7 +85,7 @@ class Reports:
             message.header.frame_id = "charger_base"
             self._decision.publish(message)
 
-    def diagnose(self, status: Status, observation: Observation, slowest_tick: float) -> bool:
+    def diagnose(self, status: DockingStatus, observation: Observation, slowest_tick: float) -> bool:
         """Publish /diagnostics once a second; return whether it did.
 
         Args:
@@ -115,5 +115,5 @@ class Reports:
         return True
 
 
-def _key(status: Status) -> tuple[object, ...]:
+def _key(status: DockingStatus) -> tuple[object, ...]:
     return status.state, status.docked, status.charging, status.code, status.message, status.request_id

@@ -15,8 +15,8 @@ from deltacharger.srv import DetectElectrodes, PredictMisalignment, Probe, SetCo
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from deltacharger_docking.clearance import Estimate
-from deltacharger_docking.observation import Detection, Reply, Request, Service
+from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.observation import ElectrodePose, Reply, Request, Service
 from deltacharger_docking.ros.messages import estimate, unknown
 from deltacharger_ros.messages import duration
 
@@ -37,7 +37,7 @@ class Services:
         self._lock = threading.Lock()
         self._replies: list[Reply] = []
         self._refusal = ""
-        self._felt: deque[tuple[Estimate, Misalignment]] = deque(maxlen=_FELT)
+        self._felt: deque[tuple[FeltPose, Misalignment]] = deque(maxlen=_FELT)
         self._renewals: deque[tuple[Any, float]] = deque()  # futures without an answer, and since when
         self._age = clock_age
         self._renewed = -math.inf
@@ -107,7 +107,7 @@ class Services:
             replies, self._replies = tuple(self._replies), []
             return replies, self._refusal
 
-    def misalignment(self, value: Estimate | None) -> Misalignment:
+    def misalignment(self, value: FeltPose | None) -> Misalignment:
         """Return the message that the machine's last estimate came from; NaN where there is none."""
         return next((message for felt, message in list(self._felt) if felt is value), unknown())
 
@@ -173,7 +173,7 @@ class Services:
             variance = float(seen.pose.covariance[35])
             stddev = math.sqrt(variance) if variance >= 0.0 else math.inf  # also where it is NaN: unknown is not exact
             age = abs(self._age(seen.header.stamp))  # an image from the future is as wrong as an old one
-            found = Detection((point.x, point.y, point.z), seen.roll, stddev, age)
+            found = ElectrodePose((point.x, point.y, point.z), seen.roll, stddev, age)
             reply = Reply(request.number, True, answer.message, detection=found)
         self._put(reply)
 

@@ -30,8 +30,8 @@ from deltacharger_driver.board.protocol import (
     encode_packet,
 )
 from deltacharger_driver.board.receiver import BoardReceiver
-from deltacharger_driver.board.requests import Request, Requests
-from deltacharger_driver.board.samples import LinkCounters, PowerSample, ProbeResult, TactileSample
+from deltacharger_driver.board.requests import BoardRequest, BoardRequests
+from deltacharger_driver.board.samples import BoardLinkCounters, PowerSample, ProbeResult, TactileSample
 from deltacharger_driver.errors import NoAnswer, PortGone
 from deltacharger_driver.rate_meter import Lateness
 
@@ -69,7 +69,7 @@ class BoardLink:
         self._on_gone = on_gone
         self._clock = clock
         self._decoder = PacketDecoder()
-        self._requests = Requests()
+        self._requests = BoardRequests()
         self._receiver = BoardReceiver(self._requests, on_tactile, on_power, self._rebooted)
         self._sequences: dict[PacketType, int] = {}
         self._gone_lock = threading.Lock()
@@ -150,7 +150,7 @@ class BoardLink:
         self.close()
 
     @property
-    def counters(self) -> LinkCounters:
+    def counters(self) -> BoardLinkCounters:
         """A copy of the link's counters."""
         return self._receiver.snapshot()
 
@@ -273,10 +273,10 @@ class BoardLink:
         attempt_timeout: float = 0.1,
         attempts: int = 5,
         advice: dict[int, str] | None = None,
-    ) -> Request:
+    ) -> BoardRequest:
         if threading.current_thread() is self._reader:
             raise RuntimeError(f"{type.name} from a callback would wait for itself; use another thread")
-        with self._requests.waiting(Request(type, payload)) as request:
+        with self._requests.waiting(BoardRequest(type, payload)) as request:
             for attempt in range(attempts):
                 self._receiver.counters.retries += attempt > 0
                 self._send(type, payload, request)
@@ -292,7 +292,7 @@ class BoardLink:
             raise CommandRefused(type, error, (advice or {}).get(error, ""), len(request.sequences))
         return request
 
-    def _send(self, type: PacketType, payload: bytes = b"", request: Request | None = None) -> None:
+    def _send(self, type: PacketType, payload: bytes = b"", request: BoardRequest | None = None) -> None:
         if self.gone is not None:
             raise self.gone
         try:

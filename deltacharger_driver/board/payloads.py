@@ -17,7 +17,7 @@ from deltacharger_driver.board.protocol import (
     LONGEST_PING,
     SHORT_RESISTANCE,
     TAXELS,
-    Fault,
+    BoardFault,
     PacketError,
     PacketType,
     SampleFormat,
@@ -28,7 +28,7 @@ _HELLO = struct.Struct("<BBBBIf")
 _ACK = struct.Struct("<BBH")
 _PROBE = struct.Struct("<ff")
 _RATE = struct.Struct("<f")
-_LAST_FAULT = max(Fault)
+_LAST_FAULT = max(BoardFault)
 _WORD_SHIFTS = np.array((0, 12), np.uint32)  # two codes of 12 bit in every three bytes
 _SAMPLE_BYTES: dict[int, int] = {SampleFormat.U8: 200, SampleFormat.U12: 300, SampleFormat.U16: 400}
 

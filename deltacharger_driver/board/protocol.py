@@ -76,7 +76,7 @@ class AckError(enum.IntEnum):
     NOT_NOW = 4
 
 
-class Fault(enum.IntEnum):
+class BoardFault(enum.IntEnum):
     """Why the board opened the contactor by itself; latched until the next opening command."""
 
     NONE = 0
@@ -125,7 +125,7 @@ def type_name(type: int) -> str:
 def fault_name(fault: int) -> str:
     """Return a fault in words, also one that is not known."""
     try:
-        return Fault(fault).name.lower().replace("_", " ")
+        return BoardFault(fault).name.lower().replace("_", " ")
     except ValueError:
         return f"fault {fault}"
 

@@ -21,8 +21,8 @@ from deltacharger_driver.board.payloads import (
     decode_samples,
 )
 from deltacharger_driver.board.protocol import FLAG_OVERRUN, FLAG_TARED, Packet, PacketError, PacketType, check_header
-from deltacharger_driver.board.requests import Requests
-from deltacharger_driver.board.samples import LinkCounters, PowerSample, TactileSample
+from deltacharger_driver.board.requests import BoardRequests
+from deltacharger_driver.board.samples import BoardLinkCounters, PowerSample, TactileSample
 
 _log = logging.getLogger(__name__)
 _CLOCK_STEP_BACK = 0.5  # s; a device clock that falls further has restarted
@@ -44,7 +44,7 @@ class BoardReceiver:
 
     def __init__(
         self,
-        requests: Requests,
+        requests: BoardRequests,
         on_tactile: Callable[[TactileSample], None] | None,
         on_power: Callable[[PowerSample], None] | None,
         on_boot: Callable[[], None],
@@ -59,14 +59,14 @@ class BoardReceiver:
         self._latest_device_time = 0.0
         self._boot_id: int | None = None
         self.hello: Hello | None = None
-        self.counters = LinkCounters()
+        self.counters = BoardLinkCounters()
 
     @property
     def drift(self) -> float:
         """Drift of the board's clock against the host's, s/s."""
         return self._device_clock.drift
 
-    def snapshot(self) -> LinkCounters:
+    def snapshot(self) -> BoardLinkCounters:
         """Return a copy of the counters."""
         return replace(
             self.counters,

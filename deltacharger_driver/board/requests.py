@@ -14,7 +14,7 @@ from deltacharger_driver.board.protocol import PacketType
 
 
 @dataclass
-class Request:
+class BoardRequest:
     """One command. Every attempt has its own sequence number, and an answer to any of them counts.
 
     Attributes:
@@ -34,15 +34,15 @@ class Request:
     error: Exception | None = None
 
 
-class Requests:
+class BoardRequests:
     """All commands that wait; any thread may ask, one answers."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._waiting: list[Request] = []
+        self._waiting: list[BoardRequest] = []
 
     @contextmanager
-    def waiting(self, request: Request) -> Iterator[Request]:
+    def waiting(self, request: BoardRequest) -> Iterator[BoardRequest]:
         """Let `request` be answered inside the block."""
         with self._lock:
             self._waiting.append(request)
@@ -52,7 +52,7 @@ class Requests:
             with self._lock:
                 self._waiting.remove(request)
 
-    def attempt(self, request: Request, sequence: int) -> None:
+    def attempt(self, request: BoardRequest, sequence: int) -> None:
         """Note an attempt before it is sent."""
         with self._lock:
             request.sequences.add(sequence)

@@ -60,7 +60,7 @@ class ProbeResult:
 
 
 @dataclass
-class LinkCounters:
+class BoardLinkCounters:
     """What the link met so far. Every number only rises."""
 
     tactile: int = 0

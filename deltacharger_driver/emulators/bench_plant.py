@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deltacharger_core.machine import COLUMNS, ROWS
-from deltacharger_driver.board.protocol import Fault
+from deltacharger_driver.board.protocol import BoardFault
 
 PRECHARGE_TIME = 0.060  # s from the command to the contactor
 RAMP = 100.0  # A/s
@@ -52,7 +52,7 @@ class BenchPlant:
         self.battery = 26.0
         self.target = 24.0
         self.resistance = 2.0
-        self.detected = int(Fault.NONE)
+        self.detected = int(BoardFault.NONE)
         self._offset = offset
         self._noise = noise
         self._random = np.random.default_rng(seed)

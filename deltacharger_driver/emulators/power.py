@@ -7,7 +7,7 @@ import math
 from typing import Protocol
 
 from deltacharger_driver.board.payloads import Power, probe_problem
-from deltacharger_driver.board.protocol import HEARTBEAT_TIMEOUT, PROBE_LIFETIME, AckError, Fault
+from deltacharger_driver.board.protocol import HEARTBEAT_TIMEOUT, PROBE_LIFETIME, AckError, BoardFault
 
 HEARTBEAT_LIMIT = HEARTBEAT_TIMEOUT - 0.005
 """s without a heartbeat that the contactor stays closed: the rest is what the board may need to notice and to open."""
@@ -50,7 +50,7 @@ class EmulatedPower:
         self._plant = plant
         self._probe_time = probe_time
         self.closed = False
-        self.fault = int(Fault.NONE)
+        self.fault = int(BoardFault.NONE)
         self.reset(0.0)
 
     def reset(self, now: float) -> None:
@@ -58,7 +58,7 @@ class EmulatedPower:
         if self.closed:
             self._plant.open_contactor(False)
         self.closed = False
-        self.fault = int(Fault.NONE)
+        self.fault = int(BoardFault.NONE)
         self._seen_closed = False
         self._heartbeat_deadline = -math.inf
         self._probe_deadline = -math.inf  # until when the last probe allows a close
@@ -86,7 +86,7 @@ class EmulatedPower:
     def open(self, now: float) -> None:
         """Open as commanded, ramping down, and forget the latched fault; one that is still there comes back."""
         self._open(ramp=True)
-        self.fault = int(Fault.NONE)
+        self.fault = int(BoardFault.NONE)
         self._next_check = now + CHECK_PERIOD
 
     def trip(self, fault: int) -> None:
@@ -128,7 +128,7 @@ class EmulatedPower:
     def poll(self, now: float) -> None:
         """Watch the heartbeat and the power stage's own detectors."""
         if self.closed and now >= self._heartbeat_deadline:
-            self.trip(Fault.HEARTBEAT_LOST)
+            self.trip(BoardFault.HEARTBEAT_LOST)
         if now >= self._next_check:
             self.read()
             self._next_check = now + CHECK_PERIOD if self.closed else math.inf
@@ -136,8 +136,8 @@ class EmulatedPower:
     def read(self) -> Power:
         """Look at the plant, latch what it detects, and return what a POWER packet says."""
         battery, target, current, contactor, detected = self._plant.read_power()
-        if detected == Fault.NO_CHARGE_CURRENT and not self.closed:
-            detected = Fault.NONE  # no current is what an opening is for
+        if detected == BoardFault.NO_CHARGE_CURRENT and not self.closed:
+            detected = BoardFault.NONE  # no current is what an opening is for
         if detected and not self.fault:
             self.trip(detected)
             contactor = self._plant.read_power()[3]

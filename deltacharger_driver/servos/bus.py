@@ -22,7 +22,7 @@ from deltacharger_driver.servos.mx64 import (
     describe_hardware_error,
     ticks_to_angle,
 )
-from deltacharger_driver.servos.protocol import LinkCounters, sync_write_packet
+from deltacharger_driver.servos.protocol import ServoLinkCounters, sync_write_packet
 from deltacharger_driver.servos.setup import configure, restart_watchdog, set_up
 from deltacharger_driver.servos.snapshot import (
     READ_ADDRESS,
@@ -30,7 +30,7 @@ from deltacharger_driver.servos.snapshot import (
     WRITE_ADDRESS,
     WRITE_LENGTH,
     BusSettings,
-    Snapshot,
+    BusSnapshot,
     decode_block,
     has_restarted,
 )
@@ -63,7 +63,7 @@ class ServoBus:
         self._forget()
 
     @property
-    def counters(self) -> LinkCounters:
+    def counters(self) -> ServoLinkCounters:
         """What went wrong on the wire so far."""
         return self._link.counters
 
@@ -106,7 +106,7 @@ class ServoBus:
         self._torque[index] = False
         self._missed[index] = min(self._missed[index], 1)  # ask it again in the next cycle
 
-    def read(self) -> Snapshot:
+    def read(self) -> BusSnapshot:
         """Return the state of all servos; a servo that gave no good reply is NaN and not valid.
 
         One sync read while all answer. Once one has failed, each is asked by itself, for in a sync read those behind
@@ -117,7 +117,7 @@ class ServoBus:
         """
         return self._read(b"")
 
-    def exchange(self, angles: Sequence[float], currents: Sequence[float]) -> Snapshot:
+    def exchange(self, angles: Sequence[float], currents: Sequence[float]) -> BusSnapshot:
         """Send the goals as `write_goals` does and return the state as `read` does, in one piece.
 
         Raises:
@@ -125,7 +125,7 @@ class ServoBus:
         """
         return self._read(self._goal_packet(angles, currents))
 
-    def _read(self, ahead: bytes) -> Snapshot:
+    def _read(self, ahead: bytes) -> BusSnapshot:
         """Read all servos; packets `ahead`, which nobody answers, go out with the first question."""
         ids = self.settings.ids
         if not any(self._missed):
@@ -166,7 +166,7 @@ class ServoBus:
         self._goals, self._goal_bytes = goals, sync_write_packet(WRITE_ADDRESS, WRITE_LENGTH, rows)
         return self._goal_bytes
 
-    def enable_torque(self, currents: Sequence[float]) -> Snapshot:
+    def enable_torque(self, currents: Sequence[float]) -> BusSnapshot:
         """Switch all servos on, holding where they are: goal := present position first.
 
         Args:
@@ -265,10 +265,10 @@ class ServoBus:
         if found != ticks:
             raise ServoFault(servo, "switch torque on", f"goal position reads {found} after {ticks} was written")
 
-    def _snapshot(self, now: float, replies: dict[int, tuple[int, bytes]]) -> Snapshot:
+    def _snapshot(self, now: float, replies: dict[int, tuple[int, bytes]]) -> BusSnapshot:
         rows = [self._learn(index, now, replies.get(servo)) for index, servo in enumerate(self.settings.ids)]
         angle, velocity, current, voltage, temperature = zip(*rows, strict=True)
-        return Snapshot(
+        return BusSnapshot(
             time=now,
             valid=tuple(missed == 0 for missed in self._missed),
             angle=angle,

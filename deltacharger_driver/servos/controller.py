@@ -19,10 +19,10 @@ from deltacharger_driver.errors import DriverError, PortError, PortGone, Traject
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.goals import ServoGoals
 from deltacharger_driver.servos.reconnection import Reconnection
-from deltacharger_driver.servos.report import Phase, ServoMemory, ServoReport, find_faults
-from deltacharger_driver.servos.requests import Contactor, NoContactor, Request, Requests, wait_until_open
+from deltacharger_driver.servos.report import ServoMemory, ServoPhase, ServoReport, find_faults
+from deltacharger_driver.servos.requests import Contactor, NoContactor, ServoRequest, ServoRequests, wait_until_open
 from deltacharger_driver.servos.restarts import ServoRestarts
-from deltacharger_driver.servos.snapshot import BusSettings, Snapshot
+from deltacharger_driver.servos.snapshot import BusSettings, BusSnapshot
 from deltacharger_driver.servos.trajectory import Trajectory
 
 STOP_TIME = 0.5  # s from "goal := present position" to torque off
@@ -63,20 +63,20 @@ class ServoController:
         self._notify = notify
         self._clock = clock
         self._contactor = contactor or NoContactor()
-        self._phase = Phase.DISCONNECTED
+        self._phase = ServoPhase.DISCONNECTED
         self._lock = threading.Lock()
-        self._requests = Requests()
+        self._requests = ServoRequests()
         self._submitted: tuple[Trajectory, float] | None = None
         self._stop_at = math.inf
         self.stop_reason = self.unasked_stop = ""
         self._reconnection = Reconnection(self.bus, notify, clock)
         self._restarts = ServoRestarts(self.bus, notify, clock)
         self._trips: deque[float] = deque([-math.inf] * _TRIPS, maxlen=_TRIPS)
-        self._snapshot: Snapshot | None = None
+        self._snapshot: BusSnapshot | None = None
         self._memory = ServoMemory(len(settings.ids))
 
     @property
-    def phase(self) -> Phase:
+    def phase(self) -> ServoPhase:
         """What the servos are doing; may be read from any thread."""
         return self._phase
 
@@ -103,7 +103,7 @@ class ServoController:
             HandshakeError: names everything that is wrong with the servos.
         """
         self.bus.open(scan=True)
-        self._phase = Phase.OFF
+        self._phase = ServoPhase.OFF
 
     def close(self) -> None:
         """Switch torque off where it is on, and release the port. Never raises; safe to call twice.
@@ -111,12 +111,12 @@ class ServoController:
         Waits at most `OPENING_TIME` for the contactor; `stop` and cycles until the torque is off come before it where
         there is time.
         """
-        if self.bus.is_open and self._phase in (Phase.ON, Phase.STOPPING):
+        if self.bus.is_open and self._phase in (ServoPhase.ON, ServoPhase.STOPPING):
             wait_until_open(self._contactor, OPENING_TIME)
             with contextlib.suppress(DriverError):
                 self.bus.disable_torque()
         self.bus.close()
-        self._phase = Phase.DISCONNECTED
+        self._phase = ServoPhase.DISCONNECTED
         self._refuse_all("the driver is closing")
 
     def submit(self, trajectory: Trajectory, start: float = math.inf) -> None:
@@ -131,18 +131,18 @@ class ServoController:
             TrajectoryRefused: torque is off, or the servos are being stopped.
         """
         with self._lock:
-            if self._phase is not Phase.ON:
-                reason = f": {self.stop_reason}" if self._phase is Phase.STOPPING else ""
+            if self._phase is not ServoPhase.ON:
+                reason = f": {self.stop_reason}" if self._phase is ServoPhase.STOPPING else ""
                 raise TrajectoryRefused(f"{self._phase.value}{reason}; call set_torque first")
             self._submitted = trajectory, start
 
-    def request(self, action: str) -> Request:
+    def request(self, action: str) -> ServoRequest:
         """Ask for "torque_on", "torque_off" or "reboot"; the servos' thread carries it out and finishes the request."""
         return self._requests.put(action)
 
     def stop(self, reason: str) -> None:
         """Goal := present position and contactor open now, torque off after `STOP_TIME`; in the servos' thread only."""
-        if self._phase is Phase.ON:
+        if self._phase is ServoPhase.ON:
             self._begin_stop(reason, STOP_TIME)
             self.unasked_stop = reason
             self._notify("error", f"stopping all servos: {reason}")
@@ -150,7 +150,7 @@ class ServoController:
     def _begin_stop(self, reason: str, seconds: float) -> None:
         """Hold the present position, ask for the contactor to be opened, and let torque go off after `seconds`."""
         with self._lock:
-            self._phase = Phase.STOPPING
+            self._phase = ServoPhase.STOPPING
             self._submitted = None
         self.stop_reason = reason
         self._stop_at = self._clock() + seconds
@@ -160,10 +160,10 @@ class ServoController:
     def cycle(self) -> ServoReport:
         """Carry out one bus cycle and return the state after it. Never raises `DriverError`."""
         try:
-            if self._phase is Phase.DISCONNECTED:
+            if self._phase is ServoPhase.DISCONNECTED:
                 self._reopen()
             self._serve_requests()
-            if self._phase is not Phase.DISCONNECTED:
+            if self._phase is not ServoPhase.DISCONNECTED:
                 self._exchange()
         except PortGone as error:
             self._disconnect(error)
@@ -171,7 +171,7 @@ class ServoController:
 
     def _exchange(self) -> None:
         """Send goals, read the state, and act on what it says."""
-        if self._phase is Phase.OFF:
+        if self._phase is ServoPhase.OFF:
             snapshot = self.bus.read()
         else:
             self._advance()
@@ -179,16 +179,16 @@ class ServoController:
         self._snapshot = snapshot
         self._memory.learn(snapshot)
         self._check_watchdogs(snapshot)
-        if self._phase is Phase.ON:
+        if self._phase is ServoPhase.ON:
             self._stop_on_faults(snapshot)
-        elif self._phase is Phase.STOPPING and self._may_let_go():
+        elif self._phase is ServoPhase.STOPPING and self._may_let_go():
             self._switch_off()
-        elif self._phase is Phase.OFF:
+        elif self._phase is ServoPhase.OFF:
             self._keep_off(snapshot)
-        if self._phase is Phase.OFF:
+        if self._phase is ServoPhase.OFF:
             self._restore(snapshot)
 
-    def _stop_on_faults(self, snapshot: Snapshot) -> None:
+    def _stop_on_faults(self, snapshot: BusSnapshot) -> None:
         """Stop where something stands in the way of moving, and tell the servos in this cycle already."""
         faults = self._faults()
         lost = snapshot.with_torque(self._ids, False)
@@ -198,7 +198,7 @@ class ServoController:
             self.stop("; ".join(faults))
             self.bus.write_goals(self._goals.angles, self._goals.bounds)
 
-    def _restore(self, snapshot: Snapshot) -> None:
+    def _restore(self, snapshot: BusSnapshot) -> None:
         """Set up again what has restarted; that may be why torque went."""
         for servo in self._restarts.restore(snapshot):
             if self.unasked_stop:
@@ -206,7 +206,7 @@ class ServoController:
         if self._restarts.is_rebooting:
             self._restarts.look(snapshot, self._faults())
 
-    def _keep_off(self, snapshot: Snapshot) -> None:
+    def _keep_off(self, snapshot: BusSnapshot) -> None:
         """Switch off a servo that did not hear it when it was told, as soon as it answers again."""
         on = snapshot.with_torque(self._ids, True)
         if on:
@@ -222,15 +222,15 @@ class ServoController:
         now = self._clock()
         with self._lock:
             submitted, self._submitted = self._submitted, None
-        if submitted is not None and self._phase is Phase.ON:
+        if submitted is not None and self._phase is ServoPhase.ON:
             self._goals.follow(*submitted, now)
         self._goals.advance(now)
 
-    def _check_watchdogs(self, snapshot: Snapshot) -> None:
+    def _check_watchdogs(self, snapshot: BusSnapshot) -> None:
         tripped = [servo for servo, stopped in zip(self._ids, snapshot.watchdog_tripped, strict=True) if stopped]
         if not tripped:
             return
-        if self._phase is Phase.ON:
+        if self._phase is ServoPhase.ON:
             self._go_on_after_silence(f"the bus fell silent and servos {tripped} stopped by their watchdog")
         try:
             self.bus.restart_watchdogs()
@@ -251,14 +251,14 @@ class ServoController:
 
     def _faults(self) -> list[str]:
         """Return what stands in the way of moving, by the last snapshot."""
-        if self._phase is Phase.DISCONNECTED:
+        if self._phase is ServoPhase.DISCONNECTED:
             return [self._reconnection.fault]
         return find_faults(self._ids, self._snapshot) if self._snapshot is not None else []
 
     def _serve_requests(self) -> None:
         while request := self._requests.next():
             try:
-                if self._phase is Phase.DISCONNECTED:
+                if self._phase is ServoPhase.DISCONNECTED:
                     request.finish(False, self._reconnection.fault)
                 elif request.action == "torque_on":
                     self._switch_on(request)
@@ -271,11 +271,11 @@ class ServoController:
                 if isinstance(error, PortGone):
                     raise
 
-    def _switch_on(self, request: Request) -> None:
-        if self._phase is Phase.ON:
+    def _switch_on(self, request: ServoRequest) -> None:
+        if self._phase is ServoPhase.ON:
             request.finish(True, "torque is already on")
             return
-        if self._phase is Phase.STOPPING:
+        if self._phase is ServoPhase.STOPPING:
             request.finish(False, f"stopping: {self.stop_reason}")
             return
         faults = self._faults()
@@ -288,16 +288,16 @@ class ServoController:
         self.unasked_stop = ""
         with self._lock:
             self._submitted = None
-            self._phase = Phase.ON
+            self._phase = ServoPhase.ON
         request.finish(True, "torque is on, holding the present position")
         self._notify("info", "torque on")
 
-    def _let_go(self, request: Request) -> None:
+    def _let_go(self, request: ServoRequest) -> None:
         """Switch torque off once the contactor is open, or after `OPENING_TIME`."""
         self._requests.hold(request)
-        if self._phase is Phase.ON:
+        if self._phase is ServoPhase.ON:
             self._begin_stop("torque is being switched off on request", OPENING_TIME)
-        elif self._phase is Phase.STOPPING:
+        elif self._phase is ServoPhase.STOPPING:
             self._stop_at = min(self._stop_at, self._clock() + OPENING_TIME)
             self._contactor.ask_open()
         else:
@@ -305,39 +305,39 @@ class ServoController:
 
     def _switch_off(self) -> None:
         with self._lock:
-            was, self._phase = self._phase, Phase.OFF
+            was, self._phase = self._phase, ServoPhase.OFF
             self._submitted = None
         self._stop_at = math.inf
-        unseen = was is Phase.STOPPING and not self._contactor.is_open()
+        unseen = was is ServoPhase.STOPPING and not self._contactor.is_open()
         try:
             self.bus.disable_torque()
         finally:
             if unseen:
                 self._notify("warning", "torque off; the contactor was not seen open before, check tactile_node")
-            elif was is not Phase.OFF:
+            elif was is not ServoPhase.OFF:
                 self._notify("info", "torque off")
         self._requests.finish_held(
             True, "torque is off" + ("; the contactor was not seen open before" if unseen else "")
         )
 
-    def _reboot(self, request: Request) -> None:
-        if self._phase is Phase.OFF:
+    def _reboot(self, request: ServoRequest) -> None:
+        if self._phase is ServoPhase.OFF:
             self._restarts.reboot(request, self._snapshot)
         else:
             request.finish(False, f"{self._phase.value}; call set_torque with false first")
 
     def _reopen(self) -> None:
         if self._reconnection.attempt():
-            self._phase = Phase.OFF
+            self._phase = ServoPhase.OFF
             self._notify("info", "connected again; torque is off")
 
     def _disconnect(self, error: PortError) -> None:
         self.bus.close()
-        if self._phase in (Phase.ON, Phase.STOPPING):
+        if self._phase in (ServoPhase.ON, ServoPhase.STOPPING):
             self.unasked_stop = str(error)
             self._contactor.ask_open()
         with self._lock:
-            self._phase = Phase.DISCONNECTED
+            self._phase = ServoPhase.DISCONNECTED
             self._submitted = None
         self._snapshot = None
         self._reconnection.lost(error)

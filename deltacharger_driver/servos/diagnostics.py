@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.mx64 import describe_hardware_error
-from deltacharger_driver.servos.report import Phase, ServoReport
+from deltacharger_driver.servos.report import ServoPhase, ServoReport
 
 OK, WARN, ERROR = 0, 1, 2
 """Levels of diagnostic_msgs/DiagnosticStatus."""
@@ -61,11 +61,11 @@ def bus_entry(
     }
     if report.faults:
         level, message = ERROR, "; ".join(report.faults)
-    elif report.phase is Phase.STOPPING:
+    elif report.phase is ServoPhase.STOPPING:
         level, message = WARN if controller.is_releasing else ERROR, controller.stop_reason
     elif refused:
         level, message = WARN, last_refusal
-    elif report.phase is Phase.OFF and controller.unasked_stop:
+    elif report.phase is ServoPhase.OFF and controller.unasked_stop:
         level, message = WARN, f"torque off: {controller.unasked_stop}"
     else:
         level, message = OK, report.phase.value

@@ -13,7 +13,7 @@ from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, Port
 from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_driver.servos.mx64 import ALERT, REGISTERS, describe_status_error
 from deltacharger_driver.servos.port import PATIENCE, ServoPort
-from deltacharger_driver.servos.protocol import TAKES_NOTHING, LinkCounters, ServoProtocol
+from deltacharger_driver.servos.protocol import TAKES_NOTHING, ServoLinkCounters, ServoProtocol
 
 ATTEMPTS = 3
 """How often a read or write is tried before it fails; reads and writes of registers may be repeated without harm."""
@@ -38,7 +38,7 @@ class ServoLink:
         self._owner: threading.Thread | None = None
 
     @property
-    def counters(self) -> LinkCounters:
+    def counters(self) -> ServoLinkCounters:
         """What went wrong on the wire so far."""
         return self._protocol.counters
 

@@ -36,7 +36,7 @@ _SHORTEST = 11  # bytes of a status packet without parameters
 
 
 @dataclass
-class LinkCounters:
+class ServoLinkCounters:
     """What went wrong on the wire since the port was opened.
 
     Attributes:
@@ -104,7 +104,7 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__()
-        self.counters = LinkCounters()
+        self.counters = ServoLinkCounters()
         self._suspect = False
 
     def updateCRC(self, crc_accum: int, data_blk_ptr: Sequence[int], data_blk_size: int) -> int:  # noqa: N802

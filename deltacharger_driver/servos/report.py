@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 from deltacharger_driver.servos.bus import UNKNOWN_AFTER
 from deltacharger_driver.servos.mx64 import describe_hardware_error
-from deltacharger_driver.servos.snapshot import Snapshot
+from deltacharger_driver.servos.snapshot import BusSnapshot
 from deltacharger_driver.servos.thermal import ThermalModel
 
 _UNKNOWN = (math.nan,) * 5
 
 
-class Phase(enum.Enum):
+class ServoPhase(enum.Enum):
     """What the servos are doing."""
 
     DISCONNECTED = "disconnected"
@@ -40,7 +40,7 @@ class ServoReport(NamedTuple):
     """
 
     time: float
-    phase: Phase
+    phase: ServoPhase
     valid: tuple[bool, ...]
     angle: tuple[float, ...]
     velocity: tuple[float, ...]
@@ -69,7 +69,7 @@ class ServoMemory:
         """Last known angle of each servo, rad; NaN where it is too old."""
         return tuple(row[0] for row in self._rows)
 
-    def learn(self, snapshot: Snapshot) -> None:
+    def learn(self, snapshot: BusSnapshot) -> None:
         """Take what a cycle brought; a servo keeps its last values through two missed cycles."""
         elapsed = 0.0 if math.isnan(self._time) else snapshot.time - self._time
         first = math.isnan(self._time)
@@ -92,7 +92,7 @@ class ServoMemory:
         self._rows = [_UNKNOWN] * len(self._rows)
         self._valid = (False,) * len(self._rows)
 
-    def report(self, now: float, phase: Phase, faults: list[str]) -> ServoReport:
+    def report(self, now: float, phase: ServoPhase, faults: list[str]) -> ServoReport:
         """Return the state at `now` (s, monotonic)."""
         angle, velocity, current, voltage, temperature = zip(*self._rows, strict=True)
         return ServoReport(
@@ -111,7 +111,7 @@ class ServoMemory:
         )
 
 
-def find_faults(ids: tuple[int, ...], snapshot: Snapshot) -> list[str]:
+def find_faults(ids: tuple[int, ...], snapshot: BusSnapshot) -> list[str]:
     """Return what stands in the way of moving the servos `ids`, one sentence each."""
     found = []
     for index, servo in enumerate(ids):

@@ -11,7 +11,7 @@ from typing import Protocol
 _LOOK = 0.005  # s between two looks at the contactor
 
 
-class Request:
+class ServoRequest:
     """Something asked of the servos' thread, and its outcome."""
 
     def __init__(self, action: str) -> None:
@@ -30,27 +30,27 @@ class Request:
         return self._done.wait(timeout)
 
 
-class Requests:
+class ServoRequests:
     """What waits for the servos' thread: requests not yet served, and those held back until the torque is off.
 
     `put` may be called from any thread, the others from the servos' thread.
     """
 
     def __init__(self) -> None:
-        self._queue: queue.SimpleQueue[Request] = queue.SimpleQueue()
-        self._held: list[Request] = []
+        self._queue: queue.SimpleQueue[ServoRequest] = queue.SimpleQueue()
+        self._held: list[ServoRequest] = []
 
-    def put(self, action: str) -> Request:
+    def put(self, action: str) -> ServoRequest:
         """Ask for something."""
-        request = Request(action)
+        request = ServoRequest(action)
         self._queue.put(request)
         return request
 
-    def next(self) -> Request | None:
+    def next(self) -> ServoRequest | None:
         """Return what was asked for next, or None."""
         return None if self._queue.empty() else self._queue.get_nowait()
 
-    def hold(self, request: Request) -> None:
+    def hold(self, request: ServoRequest) -> None:
         """Keep a request that will be finished by `finish_held`."""
         self._held.append(request)
 

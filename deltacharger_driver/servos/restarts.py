@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 from deltacharger_driver.errors import DriverError, PortGone
 from deltacharger_driver.servos.bus import ServoBus
-from deltacharger_driver.servos.requests import Request
-from deltacharger_driver.servos.snapshot import Snapshot
+from deltacharger_driver.servos.requests import ServoRequest
+from deltacharger_driver.servos.snapshot import BusSnapshot
 
 _REBOOT_TIME = 3.0  # s until all servos must be back
 
@@ -26,7 +26,7 @@ class ServoRestarts:
         self._bus = bus
         self._notify = notify
         self._clock = clock
-        self._asked: Request | None = None
+        self._asked: ServoRequest | None = None
         self._deadline = 0.0
         self._away: set[int] = set()  # servos that were told to restart and are not back
         self._complaint = ""
@@ -36,7 +36,7 @@ class ServoRestarts:
         """Whether servos that were told to restart are not all back yet."""
         return self._asked is not None
 
-    def reboot(self, request: Request, snapshot: Snapshot | None) -> None:
+    def reboot(self, request: ServoRequest, snapshot: BusSnapshot | None) -> None:
         """Restart the servos with a latched error, all where none has one; `request` is finished when they are back.
 
         Raises:
@@ -51,7 +51,7 @@ class ServoRestarts:
             self._bus.reboot(index)
         self._asked, self._deadline = request, self._clock() + _REBOOT_TIME
 
-    def restore(self, snapshot: Snapshot) -> list[int]:
+    def restore(self, snapshot: BusSnapshot) -> list[int]:
         """Set up every servo that has restarted; return the ids of those that did so by themselves.
 
         Raises:
@@ -76,7 +76,7 @@ class ServoRestarts:
                 by_themselves.append(servo)
         return by_themselves
 
-    def look(self, snapshot: Snapshot, faults: list[str]) -> None:
+    def look(self, snapshot: BusSnapshot, faults: list[str]) -> None:
         """Finish the request where all servos are back, or their time is over.
 
         Args:

@@ -37,7 +37,7 @@ from deltacharger_driver.parameters import ServoNodeParameters
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.diagnostics import bus_entry, servo_entry
-from deltacharger_driver.servos.report import Phase, ServoReport
+from deltacharger_driver.servos.report import ServoPhase, ServoReport
 from deltacharger_driver.servos.servo_node_io import ContactorClient, StatePublishers, age, waypoint
 from deltacharger_driver.servos.snapshot import BusSettings
 from deltacharger_driver.servos.trajectory import JointLimits, check, check_age
@@ -147,11 +147,11 @@ class ServoNode(Node):
         while True:
             if self._stop.is_set():
                 controller.stop("the driver is closing")
-                if controller.phase in (Phase.OFF, Phase.DISCONNECTED):
+                if controller.phase in (ServoPhase.OFF, ServoPhase.DISCONNECTED):
                     return
             now = time.monotonic()
             self._cycles.count(late=now - due > _LATE * self._period)
-            if controller.phase is Phase.ON or controller.is_asked or self._cycles.total % _LISTEN_EVERY == 0:
+            if controller.phase is ServoPhase.ON or controller.is_asked or self._cycles.total % _LISTEN_EVERY == 0:
                 self._take_trajectory()  # what came before torque goes on is refused, not kept for then
             report = controller.cycle()
             if self.context.ok():

@@ -19,7 +19,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
 from deltacharger_driver.servos.report import ServoReport
-from deltacharger_driver.servos.trajectory import Waypoint
+from deltacharger_driver.servos.trajectory import ServoWaypoint
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.on_demand import LatestMessage
@@ -127,9 +127,9 @@ class StatePublishers:
             self._joints.publish(report.time, position, velocity, effort)
 
 
-def waypoint(point: JointTrajectoryPoint) -> Waypoint:
+def waypoint(point: JointTrajectoryPoint) -> ServoWaypoint:
     """Return a point of a message."""
-    return Waypoint(seconds(point.time_from_start), point.positions, point.effort)
+    return ServoWaypoint(seconds(point.time_from_start), point.positions, point.effort)
 
 
 def age(node: Node, stamp: Any) -> float:

@@ -142,7 +142,7 @@ def decode_block(data: bytes) -> Reading:
     return Reading(bool(torque), error, current, velocity, ticks, voltage, temperature, watchdog)
 
 
-class Snapshot(NamedTuple):
+class BusSnapshot(NamedTuple):
     """The servos in one cycle, in the order of the ids. What was not measured is NaN, never 0.
 
     Attributes:

@@ -30,7 +30,7 @@ class JointLimits:
 
 
 @dataclass(frozen=True)
-class Waypoint:
+class ServoWaypoint:
     """One point of a trajectory as it was received, in the order of the names that came with it.
 
     Attributes:
@@ -112,7 +112,7 @@ class Trajectory:
         )
 
 
-def check(names: Sequence[str], points: Sequence[Waypoint], limits: JointLimits) -> Trajectory:
+def check(names: Sequence[str], points: Sequence[ServoWaypoint], limits: JointLimits) -> Trajectory:
     """Return the trajectory of `points`, or refuse it as a whole.
 
     Args:

@@ -39,7 +39,7 @@ _MEDIAN_LENGTH = 1.538  # of three standard normal numbers
 
 
 @dataclass(frozen=True)
-class Fit:
+class GeometryFit:
     """One least-squares fit.
 
     Attributes:
@@ -62,7 +62,7 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class GeometryCalibration:
     """What a calibration found: the geometry from all rows, the held-out error from a fit that did not see them.
 
     Attributes:
@@ -80,7 +80,7 @@ class Calibration:
     nominal: DeltaGeometry
     measurements: Measurements
     uncertainty: Uncertainty
-    fit: Fit
+    fit: GeometryFit
     before: Array
     held_out: Rows
     held_out_after: Array
@@ -110,7 +110,7 @@ def calibrate(
     uncertainty: Uncertainty | None = None,
     held_out: float = 0.25,
     seed: int = 0,
-) -> Calibration:
+) -> GeometryCalibration:
     """Fit the 18 numbers, and say how well.
 
     Args:
@@ -136,7 +136,7 @@ def calibrate(
         )
     check_spread(measurements.positions[~rows], nominal)
     judged, final = fit(measurements.subset(~rows), nominal, uncertainty), fit(measurements, nominal, uncertainty)
-    return Calibration(
+    return GeometryCalibration(
         nominal,
         measurements,
         uncertainty,
@@ -149,7 +149,7 @@ def calibrate(
     )
 
 
-def fit(measurements: Measurements, nominal: DeltaGeometry, uncertainty: Uncertainty) -> Fit:
+def fit(measurements: Measurements, nominal: DeltaGeometry, uncertainty: Uncertainty) -> GeometryFit:
     """Fit the 18 numbers to all rows by Levenberg and Marquardt.
 
     Where the rows scatter more than stated, as with play in the gears, they are weighted by what they really scatter.
@@ -176,7 +176,7 @@ def fit(measurements: Measurements, nominal: DeltaGeometry, uncertainty: Uncerta
         scatter = problem.scatter * math.sqrt(squares / (3 * len(measurements) - float(told.sum())))
         if scatter <= 1.0:
             break
-    return Fit(
+    return GeometryFit(
         problem.geometry(x),
         measurements.positions - problem.predict(x),
         directions.T * (1.0 - told) @ directions,
@@ -220,7 +220,7 @@ def _draw(count: int, share: float, seed: int) -> Rows:
     return rows
 
 
-def _expected(fit: Fit, nominal: DeltaGeometry, uncertainty: Uncertainty) -> tuple[float, float]:
+def _expected(fit: GeometryFit, nominal: DeltaGeometry, uncertainty: Uncertainty) -> tuple[float, float]:
     """Return the standard deviation (m) of a predicted position: rms over the workspace box, and largest in it."""
     low, high = np.array(nominal.workspace_min), np.array(nominal.workspace_max)
     cells = (np.arange(_CELLS) + 0.5) / _CELLS

@@ -33,7 +33,7 @@ _MEASURED = (*TICKS, *(f"{axis}_mm" for axis in AXES))
 
 
 @dataclass(frozen=True)
-class Pose:
+class PlannedPose:
     """A pose to measure: its number from 1, whether it is kept out of the fit, and where (m, charger_base)."""
 
     number: int
@@ -41,7 +41,7 @@ class Pose:
     position: Vector
 
 
-def plan(geometry: DeltaGeometry, seed: int = 0) -> tuple[Pose, ...]:
+def plan(geometry: DeltaGeometry, seed: int = 0) -> tuple[PlannedPose, ...]:
     """Return a grid of 27 poses, ordered so that neighbours follow each other, and 9 held-out ones between them.
 
     The held-out ones are a Latin hypercube: in each coordinate one pose in each ninth of the box.
@@ -59,12 +59,12 @@ def plan(geometry: DeltaGeometry, seed: int = 0) -> tuple[Pose, ...]:
     between = np.stack([draw.permutation(ninths), draw.permutation(ninths), ninths], axis=-1)
     points = middle + reach * np.concatenate([np.array(grid), between])
     return tuple(
-        Pose(number, number > len(grid), (float(point[0]), float(point[1]), float(point[2])))
+        PlannedPose(number, number > len(grid), (float(point[0]), float(point[1]), float(point[2])))
         for number, point in enumerate(points, start=1)
     )
 
 
-def write_plan(path: str | Path, poses: Sequence[Pose], geometry: DeltaGeometry, encoder: Encoder) -> None:
+def write_plan(path: str | Path, poses: Sequence[PlannedPose], geometry: DeltaGeometry, encoder: Encoder) -> None:
     """Write a table of `poses` with commanded angles and goal ticks, and empty columns for what is measured.
 
     Raises:
@@ -94,7 +94,7 @@ def write_plan(path: str | Path, poses: Sequence[Pose], geometry: DeltaGeometry,
         csv.writer(file, lineterminator="\n").writerows([("pose", HELD_OUT, *PLAN_COLUMNS[1:], *_MEASURED), *rows])
 
 
-def read_plan(path: str | Path) -> tuple[Pose, ...]:
+def read_plan(path: str | Path) -> tuple[PlannedPose, ...]:
     """Read the poses of a plan; other columns may be empty.
 
     Raises:
@@ -110,6 +110,6 @@ def read_plan(path: str | Path) -> tuple[Pose, ...]:
     if len(set(numbers)) != len(numbers):
         raise CalibrationError("two rows have the same number in column 'pose'")
     return tuple(
-        Pose(int(number), bool(kept), (float(x), float(y), float(z)))
+        PlannedPose(int(number), bool(kept), (float(x), float(y), float(z)))
         for number, kept, (x, y, z) in zip(numbers, held_out, positions, strict=True)
     )

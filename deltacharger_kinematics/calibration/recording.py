@@ -7,7 +7,7 @@ from pathlib import Path
 
 from deltacharger_core.files import append_text
 from deltacharger_kinematics.calibration.data import Encoder
-from deltacharger_kinematics.calibration.plan import Pose
+from deltacharger_kinematics.calibration.plan import PlannedPose
 from deltacharger_kinematics.calibration.table import (
     AXES,
     HELD_OUT,
@@ -21,7 +21,7 @@ from deltacharger_kinematics.geometry import Vector
 COLUMNS = ("pose", HELD_OUT, *TICKS, *(f"{axis}_mm" for axis in AXES))
 
 
-class Recording:
+class PoseRecording:
     """Measured poses in a file that `read_measurements` reads.
 
     Args:
@@ -54,7 +54,7 @@ class Recording:
         if content and not content.endswith(b"\n"):
             self._write("\n")
 
-    def append(self, pose: Pose, ticks: Vector, position: Vector) -> None:
+    def append(self, pose: PlannedPose, ticks: Vector, position: Vector) -> None:
         """Add one row and wait until it is on the disk.
 
         Args:

@@ -8,7 +8,7 @@ import traceback
 from typing import Any
 
 from deltacharger_docking.codes import Code, DockingError
-from deltacharger_docking.observation import DockGoal, Outcome
+from deltacharger_docking.observation import DockGoal, DockingOutcome
 from deltacharger_lab.campaigns import felt as feeling
 from deltacharger_lab.campaigns.draw import Drawn, draw
 from deltacharger_lab.campaigns.effort import Effort
@@ -123,7 +123,7 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict
     try:
         charger.begin(goal or DockGoal(drawn.goal))
     except DockingError as error:
-        refused = Outcome(False, error.code, str(error), error.retriable)
+        refused = DockingOutcome(False, error.code, str(error), error.retriable)
         return result(charger, refused, 0.0) | {"estimates": 0, "servo_push": 0.0}
     while charger.outcome is None:
         before = charger.now
@@ -148,7 +148,7 @@ def make_charger(drawn: Drawn, exact: bool) -> VirtualCharger:
     return QuickCharger(drawn.world, drawn.docking, drawn.tactile, drawn.seed, drawn.rig_seed)
 
 
-def result(charger: VirtualCharger, outcome: Outcome, above: float) -> dict[str, Any]:
+def result(charger: VirtualCharger, outcome: DockingOutcome, above: float) -> dict[str, Any]:
     """Return columns of `RESULTS` for a docking that has come to its `outcome`; those of later are empty."""
     truth, felt = charger.world.snapshot(), outcome.estimate
     x, y, angle = truth.misalignment or (math.nan, math.nan, math.nan)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from deltacharger_core.parameters import ParameterError
-from deltacharger_docking.observation import Detection
+from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.campaigns.felt import EstimatorErrors
@@ -45,7 +45,7 @@ class Drawn:
     world: WorldParameters
     tactile: TactileParameters
     docking: DockingParameters
-    goal: Detection
+    goal: ElectrodePose
     seed: int
     rig_seed: int
     estimator: EstimatorErrors
@@ -89,7 +89,7 @@ def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
     )
 
 
-def _goal(values: Mapping[str, Value], source: random.Random) -> Detection:
+def _goal(values: Mapping[str, Value], source: random.Random) -> ElectrodePose:
     """Return what camera and hand-eye calibration make of where the target stands."""
     position = [NOMINAL[index] + float(values.get(f"target.{axis}", 0.0)) for index, axis in enumerate("xyz")]
     seen, turned = (float(values.get(f"camera.{name}_stddev", 0.0)) for name in ("position", "roll"))
@@ -110,10 +110,12 @@ def _goal(values: Mapping[str, Value], source: random.Random) -> Detection:
         raise ParameterError("shift.limit", limit, "is never kept by these errors of vision; give a larger one")
     roll = float(values.get("target.roll", 0.0)) + turned * noise[9] + rz
     stddev = math.hypot(turned, turn)
-    return Detection((x, y, z), roll, stddev if stddev > _GOAL_STDDEV_LEAST else 0.0)
+    return ElectrodePose((x, y, z), roll, stddev if stddev > _GOAL_STDDEV_LEAST else 0.0)
 
 
-def _derived(values: Mapping[str, Value], goal: Detection, source: Callable[[str], random.Random]) -> dict[str, Value]:
+def _derived(
+    values: Mapping[str, Value], goal: ElectrodePose, source: Callable[[str], random.Random]
+) -> dict[str, Value]:
     """Return the values that others draw: a tilt for gravity from anywhere, a roll from the clearance it leaves."""
     found: dict[str, Value] = {}
     if "gravity.anywhere" in values:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from deltacharger_core.machine import FRAME_RATE
 from deltacharger_tactile.contact import ContactModel
-from deltacharger_tactile.parameters import ContactParameters, TactileParameters
+from deltacharger_tactile.parameters import PadContactParameters, TactileParameters
 from deltacharger_tactile.sensor import Dockings, Rig, Sensor
 
 Array = NDArray[np.float64]
@@ -18,7 +18,7 @@ Pose = tuple[float, float, float]
 
 
 @functools.lru_cache(maxsize=8)
-def _model(parameters: ContactParameters) -> ContactModel:
+def _model(parameters: PadContactParameters) -> ContactModel:
     """Return the model of these dimensions; its matrices cost more than a docking, so that dockings share them."""
     return ContactModel(parameters)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from deltacharger_core.files import whole
 from deltacharger_core.machine import CONTACT_FORCE
-from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.clearance import FeltPose
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.classifiers.labels import TARGETS, centres, examples
 
@@ -83,11 +83,11 @@ class PaperClasses:
     def __init__(self, folder: Path) -> None:
         self._networks = {target: Classifier.load(_file(folder, target)) for target in TARGETS}
 
-    def predict(self, left: Any, right: Any) -> Estimate:
+    def predict(self, left: Any, right: Any) -> FeltPose:
         """Return the classes' centres as an estimate; pads (10, 10) N that feel less than 1 N have no contact."""
         frame = np.stack((left, right))
         told = {target: float(centres(target)[net.predict(frame[None])[0]]) for target, net in self._networks.items()}
-        return Estimate(
+        return FeltPose(
             angle=told["angle"],
             angle_stddev=0.0,
             vertical=told["vertical"],

@@ -35,7 +35,7 @@ class CampaignRefused(CampaignError):
 
 
 @dataclass(frozen=True)
-class Settings:
+class CampaignSettings:
     """Everything that the rows of a campaign follow from, and how many there shall be.
 
     Attributes:
@@ -61,15 +61,15 @@ class Settings:
         return json.dumps(asdict(self), sort_keys=True, ensure_ascii=False)
 
     @staticmethod
-    def from_json(text: str) -> Settings:
+    def from_json(text: str) -> CampaignSettings:
         """Read what `to_json` wrote.
 
         Raises:
             ValueError, TypeError, KeyError: it is no such record.
         """
-        return Settings(**json.loads(text))
+        return CampaignSettings(**json.loads(text))
 
-    def differences(self, other: Settings) -> list[tuple[str, str, str]]:
+    def differences(self, other: CampaignSettings) -> list[tuple[str, str, str]]:
         """Return what differs in `other` from these, each as (what, value here, value there); more dockings may be."""
         pairs: dict[str, tuple[Any, Any]] = {
             name: (getattr(self, name), getattr(other, name)) for name in ("seed", "approach", "exact")
@@ -86,9 +86,9 @@ class Settings:
 
 
 @functools.lru_cache(maxsize=8)
-def scene_of(text: str) -> tuple[Settings, CampaignScene]:
+def scene_of(text: str) -> tuple[CampaignSettings, CampaignScene]:
     """Return settings and scene of a record; read once per process."""
-    settings = Settings.from_json(text)
+    settings = CampaignSettings.from_json(text)
     return settings, parse_campaign_scene(settings.scene, settings.scene_name)
 
 

@@ -11,7 +11,7 @@ from typing import IO, Any
 
 from deltacharger_core.files import forget_unfinished, whole, write_text
 from deltacharger_lab.campaigns.docking import columns
-from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, Settings, scene_of
+from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, CampaignSettings, scene_of
 
 SETTINGS = "_campaign.json"
 """Readers of Parquet folders pass over names that begin with _."""
@@ -44,7 +44,7 @@ class Store:
             campaign with other settings; the message names what differs.
     """
 
-    def __init__(self, folder: Path, settings: Settings) -> None:
+    def __init__(self, folder: Path, settings: CampaignSettings) -> None:
         self.folder = folder
         self.settings = settings
         self.done: set[int] = set()
@@ -113,7 +113,7 @@ class Store:
         write_text(self.folder / SETTINGS, self.settings.to_json())
 
 
-def read_settings(folder: Path) -> Settings:
+def read_settings(folder: Path) -> CampaignSettings:
     """Return the settings of a campaign.
 
     Raises:
@@ -121,7 +121,7 @@ def read_settings(folder: Path) -> Settings:
     """
     path = folder / SETTINGS
     try:
-        return Settings.from_json(path.read_text(encoding="utf-8"))
+        return CampaignSettings.from_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise CampaignRefused(f"{folder} holds no campaign: {SETTINGS} is missing") from error
     except (ValueError, TypeError, KeyError, OSError) as error:
@@ -166,7 +166,7 @@ def read_parts(folder: Path, names: Sequence[str]) -> Iterator[dict[str, list[An
             ) from error
 
 
-def _schema(pyarrow: Any, settings: Settings) -> Any:
+def _schema(pyarrow: Any, settings: CampaignSettings) -> Any:
     kinds = {int: pyarrow.int64(), float: pyarrow.float64(), bool: pyarrow.bool_(), str: pyarrow.string()}
     scene = scene_of(settings.to_json())[1]
     return pyarrow.schema(

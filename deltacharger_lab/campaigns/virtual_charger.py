@@ -26,15 +26,15 @@ from deltacharger_core.machine import (
     ROWS,
     TORQUE_CONSTANT,
 )
-from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import State
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import (
     Command,
-    Detection,
     DockGoal,
+    DockingOutcome,
+    ElectrodePose,
     Observation,
-    Outcome,
     Reply,
     Request,
     Service,
@@ -51,14 +51,14 @@ from deltacharger_tactile.source import ContactSource
 
 TICK = 0.01
 FRAME = 1.0 / FRAME_RATE
-GOAL = Detection((0.0, 0.0, DOCK_DISTANCE), 0.0)
+GOAL = ElectrodePose((0.0, 0.0, DOCK_DISTANCE), 0.0)
 
 
 class PoseModel(Protocol):
     """What makes an estimate of two averaged, tared pads."""
 
     def predict(self, left: np.ndarray, right: np.ndarray) -> Any:
-        """Return what has the attributes of docking's `Estimate`."""
+        """Return what has the attributes of docking's `FeltPose`."""
 
 
 @functools.cache
@@ -110,7 +110,7 @@ class VirtualCharger:
         self.distort: Callable[[Observation], Observation] = lambda observation: observation
         self.answer: dict[Service, Callable[[Reply], Reply | None]] = {}
         self.states: list[State] = []
-        self.outcome: Outcome | None = None
+        self.outcome: DockingOutcome | None = None
         self.model: PoseModel = packaged_model()
         self._tare = np.zeros((PADS, ROWS, COLUMNS))
         self._tared = False
@@ -129,7 +129,7 @@ class VirtualCharger:
     def _make_machine(self) -> DockingMachine:
         return DockingMachine(self.parameters)
 
-    def dock(self, goal: DockGoal | None = None, limit: float = 240.0) -> Outcome:
+    def dock(self, goal: DockGoal | None = None, limit: float = 240.0) -> DockingOutcome:
         """Serve a Dock goal to its end."""
         self.begin(goal or DockGoal(GOAL))
         return self.finish(limit)
@@ -139,13 +139,13 @@ class VirtualCharger:
         self.outcome = None
         self.machine.start_dock(goal, self.observe())
 
-    def undock(self, limit: float = 60.0) -> Outcome:
+    def undock(self, limit: float = 60.0) -> DockingOutcome:
         """Serve an Undock goal to its end."""
         self.outcome = None
         self.machine.start_undock("", self.observe())
         return self.finish(limit)
 
-    def finish(self, limit: float) -> Outcome:
+    def finish(self, limit: float) -> DockingOutcome:
         """Step until the goal has an outcome; raises TimeoutError after `limit` simulated seconds."""
         end = self.now + limit
         while self.outcome is None:
@@ -284,7 +284,7 @@ class VirtualCharger:
         elif service is Service.ESTIMATE:
             left, right = np.mean(pending.frames, axis=0)
             felt = self.model.predict(left, right)
-            estimate = Estimate(**{item.name: getattr(felt, item.name) for item in fields(Estimate)})
+            estimate = FeltPose(**{item.name: getattr(felt, item.name) for item in fields(FeltPose)})
             return Reply(number, True, estimate=estimate)
         elif service is Service.DETECT:
             return Reply(number, True, detection=GOAL)

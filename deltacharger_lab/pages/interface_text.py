@@ -25,7 +25,7 @@ class Field:
 
 
 @dataclass
-class Part:
+class InterfacePart:
     """One part of an interface, such as an action's goal; a message has one without a name."""
 
     name: str
@@ -39,7 +39,7 @@ class Interface:
 
     name: str
     text: str
-    parts: list[Part]
+    parts: list[InterfacePart]
 
 
 def read(path: Path) -> Interface:
@@ -57,8 +57,8 @@ def read(path: Path) -> Interface:
     return Interface(path.stem, " ".join(head), parts)
 
 
-def _part(path: Path, name: str, piece: str, head: list[str]) -> Part:
-    part = Part(name)
+def _part(path: Path, name: str, piece: str, head: list[str]) -> InterfacePart:
+    part = InterfacePart(name)
     for line in filter(str.strip, piece.splitlines()):
         comment = line.strip().removeprefix("#").strip()
         if comment.startswith(_LICENCE):
@@ -72,7 +72,7 @@ def _part(path: Path, name: str, piece: str, head: list[str]) -> Part:
     return part
 
 
-def _declare(path: Path, part: Part, line: str) -> None:
+def _declare(path: Path, part: InterfacePart, line: str) -> None:
     found = _DECLARATION.fullmatch(line.strip())
     if found is None:
         raise ValueError(f"{path}: '{line}' declares nothing")

@@ -17,7 +17,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from deltacharger_lab.pages.interface_text import Interface, Part, read
+from deltacharger_lab.pages.interface_text import Interface, InterfacePart, read
 from deltacharger_lab.pages.parameters import every_node
 
 _EVERY_NODES = ("/parameter_events", "/rosout", "/clock")  # topics that every ROS node has
@@ -146,7 +146,7 @@ def _interface(interface: Interface) -> str:
     return "\n".join([f"### {interface.name}", "", interface.text, "", *parts])
 
 
-def _part(part: Part) -> str:
+def _part(part: InterfacePart) -> str:
     lines = [f"{part.name}:", ""] if part.name else []
     if part.fields:
         lines += ["| field | type | meaning |", "|---|---|---|"]

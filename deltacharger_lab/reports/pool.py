@@ -16,7 +16,7 @@ _TOLD_EVERY = 5.0  # s, at most
 
 
 @dataclass(frozen=True)
-class Task:
+class ReportTask:
     """A function of a module and what it is called with; it must be importable by name.
 
     Attributes:
@@ -32,7 +32,7 @@ class Task:
     weight: float = 1.0
 
 
-def work(tasks: Sequence[Task], progress: Callable[[str], None]) -> dict[str, list[Any]]:
+def work(tasks: Sequence[ReportTask], progress: Callable[[str], None]) -> dict[str, list[Any]]:
     """Run all tasks and return their results by name, in the order of the tasks.
 
     Raises:
@@ -67,7 +67,7 @@ def _quiet_pool(processes: int) -> Any:
         signal.signal(signal.SIGINT, before)
 
 
-def _run(numbered: tuple[int, Task]) -> tuple[int, Any]:
+def _run(numbered: tuple[int, ReportTask]) -> tuple[int, Any]:
     index, task = numbered
     return index, task.run(*task.arguments)
 

@@ -13,38 +13,38 @@ from geometry_msgs.msg import PoseStamped
 from deltacharger_docking.codes import Code, Rejected
 from deltacharger_docking.ros.messages import unknown
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_mission.dialogue import End, Goal, Reply
+from deltacharger_mission.dialogue import End, MissionGoal, TaskReply
 from deltacharger_mission.places import Place
 from deltacharger_ros.messages import seconds
 
 
-def read_dock(number: int, end: End, result: Any) -> Reply:
+def read_dock(number: int, end: End, result: Any) -> TaskReply:
     """Return the reply of a docking; `result` is None where docking_node gave none."""
     if result is None:
         return _unserved(number, end)
     pose = result.suggested_base_pose
     place = vector(pose.pose.position) if pose.header.frame_id else None
     code = _known(result.error_code)
-    return Reply(number, _ended(end, result), code, result.error_message, result.retriable, suggested=place)
+    return TaskReply(number, _ended(end, result), code, result.error_message, result.retriable, suggested=place)
 
 
-def read_undock(number: int, end: End, result: Any, heard: Any) -> Reply:
+def read_undock(number: int, end: End, result: Any, heard: Any) -> TaskReply:
     """Return the reply of an undocking; `result` is None where docking_node gave none."""
     if result is None:
         return _unserved(number, end)
-    return Reply(number, _ended(end, result), _known(result.error_code), result.error_message, result.retriable)
+    return TaskReply(number, _ended(end, result), _known(result.error_code), result.error_message, result.retriable)
 
 
-def read_drive(number: int, end: End, result: Any, heard: Any) -> Reply:
+def read_drive(number: int, end: End, result: Any, heard: Any) -> TaskReply:
     """Return the reply of a drive; results before Kilted carry no words, and before Iron no code."""
     code, words = getattr(result, "error_code", 0), getattr(result, "error_msg", "")
     message = " ".join(part for part in (words, f"(error {code} of the navigator)" if code else "") if part)
-    return Reply(number, end, message=message, place=None if heard is None else place(heard.current_pose))
+    return TaskReply(number, end, message=message, place=None if heard is None else place(heard.current_pose))
 
 
-def _unserved(number: int, end: End) -> Reply:
+def _unserved(number: int, end: End) -> TaskReply:
     """Return the reply of docking_node where it gave no result."""
-    return Reply(number, end, Code.REJECTED, "docking_node did not take the goal; look at its log", True)
+    return TaskReply(number, end, Code.REJECTED, "docking_node did not take the goal; look at its log", True)
 
 
 def _ended(end: End, result: Any) -> End:
@@ -63,7 +63,7 @@ def unknown_dock() -> Any:
     )
 
 
-def goal(request: Any, electrodes: Sequence[float] | None) -> Goal:
+def goal(request: Any, electrodes: Sequence[float] | None) -> MissionGoal:
     """Return a ChargeRobot goal as plain values.
 
     Args:
@@ -82,7 +82,7 @@ def goal(request: Any, electrodes: Sequence[float] | None) -> Goal:
         if here is None:
             raise Rejected("the target's pose is not finite, or its quaternion is zero: send numbers")
         where = here.at(*electrodes)
-    return Goal(where, request.stop_energy, seconds(request.stop_after), request.request_id)
+    return MissionGoal(where, request.stop_energy, seconds(request.stop_after), request.request_id)
 
 
 def place(message: PoseStamped) -> Place | None:

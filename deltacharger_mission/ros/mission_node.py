@@ -18,10 +18,10 @@ from deltacharger.action import ChargeRobot
 from rclpy.node import Node
 
 from deltacharger_docking.codes import Busy, Code, DockingError, Rejected
-from deltacharger_mission.dialogue import Outcome, Stage
+from deltacharger_mission.dialogue import MissionOutcome, Stage
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
-from deltacharger_mission.places import Mount, Place
+from deltacharger_mission.places import BaseMount, Place
 from deltacharger_mission.ros import messages as io
 from deltacharger_mission.ros.others import Others
 from deltacharger_ros import node_support
@@ -77,7 +77,7 @@ class MissionNode(Node):
         given = declare_all(self, MissionNodeParameters)
         reject_unknown(self)
         try:
-            mount = Mount(given.base_pose)
+            mount = BaseMount(given.base_pose)
         except ValueError as error:
             raise node_support.StartupError(f"mission_node: parameter 'base_pose': {error}") from error
         navigate_to_pose = load_navigation(given.navigation)
@@ -124,7 +124,7 @@ class MissionNode(Node):
             self._others.observe()
             time.sleep(_TICK)
         self._end(
-            Outcome(
+            MissionOutcome(
                 code=Code.CANCELED,
                 message="mission_node was shut down; the robot stands where it is, undock before you drive it",
                 retriable=True,
@@ -148,7 +148,9 @@ class MissionNode(Node):
                 self.get_logger().error(f"the mission met a defect: {type(error).__name__}: {error}")
                 with self._lock:
                     self._carry_out(self._machine.emergency())
-                    self._end(Outcome(message=f"internal error: {error}; the robot stands where it is, see the log"))
+                    self._end(
+                        MissionOutcome(message=f"internal error: {error}; the robot stands where it is, see the log")
+                    )
 
     def _carry_out(self, command: Any) -> None:
         for request in command.requests:
@@ -172,7 +174,7 @@ class MissionNode(Node):
             self._diagnosed = time.monotonic()
             self._diagnose()
 
-    def _end(self, outcome: Outcome) -> None:
+    def _end(self, outcome: MissionOutcome) -> None:
         mission, self._mission = self._mission, None
         if mission is not None:
             mission.docked = self._others.dock_result
@@ -226,13 +228,13 @@ class MissionNode(Node):
             return self._mission
 
 
-def _refused(error: Exception) -> Outcome:
+def _refused(error: Exception) -> MissionOutcome:
     if not isinstance(error, DockingError):
-        return Outcome(message=f"internal error: {error}; see the log")
-    return Outcome(code=error.code, message=str(error), retriable=error.retriable)
+        return MissionOutcome(message=f"internal error: {error}; see the log")
+    return MissionOutcome(code=error.code, message=str(error), retriable=error.retriable)
 
 
-def _result(outcome: Outcome, dock: Any) -> ChargeRobot.Result:
+def _result(outcome: MissionOutcome, dock: Any) -> ChargeRobot.Result:
     """Return a mission's result; what concerns the docking is that of the last one."""
     return ChargeRobot.Result(
         success=outcome.success,

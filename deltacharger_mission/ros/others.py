@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_docking.codes import State
-from deltacharger_mission.dialogue import Docking, End, Observation, Reply, Request, Task
+from deltacharger_mission.dialogue import DockingReport, End, MissionObservation, Task, TaskReply, TaskRequest
 from deltacharger_mission.ros.messages import fill_pose, read_dock, read_drive, read_undock, unknown_dock, vector
 from deltacharger_ros.messages import duration
 
@@ -29,7 +29,7 @@ _ENDS = {
     GoalStatus.STATUS_ABORTED: End.FAILED,
 }
 
-Put = Callable[[Reply], None]
+Put = Callable[[TaskReply], None]
 
 
 class _Call:
@@ -61,7 +61,7 @@ class ActionCaller:
         kind: Any,
         name: str,
         put: Put,
-        read: Callable[[int, End, Any, Any], Reply],
+        read: Callable[[int, End, Any, Any], TaskReply],
     ) -> None:
         self._client: ActionClient[Any, Any, Any] = ActionClient(node, kind, name)
         self._put = put
@@ -165,7 +165,7 @@ class Detector:
     def send(self, number: int, timeout: float) -> None:
         """Let the camera look for so long (s)."""
         if not self.is_served:
-            self._put(Reply(number, End.LOST))
+            self._put(TaskReply(number, End.LOST))
             return
         future = self._client.call_async(DetectElectrodes.Request(timeout=duration(timeout)))
         future.add_done_callback(lambda done: self._on_answer(number, done))
@@ -173,11 +173,11 @@ class Detector:
     def _on_answer(self, number: int, future: Any) -> None:
         answer = _value(future)
         if answer is None:
-            self._put(Reply(number, End.LOST))
+            self._put(TaskReply(number, End.LOST))
         elif answer.success:
-            self._put(Reply(number, End.DONE, electrodes=vector(answer.detection.pose.pose.position)))
+            self._put(TaskReply(number, End.DONE, electrodes=vector(answer.detection.pose.pose.position)))
         else:
-            self._put(Reply(number, End.FAILED, message=answer.message))
+            self._put(TaskReply(number, End.FAILED, message=answer.message))
 
 
 class Others:
@@ -193,8 +193,8 @@ class Others:
         self._navigate_to_pose = navigate_to_pose
         self._trees = trees
         self._lock = threading.Lock()
-        self._replies: list[Reply] = []
-        self._docking: Docking | None = None
+        self._replies: list[TaskReply] = []
+        self._docking: DockingReport | None = None
         self.dock_result = unknown_dock()
         self._detector = Detector(node, self._put)
         self._callers = {
@@ -212,7 +212,7 @@ class Others:
         charging = self._docking is not None and self._docking.charging
         return charging or not all(caller.is_settled for caller in self._callers.values())
 
-    def observe(self) -> Observation:
+    def observe(self) -> MissionObservation:
         """Return what is known now; every reply is told once."""
         for caller in self._callers.values():
             caller.tick()
@@ -221,9 +221,9 @@ class Others:
             served.add(Task.DETECT)
         with self._lock:
             replies, self._replies = tuple(self._replies), []
-        return Observation(time.monotonic(), frozenset(served), self._docking, replies)
+        return MissionObservation(time.monotonic(), frozenset(served), self._docking, replies)
 
-    def carry_out(self, request: Request) -> None:
+    def carry_out(self, request: TaskRequest) -> None:
         """Send a request."""
         if request.task is Task.DETECT:
             self._detector.send(request.number, request.timeout)
@@ -240,7 +240,7 @@ class Others:
         for caller in self._callers.values():
             caller.destroy()
 
-    def _message(self, request: Request) -> Any:
+    def _message(self, request: TaskRequest) -> Any:
         if request.task is Task.UNDOCK:
             return Undock.Goal()
         if request.task is Task.DOCK:
@@ -257,14 +257,14 @@ class Others:
         fill_pose(goal.pose, request.place)  # stamp 0: the newest transform that there is
         return goal
 
-    def _put(self, reply: Reply) -> None:
+    def _put(self, reply: TaskReply) -> None:
         with self._lock:
             self._replies.append(reply)
 
     def _on_state(self, message: DockingState) -> None:
-        self._docking = Docking(State(message.state), message.docked, message.charging)
+        self._docking = DockingReport(State(message.state), message.docked, message.charging)
 
-    def _read_dock(self, number: int, end: End, result: Any, heard: Any) -> Reply:
+    def _read_dock(self, number: int, end: End, result: Any, heard: Any) -> TaskReply:
         if result is not None:
             self.dock_result = result
         return read_dock(number, end, result)

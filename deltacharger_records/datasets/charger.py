@@ -19,7 +19,7 @@ from rclpy.duration import Duration
 from rclpy.time import Time
 from std_srvs.srv import Trigger
 
-from deltacharger_docking.observation import Command, Observation, Outcome, Request, Service
+from deltacharger_docking.observation import Command, DockingOutcome, Observation, Request, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.inputs import Inputs
@@ -166,7 +166,7 @@ class RecordingCharger(ArmGuest):
         self._driving = True
         return True
 
-    def run(self, machine: RecordingMachine, start: Callable[[Observation], None]) -> Outcome:
+    def run(self, machine: RecordingMachine, start: Callable[[Observation], None]) -> DockingOutcome:
         """Run a session to its end.
 
         Args:

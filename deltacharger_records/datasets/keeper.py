@@ -18,7 +18,7 @@ from deltacharger_core.mcap_file import Raw, RecordingError
 from deltacharger_docking.codes import TactileStale
 from deltacharger_records.datasets.dataset import Docking, Settings
 from deltacharger_records.datasets.journal import Journal
-from deltacharger_records.datasets.machine import NotKept, Touch
+from deltacharger_records.datasets.machine import NotKept, Rested
 from deltacharger_records.datasets.plan import Part
 from deltacharger_ros import qos
 from deltacharger_ros.raw_topics import Topic
@@ -132,7 +132,7 @@ class SessionKeeper:
                     self._frames.append(_pads(frame))
         return len(self._frames) >= wanted
 
-    def keep(self, touch: Touch) -> None:
+    def keep(self, touch: Rested) -> None:
         """Write the docking in a thread of its own."""
         pose, target = self._poses[self._number], self._part.target
         shape = (self._settings.rows, self._settings.frames, 2, _SIDE, _SIDE)

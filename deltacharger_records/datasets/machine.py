@@ -36,7 +36,7 @@ class ServoSilence(ServoFailure):
 
 
 @dataclass(frozen=True)
-class Touch:
+class Rested:
     """How one docking rested.
 
     Attributes:
@@ -60,7 +60,7 @@ class Keeper(Protocol):
     def heard(self) -> bool:
         """Whether there are enough of them; DockingError where they are of no use."""
 
-    def keep(self, touch: Touch) -> None:
+    def keep(self, touch: Rested) -> None:
         """The arm has let go: write what was felt."""
 
     def kept(self) -> bool:
@@ -143,7 +143,7 @@ class RecordingMachine(DockingMachine):
             yield
             positions.append(context.position)
         x, y, z = (float(value) for value in np.mean(positions, axis=0))
-        touch = Touch((x, y, z), context.contact.value)
+        touch = Rested((x, y, z), context.contact.value)
         context.enter(State.RETRACT, parameters.retract_timeout)
         yield from lift_off(context)
         keeper.keep(touch)

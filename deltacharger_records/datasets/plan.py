@@ -30,7 +30,7 @@ _START_STEP, _START_STEPS = 0.004, 5  # m; the start varies by ±20 mm in steps 
 
 
 @dataclass(frozen=True)
-class Pose:
+class CommandedPose:
     """Where the target shall be in end_effector: m, m, rad, signed as in Dataset."""
 
     horizontal: float
@@ -79,7 +79,7 @@ class Part:
         """Return what `as_dict` gave; TypeError or KeyError where it did not."""
         return Part(**{**values, "offsets_mm": tuple(values["offsets_mm"])})
 
-    def poses(self) -> list[Pose]:
+    def poses(self) -> list[CommandedPose]:
         """Return every docking's pose, in the order of recording; the same arguments give the same.
 
         Offsets of the position set come in a new order at each repetition, so that no drift looks like an offset.
@@ -96,4 +96,4 @@ class Part:
             offsets = np.zeros((self.repeat, 2))
         else:
             offsets = random.uniform(-POSITION_LIMIT, POSITION_LIMIT, (self.repeat, 2))
-        return [Pose(float(x), float(y), angle) for x, y in offsets]
+        return [CommandedPose(float(x), float(y), angle) for x, y in offsets]

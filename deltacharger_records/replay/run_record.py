@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.clearance import FeltPose
 from deltacharger_ros.outcomes import Outcome
 
 _CAPACITY = 24_000  # samples of a series before every second one is dropped
@@ -77,10 +77,10 @@ class Touch:
     clearance: float = float("nan")
 
     @property
-    def estimate(self) -> Estimate:
+    def estimate(self) -> FeltPose:
         """It as docking judges it."""
         spreads = (self.angle_stddev, self.vertical_stddev, self.horizontal_stddev)
-        return Estimate(self.angle, spreads[0], self.vertical, spreads[1], self.horizontal, spreads[2])
+        return FeltPose(self.angle, spreads[0], self.vertical, spreads[1], self.horizontal, spreads[2])
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from deltacharger_docking.clearance import Estimate, clearance, clearance_stddev
+from deltacharger_docking.clearance import FeltPose, clearance, clearance_stddev
 from deltacharger_docking.codes import Code
 from deltacharger_docking.remedies import REMEDIES
 from deltacharger_records.quantities import numbers, quantity
@@ -166,12 +166,12 @@ _TELLERS: dict[Code, Callable[[Replay, str], str]] = {
 }
 
 
-def _mean(touches: list[Touch]) -> Estimate:
+def _mean(touches: list[Touch]) -> FeltPose:
     """Return the mean angle of several dockings, with the largest of their standard deviations."""
     names = ("angle_stddev", "vertical_stddev", "horizontal_stddev")
     angle, vertical, horizontal = (max(getattr(touch, name) for touch in touches) for name in names)
     mean = sum(touch.angle for touch in touches) / len(touches)
-    return Estimate(mean, angle, 0.0, vertical, 0.0, horizontal)
+    return FeltPose(mean, angle, 0.0, vertical, 0.0, horizontal)
 
 
 def _way_back(replay: Replay) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
-from deltacharger_driver.board.protocol import Fault
+from deltacharger_driver.board.protocol import BoardFault
 
 BATTERY = 26.0  # V, inside the paper's 22.7…29.8 V
 TARGET = 23.5  # V, open circuit
@@ -47,7 +47,7 @@ class MockPower:
         aim = CHARGE_CURRENT if flows else 0.0
         self.current = aim + (self.current - aim) * math.exp(-step / _RISE) if flows else 0.0
         if self.closed and not flows and now - self._closed_at > _GRACE and self.misbehaviour != "contactor_welded":
-            self.fault = self.fault or Fault.NO_CHARGE_CURRENT
+            self.fault = self.fault or BoardFault.NO_CHARGE_CURRENT
             self._open()
 
     def probe(self, now: float, contact: bool) -> tuple[float, float]:
@@ -87,7 +87,7 @@ class MockPower:
     def _open(self) -> None:
         self.lease.opened()
         if self.misbehaviour == "contactor_welded" and self.closed:
-            self.fault = Fault.CONTACTOR_WELDED
+            self.fault = BoardFault.CONTACTOR_WELDED
             return
         self.closed = False
         self.current = 0.0

@@ -40,7 +40,7 @@ class Hardware:
 
 
 @dataclass(frozen=True)
-class Order:
+class FaultOrder:
     """One fault to cause: servo (1 to 3, 0 = all), amount in the kind's unit, and when (s, monotonic)."""
 
     servo: int
@@ -54,7 +54,7 @@ class Order:
 
 
 Undo = Callable[[], Any]
-Apply = Callable[[Hardware, Order], "Undo | None"]
+Apply = Callable[[Hardware, FaultOrder], "Undo | None"]
 
 
 @dataclass(frozen=True)
@@ -103,42 +103,42 @@ class Kind:
     several: bool = False
 
 
-def _servo_share(kind: str, hardware: Hardware, order: Order) -> Undo:
+def _servo_share(kind: str, hardware: Hardware, order: FaultOrder) -> Undo:
     faults = hardware.servos.faults
     rates = faults.rate_of.setdefault(order.servo, {}) if order.servo else faults.rate
     rates[kind] = order.amount
     return lambda: rates.pop(kind, None)
 
 
-def _board_share(kind: str, hardware: Hardware, order: Order) -> Undo:
+def _board_share(kind: str, hardware: Hardware, order: FaultOrder) -> Undo:
     hardware.board.faults.probability[kind] = order.amount
     return functools.partial(hardware.board.faults.probability.__setitem__, kind, 0.0)
 
 
-def _servo_missing(hardware: Hardware, order: Order) -> Undo:
+def _servo_missing(hardware: Hardware, order: FaultOrder) -> Undo:
     # What has no supply has no torque either, and comes back as after a restart.
     hardware.servos.alter(order.place, lambda servo: servo.reboot(order.now))
     hardware.servos.faults.missing.add(order.servo)
     return lambda: hardware.servos.faults.missing.discard(order.servo)
 
 
-def _servo_deaf(hardware: Hardware, order: Order) -> Undo:
+def _servo_deaf(hardware: Hardware, order: FaultOrder) -> Undo:
     return _attribute(hardware.servos.faults, "deaf", True)
 
 
-def _servo_delay(hardware: Hardware, order: Order) -> Undo:
+def _servo_delay(hardware: Hardware, order: FaultOrder) -> Undo:
     return _attribute(hardware.servos.faults, "delay", order.amount)
 
 
-def _board_silent(hardware: Hardware, order: Order) -> Undo:
+def _board_silent(hardware: Hardware, order: FaultOrder) -> Undo:
     return _attribute(hardware.board.faults, "silent", True)
 
 
-def _board_deaf(hardware: Hardware, order: Order) -> Undo:
+def _board_deaf(hardware: Hardware, order: FaultOrder) -> Undo:
     return _attribute(hardware.board.faults, "deaf", True)
 
 
-def _board_delay(hardware: Hardware, order: Order) -> Undo:
+def _board_delay(hardware: Hardware, order: FaultOrder) -> Undo:
     return _attribute(hardware.board.faults, "delay", order.amount)
 
 
@@ -148,19 +148,19 @@ def _attribute(target: Any, name: str, value: Any) -> Undo:
     return lambda: setattr(target, name, before)
 
 
-def _servo_error(bit: int, hardware: Hardware, order: Order) -> None:
+def _servo_error(bit: int, hardware: Hardware, order: FaultOrder) -> None:
     hardware.servos.alter(order.place, lambda servo: servo.raise_error(1 << bit))
 
 
-def _servo_reboot(hardware: Hardware, order: Order) -> None:
+def _servo_reboot(hardware: Hardware, order: FaultOrder) -> None:
     hardware.servos.alter(order.place, lambda servo: servo.reboot(order.now))
 
 
-def _servo_watchdog(hardware: Hardware, order: Order) -> None:
+def _servo_watchdog(hardware: Hardware, order: FaultOrder) -> None:
     hardware.servos.alter(order.place, lambda servo: servo.trip_watchdog(order.now))
 
 
-def _servo_undervoltage(hardware: Hardware, order: Order) -> Undo:
+def _servo_undervoltage(hardware: Hardware, order: FaultOrder) -> Undo:
     def limit(volts: float, servo: ServoFirmware) -> None:
         servo.supply_limit = volts
 
@@ -168,7 +168,7 @@ def _servo_undervoltage(hardware: Hardware, order: Order) -> Undo:
     return lambda: hardware.servos.alter(order.place, functools.partial(limit, math.inf))
 
 
-def _servo_register(name: str, value: int, hardware: Hardware, order: Order) -> Undo:
+def _servo_register(name: str, value: int, hardware: Hardware, order: FaultOrder) -> Undo:
     before = 0
 
     def change(servo: ServoFirmware) -> None:
@@ -180,33 +180,33 @@ def _servo_register(name: str, value: int, hardware: Hardware, order: Order) -> 
     return lambda: hardware.servos.alter(order.place, lambda servo: servo.table.set(name, before))
 
 
-def _servo_wrong_baud(hardware: Hardware, order: Order) -> Undo:
+def _servo_wrong_baud(hardware: Hardware, order: FaultOrder) -> Undo:
     return _servo_register("baud", _SPEEDS[round(order.amount)], hardware, order)
 
 
-def _servo_duplicate_id(hardware: Hardware, order: Order) -> Undo:
+def _servo_duplicate_id(hardware: Hardware, order: FaultOrder) -> Undo:
     return _servo_register("id", round(order.amount), hardware, order)
 
 
-def _servo_unplugged(hardware: Hardware, order: Order) -> Undo:
+def _servo_unplugged(hardware: Hardware, order: FaultOrder) -> Undo:
     hardware.servo_terminal.unplug()
     return hardware.servo_terminal.replug
 
 
-def _board_unplugged(hardware: Hardware, order: Order) -> Undo:
+def _board_unplugged(hardware: Hardware, order: FaultOrder) -> Undo:
     hardware.board_terminal.unplug()
     return hardware.board_terminal.replug
 
 
-def _board_reboot(hardware: Hardware, order: Order) -> None:
+def _board_reboot(hardware: Hardware, order: FaultOrder) -> None:
     hardware.board.reboot(order.amount)
 
 
-def _board_trip(hardware: Hardware, order: Order) -> None:
+def _board_trip(hardware: Hardware, order: FaultOrder) -> None:
     hardware.board.trip(round(order.amount))
 
 
-def _board_dead_taxel(hardware: Hardware, order: Order) -> Undo:
+def _board_dead_taxel(hardware: Hardware, order: FaultOrder) -> Undo:
     pad, taxel = divmod(round(order.amount), 100)
     place = (pad, *divmod(taxel, 10))
     hardware.board.set_dead(*place)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from deltacharger_core.parameters import Bounded, ParameterError, number, words
-from deltacharger_sim.charger.fault_kinds import KINDS, ONE, SERVOS, Hardware, Kind, Order, Undo
+from deltacharger_sim.charger.fault_kinds import KINDS, ONE, SERVOS, FaultOrder, Hardware, Kind, Undo
 
 __all__ = ["KINDS", "Fault", "Faults", "Hardware"]
 _log = logging.getLogger(__name__)
@@ -111,7 +111,7 @@ class Faults:
         with self._condition:
             self._end(fault.key)
             now = self._clock()
-            undo = kind.apply(self._hardware, Order(fault.whom, fault.how_much, now))
+            undo = kind.apply(self._hardware, FaultOrder(fault.whom, fault.how_much, now))
             if undo is None:
                 return
             until = now + fault.last if fault.last else float("inf")

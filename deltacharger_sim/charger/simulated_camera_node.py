@@ -33,7 +33,7 @@ from deltacharger_vision.errors import VisionError
 from deltacharger_vision.parameters import CAMERA_INFO, COLOR, DEPTH
 from deltacharger_vision.rendering.board_drawing import with_board
 from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
-from deltacharger_vision.rendering.scene import Scene, shifted
+from deltacharger_vision.rendering.scene import RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts
 from deltacharger_vision.ros.messages import (
     camera_info_message,
@@ -132,7 +132,7 @@ class SimulatedCameraNode(Node):
         if deep:
             self._depth.publish(depth_message(image.depth, stamp))
 
-    def _with_charger(self) -> Scene:
+    def _with_charger(self) -> RenderedScene:
         """Return the scene with the charger's own parts as they stand; without them before the angles are known."""
         if self._angles is None:
             return self._scene

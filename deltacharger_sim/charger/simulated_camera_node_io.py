@@ -18,7 +18,7 @@ from deltacharger_vision.poses import Array, turn
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
 from deltacharger_vision.rendering.parameters import CameraParameters
-from deltacharger_vision.rendering.scene import Scene
+from deltacharger_vision.rendering.scene import RenderedScene
 from deltacharger_vision.rendering.scene_drawing import draw_scene
 
 Camera = SimulatedCamera | MujocoCamera
@@ -45,7 +45,7 @@ def target_pose(given: SimulatedCameraNodeParameters) -> Array:
     return pose
 
 
-def scene(given: SimulatedCameraNodeParameters, random: np.random.Generator) -> Scene:
+def scene(given: SimulatedCameraNodeParameters, random: np.random.Generator) -> RenderedScene:
     """Return what else is in the picture."""
     drawn = draw_scene(random, clutter=given.clutter, decoys=given.decoys, target=given.target_present)
     if given.glare < 0.0:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, ROWS
 from deltacharger_tactile.calibration.rig import SHAPE, SensorCalibrationError
 from deltacharger_tactile.dataset import Dataset
-from deltacharger_tactile.parameters import ContactParameters
+from deltacharger_tactile.parameters import PadContactParameters
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,7 +32,7 @@ _BASELINE = 0.5  # N from the other taxels' baseline
 
 
 @dataclass(frozen=True)
-class Dockings:
+class KnownDockings:
     """Dockings of one rig at known poses, one row each.
 
     Attributes:
@@ -54,13 +54,13 @@ class Dockings:
     def __len__(self) -> int:
         return len(self.frames)
 
-    def part(self, rows: NDArray[np.int64]) -> Dockings:
+    def part(self, rows: NDArray[np.int64]) -> KnownDockings:
         """Return the dockings of the given rows."""
-        return Dockings(self.frames[rows], self.pose[rows], self.truth[rows], self.tares, self.rig, self.threshold)
+        return KnownDockings(self.frames[rows], self.pose[rows], self.truth[rows], self.tares, self.rig, self.threshold)
 
 
 @dataclass(frozen=True)
-class Faults:
+class PadFaults:
     """(2, 10, 10) masks of what is wrong with single taxels.
 
     Attributes:
@@ -98,7 +98,7 @@ class Tares:
     outlying: Mask
 
 
-def select(data: Dataset, rig: int | None = None) -> Dockings:
+def select(data: Dataset, rig: int | None = None) -> KnownDockings:
     """Take the dockings of one rig; several rows of one docking are averaged.
 
     Args:
@@ -123,7 +123,7 @@ def select(data: Dataset, rig: int | None = None) -> Dockings:
     frames /= np.bincount(docking)[:, None, None, None]
     once = rows[first]
     _, opening = np.unique(data.session[once], return_index=True)
-    return Dockings(
+    return KnownDockings(
         frames=frames,
         pose=np.column_stack([data.horizontal, data.vertical, data.angle])[once],
         truth=data.contact_pose[once],
@@ -137,7 +137,7 @@ def _listed(rigs: list[int]) -> str:
     return ", ".join(map(str, rigs[:8])) + (" …" if len(rigs) > 8 else "")
 
 
-def find(dockings: Dockings) -> Faults:
+def find(dockings: KnownDockings) -> PadFaults:
     """Judge every taxel."""
     frames = dockings.frames
     dead = ~np.isfinite(frames)
@@ -152,7 +152,9 @@ def find(dockings: Dockings) -> Faults:
     live = np.where(dead, 0.0, frames)
     # A taxel that hangs on one value after the tare; one that hangs on 0 is silent.
     stuck = (np.ptp(live, axis=0) < 1e-6) & (live[0] > 0.0) & (len(frames) > 1)
-    return Faults(told, _silent(frames, dockings.threshold) & ~told, (loud | stuck) & ~told, (scatter > _NOISY) & ~told)
+    return PadFaults(
+        told, _silent(frames, dockings.threshold) & ~told, (loud | stuck) & ~told, (scatter > _NOISY) & ~told
+    )
 
 
 def _silent(frames: Array, threshold: float) -> Mask:
@@ -170,7 +172,7 @@ def _silent(frames: Array, threshold: float) -> Mask:
 
 def _away(pose: Array) -> Mask:
     """Return (N, 2, 10, 10) the taxels that the ridges cannot reach at the commanded poses (N, 3)."""
-    contact = ContactParameters()
+    contact = PadContactParameters()
     line = contact.pad_side * (0.5 - (np.arange(ROWS) + 0.5) / ROWS)
     v, u = np.meshgrid(line, line[:COLUMNS], indexing="ij")
     x = np.stack([u + contact.pad_distance, u - contact.pad_distance])
@@ -178,7 +180,7 @@ def _away(pose: Array) -> Mask:
     return np.asarray(np.abs(np.cos(angle) * (v - vertical) - np.sin(angle) * (x - horizontal)) > _AWAY)
 
 
-def compare_tares(dockings: Dockings, dead: Mask) -> Tares:
+def compare_tares(dockings: KnownDockings, dead: Mask) -> Tares:
     """Compare the sessions' baselines, taxels of `dead` left out."""
     tares = np.where(dead, np.nan, dockings.tares)
     known = np.isfinite(tares).all(axis=0)

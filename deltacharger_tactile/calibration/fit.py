@@ -16,18 +16,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_tactile.calibration.faults import Dockings, find
+from deltacharger_tactile.calibration.faults import KnownDockings, find
 from deltacharger_tactile.calibration.rig import AXES, SHAPE, SHIFT_LIMIT, SensorCalibrationError, TactileCalibration
 from deltacharger_tactile.contact import ContactModel
 from deltacharger_tactile.estimator import PoseEstimator
-from deltacharger_tactile.parameters import DockingParameters, SensorParameters
+from deltacharger_tactile.parameters import PadDockingParameters, SensorParameters
 
 Array = NDArray[np.float64]
 
 FEWEST = 5
 """Dockings in range, fewer of which tell nothing."""
 JITTER = np.array(
-    [DockingParameters().position_jitter, DockingParameters().position_jitter, DockingParameters().angle_jitter]
+    [
+        PadDockingParameters().position_jitter,
+        PadDockingParameters().position_jitter,
+        PadDockingParameters().angle_jitter,
+    ]
 )
 """Standard deviation of (horizontal, vertical, angle) of one docking about its commanded pose: m, m, rad."""
 MISFIT_LIMIT = 0.19
@@ -56,7 +60,7 @@ class Parts:
 
 
 @dataclass(frozen=True)
-class Fit:
+class PadFit:
     """A calibration and what it rests on.
 
     Attributes:
@@ -110,7 +114,7 @@ def predict(
     return pose, spread, np.asarray(estimate.in_range)
 
 
-def fit(dockings: Dockings, model: PoseEstimator, parts: Parts | None = None) -> Fit:
+def fit(dockings: KnownDockings, model: PoseEstimator, parts: Parts | None = None) -> PadFit:
     """Learn from dockings of one rig.
 
     Args:
@@ -150,10 +154,10 @@ def fit(dockings: Dockings, model: PoseEstimator, parts: Parts | None = None) ->
     if kept:
         variance[0] += kept * (per_newton * shift_error) ** 2
     made = dataclasses.replace(made, bias=share * bias, bias_stddev=np.sqrt(variance))
-    return Fit(made, count, misfit, shift, shift_error, bias, error)
+    return PadFit(made, count, misfit, shift, shift_error, bias, error)
 
 
-def judge(dockings: Dockings, model: PoseEstimator, parts: Parts | None = None) -> Worth:
+def judge(dockings: KnownDockings, model: PoseEstimator, parts: Parts | None = None) -> Worth:
     """Calibrate with four fifths of the dockings and look at the others, five times."""
     order = np.random.default_rng(0).permutation(len(dockings))
     neutral = TactileCalibration(dead=find(dockings).dead)
@@ -190,7 +194,7 @@ def _kept(value: float, error: float, doubt: float) -> float:
 
 def _gains(frames: Array, pose: Array, threshold: float) -> tuple[Array, float]:
     """Return gains (2, 10, 10), mean 1 on each pad, and the misfit, from frames (N, 2, 10, 10) at poses (N, 3)."""
-    docking = DockingParameters()
+    docking = PadDockingParameters()
     tilt = pose[:, 1::-1] * [docking.tilt_per_y, docking.tilt_per_x]
     live = np.isfinite(frames)
     felt = np.where(live, frames, 0.0)
@@ -216,7 +220,7 @@ def _loaded(model: Array, felt: Array, gain: Array) -> Array:
     return np.asarray(model * np.where(seen.sum(axis=(2, 3)) >= _LEAST_LOAD, scale, 0.0)[:, :, None, None])
 
 
-def _load_shift(dockings: Dockings, model: PoseEstimator, made: TactileCalibration) -> tuple[float, float, float]:
+def _load_shift(dockings: KnownDockings, model: PoseEstimator, made: TactileCalibration) -> tuple[float, float, float]:
     """Return the load shift with which the commanded horizontal offsets fit best, its error (N), and m per N."""
     tried = np.arange(-SHIFT_LIMIT, SHIFT_LIMIT + 0.5 * _STEP, _STEP)
     found, variance = np.empty((2, len(tried), len(dockings)))
@@ -241,7 +245,7 @@ def _load_shift(dockings: Dockings, model: PoseEstimator, made: TactileCalibrati
     return shift, error, float(np.abs(np.mean(slope[np.isfinite(slope)]))) if np.isfinite(slope).any() else 0.0
 
 
-def _bias(dockings: Dockings, model: PoseEstimator, made: TactileCalibration) -> tuple[Array, Array]:
+def _bias(dockings: KnownDockings, model: PoseEstimator, made: TactileCalibration) -> tuple[Array, Array]:
     """Return the mean error (3,) against the commanded poses and its standard error, jitter included."""
     found, spread, usable = predict(model, made, dockings.frames)
     if usable.sum() < FEWEST:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.machine import ROWS
-from deltacharger_tactile.parameters import ContactParameters
+from deltacharger_tactile.parameters import PadContactParameters
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ _BUMP = 0.7  # width of a node's bump, in standard deviations
 _PENALTY = 0.3  # on a bump's weight
 _LEAST = 0.01  # of any feature's spread, so that one that never varied does not decide
 _LIGHT = 5.0  # N, added to a pad's load before dividing: an unloaded pad has no shape
-_PITCH = 1e3 * ContactParameters().pad_side / ROWS
+_PITCH = 1e3 * PadContactParameters().pad_side / ROWS
 _AWAY = _PITCH * (0.5 * (ROWS - 1) - np.arange(ROWS))  # of taxel centres from the pad's, mm
 
 

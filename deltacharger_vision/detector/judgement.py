@@ -19,7 +19,7 @@ from deltacharger_vision.detector.edges import EdgeSettings, find_edges
 from deltacharger_vision.detector.outlines import visible_lines
 from deltacharger_vision.detector.pairing import Pair
 from deltacharger_vision.detector.plane import Plane, PlaneSettings, Region, fit_plane, plate_region
-from deltacharger_vision.detector.refine import ROUNDS, Edges, Fit, RefineSettings
+from deltacharger_vision.detector.refine import ROUNDS, Edges, PoseFit, RefineSettings
 from deltacharger_vision.detector.starts import (
     LARGE_LEANS,
     SMALL_LEANS,
@@ -31,7 +31,7 @@ from deltacharger_vision.detector.starts import (
 )
 from deltacharger_vision.detector.support import SupportSettings, outline_shares, plate_is_dark, supported
 from deltacharger_vision.images import RgbdImage
-from deltacharger_vision.poses import Array, Pose, face_corners, facing
+from deltacharger_vision.poses import Array, TerminalPose, face_corners, facing
 from deltacharger_vision.terminal import Terminal
 
 _SAME_TILT = 0.03  # rad
@@ -82,7 +82,7 @@ class Candidate:
         upright: whether the tilt is known, not one of two that fit.
     """
 
-    pose: Pose
+    pose: TerminalPose
     covariance: Array
     confidence: float
     fused: bool
@@ -92,7 +92,7 @@ class Candidate:
 @dataclass(frozen=True)
 class _Explanation:
     edges: Edges
-    fit: Fit
+    fit: PoseFit
     misfit: float
 
 
@@ -136,7 +136,7 @@ class Judge:
         return self._by_image(pair, starts[0])
 
     def _search(
-        self, start: Pose, pair: Pair, plane: Plane | None = None, least: float = math.inf
+        self, start: TerminalPose, pair: Pair, plane: Plane | None = None, least: float = math.inf
     ) -> list[_Explanation]:
         """Return edges and poses that fit them, from a start whose tilt is right and whose place is rough.
 
@@ -170,30 +170,30 @@ class Judge:
                 break
         return sorted(found, key=lambda each: each.misfit)
 
-    def _moved(self, before: Pose, after: Pose) -> float:
+    def _moved(self, before: TerminalPose, after: TerminalPose) -> float:
         """Return by how much the corners of the bars move in the image between two poses, px at most."""
         one, two = (pose.points(self._corners) for pose in (before, after))
         return self._focal * float(np.abs(one[..., :2] / one[..., 2:] - two[..., :2] / two[..., 2:]).max())
 
-    def _misfit(self, edges: Edges, found: Fit, plane: Plane | None = None, missed: bool = True) -> float:
+    def _misfit(self, edges: Edges, found: PoseFit, plane: Plane | None = None, missed: bool = True) -> float:
         return edges.misfit(found, self._settings.refine.noise, plane, missed)
 
     def _follow(
-        self, pose: Pose, window: float, plane: Plane | None = None, rounds: int = ROUNDS
-    ) -> tuple[Edges, Fit] | None:
+        self, pose: TerminalPose, window: float, plane: Plane | None = None, rounds: int = ROUNDS
+    ) -> tuple[Edges, PoseFit] | None:
         """Return the edges near those of a pose, and the pose that fits them."""
         edges = self._edges(pose, window)
         found = edges.fit(pose, plane, rounds=rounds)
         return None if found is None else (edges, found)
 
-    def _edges(self, pose: Pose, window: float) -> Edges:
+    def _edges(self, pose: TerminalPose, window: float) -> Edges:
         intrinsics, settings = self._image.intrinsics, self._settings
         spacing = intrinsics.fy * self._terminal.spacing / pose.translation[2]
         lines = visible_lines(pose, self._terminal, intrinsics, settings.refine.bias)
         points = find_edges(self._grey, lines, intrinsics, min(window, max(1.5, 0.4 * spacing)), settings.edges)
         return Edges(points, self._terminal, self._focal, settings.refine)
 
-    def _by_image(self, pair: Pair, start: Pose) -> Candidate | None:
+    def _by_image(self, pair: Pair, start: TerminalPose) -> Candidate | None:
         """Return the pose by edges alone; where either of two tilts may be the right one, its covariance spans both."""
         settings = self._settings
         found = self._explained(pair, start)
@@ -213,7 +213,7 @@ class Judge:
                 upright = upright and bool(np.linalg.norm(turned) < _SAME_TILT)
         return self._candidate(best.edges, best.fit, covariance, False, upright)
 
-    def _explained(self, pair: Pair, start: Pose) -> list[_Explanation]:
+    def _explained(self, pair: Pair, start: TerminalPose) -> list[_Explanation]:
         """Return poses that fit the edges, more and more tilts being tried as long as none fits well.
 
         Another tilt shows other sides of the bars, so each is fitted to edges of its own.
@@ -239,7 +239,7 @@ class Judge:
                 found += [each for each in explained if self._share(each.edges, each.fit)]
         return found
 
-    def _by_both(self, pair: Pair, start: Pose, plane: Plane) -> Candidate | None:
+    def _by_both(self, pair: Pair, start: TerminalPose, plane: Plane) -> Candidate | None:
         """Return the pose by edges and plane, unless the plane contradicts the edges."""
         settings = self._settings
         # The plane tells the tilt, and with it which sides of the bars show.
@@ -257,7 +257,7 @@ class Judge:
             return None
         return self._candidate(edges, fused, fused.covariance, True, True)
 
-    def _by_both_rescaled(self, alone: Pose, plane: Plane) -> Candidate | None:
+    def _by_both_rescaled(self, alone: TerminalPose, plane: Plane) -> Candidate | None:
         """Return the pose by edges and plane of a camera whose focal length is a little off, where that explains both.
 
         Args:
@@ -275,7 +275,9 @@ class Judge:
             return None
         return self._candidate(edges, both, both.covariance, True, True)
 
-    def _candidate(self, edges: Edges, found: Fit, covariance: Array, fused: bool, upright: bool) -> Candidate | None:
+    def _candidate(
+        self, edges: Edges, found: PoseFit, covariance: Array, fused: bool, upright: bool
+    ) -> Candidate | None:
         settings, pose = self._settings, found.pose
         away = float(np.linalg.norm(pose.translation))
         in_range = settings.nearest <= away <= settings.farthest and facing(pose) >= math.cos(settings.tilt)
@@ -288,22 +290,22 @@ class Judge:
         excess = self._misfit(edges, found, missed=False) / settings.clear
         return Candidate(pose, covariance * max(1.0, excess), confidence, fused, upright)
 
-    def _elsewhere(self, region: Region, pose: Pose) -> bool:
+    def _elsewhere(self, region: Region, pose: TerminalPose) -> bool:
         """Return whether what depth is known, where stereo has any, lies at quite another range than a pose."""
         settings, away = self._settings, float(pose.translation[2])
         if away < settings.stereo_range or len(region.inverse) < settings.plane.fewest:
             return False
         return abs(float(np.median(region.inverse)) * away - 1.0) > 2.0 * settings.agreement
 
-    def _dark(self, pose: Pose) -> bool:
+    def _dark(self, pose: TerminalPose) -> bool:
         intrinsics, share = self._image.intrinsics, self._settings.support.around
         return plate_is_dark(self._grey, pose, self._terminal, intrinsics, share)
 
-    def _share(self, edges: Edges, found: Fit) -> float:
+    def _share(self, edges: Edges, found: PoseFit) -> float:
         return supported(outline_shares(edges.points, found), found, self._settings.support)
 
 
-def _agree(plane: Plane, pose: Pose, tolerance: float) -> bool:
+def _agree(plane: Plane, pose: TerminalPose, tolerance: float) -> bool:
     """Return whether the plane crosses the line of sight at about the range of a pose."""
     crossing = float(plane.coefficients @ pose.translation)  # 1 where it does so exactly
     return abs(crossing - 1.0) <= tolerance

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.poses import Array, Pose, face_corners
+from deltacharger_vision.poses import Array, TerminalPose, face_corners
 from deltacharger_vision.projection import project
 from deltacharger_vision.terminal import Terminal
 
@@ -58,7 +58,7 @@ class Lines:
     bias: Array
 
 
-def visible_lines(pose: Pose, terminal: Terminal, intrinsics: Intrinsics, bias: float) -> Lines:
+def visible_lines(pose: TerminalPose, terminal: Terminal, intrinsics: Intrinsics, bias: float) -> Lines:
     """Return the lines of the touched faces, and of the roots of those sides that show."""
     corners = face_corners(terminal)
     start, end = corners.reshape(8, 3), np.roll(corners, -1, axis=1).reshape(8, 3)
@@ -91,7 +91,7 @@ def visible_lines(pose: Pose, terminal: Terminal, intrinsics: Intrinsics, bias: 
     )
 
 
-def _normals(pixels: Array, pose: Pose, intrinsics: Intrinsics, middle: Array) -> Array:
+def _normals(pixels: Array, pose: TerminalPose, intrinsics: Intrinsics, middle: Array) -> Array:
     """Return unit normals (L, 2) of segments (L, 2, 2) px, away from the bar."""
     along = pixels[:, 1] - pixels[:, 0]
     along = along / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]

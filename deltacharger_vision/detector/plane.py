@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.poses import Array, Pose
+from deltacharger_vision.poses import Array, TerminalPose
 from deltacharger_vision.projection import project, rays
 from deltacharger_vision.terminal import Terminal
 
@@ -80,7 +80,7 @@ class Region:
 
 
 def plate_region(
-    depth: NDArray[Any], pose: Pose, terminal: Terminal, intrinsics: Intrinsics, settings: PlaneSettings
+    depth: NDArray[Any], pose: TerminalPose, terminal: Terminal, intrinsics: Intrinsics, settings: PlaneSettings
 ) -> Region:
     """Return the known depth (H, W) m around the bars of a terminal at `pose`."""
     half = np.array([0.5 * terminal.bar_length, terminal.bar_height + 0.5 * terminal.gap])

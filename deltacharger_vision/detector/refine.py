@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.edges import EdgePoints
 from deltacharger_vision.detector.plane import Plane
-from deltacharger_vision.poses import Array, Pose, cross_matrix, facing
+from deltacharger_vision.poses import Array, TerminalPose, cross_matrix, facing
 from deltacharger_vision.terminal import Terminal
 
 ROUNDS = 10
@@ -46,7 +46,7 @@ class RefineSettings(Bounded):
 
 
 @dataclass(frozen=True)
-class Fit:
+class PoseFit:
     """A pose and how well it fits.
 
     Attributes:
@@ -59,7 +59,7 @@ class Fit:
         residual: (N,) px, distances of the lines from the N seen places.
     """
 
-    pose: Pose
+    pose: TerminalPose
     covariance: Array
     used: NDArray[np.bool_]
     scatter: float
@@ -97,8 +97,8 @@ class Edges:
         self._spread = settings.spread + settings.glare * points.saturated
 
     def fit(
-        self, start: Pose, plane: Plane | None = None, calibration: float = 0.0, rounds: int = ROUNDS
-    ) -> Fit | None:
+        self, start: TerminalPose, plane: Plane | None = None, calibration: float = 0.0, rounds: int = ROUNDS
+    ) -> PoseFit | None:
         """Return the pose near `start` that fits the edges, and the plane; None where they do not settle it.
 
         Args:
@@ -143,10 +143,10 @@ class Edges:
         used[self._line, self._place] = robust > 0.0
         # Of what an edge's own bias leaves: that of the merged ends alone would look like a fit that failed.
         scatter = max(scatter, _spread(columns[-1] * self._settings.noise / np.hypot(self._settings.noise, self._bias)))
-        return Fit(pose, covariance[:6, :6], used, scatter, float(extra[0]), float(extra[1]), columns[-1])
+        return PoseFit(pose, covariance[:6, :6], used, scatter, float(extra[0]), float(extra[1]), columns[-1])
 
     def misfit(
-        self, found: Fit, scatter: float, plane: Plane | None = None, missed: bool = True, calibration: float = 0.0
+        self, found: PoseFit, scatter: float, plane: Plane | None = None, missed: bool = True, calibration: float = 0.0
     ) -> float:
         """Return the robust sum of squares of a fit to these edges, in standard deviations of this scatter (px).
 
@@ -189,7 +189,7 @@ class Edges:
         share = 1.0 - 1.0 / np.sqrt(1.0 + count * (self._bias / scatter) ** 2)
         return rows - share * self._means(rows, robust)
 
-    def _linear(self, pose: Pose, extra: Array) -> Array:
+    def _linear(self, pose: TerminalPose, extra: Array) -> Array:
         """Return (9, N): the Jacobian's eight columns and the distances (px) of the lines from the seen places.
 
         Args:
@@ -211,7 +211,7 @@ class Edges:
         rows[8] = nx * ideal[0] + ny * ideal[1] + (1.0 + extra[1]) * rows[7] + extra[0] * self._outer
         return rows
 
-    def _normals(self, pose: Pose) -> Array:
+    def _normals(self, pose: TerminalPose) -> Array:
         """Return (2, L) unit normals of the lines as an ideal camera sees them, away from the bars."""
         ends = pose.rotation @ self._ends + pose.translation[:, None]
         seen = ends[:2] / ends[2]
@@ -228,7 +228,7 @@ def _spread(residual: Array) -> float:
     return 1.4826 * float(np.partition(np.abs(residual), middle)[middle])
 
 
-def _beliefs(pose: Pose, terminal: Terminal, plane: Plane | None) -> list[tuple[Array, Array, Array]]:
+def _beliefs(pose: TerminalPose, terminal: Terminal, plane: Plane | None) -> list[tuple[Array, Array, Array]]:
     """Return residual, Jacobian (k, 6) and precision (k, k) of what is known apart from edges."""
     axis, t = pose.rotation[:, 2], pose.translation
     # Tilt: the part of the axis across the line of sight.

@@ -11,7 +11,7 @@ import numpy as np
 
 from deltacharger_vision.detector.pairing import Pair
 from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.poses import Array, Pose, face_corners, facing
+from deltacharger_vision.poses import Array, TerminalPose, face_corners, facing
 from deltacharger_vision.projection import project, rays
 from deltacharger_vision.terminal import Terminal
 
@@ -23,7 +23,7 @@ LARGE_LEANS: Leans = ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.4, 0.3), (0.4, -0.
 _ROUNDS = 3
 
 
-def by_corners(pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> list[Pose]:
+def by_corners(pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> list[TerminalPose]:
     """Return the one or two poses that put the faces' corners where the outlines have them, the better first.
 
     Collins, Bartoli, "Infinitesimal plane-based pose estimation", IJCV 109 (2014).
@@ -40,27 +40,27 @@ def by_corners(pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> list[P
     poses = []
     for vector, translation in zip(vectors[:found], translations[:found], strict=True):
         rotation, _ = cv2.Rodrigues(np.asarray(vector, dtype=float))
-        pose = Pose(np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float).ravel())
+        pose = TerminalPose(np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float).ravel())
         if np.all(np.isfinite(pose.rotation)) and pose.translation[2] > 0.0 and facing(pose) > 0.0:
             poses.append(pose)
     return poses
 
 
-def mirrored(pose: Pose) -> Pose:
+def mirrored(pose: TerminalPose) -> TerminalPose:
     """Return the pose with its tilt mirrored at the line of sight, which looks nearly the same from afar."""
     sight = pose.translation / np.linalg.norm(pose.translation)
     half_turn = 2.0 * np.outer(sight, sight) - np.eye(3)
-    return Pose(half_turn @ pose.rotation @ np.diag([-1.0, -1.0, 1.0]), pose.translation)
+    return TerminalPose(half_turn @ pose.rotation @ np.diag([-1.0, -1.0, 1.0]), pose.translation)
 
 
-def leaning(pose: Pose, leans: Leans, pair: Pair, intrinsics: Intrinsics) -> list[Pose]:
+def leaning(pose: TerminalPose, leans: Leans, pair: Pair, intrinsics: Intrinsics) -> list[TerminalPose]:
     """Return the pose leaning across and along the bars by these tangents; the large ones are from the front."""
     axis = pose.translation if leans is LARGE_LEANS else pose.rotation[:, 2]
     along, across, upright = tilted(pose, axis, pair, intrinsics).rotation.T
     return [tilted(pose, upright + a * across + b * along, pair, intrinsics) for a, b in leans]
 
 
-def tilted(pose: Pose, axis: Array, pair: Pair, intrinsics: Intrinsics) -> Pose:
+def tilted(pose: TerminalPose, axis: Array, pair: Pair, intrinsics: Intrinsics) -> TerminalPose:
     """Return the pose with its z axis turned to the direction `axis` (3,), and its x axis along the pair's bars."""
     axis = axis / np.linalg.norm(axis)
     middle, along = pair.centre.mean(axis=0), pair.along.mean(axis=0)
@@ -71,10 +71,10 @@ def tilted(pose: Pose, axis: Array, pair: Pair, intrinsics: Intrinsics) -> Pose:
     bars = bars / max(float(np.linalg.norm(bars)), 1e-9)
     if bars @ (ends[1] - ends[0]) < 0.0:
         bars = -bars
-    return Pose(np.stack([bars, np.cross(axis, bars), axis], axis=1), pose.translation)
+    return TerminalPose(np.stack([bars, np.cross(axis, bars), axis], axis=1), pose.translation)
 
 
-def laid_over(pose: Pose, pair: Pair, terminal: Terminal, intrinsics: Intrinsics, sides: bool) -> Pose:
+def laid_over(pose: TerminalPose, pair: Pair, terminal: Terminal, intrinsics: Intrinsics, sides: bool) -> TerminalPose:
     """Return the pose moved, not turned, until the bars lie over the blobs of a pair.
 
     Args:
@@ -100,5 +100,5 @@ def laid_over(pose: Pose, pair: Pair, terminal: Terminal, intrinsics: Intrinsics
         scale = float(shown @ seen) / float(seen @ seen)
         now = rays(centre.mean(axis=0) @ frame, intrinsics)
         shift = np.append(rays(middle, intrinsics) - now, 0.0) * pose.translation[2]
-        pose = Pose(pose.rotation, np.asarray((pose.translation + shift) * min(max(scale, 0.5), 2.0)))
+        pose = TerminalPose(pose.rotation, np.asarray((pose.translation + shift) * min(max(scale, 0.5), 2.0)))
     return pose

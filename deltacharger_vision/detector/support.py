@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.edges import EdgePoints
-from deltacharger_vision.detector.refine import Fit
+from deltacharger_vision.detector.refine import PoseFit
 from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.poses import Array, Pose
+from deltacharger_vision.poses import Array, TerminalPose
 from deltacharger_vision.projection import project
 from deltacharger_vision.terminal import Terminal
 
@@ -37,7 +37,7 @@ class SupportSettings(Bounded):
     disagreement: float = number(30.0, 1.0, 1000.0, "", "largest rise of the squared error when depth is added")
 
 
-def outline_shares(points: EdgePoints, fit: Fit) -> Array:
+def outline_shares(points: EdgePoints, fit: PoseFit) -> Array:
     """Return the share (2, 4) of each side of each bar that was seen where the pose has it; 0 outside the image."""
     shares = np.zeros((2, 4))
     lines = points.lines
@@ -49,7 +49,9 @@ def outline_shares(points: EdgePoints, fit: Fit) -> Array:
     return shares
 
 
-def plate_is_dark(grey: NDArray[Any], pose: Pose, terminal: Terminal, intrinsics: Intrinsics, share: float) -> bool:
+def plate_is_dark(
+    grey: NDArray[Any], pose: TerminalPose, terminal: Terminal, intrinsics: Intrinsics, share: float
+) -> bool:
     """Return whether there is no third bar: where it would be, light (H, W) is below `share` of that of the bars."""
     places = np.linspace(-0.4, 0.4, 9) * terminal.bar_length
     rows = np.array([-1.5, -0.5, 0.5, 1.5]) * terminal.spacing
@@ -67,7 +69,7 @@ def plate_is_dark(grey: NDArray[Any], pose: Pose, terminal: Terminal, intrinsics
     return all(not inside[row].any() or float(np.nanmedian(light[row])) < limit for row in (0, 3))
 
 
-def supported(shares: Array, fit: Fit, settings: SupportSettings) -> float:
+def supported(shares: Array, fit: PoseFit, settings: SupportSettings) -> float:
     """Return the share (0 to 1) of the outlines that was seen, or 0 where that is too little for a pose."""
     long_sides, ends = shares[:, _LONG], shares[:, _ENDS]
     bars = 0.7 * long_sides.mean(axis=1) + 0.3 * ends.mean(axis=1)

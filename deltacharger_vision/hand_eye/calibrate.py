@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_vision.hand_eye.fit import Fit, fit, set_apart
-from deltacharger_vision.hand_eye.model import ANGLES, BOARD, CAMERA, SCALE, SHIFT, State
+from deltacharger_vision.hand_eye.fit import HandEyeFit, fit, set_apart
+from deltacharger_vision.hand_eye.model import ANGLES, BOARD, CAMERA, SCALE, SHIFT, HandEyeState
 from deltacharger_vision.hand_eye.start import Start, start
 from deltacharger_vision.hand_eye.views import FEWEST, Beliefs, Corners, HandEyeError, View
 from deltacharger_vision.images import Intrinsics
@@ -63,7 +63,7 @@ class Calibration:
     board: Array
     joints: tuple[Array, Array]
     joint_surprise: float
-    fit: Fit
+    fit: HandEyeFit
     held_out: tuple[int, ...]
     held_out_errors: Array
     size: float
@@ -174,11 +174,11 @@ def count_places(positions: Array) -> int:
     return len(places)
 
 
-def _state(first: Start, scale: float) -> State:
-    return State(first.camera, first.shift, first.board, np.zeros(len(JOINTS)), scale)
+def _state(first: Start, scale: float) -> HandEyeState:
+    return HandEyeState(first.camera, first.shift, first.board, np.zeros(len(JOINTS)), scale)
 
 
-def _mount(found: Fit, beliefs: Beliefs) -> Mount:
+def _mount(found: HandEyeFit, beliefs: Beliefs) -> Mount:
     pose = np.eye(4)
     pose[:3, :3] = found.state.camera
     pose[:3, 3] = found.state.shift + beliefs.offset
@@ -188,7 +188,7 @@ def _mount(found: Fit, beliefs: Beliefs) -> Mount:
     return Mount(pose, (covariance + covariance.T) / 2)
 
 
-def _surprise(found: Fit, beliefs: Beliefs) -> float:
+def _surprise(found: HandEyeFit, beliefs: Beliefs) -> float:
     """Return the joints' squared errors in units of P − C, of which they are drawn where the belief P is right.
 
     C is their covariance after the views; where it is that of before, the views say nothing, and that is no surprise.
@@ -202,7 +202,7 @@ def _surprise(found: Fit, beliefs: Beliefs) -> float:
 
 
 def _judged(
-    views: Sequence[View], intrinsics: Intrinsics, beliefs: Beliefs, judges: Sequence[int], state: State
+    views: Sequence[View], intrinsics: Intrinsics, beliefs: Beliefs, judges: Sequence[int], state: HandEyeState
 ) -> Array:
     """Return the errors (len(judges), 3) m of a fit to the other views."""
     if not judges:
@@ -212,7 +212,7 @@ def _judged(
     return set_apart(Corners.of([views[index] for index in judges], intrinsics), found.state).moves
 
 
-def _reprojection(corners: Corners, found: Fit) -> Array:
+def _reprojection(corners: Corners, found: HandEyeFit) -> Array:
     """Return (N,) px, what both a move of the board and scatter of its corners make of a view."""
     apart = found.apart
     count = np.bincount(corners.view)

@@ -21,7 +21,7 @@ from deltacharger_vision.hand_eye.model import (
     FREE,
     FREE_WITH_SCALE,
     SCALE,
-    State,
+    HandEyeState,
     jacobian,
     residuals,
 )
@@ -42,7 +42,7 @@ _JURY = 8  # views; fewer cannot tell which of them is wrong
 
 
 @dataclass(frozen=True)
-class Spread:
+class HandEyeSpread:
     """Standard deviations of a corner (px) and of a position (m)."""
 
     pixel: float
@@ -67,7 +67,7 @@ class Apart:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class HandEyeFit:
     """A fitted state.
 
     Attributes:
@@ -78,14 +78,14 @@ class Fit:
         apart: residuals of all N views.
     """
 
-    state: State
+    state: HandEyeState
     covariance: Array
     kept: NDArray[np.bool_]
-    spread: Spread
+    spread: HandEyeSpread
     apart: Apart
 
 
-def fit(corners: Corners, beliefs: Beliefs, state: State, free_scale: bool = False) -> Fit:
+def fit(corners: Corners, beliefs: Beliefs, state: HandEyeState, free_scale: bool = False) -> HandEyeFit:
     """Fit a state to views.
 
     Args:
@@ -98,7 +98,7 @@ def fit(corners: Corners, beliefs: Beliefs, state: State, free_scale: bool = Fal
         HandEyeError: fewer than four views are left that agree.
     """
     length = FREE_WITH_SCALE if free_scale else FREE
-    spread = Spread(math.inf, math.inf)
+    spread = HandEyeSpread(math.inf, math.inf)
     for _ in range(_ROBUST_STEPS):
         apart = set_apart(corners, state)
         before, spread = spread, _robust_spread(apart, beliefs)
@@ -119,10 +119,10 @@ def fit(corners: Corners, beliefs: Beliefs, state: State, free_scale: bool = Fal
         agreeing = _agreeing(apart, spread)
         if (agreeing == kept).all() and _same(before, spread):
             break
-    return Fit(state, covariance, kept, spread, apart)
+    return HandEyeFit(state, covariance, kept, spread, apart)
 
 
-def set_apart(corners: Corners, state: State) -> Apart:
+def set_apart(corners: Corners, state: HandEyeState) -> Apart:
     """Return the residuals of views, apart into moves of the board and the rest."""
     error = residuals(corners, state)
     _, by_position = jacobian(corners, state, np.zeros(FREE))
@@ -138,8 +138,8 @@ def set_apart(corners: Corners, state: State) -> Apart:
 
 
 def _solved(
-    corners: Corners, beliefs: Beliefs, state: State, spread: Spread, weights: Array, length: int
-) -> tuple[State, Array]:
+    corners: Corners, beliefs: Beliefs, state: HandEyeState, spread: HandEyeSpread, weights: Array, length: int
+) -> tuple[HandEyeState, Array]:
     """Return the state of least squares, views weighted by `weights` (N,), and its covariance (length, length)."""
     from scipy.optimize import least_squares
 
@@ -182,33 +182,33 @@ def _inverse(information: Array) -> Array:
     return np.asarray(found / np.outer(size, size))
 
 
-def _same(first: Spread, second: Spread) -> bool:
+def _same(first: HandEyeSpread, second: HandEyeSpread) -> bool:
     return math.isclose(first.arm, second.arm, rel_tol=_ALIKE) and math.isclose(
         first.pixel, second.pixel, rel_tol=_ALIKE
     )
 
 
-def _distance(apart: Apart, spread: Spread) -> Array:
+def _distance(apart: Apart, spread: HandEyeSpread) -> Array:
     """Return (N,) squared residuals in units of their spread."""
     return np.asarray(_moves_squared(apart, spread) + apart.rest / spread.pixel**2)
 
 
-def _moves_squared(apart: Apart, spread: Spread) -> Array:
+def _moves_squared(apart: Apart, spread: HandEyeSpread) -> Array:
     """Return (N,) squared moves in units of the spread of positions and of what the corners tell of them."""
     covariance = spread.arm**2 * np.eye(3) + spread.pixel**2 * np.linalg.pinv(apart.precision, hermitian=True)
     solved = np.linalg.solve(covariance, apart.moves[..., None])[..., 0]
     return np.asarray(np.sum(apart.moves * solved, axis=-1))
 
 
-def _robust_spread(apart: Apart, beliefs: Beliefs) -> Spread:
+def _robust_spread(apart: Apart, beliefs: Beliefs) -> HandEyeSpread:
     """Return the spread that half of the views stay within; at least what is believed, as few views fit too well."""
     count = len(apart.moves)
     pixel = np.sqrt(np.median(apart.rest / np.maximum(apart.counts, 1.0)))
     arm = np.sqrt(np.median(np.sum(apart.moves**2, axis=1)) / _MEDIAN_OF_3 * count / max(count - 2.0, 1.0))
-    return Spread(max(float(pixel), beliefs.pixel_stddev), max(float(arm), beliefs.arm_stddev))
+    return HandEyeSpread(max(float(pixel), beliefs.pixel_stddev), max(float(arm), beliefs.arm_stddev))
 
 
-def _agreeing(apart: Apart, spread: Spread) -> NDArray[np.bool_]:
+def _agreeing(apart: Apart, spread: HandEyeSpread) -> NDArray[np.bool_]:
     """Return (N,) which views agree with the others; all, where there are too few to tell who is wrong."""
     from scipy.stats import chi2
 
@@ -220,7 +220,7 @@ def _agreeing(apart: Apart, spread: Spread) -> NDArray[np.bool_]:
     return np.asarray(near & sharp)
 
 
-def _spread(apart: Apart, kept: NDArray[np.bool_], beliefs: Beliefs, covariance: Array) -> Spread:
+def _spread(apart: Apart, kept: NDArray[np.bool_], beliefs: Beliefs, covariance: Array) -> HandEyeSpread:
     """Return the spread of the kept views, with what was believed before counting as a few more observations."""
     from scipy.optimize import brentq
 
@@ -235,9 +235,9 @@ def _spread(apart: Apart, kept: NDArray[np.bool_], beliefs: Beliefs, covariance:
     some = Apart(apart.moves[kept], apart.precision[kept], apart.rest[kept], apart.counts[kept])
 
     def excess(arm: float) -> float:
-        squared = float(_moves_squared(some, Spread(pixel, arm)).sum())
+        squared = float(_moves_squared(some, HandEyeSpread(pixel, arm)).sum())
         return squared + _BELIEF * (beliefs.arm_stddev / arm) ** 2 - free - _BELIEF
 
     if excess(_FINEST_ARM) <= 0.0:
-        return Spread(pixel, _FINEST_ARM)
-    return Spread(pixel, float(brentq(excess, _FINEST_ARM, _COARSEST_ARM, xtol=1e-8)))
+        return HandEyeSpread(pixel, _FINEST_ARM)
+    return HandEyeSpread(pixel, float(brentq(excess, _FINEST_ARM, _COARSEST_ARM, xtol=1e-8)))

@@ -31,7 +31,7 @@ _CLOSEST = 1e-3  # m
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class HandEyeState:
     """What is looked for.
 
     Attributes:
@@ -48,7 +48,7 @@ class State:
     joints: Array
     scale: float = 1.0
 
-    def moved(self, step: Array) -> State:
+    def moved(self, step: Array) -> HandEyeState:
         """Return the state after a step (12,) or (13,)."""
         return dataclasses.replace(
             self,
@@ -60,14 +60,14 @@ class State:
         )
 
 
-def residuals(corners: Corners, state: State) -> Array:
+def residuals(corners: Corners, state: HandEyeState) -> Array:
     """Return (M, 2) px: where the corners should be seen less where they are."""
     camera = _in_base(corners, state) @ state.camera
     depth = np.maximum(camera[:, 2:], _CLOSEST)
     return np.asarray(corners.focal * camera[:, :2] / depth - corners.seen)
 
 
-def jacobian(corners: Corners, state: State, step: Array) -> tuple[Array, Array]:
+def jacobian(corners: Corners, state: HandEyeState, step: Array) -> tuple[Array, Array]:
     """Return the derivatives of the residuals at `state.moved(step)`.
 
     Returns:
@@ -94,7 +94,7 @@ def jacobian(corners: Corners, state: State, step: Array) -> tuple[Array, Array]
     return found, by_position
 
 
-def _in_base(corners: Corners, state: State) -> Array:
+def _in_base(corners: Corners, state: HandEyeState) -> Array:
     """Return (M, 3) m, the corners from the camera's place, along the axes of charger_base."""
     platform = corners.positions + corners.slopes @ state.joints - state.shift
     return np.asarray(platform[corners.view] + state.scale * corners.points @ state.board.T)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_vision.hand_eye.board import Board
-from deltacharger_vision.rendering.scene import Box, Color, Scene, check_pose, shifted
+from deltacharger_vision.rendering.scene import Box, Color, RenderedScene, check_pose, shifted
 
 Array = NDArray[np.float64]
 Area = tuple[int, int, int, int]
@@ -34,7 +34,7 @@ def bracket() -> Array:
     return pose
 
 
-def with_board(scene: Scene, board: Board, pose: Array, in_camera: bool = False) -> Scene:
+def with_board(scene: RenderedScene, board: Board, pose: Array, in_camera: bool = False) -> RenderedScene:
     """Return the scene with a board in it.
 
     Args:

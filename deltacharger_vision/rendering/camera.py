@@ -11,7 +11,7 @@ from deltacharger_vision.rendering.image_defects import blurred, developed, slow
 from deltacharger_vision.rendering.materials import brushed
 from deltacharger_vision.rendering.parameters import CameraParameters
 from deltacharger_vision.rendering.ray_caster import Piece, Rays
-from deltacharger_vision.rendering.scene import Box, Scene, check_pose
+from deltacharger_vision.rendering.scene import Box, RenderedScene, check_pose
 from deltacharger_vision.rendering.stereo_depth import measured
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ class SimulatedCamera:
 
     def render(
         self,
-        scene: Scene,
+        scene: RenderedScene,
         camera_T_terminal: Array,  # noqa: N803
         random: np.random.Generator,
         color_only: bool = False,
@@ -90,7 +90,7 @@ class SimulatedCamera:
         depth = None if color_only else (inverse, holes)
         return taken(color, depth, self.intrinsics, self.parameters, scene.parameters.unevenness, random)
 
-    def _painted(self, scene: Scene, pose: Array, random: np.random.Generator) -> tuple[Plane, Plane, Plane]:
+    def _painted(self, scene: RenderedScene, pose: Array, random: np.random.Generator) -> tuple[Plane, Plane, Plane]:
         """Return light (3, H, W), 1/z (H, W) 1/m and the share of holes (H, W)."""
         s, p = scene.parameters, self.parameters
         light = pose[:3, :3] @ (np.asarray(scene.light) / np.linalg.norm(scene.light))
@@ -108,7 +108,7 @@ class SimulatedCamera:
 
     def _paint(
         self,
-        scene: Scene,
+        scene: RenderedScene,
         box: Box,
         pose: Array,
         piece: Piece,

@@ -17,7 +17,7 @@ from deltacharger_vision.rendering.materials import streaks
 from deltacharger_vision.rendering.mujoco_boxes import WIDEST, BoxRasteriser, Lamp, Solid
 from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
 from deltacharger_vision.rendering.ray_caster import Rays
-from deltacharger_vision.rendering.scene import Box, Scene, check_pose, shifted
+from deltacharger_vision.rendering.scene import Box, RenderedScene, check_pose, shifted
 
 Array = NDArray[np.float64]
 Plane = NDArray[np.float32]
@@ -65,7 +65,7 @@ class MujocoCamera:
 
     def render(
         self,
-        scene: Scene,
+        scene: RenderedScene,
         camera_T_terminal: Array,  # noqa: N803
         random: np.random.Generator,
         color_only: bool = False,
@@ -97,7 +97,7 @@ class MujocoCamera:
         return taken(light, depth, self.intrinsics, blurred, scene.parameters.unevenness, random)
 
     def _drawn(
-        self, scene: Scene, pose: Array, boxes: list[tuple[Box, Array]]
+        self, scene: RenderedScene, pose: Array, boxes: list[tuple[Box, Array]]
     ) -> tuple[Plane, Plane, NDArray[np.int32]]:
         """Return light (3, H, W), 1/z (H, W) 1/m and numbers of boxes (H, W)."""
         s = scene.parameters

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_vision.errors import SceneError
+from deltacharger_vision.errors import RenderingError
 from deltacharger_vision.rendering.parameters import SceneParameters
 from deltacharger_vision.terminal import Terminal
 
@@ -41,13 +41,13 @@ class Box:
     def __post_init__(self) -> None:
         check_pose("box", self.pose)
         if len(self.size) != 3 or not all(0.0 <= length <= 100.0 for length in self.size):
-            raise SceneError("box", f"size {self.size}; give three lengths of 0…100 m")
+            raise RenderingError("box", f"size {self.size}; give three lengths of 0…100 m")
         if len(self.color) != 3 or not all(0.0 <= part <= 1.0 for part in self.color):
-            raise SceneError("box", f"color {self.color}; give three reflectances of 0…1")
+            raise RenderingError("box", f"color {self.color}; give three reflectances of 0…1")
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class RenderedScene:
     """A terminal and its surroundings. What it does not have is not computed.
 
     Attributes:
@@ -71,7 +71,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         if not 1e-9 < float(np.linalg.norm(self.light)) < 1e9:
-            raise SceneError("light", f"{self.light} has no direction; give a vector toward the light")
+            raise RenderingError("light", f"{self.light} has no direction; give a vector toward the light")
 
     def plate(self) -> Box:
         """Return the dark plate."""
@@ -116,8 +116,8 @@ def check_pose(name: str, pose: Array) -> None:
         SceneError: it has another shape, holds NaN, scales, shears or mirrors.
     """
     if np.shape(pose) != (4, 4):
-        raise SceneError(name, f"a pose of shape {np.shape(pose)}; give a (4, 4) transform")
+        raise RenderingError(name, f"a pose of shape {np.shape(pose)}; give a (4, 4) transform")
     turn = pose[:3, :3]
     rigid = np.isfinite(pose).all() and np.allclose(turn @ turn.T, np.eye(3), atol=1e-6)
     if not rigid or np.linalg.det(turn) < 0 or not np.allclose(pose[3], (0, 0, 0, 1)):
-        raise SceneError(name, "its pose is not rigid; give rotation and translation, and 0 0 0 1 below")
+        raise RenderingError(name, "its pose is not rigid; give rotation and translation, and 0 0 0 1 below")

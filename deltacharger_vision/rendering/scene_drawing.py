@@ -14,9 +14,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_vision.errors import SceneError
+from deltacharger_vision.errors import RenderingError
 from deltacharger_vision.rendering.parameters import SceneParameters
-from deltacharger_vision.rendering.scene import Box, Color, Scene, shifted
+from deltacharger_vision.rendering.scene import Box, Color, RenderedScene, shifted
 from deltacharger_vision.terminal import UPPER, Terminal
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ def draw_scene(
     clutter: int = 0,
     decoys: int = 0,
     target: bool = True,
-) -> Scene:
+) -> RenderedScene:
     """Return a scene with drawn light, materials, wall, panel behind the plate and surroundings.
 
     Args:
@@ -48,7 +48,7 @@ def draw_scene(
         SceneError: a number is negative.
     """
     if clutter < 0 or decoys < 0:
-        raise SceneError("scene", f"{clutter} boxes and {decoys} decoys; give 0 or more")
+        raise RenderingError("scene", f"{clutter} boxes and {decoys} decoys; give 0 or more")
     chosen = terminal or Terminal()
     parameters = dataclasses.replace(
         SceneParameters(),
@@ -68,7 +68,7 @@ def draw_scene(
     background += [_clutter(random, behind, parameters.wall_distance) for _ in range(clutter)]
     for _ in range(decoys):
         background += draw_decoy(random, chosen, _place(random, behind, 0.9 * parameters.wall_distance))
-    return Scene(chosen, parameters, light, tuple(background), target=target)
+    return RenderedScene(chosen, parameters, light, tuple(background), target=target)
 
 
 def draw_decoy(random: Random, terminal: Terminal, pose: Array) -> list[Box]:
@@ -89,7 +89,7 @@ def cover(terminal: Terminal, share: float, bar: int = UPPER, side: int = 1, col
         SceneError: the share is outside 0…1.
     """
     if not 0.0 <= share <= 1.0:
-        raise SceneError("cover", f"a share of {share}; give 0…1")
+        raise RenderingError("cover", f"a share of {share}; give 0…1")
     length, height = share * terminal.bar_length, terminal.bar_height + terminal.gap
     x = side * (terminal.bar_length - length) / 2
     y = (1 if bar == UPPER else -1) * terminal.spacing / 2

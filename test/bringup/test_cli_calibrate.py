@@ -15,7 +15,7 @@ from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.calibration.data import TICK, Encoder
 from deltacharger_kinematics.calibration.plan import plan
 from deltacharger_kinematics.calibration.problem import COUNT, Uncertainty, numbers, rms, with_numbers
-from deltacharger_kinematics.calibration.recording import Recording
+from deltacharger_kinematics.calibration.recording import PoseRecording
 from deltacharger_kinematics.geometry_file import geometry_from_mapping, load_geometry
 
 NOMINAL = DeltaGeometry()
@@ -37,7 +37,7 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
 def record(path: Path, arm: DeltaGeometry = ARM, wrong: int | None = None) -> Path:
     """Write what an operator of `arm` would measure; row `wrong` off by 3 mm."""
     random = np.random.default_rng(4)
-    recording = Recording(path, Encoder())
+    recording = PoseRecording(path, Encoder())
     for index, pose in enumerate(plan(NOMINAL)):
         ticks = np.round(Encoder().ticks(Delta(NOMINAL).inverse(pose.position).angles))
         x, y, z = Delta(arm).forward(Encoder().angles(ticks)).position + random.normal(scale=5e-5, size=3)

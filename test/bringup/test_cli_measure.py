@@ -18,7 +18,7 @@ import pytest
 from deltacharger_bringup.cli.measure import position_of
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.calibration.data import Encoder, read_measurements
-from deltacharger_kinematics.calibration.plan import Pose, write_plan
+from deltacharger_kinematics.calibration.plan import PlannedPose, write_plan
 
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
 from ..marks import slow
@@ -135,7 +135,7 @@ def charger(quick_file: Path) -> Iterator[Charger]:
 @pytest.fixture
 def short_plan(tmp_path: Path) -> Path:
     """Four poses, clear of the mock's target."""
-    poses = [Pose(n, n == 4, (0.01 * n, -0.005 * n, 0.010 + 0.005 * n)) for n in range(1, 5)]
+    poses = [PlannedPose(n, n == 4, (0.01 * n, -0.005 * n, 0.010 + 0.005 * n)) for n in range(1, 5)]
     write_plan(tmp_path / "plan.csv", poses, NOMINAL, Encoder())
     return tmp_path / "plan.csv"
 

@@ -21,7 +21,7 @@ from deltacharger_bringup.cli.main import main
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.scene import Scene
+from deltacharger_vision.rendering.scene import RenderedScene
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
@@ -47,7 +47,7 @@ def pose(away: float = 0.3, roll: float = 0.1, x: float = 0.01) -> Array:
 
 def view(seed: int, *where: float, target: bool = True, camera: SimulatedCamera | None = None) -> RgbdImage:
     random = np.random.default_rng(20_000 + seed)
-    return (camera or SimulatedCamera()).render(Scene(target=target), pose(*where), random)
+    return (camera or SimulatedCamera()).render(RenderedScene(target=target), pose(*where), random)
 
 
 def millimetres(image: RgbdImage) -> Array:

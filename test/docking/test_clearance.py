@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from deltacharger_docking.alignment import AlignmentFilter
-from deltacharger_docking.clearance import Estimate, Verdict, clearance, judge
+from deltacharger_docking.clearance import FeltPose, Verdict, clearance, judge
 from deltacharger_docking.parameters import DockingParameters
 
 GAP, LENGTH = 0.0037, 0.035
 PARAMETERS = DockingParameters()
 
 
-def felt(degrees: float, vertical: float = 0.0, sigma_degrees: float = 0.1, sigma: float = 2e-4) -> Estimate:
-    return Estimate(math.radians(degrees), math.radians(sigma_degrees), vertical, sigma, 0.0, 1e-3)
+def felt(degrees: float, vertical: float = 0.0, sigma_degrees: float = 0.1, sigma: float = 2e-4) -> FeltPose:
+    return FeltPose(math.radians(degrees), math.radians(sigma_degrees), vertical, sigma, 0.0, 1e-3)
 
 
 @pytest.mark.parametrize(("degrees", "vertical"), [(12.07, 0.0), (8.0, 0.0025), (3.9, 0.005)])
@@ -70,7 +70,7 @@ def test_the_filter_averages_the_scatter_of_dockings_away() -> None:
         place = np.zeros(2)
         for _ in range(8):
             felt_offset = target - place + random.normal(0, jitter, 2)
-            tracker.update(tuple(place), Estimate(0, 0.01, felt_offset[1], 1e-4, felt_offset[0], 1e-4))
+            tracker.update(tuple(place), FeltPose(0, 0.01, felt_offset[1], 1e-4, felt_offset[0], 1e-4))
             place = np.array(tracker.target)
         errors.append(np.hypot(*(place - target)))
     assert np.mean(errors) < 0.6 * jitter
@@ -78,8 +78,8 @@ def test_the_filter_averages_the_scatter_of_dockings_away() -> None:
 
 def test_a_far_first_look_does_not_outweigh_near_ones() -> None:
     tracker = AlignmentFilter(0.0005, 0.15)
-    tracker.update((0.0, 0.0), Estimate(0, 0, 0.0, 1e-4, 0.010, 1e-4))  # reads 10 mm where the truth is 8
-    tracker.update((0.010, 0.0), Estimate(0, 0, 0.0, 1e-4, -0.002, 1e-4))
+    tracker.update((0.0, 0.0), FeltPose(0, 0, 0.0, 1e-4, 0.010, 1e-4))  # reads 10 mm where the truth is 8
+    tracker.update((0.010, 0.0), FeltPose(0, 0, 0.0, 1e-4, -0.002, 1e-4))
     assert tracker.misalignment((0.008, 0.0))[0] == pytest.approx(0.0, abs=3e-4)
 
 

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from deltacharger_docking.observation import Decision, Detection, DockGoal
+from deltacharger_docking.observation import Decision, DockGoal, ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.servos.thermal import ThermalModel
 from deltacharger_kinematics.geometry import Vector
@@ -76,7 +76,7 @@ def test_every_servo_holds_for_four_hours_what_pressing_takes(
 ) -> None:
     run = charger(x, y, stiffness, gravity, believed)
     found = decisions(run)
-    outcome = run.dock(DockGoal(Detection((x * MILLIMETRE, y * MILLIMETRE, 0.080), 0.0)))
+    outcome = run.dock(DockGoal(ElectrodePose((x * MILLIMETRE, y * MILLIMETRE, 0.080), 0.0)))
     assert outcome.success, outcome.message
     assert 0.4 <= outcome.contact_current <= 0.5
     run.run(1.0)

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import pytest
 
-from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockGoal, Reply, Request, Service, Waypoint
 from deltacharger_lab.campaigns.virtual_charger import GOAL
@@ -51,7 +51,7 @@ class Repeating(Faulty):
             self._replies = [reply for reply in self._replies if reply not in late]
 
 
-BAD = Estimate(math.radians(11.0), 0.001, 0.0, 0.0003, 0.0, 0.0003)
+BAD = FeltPose(math.radians(11.0), 0.001, 0.0, 0.0003, 0.0, 0.0003)
 
 
 @pytest.mark.parametrize(
@@ -168,7 +168,7 @@ def test_power_that_repeats_itself_as_closed_keeps_the_arm_where_it_is() -> None
 def test_pads_that_feel_the_same_wherever_they_are_never_energise() -> None:
     """The first estimate, 6 mm off, is answered to every question: the arm goes after it until it can go no further."""
     run = Faulty(alignment_tolerance=0.001)
-    felt: list[Estimate] = []
+    felt: list[FeltPose] = []
 
     def again(reply: Reply) -> Reply:
         assert reply.estimate is not None

@@ -10,7 +10,7 @@ from itertools import product
 import pytest
 
 from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
-from deltacharger_docking.observation import Detection, DockGoal, Reply, Service
+from deltacharger_docking.observation import DockGoal, ElectrodePose, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
@@ -78,7 +78,7 @@ def test_from_twelve_degrees_on_it_is_refused_with_the_arm_back(degrees: float) 
 
 def test_a_rolled_detection_is_refused_before_contact() -> None:
     run = charger()
-    outcome = run.dock(DockGoal(Detection((0.0, 0.0, 0.080), math.radians(10), math.radians(1.2))))
+    outcome = run.dock(DockGoal(ElectrodePose((0.0, 0.0, 0.080), math.radians(10), math.radians(1.2))))
     assert outcome.code is Code.CRITICAL_ANGLE
     assert run.world.record.contacts == 0
     assert_safe_at_home(run)
@@ -168,15 +168,15 @@ def test_an_unsure_estimate_is_measured_again_by_docking_once_more_then_given_up
 @pytest.mark.parametrize(
     ("goal", "error"),
     [
-        (DockGoal(Detection((math.nan, 0, 0.08), 0.0)), Rejected),
-        (DockGoal(Detection((0, 0, 0.08), math.nan)), Rejected),
+        (DockGoal(ElectrodePose((math.nan, 0, 0.08), 0.0)), Rejected),
+        (DockGoal(ElectrodePose((0, 0, 0.08), math.nan)), Rejected),
         (DockGoal(GOAL, critical_angle=-0.1), Rejected),
         (DockGoal(GOAL, critical_angle=math.nan), Rejected),
         (DockGoal(GOAL, critical_angle=0.3), Rejected),
         (DockGoal(GOAL, stop_energy=math.inf), Rejected),
         (DockGoal(GOAL, stop_after=-1.0), Rejected),
-        (DockGoal(Detection((0.3, 0, 0.08), 0.0)), Unreachable),
-        (DockGoal(Detection((0, 0, 0.5), 0.0)), Unreachable),
+        (DockGoal(ElectrodePose((0.3, 0, 0.08), 0.0)), Unreachable),
+        (DockGoal(ElectrodePose((0, 0, 0.5), 0.0)), Unreachable),
     ],
 )
 def test_goals_that_cannot_be_served_move_nothing(goal: DockGoal, error: type[Exception]) -> None:
@@ -237,8 +237,8 @@ def test_the_camera_is_asked_when_no_pose_is_given() -> None:
     ("reply", "code"),
     [
         (Reply(0, False, "nothing seen"), Code.ELECTRODES_NOT_FOUND),
-        (Reply(0, True, detection=Detection((0, 0, 0.08), 0.0, 0.0, 9.0)), Code.DETECTION_STALE),
-        (Reply(0, True, detection=Detection((0, 0.2, 0.3), 0.0)), Code.UNREACHABLE),
+        (Reply(0, True, detection=ElectrodePose((0, 0, 0.08), 0.0, 0.0, 9.0)), Code.DETECTION_STALE),
+        (Reply(0, True, detection=ElectrodePose((0, 0.2, 0.3), 0.0)), Code.UNREACHABLE),
         (None, Code.ELECTRODES_NOT_FOUND),
     ],
 )

@@ -19,14 +19,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deltacharger_core.machine import TORQUE_CONSTANT
-from deltacharger_docking.clearance import Estimate, Verdict, judge
+from deltacharger_docking.clearance import FeltPose, Verdict, judge
 from deltacharger_docking.codes import Code, DockingError, State
 from deltacharger_docking.energy_script import CONTACT_LOST
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import (
     Command,
-    Detection,
     DockGoal,
+    ElectrodePose,
     Observation,
     Reply,
     Request,
@@ -74,7 +74,7 @@ class Model:
     tared: bool = False
     closed: bool = False
     wanted: bool = False
-    estimate: Estimate = field(default_factory=lambda: Estimate(0.01, 0.004, 0.0002, 0.0002, 0.0003, 0.0004))
+    estimate: FeltPose = field(default_factory=lambda: FeltPose(0.01, 0.004, 0.0002, 0.0002, 0.0003, 0.0004))
     pending: list[tuple[float, Request]] = field(default_factory=list)
     replies: list[Reply] = field(default_factory=list)
 
@@ -132,7 +132,7 @@ class Model:
         if service is Service.ESTIMATE:
             return Reply(number, True, estimate=self.estimate)
         if service is Service.DETECT:
-            return Reply(number, True, detection=Detection((0.0, 0.0, DEPTH), 0.02, 0.01, 0.1))
+            return Reply(number, True, detection=ElectrodePose((0.0, 0.0, DEPTH), 0.02, 0.01, 0.1))
         return Reply(number, True)
 
 
@@ -354,7 +354,7 @@ ADVERSARIES = st.tuples(
 )
 GOALS = st.builds(
     DockGoal,
-    st.sampled_from((Detection((0.0, 0.0, DEPTH), 0.0), None)),
+    st.sampled_from((ElectrodePose((0.0, 0.0, DEPTH), 0.0), None)),
     critical_angle=st.sampled_from((0.0, 0.0, 0.15)),
     start_charging=st.sampled_from((True, True, False)),
     stop_after=st.sampled_from((0.0, 1.0)),

@@ -13,7 +13,7 @@ from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.codes import Code, State, Unreachable
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.motion import Planner
-from deltacharger_docking.observation import Detection, DockGoal, Waypoint
+from deltacharger_docking.observation import DockGoal, ElectrodePose, Waypoint
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
@@ -105,7 +105,7 @@ class Watched(VirtualCharger):
 def test_an_arm_that_stands_outside_its_limits_is_not_moved_at_all() -> None:
     home_angle = float(DELTA.inverse(HOME).angles[0])
     run = Watched(DeltaGeometry(joint_min=home_angle + 0.02), TargetParameters())
-    outcome = run.dock(DockGoal(Detection((0.0, 0.0, 0.080), 0.0)))
+    outcome = run.dock(DockGoal(ElectrodePose((0.0, 0.0, 0.080), 0.0)))
     assert outcome.code is Code.UNREACHABLE
     assert "JOINT_LIMIT" in outcome.message
     assert not any(trajectory for _, trajectory in run.told)
@@ -119,7 +119,7 @@ def test_a_correction_beyond_reach_leaves_the_electrodes_where_they_are_until_th
     across = (0.048 + 0.003) * math.sqrt(3.0) / 2.0  # of limbs 1 and 2
     geometry = DeltaGeometry(swing_max=math.asin(across / DeltaGeometry().rod))
     run = Watched(geometry, TargetParameters(x=real))
-    outcome = run.dock(DockGoal(Detection(told, 0.0), start_charging=False))
+    outcome = run.dock(DockGoal(ElectrodePose(told, 0.0), start_charging=False))
     assert outcome.code is Code.UNREACHABLE, outcome.message
     assert "SWING_LIMIT" in outcome.message
     assert State.MEASURE in run.states

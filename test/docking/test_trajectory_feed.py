@@ -28,7 +28,7 @@ LIMITS = driver.JointLimits(("a", "b", "c"), -math.pi, math.pi, 10.0)
 
 def checked(piece: Sequence[Waypoint]) -> driver.Trajectory:
     """The piece as servo_node takes it; refused ones raise."""
-    points = [driver.Waypoint(point.time, point.angles, point.torque_bound) for point in piece]
+    points = [driver.ServoWaypoint(point.time, point.angles, point.torque_bound) for point in piece]
     return driver.check(LIMITS.names if points else (), points, LIMITS)
 
 

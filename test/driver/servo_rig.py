@@ -14,9 +14,9 @@ from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.report import ServoReport
-from deltacharger_driver.servos.requests import Request
+from deltacharger_driver.servos.requests import ServoRequest
 from deltacharger_driver.servos.snapshot import BusSettings
-from deltacharger_driver.servos.trajectory import JointLimits, Waypoint, check
+from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check
 
 from ..waiting import DEADLINE
 
@@ -75,7 +75,7 @@ class Rig:
             assert time.monotonic() < deadline, f"it did not come to pass; {self.report}"
         return result
 
-    def ask(self, action: str) -> Request:
+    def ask(self, action: str) -> ServoRequest:
         request = self.controller.request(action)
         self.until(lambda report: request.wait(0.0))
         return request
@@ -89,7 +89,7 @@ class Rig:
         assert request.success, request.message
 
     def send(self, *rows: tuple[Any, ...]) -> None:
-        self.controller.submit(check(NAMES, [Waypoint(*row) for row in rows], LIMITS))
+        self.controller.submit(check(NAMES, [ServoWaypoint(*row) for row in rows], LIMITS))
 
     def references(self) -> list[float]:
         return [command[1] for command in self.arm.commands]

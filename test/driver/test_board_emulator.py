@@ -13,7 +13,7 @@ import pytest
 
 from deltacharger_driver.board import cobs
 from deltacharger_driver.board.payloads import Hello, Power, decode_hello, decode_power
-from deltacharger_driver.board.protocol import Fault, Packet, PacketType, encode_packet
+from deltacharger_driver.board.protocol import BoardFault, Packet, PacketType, encode_packet
 
 from .board_bench import Bench, acks, tactile
 
@@ -202,7 +202,7 @@ def test_a_silent_board_works_on_and_a_deaf_one_loses_its_heartbeat() -> None:
     bench.board.faults.silent = False
     bench.board.faults.deaf = True
     bench.run(0.2)
-    assert bench.power().fault == Fault.HEARTBEAT_LOST
+    assert bench.power().fault == BoardFault.HEARTBEAT_LOST
 
 
 def test_an_unknown_wire_fault_is_refused() -> None:

@@ -8,7 +8,7 @@ import struct
 
 import pytest
 
-from deltacharger_driver.board.protocol import Fault, PacketType
+from deltacharger_driver.board.protocol import BoardFault, PacketType
 
 from .board_bench import Bench, acks
 
@@ -58,7 +58,7 @@ def interlock(bench: Bench, case: str) -> int:
     elif case == "voided probe":
         bench.send(PacketType.CONTACTOR, b"\0")
     elif case == "latched fault":
-        bench.board.trip(Fault.OVER_CURRENT)
+        bench.board.trip(BoardFault.OVER_CURRENT)
         bench.probe()
     elif case == "lost heartbeat":
         bench.beating = False
@@ -87,7 +87,7 @@ def test_interlocks_of_a_close(case: str, error: int) -> None:
     assert interlock(bench, case) == error
     bench.run(0.2)
     assert bench.power().contactor_closed == (error == 0)
-    expected = Fault.OVER_CURRENT if case == "latched fault" else Fault.NONE
+    expected = BoardFault.OVER_CURRENT if case == "latched fault" else BoardFault.NONE
     assert bench.power().fault == expected  # what a probe finds refuses the close and sets no fault
 
 
@@ -116,7 +116,7 @@ def test_heartbeat_loss_opens_within_100_ms_and_latches_fault_8() -> None:
     assert bench.now - silent_since > 0.09
     assert not bench.plant.read_power()[3]
     bench.run(0.06)
-    assert bench.power().fault == Fault.HEARTBEAT_LOST
+    assert bench.power().fault == BoardFault.HEARTBEAT_LOST
 
 
 @pytest.mark.parametrize(("gap", "survives"), [(0.090, True), (0.100, False)])
@@ -136,7 +136,7 @@ def test_a_heartbeat_that_comes_too_late_does_not_save_the_contactor() -> None:
     bench.now += 0.15  # nobody polled meanwhile
     bench.send(PacketType.HEARTBEAT)
     assert not bench.board.contactor_commanded
-    assert bench.board.fault == Fault.HEARTBEAT_LOST
+    assert bench.board.fault == BoardFault.HEARTBEAT_LOST
 
 
 def test_the_next_event_is_the_heartbeats_deadline() -> None:
@@ -171,27 +171,27 @@ def test_a_detected_fault_opens_at_once_and_stays_until_the_next_opening_command
 
 def test_a_fault_that_is_still_there_after_an_opening_command_is_latched_again_at_once() -> None:
     bench = Bench()
-    bench.plant.detected = Fault.SHORT_CIRCUIT
+    bench.plant.detected = BoardFault.SHORT_CIRCUIT
     bench.run(0.11)
-    assert bench.board.fault == Fault.SHORT_CIRCUIT
+    assert bench.board.fault == BoardFault.SHORT_CIRCUIT
     bench.send(PacketType.CONTACTOR, b"\0")
     assert bench.board.fault == 0
     bench.run(0.02)  # before the next POWER
-    assert bench.board.fault == Fault.SHORT_CIRCUIT
+    assert bench.board.fault == BoardFault.SHORT_CIRCUIT
 
 
 def test_the_first_fault_is_kept() -> None:
     bench = Bench().closed()
-    bench.board.trip(Fault.SHORT_CIRCUIT)
-    bench.board.trip(Fault.OVER_CURRENT)
-    assert bench.board.fault == Fault.SHORT_CIRCUIT
+    bench.board.trip(BoardFault.SHORT_CIRCUIT)
+    bench.board.trip(BoardFault.OVER_CURRENT)
+    assert bench.board.fault == BoardFault.SHORT_CIRCUIT
 
 
 def test_a_fault_voids_the_probe() -> None:
     bench = Bench()
     bench.beating = True
     bench.probe()
-    bench.board.trip(Fault.OVER_CURRENT)
+    bench.board.trip(BoardFault.OVER_CURRENT)
     bench.send(PacketType.CONTACTOR, b"\0")
     assert bench.close() == 3
 

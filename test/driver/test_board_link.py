@@ -18,7 +18,7 @@ import serial
 from deltacharger_driver.board.errors import BoardMismatch, BoardRebooted, CommandRefused
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.port import BoardPort
-from deltacharger_driver.board.protocol import AckError, Fault, Packet, PacketDecoder, PacketType, encode_packet
+from deltacharger_driver.board.protocol import AckError, BoardFault, Packet, PacketDecoder, PacketType, encode_packet
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
@@ -139,7 +139,7 @@ def test_the_heartbeat_lives_as_long_as_it_is_told_and_no_longer(rig: Rig, link:
     wait_until(lambda: rig.powers[-1].power.contactor_closed)
     wait_until(lambda: rig.board.fault)
     lag = time.monotonic() - until
-    assert rig.board.fault == Fault.HEARTBEAT_LOST
+    assert rig.board.fault == BoardFault.HEARTBEAT_LOST
     assert 0.0 < lag < 0.2
     assert 15 <= link.counters.heartbeats <= 27
     link.contactor(False)
@@ -162,7 +162,7 @@ def test_closing_the_link_opens_the_contactor(rig: Rig, link: BoardLink) -> None
     link.keep_alive(math.inf)
     link.contactor(True)
     link.close()
-    wait_until(lambda: rig.board.fault == Fault.HEARTBEAT_LOST, deadline=0.5)
+    wait_until(lambda: rig.board.fault == BoardFault.HEARTBEAT_LOST, deadline=0.5)
 
 
 @pytest.mark.parametrize("kind", ["drop", "corrupt", "truncate"])

@@ -32,7 +32,7 @@ from deltacharger_driver.board.payloads import (
 )
 from deltacharger_driver.board.protocol import FULL_SCALE, Packet, PacketError, PacketType, SampleFormat, encode_packet
 from deltacharger_driver.board.receiver import BoardReceiver
-from deltacharger_driver.board.requests import Requests
+from deltacharger_driver.board.requests import BoardRequests
 
 FORMATS = [SampleFormat.U8, SampleFormat.U12, SampleFormat.U16]
 
@@ -161,7 +161,7 @@ def bad_packets(time: int) -> list[Packet]:
 
 def test_a_packet_that_no_board_sends_leaves_no_trace_but_a_count() -> None:
     powers, boots = [], []
-    receiver = BoardReceiver(Requests(), None, powers.append, lambda: boots.append(True))
+    receiver = BoardReceiver(BoardRequests(), None, powers.append, lambda: boots.append(True))
     hello = encode_hello(Hello(1, 0, 10, 10, 7, 120.0))
     receiver.take(Packet(PacketType.HELLO, hello, 0, 5_000_000), 100.0)
     for packet in bad_packets(0) + bad_packets(2**63):  # a clock that fell, which is a reboot, and one far ahead

@@ -14,7 +14,7 @@ from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.errors import PortMissing, TrajectoryRefused
 from deltacharger_driver.servos.controller import OPENING_TIME, STOP_TIME, ServoController
 from deltacharger_driver.servos.mx64 import TICK
-from deltacharger_driver.servos.report import Phase
+from deltacharger_driver.servos.report import ServoPhase
 from deltacharger_driver.servos.snapshot import BusSettings
 
 from .servo_rig import DEFAULT, OVERLOAD, START, Rig
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.realtime
 
 def test_it_starts_without_torque_and_reports_everything(rig: Rig) -> None:
     report = rig.cycle()
-    assert report.phase is Phase.OFF
+    assert report.phase is ServoPhase.OFF
     assert report.valid == (True, True, True)
     assert report.angle == pytest.approx(START, abs=TICK)
     assert report.thermal_reserve == (math.inf,) * 3
@@ -40,7 +40,7 @@ def test_torque_on_holds_and_off_releases(rig: Rig) -> None:
     assert rig.ask("torque_on").message == "torque is already on"
     assert rig.ask("torque_off").success
     assert rig.arm.torque_enabled() == [False] * 3
-    assert rig.cycle().phase is Phase.OFF
+    assert rig.cycle().phase is ServoPhase.OFF
 
 
 def test_a_load_shows_as_current_and_as_reserve(rig: Rig) -> None:
@@ -69,7 +69,7 @@ def test_one_servo_in_trouble_stops_all_where_they_are(rig: Rig, fail: Callable[
     rig.until(lambda report: rig.references()[0] > -0.6)
     assert not rig.contactor.asked
     fail(rig)
-    rig.until(lambda report: report.phase is Phase.STOPPING)
+    rig.until(lambda report: report.phase is ServoPhase.STOPPING)
     assert rig.contactor.asked  # at once, not when the torque goes
     begin = time.monotonic()
     stopped = rig.references()[0]
@@ -78,7 +78,7 @@ def test_one_servo_in_trouble_stops_all_where_they_are(rig: Rig, fail: Callable[
     with pytest.raises(TrajectoryRefused, match="stopping"):
         rig.send((1.0, START))
     assert not rig.ask("torque_on").success
-    rig.until(lambda report: report.phase is Phase.OFF)
+    rig.until(lambda report: report.phase is ServoPhase.OFF)
     assert STOP_TIME - 0.1 <= time.monotonic() - begin <= STOP_TIME + 0.5
     assert rig.references()[0] == stopped
     assert rig.arm.torque_enabled()[0] is rig.arm.torque_enabled()[2] is False
@@ -105,7 +105,7 @@ def test_reboot_is_by_request_only_and_leaves_torque_off(rig: Rig) -> None:
     rig.torque_on()
     assert "set_torque" in rig.ask("reboot").message
     rig.emulator.raise_hardware_error(1, OVERLOAD)
-    rig.until(lambda report: report.phase is Phase.OFF)
+    rig.until(lambda report: report.phase is ServoPhase.OFF)
     assert not rig.ask("torque_on").success
     assert rig.cycle().hardware_error[0] == OVERLOAD
     request = rig.ask("reboot")
@@ -136,14 +136,14 @@ def test_a_servo_that_restarts_by_itself_is_set_up_again_without_torque(rig: Rig
 def test_the_cable_may_be_pulled_and_put_back(rig: Rig) -> None:
     rig.torque_on()
     rig.terminal.stop()
-    report = rig.until(lambda report: report.phase is Phase.DISCONNECTED and report)
+    report = rig.until(lambda report: report.phase is ServoPhase.DISCONNECTED and report)
     assert not any(report.valid)
     assert all(map(math.isnan, report.angle))
     assert report.faults
     assert not rig.ask("torque_on").success
     rig.until(lambda report: "no such port" in report.faults[0])
     rig.terminal.start()
-    rig.until(lambda report: report.phase is Phase.OFF)
+    rig.until(lambda report: report.phase is ServoPhase.OFF)
     assert rig.controller.reconnections == 1
     assert rig.arm.torque_enabled() == [False] * 3
     assert all(rig.cycle().valid)
@@ -209,17 +209,17 @@ def test_torque_off_by_request_cuts_a_stop_short_once_the_contactor_is_open(rig:
     begin = time.monotonic()
     assert rig.ask("torque_off").success
     assert time.monotonic() - begin < STOP_TIME
-    assert rig.cycle().phase is Phase.OFF
+    assert rig.cycle().phase is ServoPhase.OFF
 
 
 def test_a_pulled_cable_and_closing_ask_for_the_contactor_too(rig: Rig) -> None:
     rig.wire_contactor()
     rig.torque_on()
     rig.terminal.stop()
-    rig.until(lambda report: report.phase is Phase.DISCONNECTED)
+    rig.until(lambda report: report.phase is ServoPhase.DISCONNECTED)
     assert len(rig.contactor.asked) == 1
     rig.terminal.start()
-    rig.until(lambda report: report.phase is Phase.OFF)
+    rig.until(lambda report: report.phase is ServoPhase.OFF)
     rig.contactor.asked.clear()
     rig.contactor.delay = 0.1
     rig.torque_on()
@@ -231,10 +231,10 @@ def test_a_pulled_cable_and_closing_ask_for_the_contactor_too(rig: Rig) -> None:
 def test_a_replugged_port_is_back_within_two_seconds(rig: Rig) -> None:
     rig.cycle()
     rig.terminal.stop()
-    rig.until(lambda report: report.phase is Phase.DISCONNECTED)
+    rig.until(lambda report: report.phase is ServoPhase.DISCONNECTED)
     away = time.monotonic() + 2.0  # long enough for the longest pause between two attempts
     rig.until(lambda report: time.monotonic() > away)
     begin = time.monotonic()
     rig.terminal.start()
-    rig.until(lambda report: report.phase is Phase.OFF and all(report.valid))
+    rig.until(lambda report: report.phase is ServoPhase.OFF and all(report.valid))
     assert time.monotonic() - begin < 2.0

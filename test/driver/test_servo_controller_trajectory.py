@@ -11,8 +11,8 @@ import pytest
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_driver.errors import TrajectoryRefused
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
-from deltacharger_driver.servos.report import Phase, ServoReport
-from deltacharger_driver.servos.trajectory import Waypoint, check
+from deltacharger_driver.servos.report import ServoPhase, ServoReport
+from deltacharger_driver.servos.trajectory import ServoWaypoint, check
 
 from .servo_rig import DEFAULT, LIMITS, NAMES, START, Rig
 
@@ -90,7 +90,7 @@ def test_after_a_silence_of_the_host_the_arm_goes_on_from_where_it_stopped(rig: 
     stopped = rig.arm.angles
     rig.cycle()
     assert rig.references() == pytest.approx(list(stopped), abs=0.05)
-    assert rig.report.phase is Phase.ON
+    assert rig.report.phase is ServoPhase.ON
     rig.until(lambda report: report.angle == pytest.approx((0.3, 0.5, 1.2), abs=3 * TICK))
 
 
@@ -108,10 +108,10 @@ def test_a_silence_after_the_end_leaves_the_arm_where_it_is(rig: Rig) -> None:
 def test_a_host_that_falls_silent_again_and_again_stops_the_arm(rig: Rig) -> None:
     rig.torque_on()
     for _ in range(3):
-        assert rig.report.phase is Phase.ON
+        assert rig.report.phase is ServoPhase.ON
         time.sleep(0.2)
         rig.cycle()
-    assert rig.report.phase is Phase.STOPPING
+    assert rig.report.phase is ServoPhase.STOPPING
     assert any("overloaded" in sentence for _, sentence in rig.events)
 
 
@@ -142,9 +142,9 @@ def test_a_line_sent_piece_by_piece_is_followed_as_if_sent_whole(rig: Rig) -> No
     def feed(report: ServoReport) -> bool:
         now = time.monotonic() - begin
         ahead = [now + step * 0.02 for step in range(1, 7)]
-        points = [Waypoint(at, line(START, goal, 0.6, at)) for at in ahead]
+        points = [ServoWaypoint(at, line(START, goal, 0.6, at)) for at in ahead]
         rig.controller.submit(check(NAMES, points, LIMITS), begin)
-        if report.phase is Phase.ON and rig.references()[0] != pytest.approx(START[0]):
+        if report.phase is ServoPhase.ON and rig.references()[0] != pytest.approx(START[0]):
             errors.append(abs(rig.references()[0] - line(START, goal, 0.6, now)[0]))
         return now > 0.7
 
@@ -160,7 +160,7 @@ def test_a_feed_that_ends_leaves_the_arm_at_its_last_point(rig: Rig) -> None:
     rig.torque_on()
     goal = tuple(angle + 0.5 for angle in START)
     begin = time.monotonic()
-    points = [Waypoint(at, line(START, goal, 2.0, at)) for at in (0.04, 0.08, 0.12)]
+    points = [ServoWaypoint(at, line(START, goal, 2.0, at)) for at in (0.04, 0.08, 0.12)]
     rig.controller.submit(check(NAMES, points, LIMITS), begin)
     rig.until(lambda report: time.monotonic() - begin > 0.5)
     assert rig.references() == pytest.approx(list(line(START, goal, 2.0, 0.12)), abs=TICK)
@@ -169,7 +169,9 @@ def test_a_feed_that_ends_leaves_the_arm_at_its_last_point(rig: Rig) -> None:
 def test_a_piece_that_has_passed_already_holds_at_its_last_point(rig: Rig) -> None:
     rig.torque_on()
     goal = tuple(angle + 0.05 for angle in START)
-    rig.controller.submit(check(NAMES, [Waypoint(0.1, START), Waypoint(0.2, goal)], LIMITS), time.monotonic() - 0.3)
+    rig.controller.submit(
+        check(NAMES, [ServoWaypoint(0.1, START), ServoWaypoint(0.2, goal)], LIMITS), time.monotonic() - 0.3
+    )
     rig.cycle()
     rig.cycle()
     assert rig.references() == pytest.approx(list(goal), abs=TICK)
@@ -178,6 +180,8 @@ def test_a_piece_that_has_passed_already_holds_at_its_last_point(rig: Rig) -> No
 def test_a_point_that_is_due_is_reached_at_once_though_the_message_took_its_time(rig: Rig) -> None:
     rig.torque_on()
     goal = tuple(angle + 0.05 for angle in START)
-    rig.controller.submit(check(NAMES, [Waypoint(0.0, goal), Waypoint(2.0, goal)], LIMITS), time.monotonic() - 0.01)
+    rig.controller.submit(
+        check(NAMES, [ServoWaypoint(0.0, goal), ServoWaypoint(2.0, goal)], LIMITS), time.monotonic() - 0.01
+    )
     rig.cycle()
     assert rig.references() == pytest.approx(list(goal), abs=TICK)

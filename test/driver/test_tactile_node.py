@@ -29,7 +29,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
-from deltacharger_driver.board.protocol import Fault, PacketType
+from deltacharger_driver.board.protocol import BoardFault, PacketType
 from deltacharger_driver.board.tactile_node import TactileNode
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
@@ -322,14 +322,14 @@ def test_what_refuses_a_close(rig: Rig, trouble: str, words: str) -> None:
         wait_until(lambda: np.nanmax(rig.fresh_frame().left) < 1.0)
         time.sleep(0.12)  # contact within the last 0.1 s counts
     elif trouble == "fault":
-        rig.board.trip(Fault.OVER_CURRENT)
+        rig.board.trip(BoardFault.OVER_CURRENT)
         wait_until(lambda: rig.power().fault)
         rig.client.probe()
     answer = rig.client.contactor(True, "" if trouble == "no name" else "dock")
     assert not answer.success
     assert words in answer.message
     assert not rig.board.contactor_commanded
-    assert rig.power().fault == (Fault.OVER_CURRENT if trouble == "fault" else 0)
+    assert rig.power().fault == (BoardFault.OVER_CURRENT if trouble == "fault" else 0)
 
 
 def test_stale_frames_refuse_a_close(rig: Rig) -> None:
@@ -345,13 +345,13 @@ def test_stale_frames_refuse_a_close(rig: Rig) -> None:
 def test_a_latched_fault_ends_the_lease_and_only_an_open_clears_it(rig: Rig) -> None:
     rig.dock()
     rig.charge(0.3)
-    rig.board.trip(Fault.REVERSE_CURRENT)
-    wait_until(lambda: rig.power().fault == Fault.REVERSE_CURRENT)
+    rig.board.trip(BoardFault.REVERSE_CURRENT)
+    wait_until(lambda: rig.power().fault == BoardFault.REVERSE_CURRENT)
     answer = rig.client.contactor(True)
     assert not answer.success
     assert "reverse current" in answer.message
     time.sleep(0.4)  # a lapse would have opened by now, which clears the fault
-    assert rig.power().fault == Fault.REVERSE_CURRENT
+    assert rig.power().fault == BoardFault.REVERSE_CURRENT
     assert rig.client.contactor(False).success
     wait_until(lambda: rig.power().fault == 0)
 
@@ -415,14 +415,14 @@ def test_unplugging_while_charging_opens_and_replugging_recovers(rig: Rig) -> No
     answer = rig.client.contactor(True)
     assert not answer.success
     wait_until(lambda: not rig.board.contactor_commanded)
-    assert rig.board.fault == Fault.HEARTBEAT_LOST
+    assert rig.board.fault == BoardFault.HEARTBEAT_LOST
     rig.client.frames.clear()
     assert not rig.client.tare().success
     rig.cable.replug()
     rig.fresh_frame()
     assert not rig.client.contactor(True).success
     assert not rig.plant.read_power()[3]
-    assert rig.power().fault == Fault.HEARTBEAT_LOST
+    assert rig.power().fault == BoardFault.HEARTBEAT_LOST
 
 
 def test_diagnostics_name_every_part(rig: Rig) -> None:

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from deltacharger_driver.errors import DriverError, TrajectoryRefused
-from deltacharger_driver.servos.trajectory import JointLimits, Waypoint, check, check_age
+from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check, check_age
 
 NAMES = ("a", "b", "c")
 LIMITS = JointLimits(NAMES, -1.0, 1.2, 4.0)
@@ -14,7 +14,7 @@ START = (0.0, 0.1, 0.2)
 
 
 def points(*rows):
-    return [Waypoint(*row) for row in rows]
+    return [ServoWaypoint(*row) for row in rows]
 
 
 def test_linear_between_the_goal_and_the_points():

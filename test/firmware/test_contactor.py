@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from deltacharger_driver.board.protocol import AckError, Fault, PacketType
+from deltacharger_driver.board.protocol import AckError, BoardFault, PacketType
 
 from .bench import MS, STRONG, Bench, S, acks
 
@@ -34,7 +34,7 @@ def test_the_heartbeat_is_judged_to_the_microsecond(bench: Bench) -> None:
     assert bench.state("contactor") == 1
     bench.run(1)
     assert bench.state("contactor") == 0
-    assert bench.state("fault") == Fault.HEARTBEAT_LOST
+    assert bench.state("fault") == BoardFault.HEARTBEAT_LOST
 
 
 def test_a_board_that_sleeps_wakes_for_the_heartbeats_deadline(bench: Bench) -> None:
@@ -56,7 +56,7 @@ def test_a_heartbeat_that_came_while_a_sampling_ran_is_too_late(bench: Bench) ->
     bench.jump(bench.now + 2 * MS)  # a frame is due, and ends 104 ms after the heartbeat
     assert bench.state("contactor") == 0
     bench.send((PacketType.HEARTBEAT, b""))
-    assert bench.state("fault") == Fault.HEARTBEAT_LOST
+    assert bench.state("fault") == BoardFault.HEARTBEAT_LOST
 
 
 def test_commands_that_take_time_do_not_hide_a_lost_heartbeat(bench: Bench) -> None:
@@ -66,7 +66,7 @@ def test_commands_that_take_time_do_not_hide_a_lost_heartbeat(bench: Bench) -> N
     bench.set("press 8", "scan_time 10000")
     bench.run(95 * MS)
     bench.send((PacketType.TARE, b""), (PacketType.HEARTBEAT, b""))
-    assert bench.state("fault") == Fault.HEARTBEAT_LOST
+    assert bench.state("fault") == BoardFault.HEARTBEAT_LOST
 
 
 @pytest.mark.parametrize("silence", [80 * MS, 99 * MS])
@@ -118,7 +118,7 @@ def test_a_heartbeat_lost_during_precharge_opens_too(bench: Bench) -> None:
     assert bench.close_contactor() == 0
     bench.run(100 * MS)
     assert bench.state("precharge") == 0
-    assert bench.state("fault") == Fault.HEARTBEAT_LOST
+    assert bench.state("fault") == BoardFault.HEARTBEAT_LOST
 
 
 @pytest.mark.parametrize(("age", "error"), [(2 * S - 1, 0), (2 * S, 3)])
@@ -250,4 +250,4 @@ def test_energy_never_depends_on_a_live_host(bench: Bench) -> None:
         bench.send((PacketType.PING, b"x" * 64), (PacketType.HELLO, b""))
         bench.run(10 * MS)
     assert bench.state("contactor") == 0
-    assert bench.state("fault") == Fault.HEARTBEAT_LOST
+    assert bench.state("fault") == BoardFault.HEARTBEAT_LOST

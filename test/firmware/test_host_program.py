@@ -13,7 +13,7 @@ import pytest
 
 from deltacharger_driver.board.errors import CommandRefused
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.protocol import Fault
+from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_driver.errors import PortGone
 
@@ -93,7 +93,7 @@ def test_the_driver_from_hello_to_a_lost_heartbeat(program: Program) -> None:
         wait_until(lambda: program.powers[-1].power.charge_current == pytest.approx(1.0))
         assert program.powers[-1].power.contactor_closed
         link.stop_heartbeat()
-        wait_until(lambda: program.powers[-1].power.fault == Fault.HEARTBEAT_LOST)
+        wait_until(lambda: program.powers[-1].power.fault == BoardFault.HEARTBEAT_LOST)
         assert not program.powers[-1].power.contactor_closed
         link.contactor(False)
         wait_until(lambda: program.powers[-1].power.fault == 0)

@@ -7,7 +7,7 @@ import itertools
 
 import pytest
 
-from deltacharger_driver.board.protocol import AckError, Fault, PacketType
+from deltacharger_driver.board.protocol import AckError, BoardFault, PacketType
 
 from .bench import MS, STRONG, Bench, S
 
@@ -103,19 +103,19 @@ def test_a_contactor_that_opens_by_itself_is_no_fault_and_needs_a_new_probe(benc
 
 
 DETECTED = [
-    (Fault.OVER_CURRENT, "force current 20.1", 2 * MS),
-    (Fault.REVERSE_CURRENT, "force current -0.6", 2 * MS),
-    (Fault.REVERSE_POLARITY, "force target -1", 2 * MS),
-    (Fault.SHORT_CIRCUIT, "force target 1.5", 2 * MS),
-    (Fault.VOLTAGE_OUT_OF_RANGE, "force target 30.5", 2 * MS),
-    (Fault.NO_CHARGE_CURRENT, "force current 0", 52 * MS),
-    (Fault.STALE, "force current nan", 102 * MS),
+    (BoardFault.OVER_CURRENT, "force current 20.1", 2 * MS),
+    (BoardFault.REVERSE_CURRENT, "force current -0.6", 2 * MS),
+    (BoardFault.REVERSE_POLARITY, "force target -1", 2 * MS),
+    (BoardFault.SHORT_CIRCUIT, "force target 1.5", 2 * MS),
+    (BoardFault.VOLTAGE_OUT_OF_RANGE, "force target 30.5", 2 * MS),
+    (BoardFault.NO_CHARGE_CURRENT, "force current 0", 52 * MS),
+    (BoardFault.STALE, "force current nan", 102 * MS),
 ]
 
 
 @pytest.mark.parametrize(("fault", "trouble", "longest"), DETECTED)
 def test_what_the_stage_detects_opens_at_once_and_is_latched(
-    bench: Bench, fault: Fault, trouble: str, longest: int
+    bench: Bench, fault: BoardFault, trouble: str, longest: int
 ) -> None:
     bench.set("battery 29")  # 2.5 A
     bench.charge()
@@ -140,22 +140,22 @@ def test_no_current_after_closing_is_a_fault_after_three_seconds(bench: Bench) -
     bench.charge()
     taken = bench.run_until("contactor", 0, 3 * S, step=10 * MS)
     assert taken > 1900 * MS
-    assert bench.state("fault") == Fault.NO_CHARGE_CURRENT
+    assert bench.state("fault") == BoardFault.NO_CHARGE_CURRENT
 
 
 PRECHARGE = [
-    (Fault.VOLTAGE_OUT_OF_RANGE, "force output 20"),
-    (Fault.STALE, "force output nan"),
-    (Fault.NO_CHARGE_CURRENT, "force target nan"),
-    (Fault.NO_CHARGE_CURRENT, "stuck 1"),
-    (Fault.REVERSE_POLARITY, "force target -24"),
-    (Fault.VOLTAGE_OUT_OF_RANGE, "force target 9"),
-    (Fault.VOLTAGE_OUT_OF_RANGE, "force target 31"),
+    (BoardFault.VOLTAGE_OUT_OF_RANGE, "force output 20"),
+    (BoardFault.STALE, "force output nan"),
+    (BoardFault.NO_CHARGE_CURRENT, "force target nan"),
+    (BoardFault.NO_CHARGE_CURRENT, "stuck 1"),
+    (BoardFault.REVERSE_POLARITY, "force target -24"),
+    (BoardFault.VOLTAGE_OUT_OF_RANGE, "force target 9"),
+    (BoardFault.VOLTAGE_OUT_OF_RANGE, "force target 31"),
 ]
 
 
 @pytest.mark.parametrize(("fault", "trouble"), PRECHARGE)
-def test_a_close_that_cannot_be_completed_ends_with_its_fault(bench: Bench, fault: Fault, trouble: str) -> None:
+def test_a_close_that_cannot_be_completed_ends_with_its_fault(bench: Bench, fault: BoardFault, trouble: str) -> None:
     bench.beating = True
     bench.run(0)
     bench.probe()
@@ -171,15 +171,15 @@ def test_welded_contacts_are_found_out_by_every_opening(bench: Bench) -> None:
     bench.set("welded 1")
     bench.open()
     bench.run(110 * MS)
-    assert bench.power().fault == Fault.CONTACTOR_WELDED
+    assert bench.power().fault == BoardFault.CONTACTOR_WELDED
     assert bench.open() == 0
     bench.run(110 * MS)
-    assert bench.power().fault == Fault.CONTACTOR_WELDED
+    assert bench.power().fault == BoardFault.CONTACTOR_WELDED
     assert bench.ask(*PROBE).error == AckError.NOT_NOW
     assert bench.close_contactor() == AckError.INTERLOCK
 
 
-@pytest.mark.parametrize(("release", "fault"), [(45 * MS, 0), (60 * MS, Fault.CONTACTOR_WELDED)])
+@pytest.mark.parametrize(("release", "fault"), [(45 * MS, 0), (60 * MS, BoardFault.CONTACTOR_WELDED)])
 def test_contacts_have_50_ms_to_open(bench: Bench, release: int, fault: int) -> None:
     bench.charge()
     bench.set(f"release_time {release}", "trip 9")
@@ -193,14 +193,14 @@ def test_contacts_welded_before_a_boot_are_found_out_without_a_command(bench: Be
     bench.set("welded 1")
     bench.host.sent(f"boot {bench.now}")
     bench.run(110 * MS)
-    assert bench.state("fault") == Fault.CONTACTOR_WELDED
+    assert bench.state("fault") == BoardFault.CONTACTOR_WELDED
 
 
 def test_current_that_an_open_contactor_carries_is_a_weld_too(bench: Bench) -> None:
     bench.run(100 * MS)
     bench.set("force current 0.6")
     bench.run(20 * MS)
-    assert bench.state("fault") == Fault.CONTACTOR_WELDED
+    assert bench.state("fault") == BoardFault.CONTACTOR_WELDED
 
 
 @pytest.mark.parametrize("fault", [2, 4, 5, 6, 7, 9])
@@ -222,7 +222,7 @@ def test_no_charge_current_is_no_fault_while_open(bench: Bench) -> None:
     bench.send((PacketType.HEARTBEAT, b""))
     assert bench.close_contactor() == 0
     bench.run(5 * MS)
-    assert bench.state("fault") == Fault.NO_CHARGE_CURRENT
+    assert bench.state("fault") == BoardFault.NO_CHARGE_CURRENT
 
 
 def test_the_first_fault_stays(bench: Bench) -> None:
@@ -231,4 +231,4 @@ def test_the_first_fault_stays(bench: Bench) -> None:
     bench.run(10 * MS)
     bench.set("detected 2")
     bench.run(100 * MS)
-    assert bench.state("fault") == Fault.REVERSE_CURRENT
+    assert bench.state("fault") == BoardFault.REVERSE_CURRENT

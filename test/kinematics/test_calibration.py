@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.calibration.calibrate import Calibration, calibrate, describe, find_outliers, fit
+from deltacharger_kinematics.calibration.calibrate import GeometryCalibration, calibrate, describe, find_outliers, fit
 from deltacharger_kinematics.calibration.data import TICK, Measurements, read_measurements
 from deltacharger_kinematics.calibration.problem import (
     COUNT,
@@ -272,5 +272,5 @@ def test_uncertainties_are_positive(name: str, value: float) -> None:
 
 def test_a_fit_leaves_everything_but_the_limbs_alone() -> None:
     start = replace(NOMINAL, z_offset=0.0951, limbs=(LimbAdjustment(arm=0.1002), LimbAdjustment(), LimbAdjustment()))
-    found: Calibration = calibrate(measured(start), start, STATED)
+    found: GeometryCalibration = calibrate(measured(start), start, STATED)
     assert replace(found.fit.geometry, limbs=start.limbs) == start

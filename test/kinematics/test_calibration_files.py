@@ -13,7 +13,7 @@ import pytest
 from deltacharger_kinematics import Delta
 from deltacharger_kinematics.calibration.data import TICK, Encoder, Measurements, read_measurements
 from deltacharger_kinematics.calibration.plan import plan, read_plan, write_plan
-from deltacharger_kinematics.calibration.recording import Recording
+from deltacharger_kinematics.calibration.recording import PoseRecording
 from deltacharger_kinematics.calibration.table import CalibrationError
 
 from .measured_arms import HEADER, KEPT, NOMINAL, POINTS, POSES, drawn_arm, measured, write
@@ -159,15 +159,15 @@ def test_what_is_no_plan_is_refused(tmp_path: Path, text: str) -> None:
 def test_a_recording_is_a_file_of_measurements_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
     path, encoder, rows = tmp_path / "measured.csv", Encoder(direction=(1, -1, 1)), measured(drawn_arm(5))
 
-    def record(recording: Recording, poses: range) -> None:
+    def record(recording: PoseRecording, poses: range) -> None:
         for index in poses:
             first, second, third = map(float, encoder.ticks(rows.angles[index]))
             x, y, z = map(float, rows.positions[index])
             recording.append(POSES[index], (first, second, third), (x, y, z))
 
-    record(Recording(path, encoder), range(10))
+    record(PoseRecording(path, encoder), range(10))
     path.write_bytes(path.read_bytes().rstrip(b"\n"))  # as an editor leaves it
-    resumed = Recording(path, encoder)
+    resumed = PoseRecording(path, encoder)
     assert resumed.done == set(range(1, 11))
     record(resumed, range(10, 36))
     again = read_measurements(path)
@@ -176,7 +176,7 @@ def test_a_recording_is_a_file_of_measurements_and_goes_on_where_it_stopped(tmp_
     assert again.held_out is not None
     assert (again.held_out == KEPT).all()
     with pytest.raises(CalibrationError, match="other zero ticks"):
-        Recording(path, Encoder())
+        PoseRecording(path, Encoder())
     other = write(tmp_path / "other.csv", rows)
     with pytest.raises(CalibrationError, match="no recording"):
-        Recording(other, encoder)
+        PoseRecording(other, encoder)

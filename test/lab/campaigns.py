@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
-from deltacharger_lab.campaigns.settings import Settings, versions
+from deltacharger_lab.campaigns.settings import CampaignSettings, versions
 
 # A stiff arm right before its target, so that a docking takes a few hundredths of a second.
 QUICK: dict[str, Any] = {
@@ -20,8 +20,10 @@ QUICK: dict[str, Any] = {
 }
 
 
-def settings(n: int, seed: int = 3, approach: str = "guarded", content: Mapping[str, Any] | None = None) -> Settings:
-    return Settings(n, seed, approach, False, QUICK if content is None else content, "quick", versions())
+def settings(
+    n: int, seed: int = 3, approach: str = "guarded", content: Mapping[str, Any] | None = None
+) -> CampaignSettings:
+    return CampaignSettings(n, seed, approach, False, QUICK if content is None else content, "quick", versions())
 
 
 def scene(content: Mapping[str, Any] | None = None) -> CampaignScene:

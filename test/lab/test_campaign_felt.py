@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_docking.clearance import Estimate
+from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.observation import Reply, Service
 from deltacharger_lab.campaigns import paper
 from deltacharger_lab.campaigns.docking import columns, dock_once
@@ -21,7 +21,7 @@ from deltacharger_lab.campaigns.settings import versions_of
 
 from .campaigns import QUICK
 
-ESTIMATE = Estimate(
+ESTIMATE = FeltPose(
     angle=0.05,
     angle_stddev=0.002,
     vertical=0.001,
@@ -38,7 +38,7 @@ def charger(truth: tuple[float, float, float] | None = TRUTH) -> Any:
     return SimpleNamespace(world=world, answer={}, model=None)
 
 
-def answers(errors: EstimatorErrors, count: int, seed: int = 1) -> tuple[Felt, list[Estimate]]:
+def answers(errors: EstimatorErrors, count: int, seed: int = 1) -> tuple[Felt, list[FeltPose]]:
     """Return what becomes of `ESTIMATE`, so many times."""
     stand_in = charger()
     felt = Felt(stand_in, errors, seed)

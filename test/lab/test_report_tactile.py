@@ -12,7 +12,7 @@ import pytest
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.reports.page import write_html
-from deltacharger_lab.reports.pool import Task, work
+from deltacharger_lab.reports.pool import ReportTask, work
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import splits as tactile_splits
 from deltacharger_lab.reports.tactile.pictures import NAMES
@@ -117,7 +117,7 @@ def test_the_interval_is_over_rigs() -> None:
 
 
 def test_tasks_come_back_in_their_order() -> None:
-    tasks = [Task("sum", sum, ([index, 1],), float(weight)) for index, weight in enumerate((1, 5, 2))]
+    tasks = [ReportTask("sum", sum, ([index, 1],), float(weight)) for index, weight in enumerate((1, 5, 2))]
     told: list[str] = []
     assert work(tasks, told.append) == {"sum": [1, 2, 3]}
     assert told[-1].startswith("100 %")

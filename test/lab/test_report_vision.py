@@ -50,7 +50,7 @@ def test_the_answer_says_what_the_page_shows(quick_report: Quick) -> None:
 
 def test_every_row_was_measured_with_its_number_of_images(quick_report: Quick) -> None:
     figures = quick_report[2]
-    plan = vision_plan.Plan(2, 0, True, figures["absent"])
+    plan = vision_plan.VisionPlan(2, 0, True, figures["absent"])
     assert set(figures["rows"]) == {key(each) for each in plan.conditions()}
     for each in plan.conditions():
         seeds = [image[0] for image in figures["raw"]["images"][key(each)]]
@@ -167,7 +167,7 @@ def test_a_target_that_is_missed_is_said_to_be() -> None:
 
 
 def test_enough_images_for_what_is_claimed() -> None:
-    plan = vision_plan.Plan(vision_plan.FULL, 0, False, {})
+    plan = vision_plan.VisionPlan(vision_plan.FULL, 0, False, {})
     band = sum(plan.count(each.weight) for each in members(BY_RANGE) if BAND[0] <= each.away <= BAND[1])
     assert band >= 1500
     assert {each.name: plan.count(each.weight) for each in members(ALARMS)}["clutter, no electrodes"] == 1000
@@ -175,7 +175,7 @@ def test_enough_images_for_what_is_claimed() -> None:
 
 
 def test_seeds_are_those_of_the_report_and_shift() -> None:
-    first, second = (vision_plan.Plan(2, seed, True, {}) for seed in (0, 1))
+    first, second = (vision_plan.VisionPlan(2, seed, True, {}) for seed in (0, 1))
     assert first.seeds(3)[0] == 20_000
     assert not set(first.seeds(1000)) & set(second.seeds(1000))
 
@@ -215,7 +215,9 @@ def test_no_pose_where_the_terminal_is_larger_than_the_picture() -> None:
 def test_without_opencv_it_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    without = dataclasses.replace(vision_plan.Plan(2, 0, True, {}), absent={"opencv": "install deltacharger[vision]"})
+    without = dataclasses.replace(
+        vision_plan.VisionPlan(2, 0, True, {}), absent={"opencv": "install deltacharger[vision]"}
+    )
     monkeypatch.setattr(vision_plan, "plan", lambda *_: without)
     assert main(("report", "vision", "--quick", "--out", str(tmp_path), "--json")) == 1
     assert "deltacharger[vision]" in json.loads(capsys.readouterr().out)["error"]

@@ -15,10 +15,20 @@ import numpy as np
 
 from deltacharger_docking.codes import Code, State
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_mission.dialogue import Docking, End, Goal, Observation, Outcome, Reply, Request, Stage, Task
+from deltacharger_mission.dialogue import (
+    DockingReport,
+    End,
+    MissionGoal,
+    MissionObservation,
+    MissionOutcome,
+    Stage,
+    Task,
+    TaskReply,
+    TaskRequest,
+)
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.places import Mount, Place
+from deltacharger_mission.places import BaseMount, Place
 
 TICK = 0.1  # s
 FORWARD = (0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5)
@@ -26,7 +36,7 @@ HOME = Place(-3.0, 1.0, 0.5)
 TARGET = Place(2.0, 1.0, 2.5)
 REACH = 0.04  # m about the place where the arm docks
 
-Answer = Callable[["World", Request], tuple[float, Reply] | None]
+Answer = Callable[["World", TaskRequest], tuple[float, TaskReply] | None]
 """How long a request takes and its reply; None = nobody ever answers, not even a cancel."""
 
 
@@ -78,13 +88,13 @@ class World:
     ) -> None:
         self.truth = truth or Truth()
         self.parameters = parameters or MissionParameters(home_x=HOME.x, home_y=HOME.y, home_yaw=HOME.yaw)
-        self.machine = MissionMachine(self.parameters, Mount(self.truth.mount), HOME if drives else None)
+        self.machine = MissionMachine(self.parameters, BaseMount(self.truth.mount), HOME if drives else None)
         self.time = 100.0
         self.base = Place(0.0, 0.0, 0.0)
         self.served = set(Task) if drives else set(Task) - {Task.DRIVE}
-        self.docking: Docking | None = Docking()
+        self.docking: DockingReport | None = DockingReport()
         self.attached = False
-        self.requests: list[Request] = []
+        self.requests: list[TaskRequest] = []
         self.stages: list[Stage] = []
         self.bases: list[Place] = []  # where the robot stood at each docking, and
         self.believed: list[Place | None] = []  # where the machine believed it to stand
@@ -94,7 +104,7 @@ class World:
             Task.DOCK: dock,
             Task.UNDOCK: undock,
         } | (answers or {})
-        self._due: list[tuple[float, Request, Reply]] = []
+        self._due: list[tuple[float, TaskRequest, TaskReply]] = []
         self._silent: set[int] = set()
 
     def seen(self) -> Vector:
@@ -103,9 +113,11 @@ class World:
         x, y, z, _ = np.linalg.inv(on_ground(self.base) @ matrix(self.truth.mount)) @ point
         return float(x), float(y), float(z)
 
-    def run(self, goal: Goal | None = None, limit: float = 1e5, cancel_in: Stage | None = None) -> Outcome:
+    def run(
+        self, goal: MissionGoal | None = None, limit: float = 1e5, cancel_in: Stage | None = None
+    ) -> MissionOutcome:
         """Serve a goal and return its outcome; `cancel_in` cancels as soon as that stage is seen."""
-        self.machine.start(goal or Goal(TARGET), self._observe(()))
+        self.machine.start(goal or MissionGoal(TARGET), self._observe(()))
         end = self.time + limit
         while self.machine.outcome is None:
             assert self.time < end, f"no end after {limit} s in {self.machine.status}"
@@ -133,10 +145,10 @@ class World:
         for request in command.requests:
             self._take(request)
 
-    def _observe(self, replies: tuple[Reply, ...]) -> Observation:
-        return Observation(self.time, frozenset(self.served), self.docking, replies)
+    def _observe(self, replies: tuple[TaskReply, ...]) -> MissionObservation:
+        return MissionObservation(self.time, frozenset(self.served), self.docking, replies)
 
-    def _take(self, request: Request) -> None:
+    def _take(self, request: TaskRequest) -> None:
         assert not self._due, "one request at a time"
         if request.task is Task.DRIVE:
             assert not self.attached, "the robot is driven while the arm may hold its target"
@@ -155,10 +167,10 @@ class World:
     def _cancel(self, number: int) -> None:
         for index, (_, request, _) in enumerate(self._due):
             if request.number == number:
-                reply = Reply(number, End.CANCELED, Code.CANCELED, "cancelled", True)
+                reply = TaskReply(number, End.CANCELED, Code.CANCELED, "cancelled", True)
                 self._due[index] = (self.time + 0.3, request, reply)
 
-    def _take_effect(self, request: Request, reply: Reply) -> None:
+    def _take_effect(self, request: TaskRequest, reply: TaskReply) -> None:
         """Let the world become what the end of a request makes of it."""
         if request.task is Task.DRIVE and reply.end is End.DONE:
             assert request.place is not None
@@ -166,60 +178,62 @@ class World:
         elif request.task is Task.DOCK:
             holds = reply.end is End.DONE or reply.code is Code.STUCK
             self.attached = holds
-            self.docking = Docking(State.IDLE, docked=reply.end is End.DONE)
+            self.docking = DockingReport(State.IDLE, docked=reply.end is End.DONE)
         elif request.task is Task.UNDOCK and reply.end is End.DONE:
             self.attached = False
-            self.docking = Docking()
+            self.docking = DockingReport()
 
 
-def drive(world: World, request: Request) -> tuple[float, Reply]:
+def drive(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
     """Arrive, and say where."""
     assert request.place is not None
-    return 5.0, Reply(request.number, End.DONE, place=request.place.at(*world.truth.miss))
+    return 5.0, TaskReply(request.number, End.DONE, place=request.place.at(*world.truth.miss))
 
 
-def detect(world: World, request: Request) -> tuple[float, Reply]:
+def detect(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
     """See what is before the camera, not too far aside."""
     x, y, z = world.seen()
     if 0.02 < z < 0.8 and math.hypot(x, y) < 0.5 * (z + 0.12):
-        return 0.3, Reply(request.number, End.DONE, electrodes=(x, y, z))
-    return request.timeout, Reply(request.number, End.FAILED, message="no electrodes in the image")
+        return 0.3, TaskReply(request.number, End.DONE, electrodes=(x, y, z))
+    return request.timeout, TaskReply(request.number, End.FAILED, message="no electrodes in the image")
 
 
-def dock(world: World, request: Request) -> tuple[float, Reply]:
+def dock(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
     """Refuse what is out of reach; else dock, and charge for a while."""
     x, y, z = world.seen()
     if math.dist((x, y, z), (0.0, 0.0, 0.08)) > REACH:
         where = (x, y, z - 0.08)
-        return 0.2, Reply(request.number, End.FAILED, Code.UNREACHABLE, "out of reach", suggested=where)
+        return 0.2, TaskReply(request.number, End.FAILED, Code.UNREACHABLE, "out of reach", suggested=where)
     world.attached = True
-    world.docking = Docking(State.CHARGING, docked=True, charging=True)
-    return 100.0, Reply(request.number, End.DONE, energy=1000.0)
+    world.docking = DockingReport(State.CHARGING, docked=True, charging=True)
+    return 100.0, TaskReply(request.number, End.DONE, energy=1000.0)
 
 
-def undock(world: World, request: Request) -> tuple[float, Reply]:
+def undock(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
     """Let go."""
-    return 3.0, Reply(request.number, End.DONE)
+    return 3.0, TaskReply(request.number, End.DONE)
 
 
 def fails(code: Code, retriable: bool = False, after: float = 1.0, charging: bool = False) -> Answer:
     """Return docking that fails with a code, after charging for a while where `charging`."""
 
-    def answer(world: World, request: Request) -> tuple[float, Reply]:
+    def answer(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
         world.attached = request.task is Task.DOCK or world.attached
         if request.task is Task.DOCK:
-            world.docking = Docking(State.CHARGING if charging else State.CONTACT, docked=charging, charging=charging)
-        return after, Reply(request.number, End.FAILED, code, f"it failed with {code.name}", retriable)
+            world.docking = DockingReport(
+                State.CHARGING if charging else State.CONTACT, docked=charging, charging=charging
+            )
+        return after, TaskReply(request.number, End.FAILED, code, f"it failed with {code.name}", retriable)
 
     return answer
 
 
 def ends(end: End, message: str = "") -> Answer:
     """Return somebody whose requests end that way."""
-    return lambda world, request: (1.0, Reply(request.number, end, message=message))
+    return lambda world, request: (1.0, TaskReply(request.number, end, message=message))
 
 
-def silent(world: World, request: Request) -> None:
+def silent(world: World, request: TaskRequest) -> None:
     """Answer nothing."""
 
 

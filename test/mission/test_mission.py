@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
 from deltacharger_docking.goal_check import suggested_base
-from deltacharger_mission.dialogue import Docking, End, Goal, Reply, Request, Stage, Task
+from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, Stage, Task, TaskReply, TaskRequest
 from deltacharger_mission.parameters import MissionParameters
-from deltacharger_mission.places import Mount, Place, views, wrapped
+from deltacharger_mission.places import BaseMount, Place, views, wrapped
 
 from .missions import FORWARD, HOME, TARGET, Answer, Truth, World, ends, fails, silent
 
@@ -51,14 +51,14 @@ def level_mount(heading: float, x: float, y: float, z: float) -> tuple[float, ..
 
 def test_a_mission_drives_looks_stands_docks_charges_undocks_and_returns() -> None:
     world = quick()
-    outcome = world.run(Goal(TARGET, stop_energy=1000.0))
+    outcome = world.run(MissionGoal(TARGET, stop_energy=1000.0))
     assert outcome.success, outcome
     assert (outcome.code, outcome.returned) == (Code.NONE, True)
     wait, drive, search, dock, charge, undock, home = Stage
     assert world.stages == [wait, drive, search, drive, search, dock, charge, undock, home]
     assert world.base.distance(HOME) < 1e-9
     assert [request.task for request in world.requests[-3:]] == [Task.DOCK, Task.UNDOCK, Task.DRIVE]
-    assert world.requests[-3].goal == Goal(TARGET, stop_energy=1000.0)
+    assert world.requests[-3].goal == MissionGoal(TARGET, stop_energy=1000.0)
 
 
 @settings(max_examples=40, deadline=None)
@@ -80,7 +80,7 @@ def test_it_docks_wherever_the_arm_is_mounted_and_the_target_faces(
     told = Place(2.0, 1.0, facing)
     truth = Truth(told.at(*shift), offset[2], miss, level_mount(heading, *offset))
     world = quick(truth=truth)
-    outcome = world.run(Goal(told))
+    outcome = world.run(MissionGoal(told))
     assert outcome.success, (outcome, world.stages)
     world.base, believed = world.bases[-1], world.believed[-1]
     assert believed is not None
@@ -98,7 +98,7 @@ def test_the_electrodes_are_where_their_robot_carries_them() -> None:
     assert (carried.x, carried.y) == pytest.approx(
         (5.0 - 0.3 * math.cos(1.0) - 0.1 * math.sin(1.0), -2.0 - 0.3 * math.sin(1.0) + 0.1 * math.cos(1.0))
     )
-    base = Mount(FORWARD).before(carried, 0.5)
+    base = BaseMount(FORWARD).before(carried, 0.5)
     assert base.distance(carried) == pytest.approx(0.5)
     assert base.turn(carried) == pytest.approx(math.pi)
 
@@ -117,7 +117,7 @@ def test_wrapped_angles_differ_by_whole_turns(a: float, b: float) -> None:
 def test_a_mount_that_faces_the_ground_or_is_no_pose_is_refused() -> None:
     for pose in ((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), (0.0,) * 7, (math.nan, *FORWARD[1:]), FORWARD[:6]):
         with pytest.raises(ValueError, match="base_pose"):
-            Mount(pose)
+            BaseMount(pose)
 
 
 @given(st.integers(0, 5), st.integers(0, 8), st.floats(0.08, 2.0), angles)
@@ -126,9 +126,9 @@ def test_the_views_are_bounded_never_nearer_than_the_first_and_end_where_they_sh
 ) -> None:
     parameters = MissionParameters(search_steps=steps, search_turns=turns)
     electrodes = Place(1.0, 2.0, facing)
-    places = list(views(electrodes, distance, Mount(FORWARD), parameters))
+    places = list(views(electrodes, distance, BaseMount(FORWARD), parameters))
     assert len(places) == (steps + 1) * (2 * turns + 1)
-    assert places == list(views(electrodes, distance, Mount(FORWARD), parameters))
+    assert places == list(views(electrodes, distance, BaseMount(FORWARD), parameters))
     first = places[0]
     for place in places:
         gap = place.distance(electrodes)
@@ -171,8 +171,8 @@ def test_what_docking_refuses_is_told_with_its_code_undocked_and_returned(code: 
 
 
 def test_stands_are_bounded_where_docking_always_finds_the_target_out_of_reach() -> None:
-    def unreachable(world: World, request: Request) -> tuple[float, Reply]:
-        return 0.1, Reply(request.number, End.FAILED, Code.UNREACHABLE, "out of reach", suggested=(0.3, 0.0, 0.0))
+    def unreachable(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
+        return 0.1, TaskReply(request.number, End.FAILED, Code.UNREACHABLE, "out of reach", suggested=(0.3, 0.0, 0.0))
 
     world = quick({Task.DOCK: unreachable})
     outcome = world.run()
@@ -210,10 +210,10 @@ def test_a_navigator_that_fails_is_told_with_a_code_and_home_is_tried(answer: An
 def test_a_way_that_is_blocked_once_still_leads_home() -> None:
     count = iter(range(100))
 
-    def blocked_once(world: World, request: Request) -> tuple[float, Reply]:
+    def blocked_once(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
         if next(count) == 1:
-            return 1.0, Reply(request.number, End.FAILED, message="blocked")
-        return 5.0, Reply(request.number, End.DONE)
+            return 1.0, TaskReply(request.number, End.FAILED, message="blocked")
+        return 5.0, TaskReply(request.number, End.DONE)
 
     outcome = quick({Task.DRIVE: blocked_once}).run()
     assert (outcome.code, outcome.returned) == (Code.UNREACHABLE, True)
@@ -221,8 +221,8 @@ def test_a_way_that_is_blocked_once_still_leads_home() -> None:
 
 
 def test_after_charging_a_blocked_way_home_is_no_reason_to_charge_again() -> None:
-    def not_home(world: World, request: Request) -> tuple[float, Reply]:
-        return 1.0, Reply(request.number, End.FAILED if request.place == HOME else End.DONE)
+    def not_home(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
+        return 1.0, TaskReply(request.number, End.FAILED if request.place == HOME else End.DONE)
 
     outcome = quick({Task.DRIVE: not_home}).run()
     assert (outcome.success, outcome.code) == (False, Code.UNREACHABLE)
@@ -244,10 +244,10 @@ def test_a_robot_that_may_hold_its_target_stays(code: Code) -> None:
 def test_undocking_that_works_the_second_time_lets_it_return() -> None:
     count = iter(range(100))
 
-    def second(world: World, request: Request) -> tuple[float, Reply]:
+    def second(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
         if next(count):
-            return 1.0, Reply(request.number, End.DONE)
-        return 1.0, Reply(request.number, End.FAILED, Code.STUCK, "stuck", True)
+            return 1.0, TaskReply(request.number, End.DONE)
+        return 1.0, TaskReply(request.number, End.FAILED, Code.STUCK, "stuck", True)
 
     outcome = quick({Task.UNDOCK: second}).run()
     assert (outcome.success, outcome.returned) == (True, True)
@@ -313,7 +313,12 @@ def test_who_is_not_there_is_named_before_anything_moves(task: Task) -> None:
 
 
 def test_a_charger_that_is_docked_already_is_not_driven() -> None:
-    for docking in (Docking(State.CHARGING, True, True), Docking(State.IDLE, True), Docking(State.APPROACH), None):
+    for docking in (
+        DockingReport(State.CHARGING, True, True),
+        DockingReport(State.IDLE, True),
+        DockingReport(State.APPROACH),
+        None,
+    ):
         world = quick()
         world.docking = docking
         outcome = world.run()
@@ -322,9 +327,9 @@ def test_a_charger_that_is_docked_already_is_not_driven() -> None:
 
 
 def test_a_charger_that_somebody_else_sets_to_work_meanwhile_is_not_driven() -> None:
-    def looks(world: World, request: Request) -> tuple[float, Reply]:
-        world.docking = Docking(State.CONTACT)
-        return 1.0, Reply(request.number, End.FAILED, message="no electrodes in the image")
+    def looks(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
+        world.docking = DockingReport(State.CONTACT)
+        return 1.0, TaskReply(request.number, End.FAILED, message="no electrodes in the image")
 
     world = quick({Task.DETECT: looks})
     outcome = world.run()
@@ -335,12 +340,12 @@ def test_a_charger_that_somebody_else_sets_to_work_meanwhile_is_not_driven() -> 
 def test_one_mission_at_a_time_and_no_impossible_ones() -> None:
     world = quick()
     observation = world._observe(())
-    for wrong in (Goal(TARGET, stop_energy=math.nan), Goal(TARGET, stop_after=-1.0), Goal(None)):
+    for wrong in (MissionGoal(TARGET, stop_energy=math.nan), MissionGoal(TARGET, stop_after=-1.0), MissionGoal(None)):
         with pytest.raises(Rejected):
             world.machine.start(wrong, observation)
-    world.machine.start(Goal(TARGET), observation)
+    world.machine.start(MissionGoal(TARGET), observation)
     with pytest.raises(Busy) as caught:
-        world.machine.start(Goal(TARGET), observation)
+        world.machine.start(MissionGoal(TARGET), observation)
     assert caught.value.retriable
 
 
@@ -356,14 +361,14 @@ def test_a_mission_leaves_no_limit_and_no_wish_to_the_next() -> None:
 def test_a_charger_that_stands_still_waits_for_its_target_and_drives_nowhere() -> None:
     looks = iter(range(100))
 
-    def comes(world: World, request: Request) -> tuple[float, Reply]:
+    def comes(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
         if next(looks) < 5:
-            return 0.1, Reply(request.number, End.FAILED, message="nothing")
-        return 0.1, Reply(request.number, End.DONE, electrodes=(0.0, 0.0, 0.08))
+            return 0.1, TaskReply(request.number, End.FAILED, message="nothing")
+        return 0.1, TaskReply(request.number, End.DONE, electrodes=(0.0, 0.0, 0.08))
 
     world = quick({Task.DETECT: comes}, drives=False)
-    world.base = Mount(FORWARD).before(TARGET, DOCK_DISTANCE)
-    outcome = world.run(Goal(None))
+    world.base = BaseMount(FORWARD).before(TARGET, DOCK_DISTANCE)
+    outcome = world.run(MissionGoal(None))
     assert (outcome.success, outcome.returned) == (True, True), outcome
     assert world.stages == [Stage.WAIT, Stage.SEARCH, Stage.DOCK, Stage.CHARGE, Stage.UNDOCK]
     assert all(request.task is not Task.DRIVE for request in world.requests)
@@ -371,17 +376,17 @@ def test_a_charger_that_stands_still_waits_for_its_target_and_drives_nowhere() -
 
 def test_a_charger_that_stands_still_gives_up_in_time_and_says_where_it_should_stand() -> None:
     world = quick({Task.DETECT: ends(End.FAILED, "nothing")}, drives=False)
-    outcome = world.run(Goal(None), limit=QUICK.search_timeout + 30.0)
+    outcome = world.run(MissionGoal(None), limit=QUICK.search_timeout + 30.0)
     assert (outcome.code, outcome.returned) == (Code.ELECTRODES_NOT_FOUND, True)
     world = quick(drives=False)
-    world.base = Mount(FORWARD).before(TARGET, 0.3)
-    outcome = world.run(Goal(None))
+    world.base = BaseMount(FORWARD).before(TARGET, 0.3)
+    outcome = world.run(MissionGoal(None))
     assert (outcome.code, outcome.returned) == (Code.UNREACHABLE, True)
 
 
 def test_an_emergency_calls_off_what_is_under_way_and_forgets_the_goal() -> None:
     world = quick()
-    world.machine.start(Goal(TARGET), world._observe(()))
+    world.machine.start(MissionGoal(TARGET), world._observe(()))
     while not world.requests:
         world.step()
     assert world.machine.emergency().cancels == (world.requests[-1].number,)
@@ -399,14 +404,14 @@ WAYS = ("done",) * 12 + ("failed", "retriable", "refused", "canceled", "lost", "
 def _drawn(draw: st.DataObject) -> Answer:
     """Return somebody who answers each time as it is drawn."""
 
-    def answer(world: World, request: Request) -> tuple[float, Reply] | None:
+    def answer(world: World, request: TaskRequest) -> tuple[float, TaskReply] | None:
         way = draw.draw(st.sampled_from(WAYS))
         after = draw.draw(st.sampled_from((0.0, 1.0, 15.0)))
         if request.task is Task.DOCK:
             stage = draw.draw(st.sampled_from((State.APPROACH, State.CONTACT, State.CHARGING)))
             world.attached = stage is not State.APPROACH
             charging = stage is State.CHARGING
-            world.docking = Docking(stage, charging, charging)
+            world.docking = DockingReport(stage, charging, charging)
         if way == "silent":
             return None
         ending = {"done": End.DONE, "refused": End.REFUSED, "canceled": End.CANCELED, "lost": End.LOST}
@@ -414,7 +419,7 @@ def _drawn(draw: st.DataObject) -> Answer:
         code = Code.NONE if end is End.DONE else draw.draw(st.sampled_from([c for c in Code if c]))
         suggested = (0.1, 0.0, 0.05) if code is Code.UNREACHABLE else None
         electrodes = (0.05, 0.0, 0.09) if request.task is Task.DETECT and end is End.DONE else None
-        return after, Reply(
+        return after, TaskReply(
             request.number, end, code, way, way == "retriable", electrodes=electrodes, suggested=suggested
         )
 
@@ -429,7 +434,7 @@ def test_whatever_the_others_do_it_ends_in_time_with_a_named_code(
     """World asserts at each drive that nothing holds the robot; here: an end, a code, bounds, an honest `returned`."""
     world = quick(dict.fromkeys(Task, _drawn(data)), drives=drives)
     start = world.time
-    world.machine.start(Goal(TARGET if drives else None), world._observe(()))
+    world.machine.start(MissionGoal(TARGET if drives else None), world._observe(()))
     ticks = 0
     while world.machine.outcome is None:
         world.step()

@@ -13,8 +13,8 @@ import pytest
 from deltacharger_docking.codes import Busy, Code, State, Unreachable
 from deltacharger_docking.observation import Observation, Service
 from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
-from deltacharger_records.datasets.machine import NotKept, RecordingMachine, Touch
-from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, SETS, SUBSETS, TILTED, Part, Pose
+from deltacharger_records.datasets.machine import NotKept, RecordingMachine, Rested
+from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, SETS, SUBSETS, TILTED, CommandedPose, Part
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.world import Snapshot
 
@@ -32,7 +32,7 @@ class Ear:
     """A keeper that hears the world's frames, and knows the truth beside them."""
 
     def __init__(self, charger: VirtualCharger) -> None:
-        self.felt: list[tuple[int, Touch, np.ndarray, Snapshot]] = []
+        self.felt: list[tuple[int, Rested, np.ndarray, Snapshot]] = []
         self.refuse: Exception | None = None
         self._charger = charger
         self._frames: list[np.ndarray] = []
@@ -51,7 +51,7 @@ class Ear:
         assert self._truth.misalignment is not None
         return len(self._frames) == FRAMES
 
-    def keep(self, touch: Touch) -> None:
+    def keep(self, touch: Rested) -> None:
         assert self._charger.world.snapshot().misalignment is None, "kept before the arm had let go"
         assert self._truth is not None
         self.felt.append((self._number, touch, np.mean(self._frames, axis=0), self._truth))
@@ -78,13 +78,13 @@ class Bench:
 
         self.charger._accept = note(self.charger._accept)  # type: ignore[method-assign]
 
-    def start(self, poses: list[Pose]) -> None:
+    def start(self, poses: list[CommandedPose]) -> None:
         commands = [(-pose.horizontal, -pose.vertical, 0.080) for pose in poses]
         self.machine.check(commands)
         self.charger.outcome = None
         self.machine.start_session(commands, 0.5, FRAMES / 120.0, self.ear, self.charger.observe())
 
-    def run(self, poses: list[Pose]) -> Code:
+    def run(self, poses: list[CommandedPose]) -> Code:
         self.start(poses)
         outcome = self.charger.finish(LIMIT)
         self.assert_safe()
@@ -100,7 +100,7 @@ class Bench:
 @pytest.mark.parametrize("degrees", [0.0, -3.0])
 def test_what_is_commanded_is_where_the_target_is_felt(degrees: float) -> None:
     roll = math.radians(degrees)
-    bench, corners = Bench(roll), [Pose(x, y, roll) for x in (-0.006, 0.006) for y in (-0.004, 0.004)]
+    bench, corners = Bench(roll), [CommandedPose(x, y, roll) for x in (-0.006, 0.006) for y in (-0.004, 0.004)]
     assert bench.run(corners) is Code.NONE
     assert [number for number, *_ in bench.ear.felt] == [0, 1, 2, 3]
     for number, touch, frames, truth in bench.ear.felt:
@@ -119,7 +119,7 @@ def test_what_is_commanded_is_where_the_target_is_felt(degrees: float) -> None:
 
 def test_between_two_dockings_the_arm_stays_before_the_target_and_the_pads_are_tared_once() -> None:
     bench = Bench()
-    bench.start([Pose(0.0, 0.0, 0.0)] * 3)
+    bench.start([CommandedPose(0.0, 0.0, 0.0)] * 3)
     tares, lowest = 0, []
     accept = bench.charger._accept
 
@@ -144,7 +144,7 @@ def test_between_two_dockings_the_arm_stays_before_the_target_and_the_pads_are_t
 @pytest.mark.parametrize("state", [State.APPROACH, State.CONTACT, State.MEASURE, State.RETRACT, State.ALIGN])
 def test_a_cancel_in_every_step_takes_the_arm_home_and_the_torque_off(state: State) -> None:
     bench = Bench()
-    bench.start([Pose(0.0, 0.0, 0.0)] * 2)
+    bench.start([CommandedPose(0.0, 0.0, 0.0)] * 2)
     bench.charger.until(lambda: bench.machine.status.state is state, LIMIT)
     bench.machine.cancel()
     assert bench.charger.finish(LIMIT).code is Code.CANCELED
@@ -165,7 +165,7 @@ FAULTS = {
 def test_a_fault_ends_the_session_safe_and_only_what_may_pass_is_worth_another(state: State, fault: str) -> None:
     changes, code, retriable = FAULTS[fault]
     bench = Bench()
-    bench.start([Pose(0.0, 0.0, 0.0)] * 2)
+    bench.start([CommandedPose(0.0, 0.0, 0.0)] * 2)
     bench.charger.until(lambda: bench.machine.status.state is state, LIMIT)
 
     def distort(observation: Observation) -> Observation:
@@ -178,13 +178,15 @@ def test_a_fault_ends_the_session_safe_and_only_what_may_pass_is_worth_another(s
     bench.charger.distort = lambda observation: observation
     bench.charger.run(0.2)
     bench.assert_safe()
-    assert bench.run([Pose(0.0, 0.0, 0.0)]) is Code.NONE, "the next session begins from wherever the last one ended"
+    assert bench.run([CommandedPose(0.0, 0.0, 0.0)]) is Code.NONE, (
+        "the next session begins from wherever the last one ended"
+    )
 
 
 def test_what_cannot_be_kept_ends_the_session_with_the_arm_home() -> None:
     bench = Bench()
     bench.ear.refuse = NotKept("the disk is full")
-    bench.start([Pose(0.0, 0.0, 0.0)] * 2)
+    bench.start([CommandedPose(0.0, 0.0, 0.0)] * 2)
     outcome = bench.charger.finish(LIMIT)
     assert outcome.message == "the disk is full"
     assert not outcome.retriable
@@ -196,11 +198,11 @@ def test_what_cannot_be_kept_ends_the_session_with_the_arm_home() -> None:
 def test_nothing_moves_toward_what_is_out_of_reach_or_while_a_session_runs() -> None:
     bench = Bench()
     with pytest.raises(Unreachable, match="out of the arm's reach"):
-        bench.start([Pose(0.0, 0.0, 0.0), Pose(0.2, 0.0, 0.0)])
+        bench.start([CommandedPose(0.0, 0.0, 0.0), CommandedPose(0.2, 0.0, 0.0)])
     assert not bench.machine.busy
-    bench.start([Pose(0.0, 0.0, 0.0)])
+    bench.start([CommandedPose(0.0, 0.0, 0.0)])
     with pytest.raises(Busy):
-        bench.start([Pose(0.0, 0.0, 0.0)])
+        bench.start([CommandedPose(0.0, 0.0, 0.0)])
 
 
 @pytest.mark.parametrize("kind", SETS)
@@ -226,7 +228,7 @@ def test_the_sets_are_the_papers() -> None:
     steps = np.array([(pose.horizontal, pose.vertical) for pose in angle]) / 0.0004  # a tenth of 4 mm
     assert np.allclose(steps, np.round(steps))
     assert np.abs(steps).max() == pytest.approx(5.0)  # a tenth of 20 mm
-    assert all(pose == Pose(0.0, 0.0, 0.0) for pose in part_of("reference").poses())
+    assert all(pose == CommandedPose(0.0, 0.0, 0.0) for pose in part_of("reference").poses())
     sweep = np.array([(pose.horizontal, pose.vertical) for pose in part_of("sweep", repeat=100).poses()])
     assert sweep.min() < -0.008
     assert 0.008 < sweep.max() <= 0.012

@@ -19,7 +19,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import SimulatedCamera
-from deltacharger_vision.rendering.scene import Scene
+from deltacharger_vision.rendering.scene import RenderedScene
 from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message
 
 TARGET = (0.012, -0.009, 0.084, 0.06)
@@ -31,7 +31,7 @@ def picture(target: bool = True) -> RgbdImage:
     c, s = math.cos(TARGET[3]), math.sin(TARGET[3])
     pose[:2, :2], pose[:3, 3] = [[c, -s], [s, c]], TARGET[:3]
     camera_T_terminal = np.linalg.inv(Mount.default().pose) @ pose
-    return SimulatedCamera().render(Scene(target=target), camera_T_terminal, np.random.default_rng(5))
+    return SimulatedCamera().render(RenderedScene(target=target), camera_T_terminal, np.random.default_rng(5))
 
 
 class Driver(Node):

@@ -9,7 +9,7 @@ import pytest
 
 from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
 from deltacharger_driver.board.contactor_lease import LeaseRefused
-from deltacharger_driver.board.protocol import Fault
+from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_scenes.mocks.arm import MockArm, MockTarget
 from deltacharger_scenes.mocks.power import CHARGE_CURRENT, MockPower
@@ -123,7 +123,7 @@ def test_no_current_is_a_fault_that_opens_and_that_an_opening_clears() -> None:
         if power.closed:
             power.lease.take("docking", 0.25, 0.1 * step - 0.01)
         power.advance(0.1 * step, True)
-    assert (power.closed, power.fault) == (False, Fault.NO_CHARGE_CURRENT)
+    assert (power.closed, power.fault) == (False, BoardFault.NO_CHARGE_CURRENT)
     power.open()
     assert power.fault == 0
 
@@ -132,7 +132,7 @@ def test_a_welded_contactor_stays_closed_and_says_so() -> None:
     power = leased(MockPower())
     power.misbehaviour = "contactor_welded"
     power.open()
-    assert (power.closed, power.fault) == (True, Fault.CONTACTOR_WELDED)
+    assert (power.closed, power.fault) == (True, BoardFault.CONTACTOR_WELDED)
 
 
 def test_out_of_contact_the_probe_finds_an_open_circuit() -> None:

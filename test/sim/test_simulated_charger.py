@@ -18,7 +18,7 @@ import pytest
 import serial
 
 from deltacharger_scenes.scene import parse_scene
-from deltacharger_sim.charger.fault_kinds import KINDS, Hardware, Order
+from deltacharger_sim.charger.fault_kinds import KINDS, FaultOrder, Hardware
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 from deltacharger_sim.charger.simulation import Simulation
 
@@ -83,7 +83,7 @@ def test_a_scenes_faults_come_and_go_in_their_time(tmp_path: Path) -> None:
 def test_a_fault_that_fails_is_told_and_the_others_come(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    def fail(hardware: Hardware, order: Order) -> None:
+    def fail(hardware: Hardware, order: FaultOrder) -> None:
         raise OSError("no such cable")
 
     monkeypatch.setitem(KINDS, "servo_unplugged", replace(KINDS["servo_unplugged"], apply=fail))

@@ -10,7 +10,7 @@ import pytest
 
 from deltacharger_core.parameters import ParameterError
 from deltacharger_tactile.contact import ContactModel, Waviness
-from deltacharger_tactile.parameters import ContactParameters
+from deltacharger_tactile.parameters import PadContactParameters
 
 MODEL = ContactModel()
 V = 1.2e-3 * (9 - 2 * np.arange(10))  # taxel centres, row 0 at +y
@@ -38,7 +38,7 @@ def test_the_pads_carry_the_whole_force() -> None:
 
 def test_a_batch_equals_its_single_contacts() -> None:
     many = poses(20, 3)
-    ridges = Waviness.draw(ContactParameters(), np.random.default_rng(1))
+    ridges = Waviness.draw(PadContactParameters(), np.random.default_rng(1))
     batch = MODEL.solve(many, 60.0, (0.0005, -0.001), ridges)
     for index, pose in enumerate(many):
         one = MODEL.solve(pose, 60.0, (0.0005, -0.001), ridges)
@@ -105,7 +105,7 @@ def test_a_batch_costs_less_than_half_a_millisecond_per_pair() -> None:
 
 def test_parameters_outside_their_bounds_are_named() -> None:
     with pytest.raises(ParameterError, match="ridge_height") as caught:
-        ContactParameters(ridge_height=-0.001)
+        PadContactParameters(ridge_height=-0.001)
     assert caught.value.value == -0.001
     with pytest.raises(ParameterError):
-        ContactParameters(stiffness=float("nan"))
+        PadContactParameters(stiffness=float("nan"))

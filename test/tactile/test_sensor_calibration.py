@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from deltacharger_tactile import PoseEstimator, default_model
-from deltacharger_tactile.calibration.faults import Dockings, compare_tares, find, select
+from deltacharger_tactile.calibration.faults import KnownDockings, compare_tares, find, select
 from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT, Parts, fit, judge, predict
 from deltacharger_tactile.calibration.rig import AXES, SHAPE, SensorCalibrationError, TactileCalibration
 from deltacharger_tactile.errors import FrameError
@@ -38,17 +38,17 @@ def dock(
     rig: Rig | None = None,
     family: TactileParameters = FAMILY,
     off: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> Dockings:
+) -> KnownDockings:
     """Dock at random poses; the pads sit `off` from where they should."""
     random = np.random.default_rng([seed, RIG])
     pose = random.uniform(-REACH, REACH, (count, 3))
     got = measure(family, rig or Rig.draw(family, RIG), pose + off, random, 12, 0.0)
     frames = np.stack([got["left"], got["right"]], axis=1).astype(float)
     frames[got["dead"]] = np.nan
-    return Dockings(frames, pose, got["contact_pose"] - off, got["tare"][:1].astype(float), RIG, 0.0)
+    return KnownDockings(frames, pose, got["contact_pose"] - off, got["tare"][:1].astype(float), RIG, 0.0)
 
 
-def error(model: PoseEstimator, made: TactileCalibration, dockings: Dockings) -> Any:
+def error(model: PoseEstimator, made: TactileCalibration, dockings: KnownDockings) -> Any:
     pose, _, usable = predict(model, made, dockings.frames)
     return np.sqrt(np.mean((pose - dockings.truth)[usable] ** 2, axis=0))
 

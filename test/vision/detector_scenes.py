@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.rendering.camera import SimulatedCamera
-from deltacharger_vision.rendering.scene import Box, Scene
+from deltacharger_vision.rendering.scene import Box, RenderedScene
 from deltacharger_vision.terminal import Terminal
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ def pose_at(
     return pose
 
 
-def random_view(random: np.random.Generator, nearest: float, farthest: float) -> tuple[Scene, Array]:
+def random_view(random: np.random.Generator, nearest: float, farthest: float) -> tuple[RenderedScene, Array]:
     away = random.uniform(nearest, farthest)
     room = 0.3 if away > 0.22 else 0.15
     pose = pose_at(
@@ -50,21 +50,21 @@ def random_view(random: np.random.Generator, nearest: float, farthest: float) ->
         y=random.uniform(-0.5 * room, 0.5 * room),
     )
     light = (float(random.normal(0.0, 0.5)), float(random.uniform(0.0, 1.0)), float(-random.uniform(0.3, 1.0)))
-    return Scene(light=light), pose
+    return RenderedScene(light=light), pose
 
 
 def scaled(terminal: Terminal, scale: float) -> Terminal:
     return Terminal(**{item.name: getattr(terminal, item.name) * scale for item in dataclasses.fields(terminal)})
 
 
-def half_hidden(scene: Scene, bar: float, end: float) -> Scene:
+def half_hidden(scene: RenderedScene, bar: float, end: float) -> RenderedScene:
     """A grey plate just before one half (end ±1 along x) of one bar (±1 along y)."""
     pose = np.eye(4)
     pose[:3, 3] = [end * 0.03, bar * 0.0107, -0.002]
     return dataclasses.replace(scene, foreground=(Box(pose, (0.06, 0.0164, 0.001), (0.2, 0.2, 0.2)),))
 
 
-def clutter(random: np.random.Generator) -> Scene:
+def clutter(random: np.random.Generator) -> RenderedScene:
     """A room without electrodes: boxes of any brightness, bars among them."""
     boxes = []
     for _ in range(14):
@@ -78,10 +78,12 @@ def clutter(random: np.random.Generator) -> Scene:
         size = (random.uniform(0.02, 0.2), random.uniform(0.005, 0.08), random.uniform(0.005, 0.05))
         shade = float(random.uniform(0.02, 0.9))
         boxes.append(Box(pose, size, (shade, shade, shade), metal=bool(random.random() < 0.4)))
-    return Scene(background=tuple(boxes), target=False)
+    return RenderedScene(background=tuple(boxes), target=False)
 
 
-def render(scene: Scene, pose: Array, random: np.random.Generator, camera: SimulatedCamera = CAMERA) -> RgbdImage:
+def render(
+    scene: RenderedScene, pose: Array, random: np.random.Generator, camera: SimulatedCamera = CAMERA
+) -> RgbdImage:
     return camera.render(scene, pose, random)
 
 

@@ -24,7 +24,7 @@ from deltacharger_vision.projection import project
 from deltacharger_vision.rendering.board_drawing import bracket, with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.parameters import CameraParameters
-from deltacharger_vision.rendering.scene import Scene, shifted
+from deltacharger_vision.rendering.scene import RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts
 
 ARM = ScalarDelta()
@@ -93,7 +93,7 @@ class Rig:
         camera = SimulatedCamera(self.intrinsics, CameraParameters.ideal() if ideal else None)
         platform = self.platform(angles)
         pose = np.linalg.inv(self.mount) @ shifted(platform) @ self.place
-        scene = with_board(Scene(target=False), board or self.board, pose, in_camera=True)
+        scene = with_board(RenderedScene(target=False), board or self.board, pose, in_camera=True)
         parts = charger_parts(self.mount, platform, angles)
         scene = dataclasses.replace(scene, foreground=(*scene.foreground, *parts))
         before = np.linalg.inv(self.mount) @ shifted((0.0, 0.0, 0.3))

@@ -6,21 +6,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deltacharger_vision.errors import SceneError
+from deltacharger_vision.errors import RenderingError
 from deltacharger_vision.hand_eye.board import AprilTag, Board, Charuco
 from deltacharger_vision.hand_eye.board_print import board_svg
 from deltacharger_vision.projection import project
 from deltacharger_vision.rendering.board_drawing import board_boxes, bracket, with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
-from deltacharger_vision.rendering.scene import Scene, shifted
+from deltacharger_vision.rendering.scene import RenderedScene, shifted
 
 from .views import linear, view
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 CAMERA = SimulatedCamera(parameters=CameraParameters.ideal())
-BACKGROUND = Scene(target=False, parameters=SceneParameters.even())
+BACKGROUND = RenderedScene(target=False, parameters=SceneParameters.even())
 
 
 def facing(away: float) -> np.ndarray:
@@ -30,7 +30,7 @@ def facing(away: float) -> np.ndarray:
     return pose
 
 
-def render(scene: Scene) -> np.ndarray:
+def render(scene: RenderedScene) -> np.ndarray:
     return CAMERA.render(scene, view(0.5), np.random.default_rng(0), color_only=True).color
 
 
@@ -123,5 +123,5 @@ def test_the_print_is_the_board_in_true_size(board: Board) -> None:
 
 
 def test_a_pose_that_is_none_is_refused() -> None:
-    with pytest.raises(SceneError):
+    with pytest.raises(RenderingError):
         board_boxes(AprilTag(), np.diag([2.0, 1.0, 1.0, 1.0]))

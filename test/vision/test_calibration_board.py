@@ -15,7 +15,7 @@ from deltacharger_vision.projection import project
 from deltacharger_vision.rendering.board_drawing import with_board
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
-from deltacharger_vision.rendering.scene import Scene, shifted
+from deltacharger_vision.rendering.scene import RenderedScene, shifted
 
 from .views import DISTORTIONS, view
 
@@ -29,7 +29,7 @@ BOARDS = [
     Charuco("6x6_250", 4, 4, 0.018, 0.014),
 ]
 IDEAL, USUAL = SimulatedCamera(parameters=CameraParameters.ideal()), SimulatedCamera()
-BACKGROUND = Scene(target=False, parameters=SceneParameters.even())
+BACKGROUND = RenderedScene(target=False, parameters=SceneParameters.even())
 
 
 def drawn_pose(seed: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from deltacharger_vision.detector.detector import DetectorSettings, ElectrodeDet
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
-from deltacharger_vision.rendering.scene import Scene
+from deltacharger_vision.rendering.scene import RenderedScene
 from deltacharger_vision.terminal import Terminal
 
 from ..marks import slow
@@ -102,7 +102,7 @@ def test_turning_or_mirroring_the_picture_turns_or_mirrors_the_answer(seed: int)
 def test_roll_of_any_size_is_found_with_its_sign(roll: float) -> None:
     random = np.random.default_rng(3)
     pose = pose_at(0.3, roll=roll)
-    found = DETECTOR.detect(render(Scene(), pose, random))
+    found = DETECTOR.detect(render(RenderedScene(), pose, random))
     assert found is not None
     assert -math.pi / 2 < found.roll <= math.pi / 2
     assert abs(math.remainder(found.roll - roll, math.pi)) < math.radians(1.0)
@@ -111,7 +111,7 @@ def test_roll_of_any_size_is_found_with_its_sign(roll: float) -> None:
 def test_normal_points_to_the_camera_where_it_is_known() -> None:
     random = np.random.default_rng(4)
     pose = pose_at(0.3, pitch=0.4, yaw=-0.2)
-    found = DETECTOR.detect(render(Scene(), pose, random))
+    found = DETECTOR.detect(render(RenderedScene(), pose, random))
     assert found is not None
     assert found.source == "fused"
     assert found.normal @ -pose[:3, 2] > math.cos(math.radians(2.0))
@@ -164,7 +164,7 @@ def test_half_of_a_bar_may_be_hidden(bar: float, end: float) -> None:
 def test_below_the_stereo_range_the_image_alone_gives_the_pose() -> None:
     random = np.random.default_rng(5)
     pose = pose_at(0.15, roll=0.1, pitch=0.3)
-    found = DETECTOR.detect(render(Scene(), pose, random))
+    found = DETECTOR.detect(render(RenderedScene(), pose, random))
     assert found is not None
     assert found.source == "pnp"
     assert np.linalg.norm(error(found, pose)) < 0.002
@@ -173,7 +173,7 @@ def test_below_the_stereo_range_the_image_alone_gives_the_pose() -> None:
 def test_noise_for_depth_below_the_stereo_range_is_not_believed() -> None:
     random = np.random.default_rng(5)
     pose = pose_at(0.15, roll=0.1, pitch=0.3)
-    image = render(Scene(), pose, random)
+    image = render(RenderedScene(), pose, random)
     noise = random.uniform(0.174, 2.0, image.depth.shape).astype(np.float32)
     found = DETECTOR.detect(RgbdImage(image.color, noise, image.intrinsics))
     assert found is not None
@@ -184,7 +184,7 @@ def test_noise_for_depth_below_the_stereo_range_is_not_believed() -> None:
 def test_plane_that_contradicts_the_image_is_no_terminal_at_any_range() -> None:
     for away in (0.15, 0.3):
         random = np.random.default_rng(5)
-        image = render(Scene(), pose_at(away, roll=0.1, pitch=0.3), random)
+        image = render(RenderedScene(), pose_at(away, roll=0.1, pitch=0.3), random)
         assert DETECTOR.detect(RgbdImage(image.color, np.full_like(image.depth, 0.9), image.intrinsics)) is None
 
 
@@ -210,7 +210,7 @@ def test_distorted_lens_is_allowed_for() -> None:
     camera = SimulatedCamera(lens)
     pose = pose_at(0.3, roll=0.2, x=0.35, y=0.15)
     random = np.random.default_rng(6)
-    image = camera.render(Scene(), pose, random)
+    image = camera.render(RenderedScene(), pose, random)
     found = DETECTOR.detect(image)
     assert found is not None
     assert np.linalg.norm(error(found, pose)) < 0.001
@@ -260,7 +260,7 @@ def test_wide_lens_may_show_the_terminal_at_the_border() -> None:
     for seed in range(6):
         random = np.random.default_rng(20_900 + seed)
         pose = pose_at(0.25, roll=random.uniform(-0.5, 0.5), x=random.uniform(0.6, 0.9), y=random.uniform(-0.5, 0.5))
-        found = DETECTOR.detect(camera.render(Scene(), pose, random))
+        found = DETECTOR.detect(camera.render(RenderedScene(), pose, random))
         assert found is None or np.linalg.norm(error(found, pose)) < 0.003
 
 
@@ -275,7 +275,7 @@ def test_terminal_partly_outside_the_picture_is_right_or_none() -> None:
     for seed, x in enumerate(np.linspace(0.55, 0.8, 8)):
         random = np.random.default_rng(20_800 + seed)
         pose = pose_at(0.3, x=float(x))
-        found = DETECTOR.detect(render(Scene(), pose, random))
+        found = DETECTOR.detect(render(RenderedScene(), pose, random))
         assert found is None or np.linalg.norm(error(found, pose)) < 0.003
 
 

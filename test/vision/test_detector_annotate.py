@@ -8,7 +8,7 @@ import pytest
 
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector
-from deltacharger_vision.rendering.scene import Scene
+from deltacharger_vision.rendering.scene import RenderedScene
 
 from .detector_scenes import pose_at, render
 
@@ -16,7 +16,7 @@ pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
 
 def test_picture_is_a_copy_that_shows_what_was_found() -> None:
-    image = render(Scene(), pose_at(0.3, roll=0.2), np.random.default_rng(7))
+    image = render(RenderedScene(), pose_at(0.3, roll=0.2), np.random.default_rng(7))
     before = image.color.copy()
     found = ElectrodeDetector().detect(image)
     assert found is not None
@@ -31,5 +31,5 @@ def test_picture_is_a_copy_that_shows_what_was_found() -> None:
 
 
 def test_picture_without_electrodes_says_so() -> None:
-    image = render(Scene(target=False), pose_at(0.3), np.random.default_rng(8))
+    image = render(RenderedScene(target=False), pose_at(0.3), np.random.default_rng(8))
     assert np.any(annotated(image, None) != image.color)

@@ -26,7 +26,7 @@ from deltacharger_ros.node_support import StartupError
 from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import SimulatedCamera
-from deltacharger_vision.rendering.scene import Scene
+from deltacharger_vision.rendering.scene import RenderedScene
 
 from ..chargers import wait_until
 from ..scenes.camera_driver import TARGET, Driver, picture
@@ -360,7 +360,7 @@ def test_a_distorted_lens_that_is_known_gives_the_same_place(
     pose = np.eye(4)
     pose[:3, 3] = TARGET[:3]
     driver.image = SimulatedCamera(lens).render(
-        Scene(), np.linalg.inv(Mount.default().pose) @ pose, np.random.default_rng(6)
+        RenderedScene(), np.linalg.inv(Mount.default().pose) @ pose, np.random.default_rng(6)
     )
     detector()
     assert driver.client.wait_for_service(20.0)

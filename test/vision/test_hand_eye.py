@@ -13,7 +13,7 @@ import pytest
 from deltacharger_vision.hand_eye.board import AprilTag, Board, Charuco, Sighting
 from deltacharger_vision.hand_eye.calibrate import Calibration, calibrate
 from deltacharger_vision.hand_eye.checks import doubts, drift, held_out_rms, notes
-from deltacharger_vision.hand_eye.model import FREE_WITH_SCALE, State, jacobian, residuals
+from deltacharger_vision.hand_eye.model import FREE_WITH_SCALE, HandEyeState, jacobian, residuals
 from deltacharger_vision.hand_eye.start import start
 from deltacharger_vision.hand_eye.views import Beliefs, Corners, HandEyeError, View
 from deltacharger_vision.images import Intrinsics
@@ -74,7 +74,7 @@ def test_the_derivatives_are_those_of_the_residuals() -> None:
     rig = Rig(3, Charuco())
     corners = Corners.of(rig.views(6), OAK_D)
     first = start(corners)
-    state = State(first.camera, first.shift, first.board, np.array([0.001, -0.002, 0.001]), 1.1)
+    state = HandEyeState(first.camera, first.shift, first.board, np.array([0.001, -0.002, 0.001]), 1.1)
     step = np.random.default_rng(0).normal(scale=0.05, size=FREE_WITH_SCALE)
     slopes, by_position = jacobian(corners, state, step)
     for column in range(FREE_WITH_SCALE):

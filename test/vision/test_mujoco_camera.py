@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deltacharger_vision.errors import RendererError, SceneError
+from deltacharger_vision.errors import RendererError, RenderingError
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
 from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
-from deltacharger_vision.rendering.scene import Box, Scene, shifted
+from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts, cover, draw_scene
 from deltacharger_vision.terminal import Terminal
 
@@ -28,7 +28,7 @@ from .views import edge_errors, linear, shown, view
 IDEAL = dataclasses.replace(CameraParameters.ideal(), disparities=1e4)
 """Sees depth however near."""
 EVEN = SceneParameters.even()
-FACES = Scene(parameters=dataclasses.replace(EVEN, ambient=0.0, diffuse=0.9), light=(0.0, 0.0, -1.0))
+FACES = RenderedScene(parameters=dataclasses.replace(EVEN, ambient=0.0, diffuse=0.9), light=(0.0, 0.0, -1.0))
 VIEWS = [
     view(0.16),
     view(0.23, pitch=0.54),
@@ -50,7 +50,7 @@ def camera() -> Iterator[MujocoCamera]:
         yield made
 
 
-def ideal(scene: Scene, pose: np.ndarray, camera: MujocoCamera | SimulatedCamera) -> Any:
+def ideal(scene: RenderedScene, pose: np.ndarray, camera: MujocoCamera | SimulatedCamera) -> Any:
     return camera.render(scene, pose, np.random.default_rng(0))
 
 
@@ -93,7 +93,7 @@ def test_the_bars_edges_are_where_their_corners_project(camera: MujocoCamera, po
 
 @pytest.mark.parametrize("pose", VIEWS)
 def test_the_silhouettes_are_the_same(camera: MujocoCamera, pose: np.ndarray) -> None:
-    scene = dataclasses.replace(Scene(parameters=EVEN), foreground=(cover(Terminal(), 0.4),))
+    scene = dataclasses.replace(RenderedScene(parameters=EVEN), foreground=(cover(Terminal(), 0.4),))
     ours, theirs = (
         np.nan_to_num(ideal(scene, pose, each).depth, nan=0.0) for each in (camera, SimulatedCamera(parameters=IDEAL))
     )
@@ -114,7 +114,7 @@ def test_pixels_need_not_be_square_nor_the_principal_point_in_the_middle(camera:
 
 
 def test_the_light_is_that_of_the_scene(camera: MujocoCamera) -> None:
-    scene, pose = Scene(parameters=EVEN, light=(0.1, 0.9, -0.7)), view(0.25, 0.3)
+    scene, pose = RenderedScene(parameters=EVEN, light=(0.1, 0.9, -0.7)), view(0.25, 0.3)
     ours, theirs = (linear(ideal(scene, pose, each).color) for each in (camera, SimulatedCamera(parameters=IDEAL)))
     places = Terminal().corners().mean(axis=1)
     for point in (*places, np.array([0.05, 0.05, 0.006]), np.array([0.3, 0.0, EVEN.wall_distance])):
@@ -124,7 +124,7 @@ def test_the_light_is_that_of_the_scene(camera: MujocoCamera) -> None:
 
 def test_a_bar_casts_a_shadow_on_the_plate(camera: MujocoCamera) -> None:
     pose = view(0.25)
-    image = linear(ideal(Scene(parameters=EVEN, light=(0.0, 1.0, -0.7)), pose, camera).color)
+    image = linear(ideal(RenderedScene(parameters=EVEN, light=(0.0, 1.0, -0.7)), pose, camera).color)
     column, below = np.rint(shown(np.array([0.0, -Terminal().spacing / 2 - 0.008, 0.006]), pose, OAK_D)).astype(int)
     _, free = np.rint(shown(np.array([0.0, -0.04, 0.006]), pose, OAK_D)).astype(int)
     lit = EVEN.ambient + EVEN.diffuse * 0.7 / np.hypot(1.0, 0.7)
@@ -134,7 +134,7 @@ def test_a_bar_casts_a_shadow_on_the_plate(camera: MujocoCamera) -> None:
 def test_a_highlight_moves_with_the_light(camera: MujocoCamera) -> None:
     shining = dataclasses.replace(EVEN, highlight=0.9)
     straight, aside = (
-        ideal(Scene(parameters=shining, light=light), view(0.25), camera).color.astype(int)
+        ideal(RenderedScene(parameters=shining, light=light), view(0.25), camera).color.astype(int)
         for light in ((0.0, 0.0, -1.0), (1.0, 0.0, -0.3))
     )
     column, row = np.rint(shown(Terminal().corners()[0].mean(axis=0), view(0.25), OAK_D)).astype(int)
@@ -147,7 +147,7 @@ def test_holes_are_in_metal(camera: MujocoCamera, share: float) -> None:
     holes = dataclasses.replace(IDEAL, hole_metal=share, hole_glare=share)
     pose = view(0.3, 0.3)
     with MujocoCamera(parameters=holes) as holed:
-        depth = ideal(Scene(parameters=EVEN), pose, holed).depth
+        depth = ideal(RenderedScene(parameters=EVEN), pose, holed).depth
     metal = linear(ideal(FACES, pose, SimulatedCamera(parameters=IDEAL)).color) > 0.4
     assert eroded(metal).sum() > 500
     assert np.isnan(depth[eroded(metal)]).mean() == share
@@ -157,8 +157,8 @@ def test_holes_are_in_metal(camera: MujocoCamera, share: float) -> None:
 
 def test_streaks_are_drawn_into_metal_alone(camera: MujocoCamera) -> None:
     pose = view(0.25)
-    plain = linear(ideal(Scene(parameters=EVEN), pose, camera).color)
-    brushed = linear(ideal(Scene(parameters=dataclasses.replace(EVEN, streaks=0.1)), pose, camera).color)
+    plain = linear(ideal(RenderedScene(parameters=EVEN), pose, camera).color)
+    brushed = linear(ideal(RenderedScene(parameters=dataclasses.replace(EVEN, streaks=0.1)), pose, camera).color)
     metal = eroded(plain > 0.4)
     assert np.std(brushed[metal] / plain[metal]) > 0.03
     assert np.abs(brushed - plain)[~(plain > 0.2)].max() == 0.0
@@ -172,7 +172,7 @@ def test_one_seed_is_one_image_whatever_was_drawn_before(camera: MujocoCamera) -
             Box(shifted((0.02 * (i % 15) - 0.15, 0.02 * (i // 15) - 0.1, 0.5)), (0.01,) * 3, (0.5,) * 3)
             for i in range(150)
         )
-        many = noisy.render(Scene(background=crowd), pose, np.random.default_rng(2))
+        many = noisy.render(RenderedScene(background=crowd), pose, np.random.default_rng(2))
         again = noisy.render(scene, pose, np.random.default_rng(1))
         alone = noisy.render(scene, pose, np.random.default_rng(1), color_only=True)
     np.testing.assert_array_equal(first.color, again.color)
@@ -186,7 +186,7 @@ def test_the_chargers_own_parts_move_with_the_camera(camera: MujocoCamera) -> No
     mount = Mount.default().pose
     target = np.eye(4)
     target[2, 3] = 0.08
-    scene = Scene(parameters=EVEN, foreground=tuple(charger_parts(mount, (0.0, 0.0, 0.04))))
+    scene = RenderedScene(parameters=EVEN, foreground=tuple(charger_parts(mount, (0.0, 0.0, 0.04))))
     pose = np.linalg.inv(mount) @ target
     ours, theirs = (ideal(scene, pose, each) for each in (camera, SimulatedCamera(parameters=IDEAL)))
     inside = flat(theirs.depth) & (theirs.depth < 0.22)
@@ -212,11 +212,11 @@ def test_edges_are_as_wide_as_asked(camera: MujocoCamera, width: float, sizes: t
 
 
 def test_what_is_closed_says_so_and_closing_twice_is_nothing(camera: MujocoCamera) -> None:
-    with pytest.raises(SceneError), MujocoCamera(parameters=IDEAL) as other:
-        other.render(Scene(), np.zeros((4, 4)), np.random.default_rng(0))
+    with pytest.raises(RenderingError), MujocoCamera(parameters=IDEAL) as other:
+        other.render(RenderedScene(), np.zeros((4, 4)), np.random.default_rng(0))
     other.close()
     with pytest.raises(RendererError, match="closed"):
-        ideal(Scene(), view(0.3), other)
+        ideal(RenderedScene(), view(0.3), other)
     assert ideal(FACES, view(0.3), camera).color.max() > 100  # the other camera's context is its own
 
 
@@ -278,6 +278,6 @@ def test_the_detector_finds_what_it_draws(camera: MujocoCamera) -> None:
     with MujocoCamera() as noisy:
         for seed, away in enumerate((0.16, 0.25, 0.5)):
             pose = view(away, 0.3, 0.1, 0.2)
-            found = ElectrodeDetector().detect(noisy.render(Scene(), pose, np.random.default_rng(seed)))
+            found = ElectrodeDetector().detect(noisy.render(RenderedScene(), pose, np.random.default_rng(seed)))
             assert found is not None
             assert np.linalg.norm(found.position - pose[:3, 3]) < 0.002

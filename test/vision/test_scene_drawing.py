@@ -7,11 +7,11 @@ import itertools
 import numpy as np
 import pytest
 
-from deltacharger_vision.errors import SceneError
+from deltacharger_vision.errors import RenderingError
 from deltacharger_vision.mount import look_at
 from deltacharger_vision.rendering.camera import SimulatedCamera
 from deltacharger_vision.rendering.parameters import CameraParameters
-from deltacharger_vision.rendering.scene import Box, Scene, shifted
+from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts, cover, draw_decoy, draw_scene
 from deltacharger_vision.terminal import Terminal
 
@@ -20,7 +20,7 @@ from .views import view
 IDEAL = SimulatedCamera(parameters=CameraParameters.ideal())
 
 
-def image(scene: Scene, pose: np.ndarray) -> np.ndarray:
+def image(scene: RenderedScene, pose: np.ndarray) -> np.ndarray:
     return IDEAL.render(scene, pose, np.random.default_rng(0), color_only=True).color
 
 
@@ -89,24 +89,24 @@ def test_the_chargers_parts_hide_the_terminal_when_they_come_between() -> None:
     for z in (-0.2, 0.075):
         parts = charger_parts(mount, (0.0, 0.0, z))
         assert all(box.in_camera for box in parts)
-        bright.append((image(Scene(foreground=tuple(parts)), pose) > 180).sum())
+        bright.append((image(RenderedScene(foreground=tuple(parts)), pose) > 180).sum())
     assert bright[1] < 0.3 * bright[0]
 
 
 def test_what_cannot_be_is_refused() -> None:
-    with pytest.raises(SceneError):
+    with pytest.raises(RenderingError):
         cover(Terminal(), 1.2)
-    with pytest.raises(SceneError):
+    with pytest.raises(RenderingError):
         cover(Terminal(), float("nan"))
-    with pytest.raises(SceneError):
+    with pytest.raises(RenderingError):
         draw_scene(np.random.default_rng(0), clutter=-1)
-    with pytest.raises(SceneError):
-        Scene(light=(0.0, 0.0, 0.0))
-    with pytest.raises(SceneError):
+    with pytest.raises(RenderingError):
+        RenderedScene(light=(0.0, 0.0, 0.0))
+    with pytest.raises(RenderingError):
         Box(2 * np.eye(4), (0.1, 0.1, 0.1), (0.5, 0.5, 0.5))
-    with pytest.raises(SceneError):
+    with pytest.raises(RenderingError):
         Box(np.eye(4), (0.1, -0.1, 0.1), (0.5, 0.5, 0.5))
-    with pytest.raises(SceneError):
+    with pytest.raises(RenderingError):
         Box(np.eye(4), (0.1, 0.1, float("nan")), (0.5, 0.5, 0.5))
-    with pytest.raises(SceneError):
+    with pytest.raises(RenderingError):
         Box(np.eye(4), (0.1, 0.1, 0.1), (0.5, 0.5, 1.5))

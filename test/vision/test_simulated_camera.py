@@ -8,12 +8,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from deltacharger_vision.errors import SceneError
+from deltacharger_vision.errors import RenderingError
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.lens import undistort
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
-from deltacharger_vision.rendering.scene import Box, Scene, shifted
+from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import cover
 from deltacharger_vision.terminal import LOWER, UPPER, Terminal
 
@@ -22,7 +22,7 @@ from .views import DISTORTIONS, edge_errors, linear, shown, view
 IDEAL = CameraParameters.ideal()
 EVEN = SceneParameters.even()
 # Light from straight ahead alone leaves the bars' sides black: only the touched faces are bright.
-FACES = Scene(parameters=dataclasses.replace(EVEN, ambient=0.0, diffuse=0.9), light=(0.0, 0.0, -1.0))
+FACES = RenderedScene(parameters=dataclasses.replace(EVEN, ambient=0.0, diffuse=0.9), light=(0.0, 0.0, -1.0))
 VIEWS = [
     view(0.16),
     view(0.23, pitch=0.54),
@@ -32,7 +32,7 @@ VIEWS = [
 ]
 
 
-def rendered(scene: Scene, pose: np.ndarray, camera: SimulatedCamera | None = None, seed: int = 0) -> RgbdImage:
+def rendered(scene: RenderedScene, pose: np.ndarray, camera: SimulatedCamera | None = None, seed: int = 0) -> RgbdImage:
     return (camera or SimulatedCamera(parameters=IDEAL)).render(scene, pose, np.random.default_rng(seed))
 
 
@@ -50,7 +50,7 @@ def test_the_bars_edges_are_where_their_corners_project(distortion: tuple[float,
 @pytest.mark.parametrize("distortion", DISTORTIONS[:2])
 def test_depth_of_the_plate_is_where_the_ray_meets_it(distortion: tuple[float, ...], pose: np.ndarray) -> None:
     intrinsics = dataclasses.replace(OAK_D, distortion=distortion)
-    depth = rendered(Scene(), pose, SimulatedCamera(intrinsics, IDEAL)).depth
+    depth = rendered(RenderedScene(), pose, SimulatedCamera(intrinsics, IDEAL)).depth
     # Points of the plate, beside the bars; each is looked up in the pixel that it falls on.
     x, y = np.meshgrid(np.linspace(-0.095, 0.095, 60), np.linspace(-0.055, 0.055, 40))
     beside = (np.abs(x) > 0.05) | (np.abs(y) > 0.025)
@@ -71,8 +71,8 @@ def test_a_mirrored_scene_gives_the_mirrored_image() -> None:
     pose = view(0.35, 0.2, 0.3, 0.4, x=0.03)
     camera = SimulatedCamera(parameters=dataclasses.replace(IDEAL, occlusion=True, fattening=2))
     parameters = dataclasses.replace(SceneParameters(), streaks=0.0, mirrored=0.0, unevenness=0.0)
-    one = Scene(parameters=parameters, light=(0.3, 0.2, -1.0), foreground=(cover(Terminal(), 0.3, side=1),))
-    other = Scene(parameters=parameters, light=(-0.3, 0.2, -1.0), foreground=(cover(Terminal(), 0.3, side=-1),))
+    one = RenderedScene(parameters=parameters, light=(0.3, 0.2, -1.0), foreground=(cover(Terminal(), 0.3, side=1),))
+    other = RenderedScene(parameters=parameters, light=(-0.3, 0.2, -1.0), foreground=(cover(Terminal(), 0.3, side=-1),))
     image, twin = rendered(one, pose, camera), rendered(other, mirror @ pose @ mirror, camera)
     assert np.abs(image.color[:, ::-1].astype(int) - twin.color).max() <= 1
     differ = ~np.isclose(image.depth[:, ::-1], twin.depth, atol=1e-4, equal_nan=True)
@@ -103,7 +103,7 @@ def test_what_is_nearer_hides_what_is_behind_whatever_the_order() -> None:
     near = Box(shifted((0.0, 0.0, 0.3)), (0.05, 0.05, 0.02), (0.9, 0.0, 0.0), in_camera=True)
     far = Box(shifted((0.0, 0.0, 0.4)), (0.2, 0.2, 0.02), (0.0, 0.0, 0.9), in_camera=True)
     for boxes in ((near, far), (far, near)):
-        image = rendered(Scene(parameters=EVEN, foreground=boxes, target=False), view(1.0))
+        image = rendered(RenderedScene(parameters=EVEN, foreground=boxes, target=False), view(1.0))
         red, _, blue = image.color[200, 320].astype(int)
         assert red > blue
         assert image.depth[200, 320] == pytest.approx(0.29, abs=1e-6)
@@ -116,7 +116,7 @@ def test_a_wide_box_hides_nothing_that_stands_before_it() -> None:
     # The panel's centre is nearer to the camera than the item's.
     panel = Box(shifted((0.0, 0.0, 0.4)), (1.0, 0.5, 0.02), (0.0, 0.0, 0.9), in_camera=True)
     item = Box(shifted((0.2, 0.0, 0.35)), (0.05, 0.05, 0.02), (0.9, 0.0, 0.0), in_camera=True)
-    image = rendered(Scene(parameters=EVEN, foreground=(panel, item), target=False), view(1.0))
+    image = rendered(RenderedScene(parameters=EVEN, foreground=(panel, item), target=False), view(1.0))
     column = round(319.5 + 441.0 * 0.2 / 0.34)
     red, _, blue = image.color[200, column].astype(int)
     assert red > blue
@@ -125,7 +125,7 @@ def test_a_wide_box_hides_nothing_that_stands_before_it() -> None:
 
 def test_a_box_that_reaches_behind_the_camera_is_cut_by_nothing() -> None:
     beside = Box(shifted((0.125, 0.0, 0.0)), (0.15, 1.0, 0.2), (0.9, 0.0, 0.0), in_camera=True)
-    image = rendered(Scene(parameters=EVEN, foreground=(beside,), target=False), view(1.0))
+    image = rendered(RenderedScene(parameters=EVEN, foreground=(beside,), target=False), view(1.0))
     # Its inner wall begins at x = 50 mm, z = 100 mm, and passes out of the image nearer to the camera.
     edge = 319.5 + 441.0 * 0.5
     red = image.color[:, :, 0].astype(int) - image.color[:, :, 2] > 20
@@ -134,11 +134,11 @@ def test_a_box_that_reaches_behind_the_camera_is_cut_by_nothing() -> None:
 
 
 def test_what_is_out_of_sight_changes_nothing() -> None:
-    nothing = rendered(Scene(parameters=EVEN, target=False), view(0.5))
+    nothing = rendered(RenderedScene(parameters=EVEN, target=False), view(0.5))
     behind = Box(shifted((0.0, 0.0, -0.5)), (0.1, 0.1, 0.1), (0.9, 0.9, 0.9), in_camera=True)
     around = Box(shifted((0.0, 0.0, 0.0)), (0.1, 0.1, 0.1), (0.9, 0.9, 0.9), in_camera=True)
     aside = Box(shifted((5.0, 0.0, 0.5)), (0.1, 0.1, 0.1), (0.9, 0.9, 0.9), in_camera=True)
-    scene = Scene(parameters=EVEN, foreground=(behind, around, aside), target=False)
+    scene = RenderedScene(parameters=EVEN, foreground=(behind, around, aside), target=False)
     np.testing.assert_array_equal(rendered(scene, view(0.5)).color, nothing.color)
 
 
@@ -154,5 +154,5 @@ def test_the_sides_of_a_bar_are_seen_from_aside() -> None:
     [np.eye(3), np.zeros((4, 4)), 2 * np.eye(4), np.diag([-1.0, 1.0, 1.0, 1.0]), np.full((4, 4), np.nan)],
 )
 def test_a_pose_that_is_none_is_refused(pose: np.ndarray) -> None:
-    with pytest.raises(SceneError, match="camera_T_terminal"):
-        SimulatedCamera().render(Scene(), pose, np.random.default_rng(0))
+    with pytest.raises(RenderingError, match="camera_T_terminal"):
+        SimulatedCamera().render(RenderedScene(), pose, np.random.default_rng(0))

@@ -13,18 +13,18 @@ from deltacharger_core.parameters import ParameterError
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.rendering.camera import SimulatedCamera
 from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
-from deltacharger_vision.rendering.scene import Scene
+from deltacharger_vision.rendering.scene import RenderedScene
 
 from .views import linear, view
 
 IDEAL = CameraParameters.ideal()
 EVEN = SceneParameters.even()
-WALL = Scene(parameters=EVEN, target=False)
+WALL = RenderedScene(parameters=EVEN, target=False)
 DEFAULT = CameraParameters()
 PER_INVERSE = DEFAULT.stereo_focal * DEFAULT.baseline
 
 
-def rendered(scene: Scene, pose: np.ndarray, seed: int = 0, **changed: Any) -> RgbdImage:
+def rendered(scene: RenderedScene, pose: np.ndarray, seed: int = 0, **changed: Any) -> RgbdImage:
     parameters = dataclasses.replace(IDEAL, **changed)
     return SimulatedCamera(parameters=parameters).render(scene, pose, np.random.default_rng(seed))
 
@@ -35,7 +35,7 @@ def wall_at(distance: float) -> np.ndarray:
 
 def metal(pose: np.ndarray) -> np.ndarray:
     """Return (H, W) where the touched faces are, well inside."""
-    bright = linear(rendered(Scene(parameters=EVEN), pose).color) > 0.4
+    bright = linear(rendered(RenderedScene(parameters=EVEN), pose).color) > 0.4
     for axis in (0, 1):
         bright = bright & np.roll(bright, 1, axis) & np.roll(bright, -1, axis)
     return bright
@@ -43,7 +43,7 @@ def metal(pose: np.ndarray) -> np.ndarray:
 
 def test_one_seed_is_one_image_and_another_is_another() -> None:
     camera = SimulatedCamera()
-    first, again, other = (camera.render(Scene(), view(0.4), np.random.default_rng(seed)) for seed in (1, 1, 2))
+    first, again, other = (camera.render(RenderedScene(), view(0.4), np.random.default_rng(seed)) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first.color, again.color)
     np.testing.assert_array_equal(first.depth, again.depth)
     assert (first.color != other.color).mean() > 0.3
@@ -51,8 +51,8 @@ def test_one_seed_is_one_image_and_another_is_another() -> None:
 
 def test_colour_alone_is_the_same_colour_without_depth() -> None:
     camera = SimulatedCamera()
-    whole = camera.render(Scene(), view(0.4), np.random.default_rng(1))
-    alone = camera.render(Scene(), view(0.4), np.random.default_rng(1), color_only=True)
+    whole = camera.render(RenderedScene(), view(0.4), np.random.default_rng(1))
+    alone = camera.render(RenderedScene(), view(0.4), np.random.default_rng(1), color_only=True)
     np.testing.assert_array_equal(whole.color, alone.color)
     assert np.isnan(alone.depth).all()
     assert np.isfinite(whole.depth).mean() > 0.5
@@ -90,10 +90,10 @@ def test_depth_comes_in_whole_millimetres() -> None:
 def test_nothing_nearer_than_stereo_reaches_has_depth() -> None:
     assert pytest.approx(0.174, abs=1e-3) == DEFAULT.nearest
     near, far = view(DEFAULT.nearest - 0.008), view(DEFAULT.nearest + 0.002)
-    assert np.isnan(rendered(Scene(parameters=EVEN), near).depth[metal(near)]).all()
-    assert np.isfinite(rendered(Scene(parameters=EVEN), far).depth[metal(far)]).all()
-    assert np.isnan(rendered(Scene(parameters=EVEN), near, disparity_noise=5.0).depth[metal(near)]).all()
-    noisy = SimulatedCamera().render(Scene(), view(0.18, pitch=0.6), np.random.default_rng(3)).depth
+    assert np.isnan(rendered(RenderedScene(parameters=EVEN), near).depth[metal(near)]).all()
+    assert np.isfinite(rendered(RenderedScene(parameters=EVEN), far).depth[metal(far)]).all()
+    assert np.isnan(rendered(RenderedScene(parameters=EVEN), near, disparity_noise=5.0).depth[metal(near)]).all()
+    noisy = SimulatedCamera().render(RenderedScene(), view(0.18, pitch=0.6), np.random.default_rng(3)).depth
     assert 0.173 <= np.nanmin(noisy) < 0.18
 
 
@@ -104,9 +104,9 @@ def test_nothing_beyond_the_farthest_has_depth() -> None:
 
 def test_holes_are_on_metal_alone_and_as_many_as_asked() -> None:
     pose, shares = view(0.2), []
-    solid = rendered(Scene(parameters=EVEN), pose).depth < 0.2055
+    solid = rendered(RenderedScene(parameters=EVEN), pose).depth < 0.2055
     for seed in range(10):
-        lost = np.isnan(rendered(Scene(parameters=EVEN), pose, seed, hole_metal=0.4, hole_glare=0.4).depth)
+        lost = np.isnan(rendered(RenderedScene(parameters=EVEN), pose, seed, hole_metal=0.4, hole_glare=0.4).depth)
         assert not (lost & ~solid).any()
         shares.append(lost[metal(pose)].mean())
     assert np.mean(shares) == pytest.approx(0.4, abs=0.05)
@@ -117,7 +117,7 @@ def test_glare_is_bright_and_costs_depth() -> None:
     lit = dataclasses.replace(EVEN, highlight=1.5)
     # Ahead of the bars the light comes back to the camera; far aside it does not.
     for light, bright in (((0.0, 0.0, -1.0), True), ((3.0, 0.0, -1.0), False)):
-        image = rendered(Scene(parameters=lit, light=light), pose, hole_metal=0.0, hole_glare=0.9)
+        image = rendered(RenderedScene(parameters=lit, light=light), pose, hole_metal=0.0, hole_glare=0.9)
         inside = metal(pose)
         assert ((image.color[inside] == 255).mean() > 0.3) == bright
         assert (np.isnan(image.depth[inside]).mean() > 0.2) == bright
@@ -127,7 +127,7 @@ def test_brushed_metal_varies_along_and_across_its_brushing_apart() -> None:
     inside = metal(view(0.2))
     upper = np.s_[np.flatnonzero(inside.any(axis=1))[2:18], 260:380]
     for changed, steady, varying in (({"streaks": 0.1}, 1, 0), ({"mirrored": 0.1}, 0, 1)):
-        scene = Scene(parameters=dataclasses.replace(EVEN, **changed))
+        scene = RenderedScene(parameters=dataclasses.replace(EVEN, **changed))
         light = linear(rendered(scene, view(0.2)).color)[upper]
         assert light.std(axis=varying).mean() / light.mean() > 0.02
         assert light.std(axis=steady).mean() / light.mean() < 0.01
@@ -135,7 +135,7 @@ def test_brushed_metal_varies_along_and_across_its_brushing_apart() -> None:
 
 def test_each_side_of_the_plate_hides_the_wall_from_one_camera() -> None:
     pose = view(0.35)
-    lost = np.isnan(rendered(Scene(parameters=EVEN), pose, occlusion=True).depth[140])
+    lost = np.isnan(rendered(RenderedScene(parameters=EVEN), pose, occlusion=True).depth[140])
     plate, wall = 0.35 + 0.006, 0.35 + EVEN.wall_distance
     half = 0.5 * PER_INVERSE * (1 / plate - 1 / wall)
     outside = 0.5 * PER_INVERSE / wall
@@ -145,7 +145,7 @@ def test_each_side_of_the_plate_hides_the_wall_from_one_camera() -> None:
 
 def test_what_is_near_grows_over_what_is_far() -> None:
     pose = view(0.35)
-    plain, grown = (rendered(Scene(parameters=EVEN), pose, fattening=reach).depth < 0.4 for reach in (0, 2))
+    plain, grown = (rendered(RenderedScene(parameters=EVEN), pose, fattening=reach).depth < 0.4 for reach in (0, 2))
     assert (grown.any(axis=0).sum(), grown.any(axis=1).sum()) == (
         plain.any(axis=0).sum() + 4,
         plain.any(axis=1).sum() + 4,
@@ -160,15 +160,15 @@ def test_a_slope_does_not_grow() -> None:
 
 @pytest.mark.parametrize("exposure", [0.5, 1.0, 2.5])
 def test_light_is_kept_until_it_saturates(exposure: float) -> None:
-    once = linear(rendered(Scene(parameters=EVEN), view(0.3)).color)
-    given = linear(rendered(Scene(parameters=EVEN), view(0.3), exposure=exposure).color)
+    once = linear(rendered(RenderedScene(parameters=EVEN), view(0.3)).color)
+    given = linear(rendered(RenderedScene(parameters=EVEN), view(0.3), exposure=exposure).color)
     np.testing.assert_allclose(given, np.minimum(exposure * once, 1.0), atol=0.02)
 
 
 def test_metal_saturates_when_over_exposed() -> None:
     inside = metal(view(0.3))
-    assert (rendered(Scene(), view(0.3), exposure=2.5).color[inside] == 255).mean() > 0.5
-    assert (rendered(Scene(), view(0.3), exposure=1.0).color[inside] == 255).mean() < 0.1
+    assert (rendered(RenderedScene(), view(0.3), exposure=2.5).color[inside] == 255).mean() > 0.5
+    assert (rendered(RenderedScene(), view(0.3), exposure=1.0).color[inside] == 255).mean() < 0.1
 
 
 def test_colour_noise_is_shot_noise_and_read_noise() -> None:
@@ -183,8 +183,8 @@ def test_colour_noise_is_shot_noise_and_read_noise() -> None:
 
 @pytest.mark.parametrize(("x", "y"), [(9.0, 0.0), (0.0, 9.0), (-9.0, 0.0)])
 def test_motion_spreads_edges_along_itself_alone(x: float, y: float) -> None:
-    light = linear(rendered(Scene(parameters=EVEN), view(0.3), motion_x=x, motion_y=y).color)
-    still = linear(rendered(Scene(parameters=EVEN), view(0.3)).color)
+    light = linear(rendered(RenderedScene(parameters=EVEN), view(0.3), motion_x=x, motion_y=y).color)
+    still = linear(rendered(RenderedScene(parameters=EVEN), view(0.3)).color)
     assert light.mean() == pytest.approx(still.mean(), rel=0.01)
     across, down = (
         np.abs(np.diff(light, axis=axis)).max() / np.abs(np.diff(still, axis=axis)).max() for axis in (1, 0)
@@ -196,7 +196,7 @@ def test_motion_spreads_edges_along_itself_alone(x: float, y: float) -> None:
 
 def test_defocus_is_a_gaussian() -> None:
     # Across the plate's edge the light becomes its integral: a fifth to four fifths within 2 · 0.8416 σ.
-    light = linear(rendered(Scene(parameters=EVEN), view(0.3), defocus=4.0).color)[150, :320]
+    light = linear(rendered(RenderedScene(parameters=EVEN), view(0.3), defocus=4.0).color)[150, :320]
     low, high = light.min(), light.max()
     within = (light > low + 0.2 * (high - low)) & (light < low + 0.8 * (high - low))
     assert within.sum() == pytest.approx(2 * 0.8416 * 4.0, abs=1.0)

@@ -13,7 +13,7 @@ _FEWEST = 20
 
 
 @dataclass(frozen=True)
-class Part:
+class CampaignPart:
     """One campaign.
 
     Attributes:
@@ -34,7 +34,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Plan:
+class DockingPlan:
     """One report.
 
     Attributes:
@@ -44,33 +44,35 @@ class Plan:
         quick: whether it is for a first look.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[CampaignPart, ...]
     chosen: tuple[str, ...]
     seed: int
     quick: bool
 
 
 PARTS = (
-    Part("random", "random", 20_000, "everything at once, rolls up to 20°"),
-    Part("upright", "upright", 4_000, "the same, rolls up to 7°"),
-    Part("edge", "edge", 20_000, "the same, rolls of 8–11°"),
-    Part("zero", "zero", 2_000, "rolls within 1° of the one without clearance at the first contact"),
-    Part("soft", "soft", 2_000, "no magnets, electrodes of 1e3 N/m, rolls up to 20°"),
-    Part("seen", "seen", 2_000, "`random`, but the camera sees the roll"),
-    Part("tilted", "tilted", 2_000, "`upright`, faces tilted by up to 1° out of the electrodes' plane"),
-    Part("fixed", "fixed", 160, "the committed list: corners of every range, and what must be refused"),
-    Part("tails", "edge_tails", 2_000, "`edge`, errors of Student's t with 3 degrees of freedom, as wide as σ"),
-    Part("gaussian", "edge_gaussian", 2_000, "`edge`, normal errors exactly as wide as σ: the measure of `tails`"),
-    Part("understated", "edge_understated", 2_000, "`edge`, σ told 1.5 times too small"),
-    Part("biased", "edge_biased", 2_000, "`edge`, estimates 0.5 mm off in both axes"),
-    Part("paper", "random", 2_000, "the paper's constant steps, our estimate", "paper"),
-    Part("classes", "paper_classes", 2_000, "guarded steps, the paper's classes in place of our estimate"),
-    Part("published", "paper_classes", 2_000, "the paper's steps and classes", "paper"),
-    Part("exact", "random", 200, "`random`, every tick and frame computed as the nodes do", exact=True),
+    CampaignPart("random", "random", 20_000, "everything at once, rolls up to 20°"),
+    CampaignPart("upright", "upright", 4_000, "the same, rolls up to 7°"),
+    CampaignPart("edge", "edge", 20_000, "the same, rolls of 8–11°"),
+    CampaignPart("zero", "zero", 2_000, "rolls within 1° of the one without clearance at the first contact"),
+    CampaignPart("soft", "soft", 2_000, "no magnets, electrodes of 1e3 N/m, rolls up to 20°"),
+    CampaignPart("seen", "seen", 2_000, "`random`, but the camera sees the roll"),
+    CampaignPart("tilted", "tilted", 2_000, "`upright`, faces tilted by up to 1° out of the electrodes' plane"),
+    CampaignPart("fixed", "fixed", 160, "the committed list: corners of every range, and what must be refused"),
+    CampaignPart("tails", "edge_tails", 2_000, "`edge`, errors of Student's t with 3 degrees of freedom, as wide as σ"),
+    CampaignPart(
+        "gaussian", "edge_gaussian", 2_000, "`edge`, normal errors exactly as wide as σ: the measure of `tails`"
+    ),
+    CampaignPart("understated", "edge_understated", 2_000, "`edge`, σ told 1.5 times too small"),
+    CampaignPart("biased", "edge_biased", 2_000, "`edge`, estimates 0.5 mm off in both axes"),
+    CampaignPart("paper", "random", 2_000, "the paper's constant steps, our estimate", "paper"),
+    CampaignPart("classes", "paper_classes", 2_000, "guarded steps, the paper's classes in place of our estimate"),
+    CampaignPart("published", "paper_classes", 2_000, "the paper's steps and classes", "paper"),
+    CampaignPart("exact", "random", 200, "`random`, every tick and frame computed as the nodes do", exact=True),
 )
 
 
-def make_plan(quick: bool = False, only: Sequence[str] = (), n: int | None = None, seed: int = SEED) -> Plan:
+def make_plan(quick: bool = False, only: Sequence[str] = (), n: int | None = None, seed: int = SEED) -> DockingPlan:
     """Return the report that is committed, or a part of it.
 
     Args:
@@ -93,4 +95,4 @@ def make_plan(quick: bool = False, only: Sequence[str] = (), n: int | None = Non
         if n is not None and part.name in chosen:
             count = n
         parts.append(replace(part, count=count))
-    return Plan(tuple(parts), chosen, seed, quick)
+    return DockingPlan(tuple(parts), chosen, seed, quick)

@@ -16,11 +16,11 @@ from deltacharger_lab.campaigns.compare import compare_campaigns
 from deltacharger_lab.campaigns.docking import columns as docking_columns
 from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
-from deltacharger_lab.campaigns.settings import Settings, scene_of, versions_of
+from deltacharger_lab.campaigns.settings import CampaignSettings, scene_of, versions_of
 from deltacharger_lab.campaigns.store import Store, read_results, read_settings
 from deltacharger_lab.reports.docking import page, summary
 from deltacharger_lab.reports.docking.pictures import jobs, without
-from deltacharger_lab.reports.docking.plan import Part, Plan
+from deltacharger_lab.reports.docking.plan import CampaignPart, DockingPlan
 from deltacharger_lab.reports.report import Report
 
 PAGE, FIGURES, CAMPAIGNS = "docking.md", "docking.json", "campaigns"
@@ -31,10 +31,10 @@ Told = Callable[[Sequence[dict[str, Any]]], None]
 
 
 def run(
-    plan: Plan,
+    plan: DockingPlan,
     directory: Path,
     workers: int,
-    progress: Callable[[Part, int, int], Told],
+    progress: Callable[[CampaignPart, int, int], Told],
     stop: Callable[[], bool],
     tell: Callable[[str], None],
 ) -> bool:
@@ -72,7 +72,7 @@ def run(
     return True
 
 
-def _settings(part: Part, seed: int, folder: Path) -> Settings:
+def _settings(part: CampaignPart, seed: int, folder: Path) -> CampaignSettings:
     """Return the settings of a campaign, with as many dockings as are wanted or were wanted before."""
     scene = load_campaign_scene(part.scene)
     count = part.count
@@ -80,10 +80,12 @@ def _settings(part: Part, seed: int, folder: Path) -> Settings:
         count = max(count, read_settings(folder).n)
     if scene.dockings:
         count = min(count, len(scene.dockings))
-    return Settings(count, seed, part.approach, part.exact, scene.content, scene.name, versions_of(scene.content))
+    return CampaignSettings(
+        count, seed, part.approach, part.exact, scene.content, scene.name, versions_of(scene.content)
+    )
 
 
-def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
+def build(plan: DockingPlan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
     """Write page, figures and pictures of all campaigns that are there, complete or not, and return the figures.
 
     Raises:

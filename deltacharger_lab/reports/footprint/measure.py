@@ -13,7 +13,7 @@ from rclpy.context import Context
 
 from deltacharger_lab.reports.footprint import process
 from deltacharger_lab.reports.footprint.client import TOPICS, Watcher
-from deltacharger_lab.reports.footprint.plan import Plan, electrodes
+from deltacharger_lab.reports.footprint.plan import FootprintPlan, electrodes
 from deltacharger_lab.reports.footprint.start import COMMAND, ONE, CannotRun, Started, charger, hardware
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.outcomes import Outcome
@@ -24,7 +24,7 @@ _POLL = 0.02  # s
 _MEGA = 1e6  # bytes
 
 
-def measure(scene: Scene, way: str, plan: Plan, context: Context, folder: Path) -> dict[str, Any]:
+def measure(scene: Scene, way: str, plan: FootprintPlan, context: Context, folder: Path) -> dict[str, Any]:
     """Return what a scene uses.
 
     Args:
@@ -89,7 +89,7 @@ def _rest(watcher: Watcher, started: Started, seconds: float) -> dict[str, Any]:
     }
 
 
-def _docking(watcher: Watcher, scene: Scene, started: Started, plan: Plan) -> dict[str, Any]:
+def _docking(watcher: Watcher, scene: Scene, started: Started, plan: FootprintPlan) -> dict[str, Any]:
     before, begin, counting = _use(started), time.monotonic(), watcher.count()
     outcome = watcher.dock(electrodes(scene), plan.docking_limit_s)
     if not isinstance(outcome, Outcome):

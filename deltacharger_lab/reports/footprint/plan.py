@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from deltacharger_lab.reports.footprint.start import WAYS
 from deltacharger_ros.outcomes import Pose
-from deltacharger_scenes.scene import Goal, Scene, SceneError, load_scene, packaged_scenes
+from deltacharger_scenes.scene import Scene, SceneError, SceneGoal, load_scene, packaged_scenes
 
 _NEEDS = {
     "camera_node": ("replay", "an OAK-D camera"),
@@ -18,7 +18,7 @@ _NEEDS = {
 
 
 @dataclass(frozen=True)
-class Plan:
+class FootprintPlan:
     """One report.
 
     Attributes:
@@ -42,7 +42,7 @@ class Plan:
     quick: bool = False
 
 
-def make_plan(names: Sequence[str] = (), quick: bool = False, repeats: int | None = None) -> Plan:
+def make_plan(names: Sequence[str] = (), quick: bool = False, repeats: int | None = None) -> FootprintPlan:
     """Return what to measure.
 
     Args:
@@ -68,8 +68,8 @@ def make_plan(names: Sequence[str] = (), quick: bool = False, repeats: int | Non
         else:
             scenes[scene.name] = scene
     if quick:
-        return Plan(scenes, left_out, repeats=repeats or 1, settle_s=1.0, rest_s=3.0, quick=True)
-    return Plan(scenes, left_out, repeats=repeats or 3)
+        return FootprintPlan(scenes, left_out, repeats=repeats or 1, settle_s=1.0, rest_s=3.0, quick=True)
+    return FootprintPlan(scenes, left_out, repeats=repeats or 3)
 
 
 def missing(scene: Scene) -> str:
@@ -85,5 +85,5 @@ def electrodes(scene: Scene) -> Pose | None:
 
     A scene on hardware gets the emulated target of the scene `simulated`, where its goal says.
     """
-    goal: Goal | None = load_scene("simulated").goal if scene.touches_hardware else scene.goal
+    goal: SceneGoal | None = load_scene("simulated").goal if scene.touches_hardware else scene.goal
     return None if goal is None else Pose(goal.x, goal.y, goal.z, goal.roll)

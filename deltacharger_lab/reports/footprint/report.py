@@ -15,7 +15,7 @@ from typing import Any
 from rclpy.context import Context
 
 from deltacharger_lab.reports.footprint.measure import measure
-from deltacharger_lab.reports.footprint.plan import Plan
+from deltacharger_lab.reports.footprint.plan import FootprintPlan
 from deltacharger_lab.reports.footprint.process import LIBRARIES
 from deltacharger_lab.reports.footprint.start import ONE, CannotRun
 from deltacharger_lab.reports.report import Report
@@ -27,7 +27,7 @@ NEVER = ("torch", "sklearn", "cv2", "depthai", "mujoco", "matplotlib")  # in the
 
 
 def build(
-    plan: Plan, context: Context, directory: Path, command: str, progress: Callable[[str], None]
+    plan: FootprintPlan, context: Context, directory: Path, command: str, progress: Callable[[str], None]
 ) -> dict[str, Any]:
     """Measure, write page and figures into `directory`, and return the figures.
 
@@ -52,7 +52,7 @@ def build(
 
 
 def _measure(
-    plan: Plan, context: Context, left_out: dict[str, str], progress: Callable[[str], None]
+    plan: FootprintPlan, context: Context, left_out: dict[str, str], progress: Callable[[str], None]
 ) -> list[dict[str, Any]]:
     """Return one row for each scene and way; what does not run is added to `left_out`."""
     runs: dict[tuple[str, str], list[dict[str, Any]]] = {(name, way): [] for name in plan.scenes for way in plan.ways}

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_kinematics import Delta, DeltaGeometry, KinematicsError, Status
-from deltacharger_lab.reports.kinematics.measure import Plan
+from deltacharger_lab.reports.kinematics.measure import KinematicsPlan
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 from deltacharger_lab.reports.kinematics.sets import near_type_2
 
@@ -53,7 +53,7 @@ class Case:
     either: bool = False
 
 
-def inverse_cases(plan: Plan) -> list[Case]:
+def inverse_cases(plan: KinematicsPlan) -> list[Case]:
     """Return the points that have broken inverse kinematics of others, or could."""
     above = math.nextafter
     near_singular = near_type_2(DeltaGeometry(), plan.generator(9), 16).points
@@ -104,7 +104,7 @@ def forward_cases() -> list[Case]:
     ]
 
 
-def run_cases(plan: Plan) -> list[dict[str, Any]]:
+def run_cases(plan: KinematicsPlan) -> list[dict[str, Any]]:
     """Return for each case what came back, its error, and whether it is what must come back."""
     rows = [_guarded(_inverse_row, case) for case in inverse_cases(plan)]
     rows += [_guarded(_forward_row, case) for case in forward_cases()]

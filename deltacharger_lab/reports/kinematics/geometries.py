@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from deltacharger_kinematics import Delta, DeltaGeometry, Status
 from deltacharger_kinematics.geometry import LimbAdjustment
-from deltacharger_lab.reports.kinematics.measure import Plan
+from deltacharger_lab.reports.kinematics.measure import KinematicsPlan
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 from deltacharger_lab.reports.kinematics.sets import assembled, boundary, outside
 
@@ -72,13 +72,13 @@ def _signs(mode: tuple[int, ...]) -> str:
     return " ".join("+" if sign > 0 else "−" for sign in mode)
 
 
-def measure_robots(plan: Plan) -> list[dict[str, Any]]:
+def measure_robots(plan: KinematicsPlan) -> list[dict[str, Any]]:
     """Return errors, decisions and round trips of each robot, where random arm angles lead and at the edge of reach."""
     count = max(_FEWEST, min(plan.points // 20, 300))
     return [_measure(robot, plan, stream, count) for stream, robot in enumerate(robots(), 100)]
 
 
-def _measure(robot: Robot, plan: Plan, stream: int, count: int) -> dict[str, Any]:
+def _measure(robot: Robot, plan: KinematicsPlan, stream: int, count: int) -> dict[str, Any]:
     delta = Delta(robot.geometry, working_mode=robot.working_mode, assembly=robot.assembly)
     exact = ExactDelta(robot.geometry, robot.working_mode, robot.assembly)
     rng = plan.generator(stream)

@@ -23,7 +23,7 @@ DECADES = range(-17, -3)
 
 
 @dataclass(frozen=True)
-class Plan:
+class KinematicsPlan:
     """How much is measured.
 
     Attributes:
@@ -50,22 +50,22 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Sample:
+class ErrorSample:
     """A set with its exact angles."""
 
     points: PointSet
     exact: ExactInverse
 
-    def first(self, count: int) -> Sample:
+    def first(self, count: int) -> ErrorSample:
         """Return the first `count` points with their angles."""
         inverse = self.exact
         cut = [Exact(each.high[:count], each.low[:count]) for each in (inverse.angles, inverse.other)]
         edge = None if self.points.edge is None else self.points.edge[:count]
         chosen = PointSet(self.points.name, self.points.about, self.points.points[:count], edge)
-        return Sample(chosen, ExactInverse(*cut))
+        return ErrorSample(chosen, ExactInverse(*cut))
 
 
-def inverse_samples(exact: ExactDelta, plan: Plan) -> list[Sample]:
+def inverse_samples(exact: ExactDelta, plan: KinematicsPlan) -> list[ErrorSample]:
     """Return the sets on which inverse kinematics is measured."""
     geometry = exact.geometry
     drawn = [
@@ -75,10 +75,10 @@ def inverse_samples(exact: ExactDelta, plan: Plan) -> list[Sample]:
         sets.near_type_2(geometry, plan.generator(4), plan.points),
         sets.wide(geometry, plan.generator(5), plan.points),
     ]
-    return [Sample(each, exact.inverse(each.points)) for each in drawn]
+    return [ErrorSample(each, exact.inverse(each.points)) for each in drawn]
 
 
-def describe(samples: Sequence[PointSet], plan: Plan, peer_points: int) -> list[dict[str, Any]]:
+def describe(samples: Sequence[PointSet], plan: KinematicsPlan, peer_points: int) -> list[dict[str, Any]]:
     """Return name, origin, counts and seed of sets."""
     return [
         {
@@ -92,7 +92,7 @@ def describe(samples: Sequence[PointSet], plan: Plan, peer_points: int) -> list[
     ]
 
 
-def pose_errors(sample: Sample, angles: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+def pose_errors(sample: ErrorSample, angles: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Return per pose: error (n,) rad of its worst angle, no answer (n,), wrong knee (n,)."""
     error, to_other = sample.exact.angles.angle_error(angles), sample.exact.other.angle_error(angles)
     apart = sample.exact.angles.angle_error(sample.exact.other.high)
@@ -103,7 +103,7 @@ def pose_errors(sample: Sample, angles: Array) -> tuple[Array, NDArray[np.bool_]
 
 
 def inverse_accuracy(
-    solvers: Sequence[Solver], samples: Sequence[Sample], geometry: DeltaGeometry, plan: Plan
+    solvers: Sequence[Solver], samples: Sequence[ErrorSample], geometry: DeltaGeometry, plan: KinematicsPlan
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return for each solver and set: median and maximum error, shares without an answer and on the wrong knee."""
     found: dict[str, dict[str, dict[str, float]]] = {}
@@ -123,7 +123,7 @@ def inverse_accuracy(
 
 
 def edge_curve(
-    solvers: Sequence[Solver], sample: Sample, geometry: DeltaGeometry, plan: Plan
+    solvers: Sequence[Solver], sample: ErrorSample, geometry: DeltaGeometry, plan: KinematicsPlan
 ) -> dict[str, list[float | None]]:
     """Return the largest error per decade of distance to the edge of reach, from 1e-17 m up; None = no answer there."""
     curves: dict[str, list[float | None]] = {}
@@ -137,7 +137,7 @@ def edge_curve(
 
 
 def reach_decisions(
-    solvers: Sequence[Solver], exact: ExactDelta, inside: Sample, plan: Plan
+    solvers: Sequence[Solver], exact: ExactDelta, inside: ErrorSample, plan: KinematicsPlan
 ) -> tuple[list[PointSet], dict[str, dict[str, int]]]:
     """Return the sets, outside and inside reach, and for each solver how many points it puts on the other side."""
     geometry = exact.geometry
@@ -159,7 +159,7 @@ def reach_decisions(
 
 
 def forward_accuracy(
-    solvers: Sequence[Solver], exact: ExactDelta, samples: Sequence[Sample], plan: Plan
+    solvers: Sequence[Solver], exact: ExactDelta, samples: Sequence[ErrorSample], plan: KinematicsPlan
 ) -> dict[str, dict[str, dict[str, float]]]:
     """Return for each solver and set: median and maximum error in m, shares without an answer and mirrored."""
     mirror = ExactDelta(exact.geometry, exact.working_mode, -exact.assembly)
@@ -188,7 +188,7 @@ def forward_accuracy(
     return found
 
 
-def round_trips(geometry: DeltaGeometry, plan: Plan) -> dict[str, dict[str, float]]:
+def round_trips(geometry: DeltaGeometry, plan: KinematicsPlan) -> dict[str, dict[str, float]]:
     """Return |FK(IK(p)) − p| in m over the workspace box, plain and precise."""
     delta = Delta(geometry)
     points = sets.interior(geometry, plan.generator(8), plan.round_trips).points

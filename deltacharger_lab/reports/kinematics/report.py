@@ -12,7 +12,7 @@ from deltacharger_kinematics import DeltaGeometry
 from deltacharger_lab.reports.kinematics import measure, page, speed
 from deltacharger_lab.reports.kinematics.extremes import run_cases
 from deltacharger_lab.reports.kinematics.geometries import measure_robots
-from deltacharger_lab.reports.kinematics.measure import Plan, Sample
+from deltacharger_lab.reports.kinematics.measure import ErrorSample, KinematicsPlan
 from deltacharger_lab.reports.kinematics.peers import load
 from deltacharger_lab.reports.kinematics.pictures import jobs
 from deltacharger_lab.reports.kinematics.reference import DIGITS, ExactDelta
@@ -28,18 +28,18 @@ _LIBRARIES = ("numpy", "mpmath", "scipy", "casadi", "pin", "matplotlib")
 DEFAULT_POINTS, QUICK_POINTS = 5_000, 200
 
 
-def full_plan(points: int, seed: int) -> Plan:
+def full_plan(points: int, seed: int) -> KinematicsPlan:
     """Return what the report measures by default."""
     sizes = (1, 10, 100, 1_000, 10_000, 100_000, 1_000_000)
-    return Plan(points, min(points, 1_000), 100_000, seed, sizes, Stopwatch(), 400)
+    return KinematicsPlan(points, min(points, 1_000), 100_000, seed, sizes, Stopwatch(), 400)
 
 
-def quick_plan(points: int, seed: int) -> Plan:
+def quick_plan(points: int, seed: int) -> KinematicsPlan:
     """Return what a quick look and the tests measure."""
-    return Plan(points, min(points, 60), 10_000, seed, (1, 100, 10_000), Stopwatch(3, 0.004), 60)
+    return KinematicsPlan(points, min(points, 60), 10_000, seed, (1, 100, 10_000), Stopwatch(3, 0.004), 60)
 
 
-def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
+def build(plan: KinematicsPlan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
     """Measure, write page, figures and pictures into `directory` and return the figures.
 
     Raises:
@@ -78,9 +78,9 @@ def _measure_errors(
     results: dict[str, Any],
     inverse: Sequence[Solver],
     forward: Sequence[Solver],
-    samples: Sequence[Sample],
+    samples: Sequence[ErrorSample],
     exact: ExactDelta,
-    plan: Plan,
+    plan: KinematicsPlan,
     progress: Callable[[str], None],
 ) -> None:
     geometry = exact.geometry
@@ -104,9 +104,9 @@ def _measure_speed(
     results: dict[str, Any],
     inverse: Sequence[Solver],
     forward: Sequence[Solver],
-    samples: Sequence[Sample],
+    samples: Sequence[ErrorSample],
     geometry: DeltaGeometry,
-    plan: Plan,
+    plan: KinematicsPlan,
     progress: Callable[[str], None],
 ) -> None:
     progress("run times")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_lab.reports.kinematics.forms import INVERSE_FORMS, inverse_array
-from deltacharger_lab.reports.kinematics.measure import Plan
+from deltacharger_lab.reports.kinematics.measure import KinematicsPlan
 from deltacharger_lab.reports.kinematics.solvers import ARRAY, SCALAR, Solver
 from deltacharger_lab.reports.kinematics.timing import Cost
 
@@ -22,7 +22,7 @@ _SLOW_LIMIT = 100_000  # larger arrays are timed only where a point costs little
 NEAR_EDGE = "Delta.inverse, all points near the edge"
 
 
-def solver_costs(solvers: Sequence[Solver], triples: Array, plan: Plan) -> dict[str, dict[str, float | None]]:
+def solver_costs(solvers: Sequence[Solver], triples: Array, plan: KinematicsPlan) -> dict[str, dict[str, float | None]]:
     """Return µs per triple for each solver: in an array of BATCH, and one call at a time; None = no such call."""
     batch = _tiled(triples, BATCH)
     found: dict[str, dict[str, float | None]] = {}
@@ -38,7 +38,7 @@ def solver_costs(solvers: Sequence[Solver], triples: Array, plan: Plan) -> dict[
     return found
 
 
-def ratios(solvers: Sequence[Solver], triples: Array, plan: Plan) -> dict[str, dict[str, float | None]]:
+def ratios(solvers: Sequence[Solver], triples: Array, plan: KinematicsPlan) -> dict[str, dict[str, float | None]]:
     """Return how many times as long as ours each peer takes, one call at a time and in arrays; None = no such call.
 
     Both are timed in turns, so that a slower or faster spell of the machine meets them alike.
@@ -58,7 +58,9 @@ def ratios(solvers: Sequence[Solver], triples: Array, plan: Plan) -> dict[str, d
     return found
 
 
-def throughput(geometry: DeltaGeometry, interior: Array, near_edge: Array, plan: Plan) -> dict[str, dict[str, float]]:
+def throughput(
+    geometry: DeltaGeometry, interior: Array, near_edge: Array, plan: KinematicsPlan
+) -> dict[str, dict[str, float]]:
     """Return poses per second by the size of the array, for the full solve with status and margin and for parts."""
     delta, plain = Delta(geometry), INVERSE_FORMS["single atan2"]
     calls: dict[str, tuple[Callable[[Array], object], Array, int]] = {
@@ -79,7 +81,7 @@ def throughput(geometry: DeltaGeometry, interior: Array, near_edge: Array, plan:
     return found
 
 
-def function_costs(geometry: DeltaGeometry, interior: Array, plan: Plan) -> dict[str, dict[str, float]]:
+def function_costs(geometry: DeltaGeometry, interior: Array, plan: KinematicsPlan) -> dict[str, dict[str, float]]:
     """Return µs per point of the library's functions: plain floats, Delta with one point, Delta with an array."""
     delta, scalar = Delta(geometry), ScalarDelta(geometry)
     batch = _tiled(interior, BATCH)

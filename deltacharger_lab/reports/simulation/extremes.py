@@ -33,7 +33,7 @@ Verdict = tuple[bool, str]
 
 
 @dataclass(frozen=True)
-class Scene:
+class ExtremeScene:
     """One extreme.
 
     Attributes:
@@ -214,18 +214,18 @@ _SNAPPY = WorldParameters(magnets=MagnetParameters(force=300.0, range=0.0002), t
 _BEYOND = "all joints to and beyond their limits, nearly singular"
 _ASIDE = (0.02, 0.01, 0.08)
 SCENES = (
-    Scene("base tilted by 30°", _WEIGHT, _LEANING, _carries(_ASIDE)),
-    Scene("no gravity", "at rest no torque", _hung(gravity_y=0.0), _carries(_ASIDE)),
-    Scene("gravity reversed", "sags the other way by as much", _hung(gravity_y=-GRAVITY[1]), _mirrored),
-    Scene("20 mm beyond the target at full speed", "comes to rest", world(), _impact),
-    Scene("the same on 1e9 N/m", "comes to rest", world(1e9), _impact),
-    Scene("the same on 1e3 N/m", "comes to rest", world(1e3), _impact),
-    Scene("no friction anywhere, pushed sideways", "rests without lateral force", _ICE, _no_side),
-    Scene("friction of 10, pushed sideways", "holds", _STICKY, _slides(-0.001, 0.02)),
-    Scene("contact at a corner of the workspace", "servos and contact press alike", _AT_CORNER, _corner),
-    Scene(_BEYOND, "ends at the stops", WorldParameters(target=_FREE), _edges),
-    Scene("one servo without power while docked", "stays docked", world(), _one_limp),
-    Scene("goals that are NaN and infinite", "nothing moves", world(), _not_a_number),
-    Scene("current bound NaN", "no current", world(), _no_bound),
-    Scene("magnets of 300 N that reach 0.2 mm", "snaps and rests", _SNAPPY, _snaps),
+    ExtremeScene("base tilted by 30°", _WEIGHT, _LEANING, _carries(_ASIDE)),
+    ExtremeScene("no gravity", "at rest no torque", _hung(gravity_y=0.0), _carries(_ASIDE)),
+    ExtremeScene("gravity reversed", "sags the other way by as much", _hung(gravity_y=-GRAVITY[1]), _mirrored),
+    ExtremeScene("20 mm beyond the target at full speed", "comes to rest", world(), _impact),
+    ExtremeScene("the same on 1e9 N/m", "comes to rest", world(1e9), _impact),
+    ExtremeScene("the same on 1e3 N/m", "comes to rest", world(1e3), _impact),
+    ExtremeScene("no friction anywhere, pushed sideways", "rests without lateral force", _ICE, _no_side),
+    ExtremeScene("friction of 10, pushed sideways", "holds", _STICKY, _slides(-0.001, 0.02)),
+    ExtremeScene("contact at a corner of the workspace", "servos and contact press alike", _AT_CORNER, _corner),
+    ExtremeScene(_BEYOND, "ends at the stops", WorldParameters(target=_FREE), _edges),
+    ExtremeScene("one servo without power while docked", "stays docked", world(), _one_limp),
+    ExtremeScene("goals that are NaN and infinite", "nothing moves", world(), _not_a_number),
+    ExtremeScene("current bound NaN", "no current", world(), _no_bound),
+    ExtremeScene("magnets of 300 N that reach 0.2 mm", "snaps and rests", _SNAPPY, _snaps),
 )

@@ -11,7 +11,7 @@ import warnings
 from typing import Any
 
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_lab.reports.simulation.plan import MUJOCO, Plan
+from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan
 from deltacharger_lab.reports.simulation.scenes import LIGHT, Arm, Model, docking, rms, settled_exactly, world
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.proven import UnprovenWarning
@@ -55,7 +55,7 @@ def errors(name: str, step: float, exact: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def times(plan: Plan, names: tuple[str, ...]) -> list[dict[str, Any]]:
+def times(plan: SimulationPlan, names: tuple[str, ...]) -> list[dict[str, Any]]:
     """Return how many times faster than real time each model is, in motion and in all; the fastest of the repeats."""
     rows = []
     for name, step in itertools.product(names, plan.steps):
@@ -70,7 +70,7 @@ def times(plan: Plan, names: tuple[str, ...]) -> list[dict[str, Any]]:
     return rows
 
 
-def convergence(plan: Plan) -> dict[str, Any]:
+def convergence(plan: SimulationPlan) -> dict[str, Any]:
     """Return how the light model's error falls with its step: a swing in free air, and the docking without friction.
 
     The slope of log(error) over log(step) by least squares is the order; the implicit Euler rule has 1.
@@ -160,7 +160,7 @@ def whole_docking(name: str, step: float, number: int, parameters: WorldParamete
     }
 
 
-def docking_cases(plan: Plan, names: tuple[str, ...]) -> list[tuple[str, float, int]]:
+def docking_cases(plan: SimulationPlan, names: tuple[str, ...]) -> list[tuple[str, float, int]]:
     """Return (model, step, docking) of every whole docking: the light model at all steps, MuJoCo in steps of 1 ms."""
     cases = [(LIGHT, step, number) for step in plan.docking_steps for number in plan.dockings]
     if MUJOCO in names:

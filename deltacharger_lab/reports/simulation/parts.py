@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_lab.reports.simulation.models import whole_docking
-from deltacharger_lab.reports.simulation.plan import Plan
+from deltacharger_lab.reports.simulation.plan import SimulationPlan
 from deltacharger_lab.reports.simulation.scenes import LIGHT, Arm
 from deltacharger_sim.parameters import (
     CircuitParameters,
@@ -43,7 +43,7 @@ PARTS: dict[str, WorldParameters] = {
 PADS = "with the pads' model, 120 Hz"
 
 
-def costs(plan: Plan) -> list[dict[str, Any]]:
+def costs(plan: SimulationPlan) -> list[dict[str, Any]]:
     """Return for each part the µs of a world's step while it moves into contact, and the memory (kB) of a world.
 
     The fastest of the repeats counts, which take turns, so that a busy machine hits all parts alike.

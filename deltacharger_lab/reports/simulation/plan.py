@@ -13,7 +13,7 @@ MUJOCO_FAST = "MuJoCo implicitfast"
 
 
 @dataclass(frozen=True)
-class Plan:
+class SimulationPlan:
     """One report.
 
     Attributes:
@@ -45,9 +45,9 @@ class Plan:
     quick: bool
 
 
-def full_plan() -> Plan:
+def full_plan() -> SimulationPlan:
     """Return the report that is committed."""
-    return Plan(
+    return SimulationPlan(
         reference_step=5e-5,
         steps=(1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1),
         order_steps=(5e-4, 1e-3, 2e-3, 5e-3, 1e-2),
@@ -63,9 +63,9 @@ def full_plan() -> Plan:
     )
 
 
-def quick_plan() -> Plan:
+def quick_plan() -> SimulationPlan:
     """Return a report for a first look."""
-    return Plan(
+    return SimulationPlan(
         reference_step=2e-4,
         steps=(1e-3, 5e-3, 1e-2, 1e-1),
         order_steps=(1e-3, 2e-3, 5e-3, 1e-2),

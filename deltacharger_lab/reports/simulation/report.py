@@ -8,11 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from deltacharger_lab.reports.pool import Task, joined, work
+from deltacharger_lab.reports.pool import ReportTask, joined, work
 from deltacharger_lab.reports.report import Report
 from deltacharger_lab.reports.simulation import energy, extremes, models, page, parts, stability
 from deltacharger_lab.reports.simulation.pictures import jobs
-from deltacharger_lab.reports.simulation.plan import MUJOCO, Plan, absent, models_here
+from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan, absent, models_here
 from deltacharger_lab.reports.simulation.scenes import LIGHT, rms
 from deltacharger_lab.reports.simulation.summary import targets
 
@@ -20,7 +20,7 @@ PAGE, FIGURES = "simulation.md", "simulation.json"
 ENERGY_STEPS = (0.0001, 0.001, 0.005, 0.01, 0.05)
 
 
-def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
+def build(plan: SimulationPlan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
     """Measure, write page, figures, pictures and the module with the map into `directory`, and return the figures.
 
     Raises:
@@ -51,9 +51,11 @@ def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], N
     return report.write(directory, view=page)
 
 
-def _measure(results: dict[str, Any], plan: Plan, names: tuple[str, ...], progress: Callable[[str], None]) -> None:
+def _measure(
+    results: dict[str, Any], plan: SimulationPlan, names: tuple[str, ...], progress: Callable[[str], None]
+) -> None:
     known = MUJOCO if MUJOCO in names else LIGHT
-    first = [Task("reference", models.reference, (name, plan.reference_step)) for name in names[:2]]
+    first = [ReportTask("reference", models.reference, (name, plan.reference_step)) for name in names[:2]]
     references = work(first, progress)["reference"]
     exact = next(each for each in references if each["name"] == known)
     found = work(tasks(plan, names, exact), progress)
@@ -74,29 +76,29 @@ def _apart(references: list[dict[str, Any]]) -> float | None:
     return 1000.0 * rms(first, second)
 
 
-def tasks(plan: Plan, names: tuple[str, ...], exact: dict[str, Any]) -> list[Task]:
+def tasks(plan: SimulationPlan, names: tuple[str, ...], exact: dict[str, Any]) -> list[ReportTask]:
     """Return all work that need not be alone."""
-    found = [Task("convergence", models.convergence, (plan,), 4.0)]
+    found = [ReportTask("convergence", models.convergence, (plan,), 4.0)]
     for name in names:
         for step in plan.steps:
-            found.append(Task("errors", models.errors, (name, step, exact), 0.0005 / step))
+            found.append(ReportTask("errors", models.errors, (name, step, exact), 0.0005 / step))
         servos = plan.map_servos if name == LIGHT else (15.0,)
         for servo in servos:
             for contact in plan.map_contacts:
                 arguments = (name, servo, contact, plan.map_steps, plan.map_steps[0])
-                found.append(Task("map", stability.column, arguments, 0.0002 / plan.map_steps[0]))
+                found.append(ReportTask("map", stability.column, arguments, 0.0002 / plan.map_steps[0]))
     for index in range(len(extremes.SCENES)):
         steps = (0.01,) if plan.quick else extremes.STEPS
         runs = [(LIGHT, step) for step in steps] + [(MUJOCO, 0.001)] * (MUJOCO in names)
-        found += [Task("extremes", extremes.judge, (index, *run), 0.3) for run in runs]
+        found += [ReportTask("extremes", extremes.judge, (index, *run), 0.3) for run in runs]
     finer = ENERGY_STEPS[1:4] if plan.quick else ENERGY_STEPS
     for scene_name in energy.scenes():
-        found += [Task("energy", energy.scene, (scene_name, step), 0.0001 / step) for step in finer]
+        found += [ReportTask("energy", energy.scene, (scene_name, step), 0.0001 / step) for step in finer]
     for case in models.docking_cases(plan, names):
-        found.append(Task("dockings", models.whole_docking, case, 2.0))
+        found.append(ReportTask("dockings", models.whole_docking, case, 2.0))
     docked = list(parts.PARTS)[: plan.parts]
-    found += [Task("parts", parts.answer, (name, plan.dockings), 5.0) for name in docked]
-    found += [Task("traces", models.trace, (LIGHT, step), 0.2) for step in (0.001, 0.01, 0.1)]
+    found += [ReportTask("parts", parts.answer, (name, plan.dockings), 5.0) for name in docked]
+    found += [ReportTask("traces", models.trace, (LIGHT, step), 0.2) for step in (0.001, 0.01, 0.1)]
     if MUJOCO in names:
-        found.append(Task("traces", models.trace, (MUJOCO, 0.001), 0.5))
+        found.append(ReportTask("traces", models.trace, (MUJOCO, 0.001), 0.5))
     return found

@@ -8,7 +8,7 @@ from typing import Any
 
 from deltacharger_lab.reports.formats import tens
 from deltacharger_lab.reports.page import rendered
-from deltacharger_lab.reports.simulation.plan import Plan
+from deltacharger_lab.reports.simulation.plan import SimulationPlan
 from deltacharger_lab.reports.simulation.scenes import Arm, Model, docking, rms, settled_exactly, world
 
 DIVERGED, FORCE_OFF, PATH_OFF, PROVEN = "d", "f", "p", "+"
@@ -73,7 +73,7 @@ def roughly(name: str, servo: float, contact: float, step: float) -> dict[str, A
     return {"bounded": bounded, "imbalance": imbalance}
 
 
-def source(points: list[dict[str, Any]], plan: Plan, command: str) -> str:
+def source(points: list[dict[str, Any]], plan: SimulationPlan, command: str) -> str:
     """Return the text of `deltacharger_sim/stability_map.py` for the light model's points."""
     cells = {(point["servo"], point["contact"], point["step"]): point["cell"] for point in points}
     rows = [

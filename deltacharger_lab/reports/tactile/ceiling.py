@@ -14,7 +14,7 @@ import numpy as np
 
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_lab.reports.tactile.measure import accuracy, fitted, paper_set
-from deltacharger_lab.reports.tactile.plan import TARGETS, Plan, default, threshold, title
+from deltacharger_lab.reports.tactile.plan import TARGETS, TactilePlan, default, threshold, title
 from deltacharger_tactile.classifiers import fusion, labels, splits
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.classifiers.labels import Examples
@@ -31,7 +31,7 @@ FUSED = (1, 2, 3, 5)
 CEILING = "ceiling of one docking"
 
 
-def ceiling(rig: int, seed: int, plan: Plan) -> list[Row]:
+def ceiling(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
     """Judge what much data of the same rig teaches, best of the models that learn from it in time."""
     many = [paper_set(rig, 1000 + 100 * seed + index) for index in range(plan.ceiling_sets)]
     fresh = paper_set(rig, 900 + seed)
@@ -47,7 +47,7 @@ def ceiling(rig: int, seed: int, plan: Plan) -> list[Row]:
     return [row]
 
 
-def several_dockings(rig: int, seed: int, plan: Plan) -> list[Row]:
+def several_dockings(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
     """Judge the product of the probabilities of several dockings at one commanded pose."""
     name = default(plan)
     known, fresh = paper_set(rig, seed), [paper_set(rig, 800 + 10 * seed + index) for index in range(2)]
@@ -61,7 +61,7 @@ def several_dockings(rig: int, seed: int, plan: Plan) -> list[Row]:
     return rows
 
 
-def thresholds(rig: int, seed: int, plan: Plan) -> list[Row]:
+def thresholds(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
     """Judge the same model with readings from 0.25 N and from the paper's 1 N on."""
     known, fresh = paper_set(rig, seed), paper_set(rig, 700 + seed)
     return [
@@ -69,7 +69,7 @@ def thresholds(rig: int, seed: int, plan: Plan) -> list[Row]:
     ]
 
 
-def hole(rig: int, seed: int, plan: Plan) -> list[Row]:
+def hole(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
     """Judge with a hole in the electrodes, the paper's idea, and without."""
     base = TactileParameters()
     drilled = dataclasses.replace(base, contact=dataclasses.replace(base.contact, hole=HOLE))
@@ -85,7 +85,7 @@ def hole(rig: int, seed: int, plan: Plan) -> list[Row]:
     return found
 
 
-ROWS: tuple[Callable[[int, int, Plan], list[Row]], ...] = (ceiling, several_dockings, thresholds, hole)
+ROWS: tuple[Callable[[int, int, TactilePlan], list[Row]], ...] = (ceiling, several_dockings, thresholds, hole)
 """What the section is made of."""
 
 

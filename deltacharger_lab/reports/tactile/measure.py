@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_lab.reports.tactile.plan import SETS, Plan, threshold
+from deltacharger_lab.reports.tactile.plan import SETS, TactilePlan, threshold
 from deltacharger_lab.reports.tactile.shifts import NONE, SHIFTS, dock_again
 from deltacharger_tactile.classifiers import labels, reliability, splits
 from deltacharger_tactile.classifiers.classifier import Classifier
@@ -42,7 +42,7 @@ def accuracy(model: Classifier, rows: Examples) -> float:
     return float(np.mean(model.predict(rows.frames) == rows.labels))
 
 
-def judge_rig(rig: int, seed: int, part: str, plan: Plan, keep: str) -> dict[str, list[dict[str, Any]]]:
+def judge_rig(rig: int, seed: int, part: str, plan: TactilePlan, keep: str) -> dict[str, list[dict[str, Any]]]:
     """Train every model on one data set of one rig, and judge it.
 
     Args:
@@ -89,7 +89,7 @@ def _judge_shifts(
     known: Dataset,
     part: str,
     device: tuple[int, int],
-    plan: Plan,
+    plan: TactilePlan,
 ) -> None:
     subset = known.subset == (SUBSET_ANGLE if part == "angle" else SUBSET_POSITION)
     for shift in SHIFTS:

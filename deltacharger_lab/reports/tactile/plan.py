@@ -32,7 +32,7 @@ _LIBRARIES = {"xgboost": "xgboost", "nn": "torch", "cnn": "torch"}  # scikit-lea
 
 
 @dataclass(frozen=True)
-class Plan:
+class TactilePlan:
     """What is measured.
 
     Attributes:
@@ -60,23 +60,23 @@ class Plan:
     quick: bool
 
 
-def full_plan(seed: int) -> Plan:
+def full_plan(seed: int) -> TactilePlan:
     """Return what the report measures by default: 5 rigs × 3 seeds."""
     names = _trainable(tuple(NAMES))
     judged = _trainable(("forest", "cnn", "lda", "pose"))
     seeds = tuple(range(3 * seed, 3 * seed + 3))
     rigs = tuple(range(860, 865))
-    return Plan(rigs, seeds, names, judged, (860, 861, 862), 18, (860, 861), 60, 2000, quick=False)
+    return TactilePlan(rigs, seeds, names, judged, (860, 861, 862), 18, (860, 861), 60, 2000, quick=False)
 
 
-def quick_plan(seed: int) -> Plan:
+def quick_plan(seed: int) -> TactilePlan:
     """Return what a quick look and the tests measure: one rig, one seed, few models."""
     names = _trainable(("forest", "nn", "lda", "pose"))
     judged = _trainable(("lda", "pose"))
-    return Plan((860,), (3 * seed,), names, judged, (860, 861), 3, (860,), 20, 200, quick=True)
+    return TactilePlan((860,), (3 * seed,), names, judged, (860, 861), 3, (860,), 20, 200, quick=True)
 
 
-def default(plan: Plan) -> str:
+def default(plan: TactilePlan) -> str:
     """Return the default estimator, or the best of those that can be trained here; '' where there is none."""
     return next((name for name in (DEFAULT, "lda", *plan.names) if name in plan.names), "")
 

@@ -8,13 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from deltacharger_lab.reports.pool import Task, joined, work
+from deltacharger_lab.reports.pool import ReportTask, joined, work
 from deltacharger_lab.reports.report import Report
 from deltacharger_lab.reports.tactile import page, splits, summary
 from deltacharger_lab.reports.tactile.ceiling import ROWS
 from deltacharger_lab.reports.tactile.measure import WINDOWS, judge_rig
 from deltacharger_lab.reports.tactile.pictures import jobs
-from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, Plan, absent, default
+from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, TactilePlan, absent, default
 from deltacharger_lab.reports.tactile.timing import timing
 from deltacharger_tactile.parameters import TactileParameters
 
@@ -23,7 +23,7 @@ _SPLIT_MODELS = ("knn", "forest", "lda", "pose")
 _LIBRARIES = ("numpy", "scikit-learn", "xgboost", "xgboost-cpu", "torch", "matplotlib")
 
 
-def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
+def build(plan: TactilePlan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
     """Measure, write page, HTML, figures and pictures into `directory` and return the figures.
 
     Raises:
@@ -54,11 +54,11 @@ def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], N
     return report.write(directory, view=page)
 
 
-def _measure(results: dict[str, Any], plan: Plan, progress: Callable[[str], None]) -> None:
+def _measure(results: dict[str, Any], plan: TactilePlan, progress: Callable[[str], None]) -> None:
     with tempfile.TemporaryDirectory() as kept:
         found = work(tasks(plan, kept), progress)
         progress("run times, alone")
-        times = work([Task("run times", timing, (plan, kept))], progress)["run times"][0]
+        times = work([ReportTask("run times", timing, (plan, kept))], progress)["run times"][0]
     rigs = found["rig"]
     raw = {key: joined(each[key] for each in rigs) for key in ("accuracy", "shifts", "diagrams")}
     results["accuracy"] = summary.accuracies(raw["accuracy"], plan.names)
@@ -71,7 +71,7 @@ def _measure(results: dict[str, Any], plan: Plan, progress: Callable[[str], None
     results["raw"] = raw
 
 
-def tasks(plan: Plan, kept: str) -> list[Task]:
+def tasks(plan: TactilePlan, kept: str) -> list[ReportTask]:
     """Return all work but the run times, which must be alone."""
     found = []
     for rig in plan.rigs:
@@ -79,12 +79,12 @@ def tasks(plan: Plan, kept: str) -> list[Task]:
             first = (rig, seed) == (plan.rigs[0], plan.seeds[0])
             for part in SETS:
                 weight = len(SETS[part]) * (1.0 + 0.5 * len(plan.names))
-                found.append(Task("rig", judge_rig, (rig, seed, part, plan, kept if first else ""), weight))
+                found.append(ReportTask("rig", judge_rig, (rig, seed, part, plan, kept if first else ""), weight))
     for name in plan.names:
         if name in _SPLIT_MODELS:
             for target in TARGETS:
-                found.append(Task("splits", splits.compare, (name, target, plan.split_rigs, plan.seeds[0]), 2.0))
+                found.append(ReportTask("splits", splits.compare, (name, target, plan.split_rigs, plan.seeds[0]), 2.0))
     if default(plan) == "pose":  # all of them need scikit-learn
         for rig in plan.ceiling_rigs:
-            found += [Task("one docking", row, (rig, plan.seeds[0], plan), 3.0) for row in ROWS]
+            found += [ReportTask("one docking", row, (rig, plan.seeds[0], plan), 3.0) for row in ROWS]
     return found

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_lab.reports.tactile.plan import TARGETS, Plan, default, title
+from deltacharger_lab.reports.tactile.plan import TARGETS, TactilePlan, default, title
 from deltacharger_lab.reports.tactile.shifts import NONE
 from deltacharger_lab.reports.targets import at_least, at_most
 from deltacharger_tactile.classifiers.reliability import NOMINAL
@@ -107,7 +107,7 @@ def mean_rows(rows: Iterable[Row]) -> list[Row]:
     ]
 
 
-def targets(results: Row, plan: Plan) -> list[Row]:
+def targets(results: Row, plan: TactilePlan) -> list[Row]:
     """Return each target with what was measured and whether it is met."""
     name = default(plan)
     who = title(name)

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from deltacharger_lab.reports.tactile.measure import paper_set
-from deltacharger_lab.reports.tactile.plan import TARGETS, Plan
+from deltacharger_lab.reports.tactile.plan import TARGETS, TactilePlan
 from deltacharger_tactile.classifiers import labels
 from deltacharger_tactile.classifiers.classifier import Classifier
 
 _WARM_UP = 20
 
 
-def predictions(plan: Plan, kept: str) -> list[dict[str, Any]]:
+def predictions(plan: TactilePlan, kept: str) -> list[dict[str, Any]]:
     """Return median and 99th percentile of single predictions, ms, of the models in a folder."""
     data = paper_set(plan.rigs[0], plan.seeds[0] + 1)
     found = []
@@ -38,7 +38,7 @@ def generation() -> float:
     return time.perf_counter() - started
 
 
-def timing(plan: Plan, kept: str) -> dict[str, Any]:
+def timing(plan: TactilePlan, kept: str) -> dict[str, Any]:
     """Return every run time; the only work of this moment, in a process with one thread."""
     generation()  # what is loaded and allocated for the first time does not count
     return {"predictions": predictions(plan, kept), "generation_s": min(generation() for _ in range(3))}

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from deltacharger_lab.reports.vision import views
-from deltacharger_lab.reports.vision.views import APPROACH, DOCK, View
+from deltacharger_lab.reports.vision.views import APPROACH, DOCK, DrawnView
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.rendering.camera import OAK_D
 
@@ -30,7 +30,7 @@ HALF_HIDDEN = "50 % of one bar hidden"
 CLUTTER, CLUTTER_FLAT = "clutter, no electrodes", "clutter, no electrodes, no depth"
 ALONE = "no depth at all"
 
-Draw = Callable[[np.random.Generator], View]
+Draw = Callable[[np.random.Generator], DrawnView]
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def _by_range() -> list[Condition]:
     ]
 
 
-def _anywhere(random: np.random.Generator, **changes: Any) -> View:
+def _anywhere(random: np.random.Generator, **changes: Any) -> DrawnView:
     return views.plain(random, *ANYWHERE).changed(**changes)
 
 

@@ -21,7 +21,7 @@ from deltacharger_lab.reports.vision.conditions import (
     RENDERERS,
 )
 from deltacharger_lab.reports.vision.measure import Photographer, Sample, errors
-from deltacharger_lab.reports.vision.plan import Plan
+from deltacharger_lab.reports.vision.plan import VisionPlan
 from deltacharger_records.plotting import BLUE, INK, RED, picture
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector
@@ -49,7 +49,7 @@ _AROUND = 2.4  # what is shown, in lengths of the bars
 _ASPECT = 1.6
 
 
-def renderers(plan: Plan, path: Path) -> None:
+def renderers(plan: VisionPlan, path: Path) -> None:
     """Write one scene as each renderer that works here draws it, with the detection."""
     names = (f"{RENDERERS}: drawn room, decoys, {renderer}" for renderer in (RAYS, MUJOCO))
     shown = [CONDITIONS[name] for name in names if CONDITIONS[name] in plan.conditions()]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_lab.reports.vision.conditions import CONDITIONS, MUJOCO, Condition
-from deltacharger_lab.reports.vision.views import View
+from deltacharger_lab.reports.vision.views import DrawnView
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.images import Intrinsics, RgbdImage
@@ -41,7 +41,7 @@ class Sample:
         image: the image, with what the detector is told of the camera.
     """
 
-    view: View
+    view: DrawnView
     image: RgbdImage
 
 

@@ -15,7 +15,7 @@ from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.poses import turn
 from deltacharger_vision.rendering.camera import SimulatedCamera
-from deltacharger_vision.rendering.scene import Scene
+from deltacharger_vision.rendering.scene import RenderedScene
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ def judge(level: str, seeds: Sequence[int]) -> tuple[str, list[list[float]]]:
     camera, detector, rows = SimulatedCamera(), ElectrodeDetector(), []
     for seed in seeds:
         random = np.random.default_rng(seed)  # the levels compare: same targets, same directions of the error
-        scene, target = Scene(light=draw_light(random)), draw_target(random)
+        scene, target = RenderedScene(light=draw_light(random)), draw_target(random)
         true = nominal.copy()
         true[:3, :3] = turn(rotation * random.standard_normal(3)) @ nominal[:3, :3]
         true[:3, 3] += translation * random.standard_normal(3)

@@ -10,7 +10,7 @@ from typing import Any
 
 from deltacharger_lab.reports.vision import gallery
 from deltacharger_lab.reports.vision.conditions import BAND, BY_RANGE, DEFECTS, HIDDEN, SIZE, key, members
-from deltacharger_lab.reports.vision.plan import Plan
+from deltacharger_lab.reports.vision.plan import VisionPlan
 from deltacharger_records.plotting import BLUE, FAINT, INK, ORANGE, PAPER, RED, grid, picture, plain_ticks
 
 RANGE, FOUND, ERROR_TIME = "vision-range.png", "vision-found.png", "vision-error-time.png"
@@ -25,7 +25,7 @@ _ERRORS = {
 """Title, unit and target of the 95 % error of each."""
 
 
-def jobs(results: dict[str, Any], plan: Plan) -> dict[str, Callable[[Path], None]]:
+def jobs(results: dict[str, Any], plan: VisionPlan) -> dict[str, Callable[[Path], None]]:
     """Return what draws each picture."""
     return {
         RANGE: partial(_range, results),

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from deltacharger_lab.reports.pool import Task
+from deltacharger_lab.reports.pool import ReportTask
 from deltacharger_lab.reports.vision import conditions
 from deltacharger_lab.reports.vision.conditions import CONDITIONS, Condition, key
 from deltacharger_lab.reports.vision.measure import judge, times
@@ -25,7 +25,7 @@ _SIZE_WEIGHT = {"320 × 200 px": 0.6, "1280 × 800 px": 3.0}
 
 
 @dataclass(frozen=True)
-class Plan:
+class VisionPlan:
     """What is measured.
 
     Attributes:
@@ -59,19 +59,19 @@ class Plan:
         """Return the seeds of a row."""
         return range(self.first_seed, self.first_seed + count)
 
-    def tasks(self) -> list[Task]:
+    def tasks(self) -> list[ReportTask]:
         """Return all work but the run times, which must be alone."""
         found = []
         for each in self.conditions():
             cost = 4.0 if each.renderer == conditions.MUJOCO else _SIZE_WEIGHT.get(each.name, 1.0)
             for part in _chunks(self.seeds(self.count(each.weight))):
-                found.append(Task("images", judge, (key(each), part), cost * len(part)))
+                found.append(ReportTask("images", judge, (key(each), part), cost * len(part)))
         for level in LEVELS:
             for part in _chunks(self.seeds(self.count(4 / 3))):
-                found.append(Task("mount", judge_mount, (level, part), float(len(part))))
+                found.append(ReportTask("mount", judge_mount, (level, part), float(len(part))))
         return found
 
-    def timing(self) -> Task:
+    def timing(self) -> ReportTask:
         """Return the measurement of run times."""
         timed = (conditions.BY_RANGE, conditions.SIZE, conditions.HIDDEN)
         names = [key(each) for each in self.conditions() if each.group in timed]
@@ -80,12 +80,12 @@ class Plan:
         names += [
             key(each) for each in self.conditions() if each.group == conditions.RENDERERS and "docking" in each.name
         ]
-        return Task("run times", times, (names, self.seeds(_TIMED[self.quick])))
+        return ReportTask("run times", times, (names, self.seeds(_TIMED[self.quick])))
 
 
-def plan(images: int | None, seed: int, quick: bool) -> Plan:
+def plan(images: int | None, seed: int, quick: bool) -> VisionPlan:
     """Return what is measured on this machine."""
-    return Plan(images or (QUICK if quick else FULL), seed, quick, absent())
+    return VisionPlan(images or (QUICK if quick else FULL), seed, quick, absent())
 
 
 def absent() -> dict[str, str]:

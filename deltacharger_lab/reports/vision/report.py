@@ -12,13 +12,13 @@ from deltacharger_lab.reports.report import Report
 from deltacharger_lab.reports.vision import mount, page, summary
 from deltacharger_lab.reports.vision.measure import FIELDS
 from deltacharger_lab.reports.vision.pictures import jobs
-from deltacharger_lab.reports.vision.plan import Plan
+from deltacharger_lab.reports.vision.plan import VisionPlan
 
 PAGE, FIGURES, HTML = "vision.md", "vision.json", "vision.html"
 _LIBRARIES = ("numpy", "opencv-python-headless", "opencv-python", "mujoco", "matplotlib")
 
 
-def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
+def build(plan: VisionPlan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
     """Measure, write page, HTML, figures and pictures into `directory` and return the figures.
 
     Raises:
@@ -45,7 +45,7 @@ def build(plan: Plan, directory: Path, command: str, progress: Callable[[str], N
     return report.write(directory, None, view=page)
 
 
-def _measure(results: dict[str, Any], plan: Plan, progress: Callable[[str], None]) -> None:
+def _measure(results: dict[str, Any], plan: VisionPlan, progress: Callable[[str], None]) -> None:
     found = work(plan.tasks(), progress)
     progress("run times, alone")
     results["times"] = work([plan.timing()], progress)["run times"][0]

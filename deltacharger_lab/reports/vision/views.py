@@ -20,7 +20,7 @@ from deltacharger_vision.poses import turn
 from deltacharger_vision.projection import project
 from deltacharger_vision.rendering.camera import OAK_D
 from deltacharger_vision.rendering.parameters import CameraParameters
-from deltacharger_vision.rendering.scene import Box, Scene
+from deltacharger_vision.rendering.scene import Box, RenderedScene
 from deltacharger_vision.rendering.scene_drawing import draw_scene
 from deltacharger_vision.terminal import Terminal
 
@@ -37,7 +37,7 @@ _TRIES = 1000
 
 
 @dataclass(frozen=True)
-class View:
+class DrawnView:
     """What stands before a camera.
 
     Attributes:
@@ -46,16 +46,16 @@ class View:
         camera: the camera's defects.
     """
 
-    scene: Scene
+    scene: RenderedScene
     pose: Array
     camera: CameraParameters
 
     def changed(
         self, camera: Mapping[str, Any] | None = None, scene: Mapping[str, Any] | None = None, **parts: Any
-    ) -> View:
+    ) -> DrawnView:
         """Return the view with other parameters of the camera and of the scene, and other parts of the scene."""
         parameters = dataclasses.replace(self.scene.parameters, **(scene or {}))
-        return View(
+        return DrawnView(
             dataclasses.replace(self.scene, **{"parameters": parameters, **parts}),
             self.pose,
             dataclasses.replace(self.camera, **(camera or {})),
@@ -95,26 +95,26 @@ def draw_light(random: Random) -> tuple[float, float, float]:
     return float(random.normal(0.0, 0.6)), float(random.uniform(0.0, 1.0)), float(-random.uniform(0.3, 1.0))
 
 
-def plain(random: Random, nearest: float, farthest: float, intrinsics: Intrinsics = OAK_D) -> View:
+def plain(random: Random, nearest: float, farthest: float, intrinsics: Intrinsics = OAK_D) -> DrawnView:
     """Return a terminal alone before its wall."""
     light = draw_light(random)
-    return View(
-        Scene(light=light), draw_pose(random.uniform(nearest, farthest), random, intrinsics), CameraParameters()
+    return DrawnView(
+        RenderedScene(light=light), draw_pose(random.uniform(nearest, farthest), random, intrinsics), CameraParameters()
     )
 
 
-def in_clutter(random: Random, nearest: float, farthest: float) -> View:
+def in_clutter(random: Random, nearest: float, farthest: float) -> DrawnView:
     """Return a terminal with boxes around it."""
     return plain(random, nearest, farthest).changed(background=boxes(random, 8, (0.05, 0.6), 0.5))
 
 
-def in_room(random: Random, nearest: float, farthest: float) -> View:
+def in_room(random: Random, nearest: float, farthest: float) -> DrawnView:
     """Return a terminal in a drawn room: other materials, light and wall, boxes, and what resembles electrodes."""
     view = plain(random, nearest, farthest)
     return dataclasses.replace(view, scene=draw_scene(random, clutter=8, decoys=3))
 
 
-def covered(random: Random, share: float, both: bool = False) -> View:
+def covered(random: Random, share: float, both: bool = False) -> DrawnView:
     """Return a terminal at 0.2–0.6 m with a dark or bright box just before one end of one bar, or of both."""
     view = plain(random, 0.2, 0.6)
     end, bar = random.choice([-1.0, 1.0]), random.choice([-1.0, 1.0])
@@ -128,7 +128,7 @@ def covered(random: Random, share: float, both: bool = False) -> View:
     return view.changed(foreground=(Box(pose, size, (float(random.uniform(0.02, 0.4)),) * 3),))
 
 
-def without(random: Random) -> View:
+def without(random: Random) -> DrawnView:
     """Return boxes of all kinds and, in every other view, parallel metal bars that are no terminal's."""
     view = plain(random, 0.2, 0.8)
     background = boxes(random, 14, (-0.05, 0.6), 0.3)
@@ -136,13 +136,13 @@ def without(random: Random) -> View:
     return view.changed(background=background, target=False)
 
 
-def decoys(random: Random) -> View:
+def decoys(random: Random) -> DrawnView:
     """Return a drawn room with six things that resemble electrodes, among them terminals of another size."""
     view = plain(random, 0.2, 0.8)
     return dataclasses.replace(view, scene=draw_scene(random, clutter=6, decoys=6, target=False))
 
 
-def other_size(random: Random) -> View:
+def other_size(random: Random) -> DrawnView:
     """Return a terminal 0.75 or 1.3 times the size."""
     view = plain(random, 0.25, 0.7)
     scale = float(random.choice([0.75, 1.3]))

@@ -8,7 +8,7 @@ import pytest
 from deltacharger_bringup.doctor.board import examine_board
 from deltacharger_bringup.doctor.findings import Finding
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.protocol import Fault
+from deltacharger_driver.board.protocol import BoardFault
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
@@ -54,7 +54,7 @@ def test_a_slow_board_is_hinted_at(board: BoardEmulator, board_port: str) -> Non
 
 def test_a_latched_fault_is_wrong(board: BoardEmulator, board_port: str) -> None:
     with BoardLink(board_port):  # it has booted, which would clear the fault
-        board.trip(Fault.OVER_CURRENT)
+        board.trip(BoardFault.OVER_CURRENT)
     found = board_findings(board_port)
     assert "over current" in one(found, "wrong", "power").message
 

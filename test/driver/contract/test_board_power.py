@@ -11,7 +11,7 @@ from itertools import pairwise
 import pytest
 
 from deltacharger_driver.board.contactor_lease import LeaseRefused
-from deltacharger_driver.board.protocol import POWER_RATE, Fault
+from deltacharger_driver.board.protocol import POWER_RATE, BoardFault
 
 from .host import BoardHost
 from .sites import BoardSite, holds
@@ -30,7 +30,7 @@ def test_power_comes_unasked_at_its_rate_with_values_that_can_be(host: BoardHost
         assert host.link.counters.lost_power == 0
         for power in (sample.power for sample in samples):
             assert power.contactor_closed is False
-            assert power.fault == Fault.NONE
+            assert power.fault == BoardFault.NONE
             assert math.isnan(power.battery_voltage) or 0.0 < power.battery_voltage < LARGEST_VOLTAGE
             assert math.isnan(power.target_voltage) or abs(power.target_voltage) < LARGEST_VOLTAGE
             assert math.isnan(power.charge_current) or abs(power.charge_current) < LEAKAGE
@@ -54,7 +54,7 @@ def test_a_probe_answers_in_time_and_another_may_follow(host: BoardHost, board_s
             assert result.resistance >= 0.0, "the board measured nothing"
             assert math.isnan(result.target_voltage) or abs(result.target_voltage) < LARGEST_VOLTAGE
         assert host.link.counters.retries == retries
-        assert all(sample.power.fault == Fault.NONE for sample in host.next_powers(2))
+        assert all(sample.power.fault == BoardFault.NONE for sample in host.next_powers(2))
 
     holds(board_site, law)
 

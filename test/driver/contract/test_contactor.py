@@ -9,7 +9,7 @@ import pytest
 
 from deltacharger_driver.board.errors import CommandRefused
 from deltacharger_driver.board.payloads import probe_problem
-from deltacharger_driver.board.protocol import HEARTBEAT_TIMEOUT, POWER_RATE, PROBE_LIFETIME, AckError, Fault
+from deltacharger_driver.board.protocol import HEARTBEAT_TIMEOUT, POWER_RATE, PROBE_LIFETIME, AckError, BoardFault
 
 from .host import BoardHost
 from .sites import BoardSite, holds, until
@@ -77,7 +77,7 @@ def test_closed_it_says_so_and_measures_and_open_it_needs_a_new_probe(loaded: Bo
     close(loaded)
     for power in (sample.power for sample in loaded.next_powers(10)):
         assert power.contactor_closed
-        assert power.fault == Fault.NONE
+        assert power.fault == BoardFault.NONE
         assert abs(power.charge_current) < 20.0  # also: it was measured
     assert refused(loaded) == AckError.NOT_NOW
     with pytest.raises(CommandRefused, match="the contactor is closed") as refusal:
@@ -85,7 +85,7 @@ def test_closed_it_says_so_and_measures_and_open_it_needs_a_new_probe(loaded: Bo
     assert refusal.value.error == AckError.NOT_NOW
     loaded.link.contactor(False)
     opened = loaded.await_contactor(closed=False)
-    assert opened.power.fault == Fault.NONE
+    assert opened.power.fault == BoardFault.NONE
     assert refused(loaded) == AckError.INTERLOCK
     assert stays_open(loaded)
 
@@ -98,10 +98,10 @@ def test_a_heartbeat_that_stops_opens_it_within_its_time(loaded: BoardHost, boar
         stopped = time.monotonic()
         opened = loaded.await_contactor(closed=False)
         assert opened.time - stopped < SEEN_WITHIN
-        assert opened.power.fault == Fault.HEARTBEAT_LOST
+        assert opened.power.fault == BoardFault.HEARTBEAT_LOST
         assert refused(loaded) == AckError.INTERLOCK
         loaded.link.contactor(False)
-        assert loaded.next_powers(2)[-1].power.fault == Fault.NONE, "an opening clears the latched fault"
+        assert loaded.next_powers(2)[-1].power.fault == BoardFault.NONE, "an opening clears the latched fault"
 
     holds(board_site, law)
 

@@ -33,7 +33,7 @@ from deltacharger_driver.servos.snapshot import (
     WATCHDOG,
     WRITE_ADDRESS,
     BusSettings,
-    Snapshot,
+    BusSnapshot,
     has_restarted,
 )
 
@@ -139,7 +139,7 @@ def test_cycles_follow_each_other_without_a_missed_reply(bus: ServoBus, servo_si
     holds(servo_site, law)
 
 
-def check_values(snapshot: Snapshot, settings: BusSettings) -> None:
+def check_values(snapshot: BusSnapshot, settings: BusSettings) -> None:
     """Fail where a value is none that a servo at rest, at 12 V, can have."""
     for index, servo in enumerate(settings.ids):
         about = f"servo {servo}: {snapshot}"

@@ -16,7 +16,7 @@ from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.mx64 import WATCHDOG_UNIT
-from deltacharger_driver.servos.snapshot import WATCHDOG, Snapshot
+from deltacharger_driver.servos.snapshot import WATCHDOG, BusSnapshot
 
 from .sites import ServoSite, until
 
@@ -56,12 +56,12 @@ def toward(start: Angles, step: float) -> Angles:
     return tuple(angle + step for angle in start)
 
 
-def moved(snapshot: Snapshot, start: Angles, step: float) -> list[float]:
+def moved(snapshot: BusSnapshot, start: Angles, step: float) -> list[float]:
     """How far each servo has come, as a share of `step`."""
     return [(angle - begin) / step for angle, begin in zip(snapshot.angle, start, strict=True)]
 
 
-def cycles(bus: ServoBus, goal: Angles | None, restart: bool = True) -> Iterator[Snapshot]:
+def cycles(bus: ServoBus, goal: Angles | None, restart: bool = True) -> Iterator[BusSnapshot]:
     """Exchange goal and state 100 times a second; watchdogs that a pause of this computer tripped are restarted."""
     while True:
         begin = time.monotonic()
@@ -73,10 +73,10 @@ def cycles(bus: ServoBus, goal: Angles | None, restart: bool = True) -> Iterator
         time.sleep(max(begin + PERIOD - time.monotonic(), 0.0))
 
 
-def follow(bus: ServoBus, goal: Angles, condition: Callable[[Snapshot], bool], what: str) -> list[Snapshot]:
+def follow(bus: ServoBus, goal: Angles, condition: Callable[[BusSnapshot], bool], what: str) -> list[BusSnapshot]:
     """Cycle until a snapshot fulfils the condition, and return all."""
     snapshots = cycles(bus, goal)
-    seen: list[Snapshot] = []
+    seen: list[BusSnapshot] = []
 
     def come() -> bool:
         seen.append(next(snapshots))
@@ -97,7 +97,7 @@ def test_torque_goes_on_where_the_arm_is_whatever_the_goal_was(bus: ServoBus, st
 def test_a_goal_is_gone_to_with_no_more_current_than_its_bound(held: ServoBus, start: Angles, step: float) -> None:
     for goal, far in ((toward(start, step), True), (start, False)):
 
-        def arrived(snapshot: Snapshot, far: bool = far) -> bool:
+        def arrived(snapshot: BusSnapshot, far: bool = far) -> bool:
             return all(share > 0.5 if far else share < 0.5 for share in moved(snapshot, start, step))
 
         seen = follow(held, goal, arrived, f"each servo to go half of {math.degrees(STEP):g}° with {BOUND:g} A")
