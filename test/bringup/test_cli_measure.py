@@ -10,7 +10,6 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,8 +19,9 @@ from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.calibration.data import Encoder, read_measurements
 from deltacharger_kinematics.calibration.plan import PlannedPose, write_plan
 
-from ..chargers import DEADLINE, Process, new_namespace, wait_until
+from ..chargers import DEADLINE, Process, wait_until
 from ..marks import slow
+from .running import Charger, running
 
 pytestmark = pytest.mark.ros
 
@@ -78,58 +78,14 @@ class Operator(Process):
         os.close(self._writing)
 
 
-class Charger:
-    """A charger of mocks in its own process, and what its servos say."""
-
-    def __init__(self, process: Process, namespace: str, node: Any) -> None:
-        from deltacharger.msg import ServoState
-
-        from deltacharger_ros import qos
-
-        self.process, self.namespace = process, namespace
-        self.state: Any = None
-        node.create_subscription(ServoState, f"/{namespace}/servo_state", self._on_state, qos.LATEST)
-
-    def _on_state(self, message: Any) -> None:
-        self.state = message
-
-    def torque(self) -> bool:
-        return self.state is not None and any(self.state.torque_enabled)
-
-    def position(self) -> np.ndarray:
-        return np.asarray(Delta(NOMINAL).forward(np.array(self.state.position)).position)
-
-
 @pytest.fixture(scope="module")
 def charger(quick_file: Path) -> Iterator[Charger]:
-    import rclpy
-    from rclpy.context import Context
-    from rclpy.node import Node
-
-    from deltacharger_ros.executor import Spinner
-
-    namespace, context = new_namespace(), Context()
-    rclpy.init(context=context, args=[])
-    process = Process(
-        sys.executable,
-        "-m",
-        "deltacharger_bringup.cli.main",
-        "up",
-        "--scene",
-        str(quick_file),
-        "--namespace",
-        namespace,
-    )
-    spinner = Spinner(Node("listener", context=context, use_global_arguments=False))
-    try:
-        charger = Charger(process, namespace, spinner.node)
-        process.wait_for_line("ready", process.err)
-        wait_until(lambda: charger.state is not None, "servo_state")
+    with running(quick_file) as charger:
         yield charger
-    finally:
-        spinner.close()
-        rclpy.try_shutdown(context=context)
-        assert process.end(signal.SIGTERM) == 0
+
+
+def position(charger: Charger) -> np.ndarray:
+    return np.asarray(Delta(NOMINAL).forward(np.array(charger.state.position)).position)
 
 
 @pytest.fixture
@@ -160,7 +116,7 @@ def operator(charger: Charger, short_plan: Path) -> Iterator[Callable[..., Opera
 
 def place(charger: Charger) -> Callable[[], str]:
     """Return what reads off where the arm is, as a person types it."""
-    return lambda: " ".join(f"{1000 * value:.3f}" for value in charger.position())
+    return lambda: " ".join(f"{1000 * value:.3f}" for value in position(charger))
 
 
 def test_measured_poses_are_recorded_one_by_one_and_resumed(
@@ -171,7 +127,7 @@ def test_measured_poses_are_recorded_one_by_one_and_resumed(
     person.answer("what?")
     person.answer("1 2")
     person.wait_for_question()
-    first = charger.position()
+    first = position(charger)
     assert charger.torque()
     person.answer("900 0 0")  # a slip, and asked for again
     person.answer(place(charger))
@@ -191,7 +147,7 @@ def test_measured_poses_are_recorded_one_by_one_and_resumed(
     assert np.allclose(rows.positions, Delta(NOMINAL).forward(rows.angles).position, atol=1e-4)
     assert np.allclose(rows.positions[0], (0.01, -0.005, 0.015), atol=3e-3)
     wait_until(lambda: not charger.torque(), "torque off")
-    assert math.dist(charger.position(), (0.0, 0.0, 0.0)) < 0.01
+    assert math.dist(position(charger), (0.0, 0.0, 0.0)) < 0.01
 
     again = operator()
     again.answer(place(charger))

@@ -31,8 +31,9 @@ from deltacharger_vision.rendering.board_drawing import bracket
 from deltacharger_vision.rendering.camera import OAK_D
 from deltacharger_vision.ros.messages import camera_info_message, color_message
 
-from ..chargers import DEADLINE, Process, new_namespace, wait_until
+from ..chargers import DEADLINE, Process, wait_until
 from ..vision.hand_eye_rig import ARM, Rig, squared
+from .running import Charger, running
 
 pytestmark = pytest.mark.ros
 
@@ -48,44 +49,12 @@ parameters:
 """
 
 
-class Charger:
-    """A running charger and what its servos say."""
-
-    def __init__(self, process: Process, namespace: str, node: Any) -> None:
-        from deltacharger.msg import ServoState
-
-        self.process, self.namespace = process, namespace
-        self.state: Any = None
-        node.create_subscription(ServoState, f"/{namespace}/servo_state", self._on_state, qos.LATEST)
-
-    def _on_state(self, message: Any) -> None:
-        self.state = message
-
-    def torque(self) -> bool:
-        return self.state is not None and any(self.state.torque_enabled)
-
-
 @pytest.fixture(scope="module")
 def charger(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Charger]:
-    import rclpy
-    from rclpy.context import Context
-
     scene = tmp_path_factory.mktemp("scene") / "board.yaml"
     scene.write_text(SCENE, encoding="utf-8")
-    namespace, context = new_namespace(), Context()
-    rclpy.init(context=context, args=[])
-    command = (sys.executable, "-m", "deltacharger_bringup.cli", "up", "--scene", str(scene))
-    process = Process(*command, "--namespace", namespace)
-    spinner = Spinner(Node("listener", context=context, use_global_arguments=False))
-    try:
-        found = Charger(process, namespace, spinner.node)
-        process.wait_for_line("ready", process.err)
-        wait_until(lambda: found.state is not None, "servo_state")
-        yield found
-    finally:
-        spinner.close()
-        rclpy.try_shutdown(context=context)
-        assert process.end(signal.SIGTERM) == 0
+    with running(scene) as charger:
+        yield charger
 
 
 @pytest.fixture

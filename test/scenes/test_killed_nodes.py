@@ -41,6 +41,9 @@ ENDS = {
 }
 CELLS = [
     ("mock_detector_node", KILL, "locate"),
+    ("docking_node", KILL, "approach"),
+    ("docking_node", STOP, "approach"),
+    ("tactile_node", KILL, "approach"),
     ("servo_node", STOP, "contact"),
     ("misalignment_node", KILL, "measure"),
     ("docking_node", STOP, "align"),
@@ -96,7 +99,7 @@ def suffer(rig: Rig, name: str, number: int, phase: str) -> None:
         after = rig.opened(at)
         print(f"{name} {signal.Signals(number).name} {phase}: open after {1e3 * after:.0f} ms")
         assert after <= LIMITS[name] + SLACK
-    if name in ("docking_node", "servo_node"):
+    if name in ("docking_node", "servo_node") or (name, phase) == ("tactile_node", "approach"):
         rig.wait(0.6)
         place = rig.place
         rig.wait(1.0)

@@ -77,6 +77,6 @@ class RecordedCharger(SimulatedCharger):
 
     @classmethod
     def build(cls, scene, namespace: str) -> RecordedCharger:  # type: ignore[no-untyped-def]
-        charger = cls(scene, namespace=namespace)
+        charger = cls(scene.simulation, namespace=namespace)
         charger.world = RecordedWorld(scene.simulation)
         return charger
