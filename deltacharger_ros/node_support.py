@@ -8,7 +8,6 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from types import FrameType
-from typing import Protocol
 
 import rclpy
 from rclpy.node import Node
@@ -20,16 +19,6 @@ from deltacharger_ros.executor import Spinner
 
 class StartupError(RuntimeError):
     """A node cannot start as configured; the message says what to change. The process ends with code 2."""
-
-
-class ClosableNode(Protocol):
-    """A node whose `close` leaves the hardware safe and its threads joined; calling it twice does no harm."""
-
-    def close(self) -> None:
-        """Make everything that the node drives safe."""
-
-    def destroy_node(self) -> None:
-        """Release the ROS side."""
 
 
 def ros_problem(error: Exception) -> str:

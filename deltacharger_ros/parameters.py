@@ -46,8 +46,8 @@ def reject_unknown(node: Node) -> None:
     Raises:
         StartupError: names the parameter and the nearest known one.
     """
-    known = set(node._parameters) | _OF_EVERY_NODE
-    for name in node._parameter_overrides:
+    known = set(node.get_parameters_by_prefix("")) | _OF_EVERY_NODE
+    for name in node._parameter_overrides:  # private, and the one place where rclpy tells what was given
         if name not in known and not name.startswith("qos_overrides."):
             hint = did_you_mean(name, sorted(known))
             raise StartupError(f"{node.get_name()}: unknown parameter '{name}'{hint}")

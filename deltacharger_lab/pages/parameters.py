@@ -27,7 +27,7 @@ outside its bounds and an unknown name stop the node at start with exit code 2 a
 def table(node: Node) -> str:
     """Return the parameters of a running node as a section of Markdown."""
     lines = [f"## {node.get_name()}", "", "| parameter | default | allowed | meaning |", "|---|---|---|---|"]
-    for name in sorted(node._parameters):
+    for name in sorted(node.get_parameters_by_prefix("")):
         if name in _OWN or name.startswith("qos_overrides."):
             continue
         descriptor = node.describe_parameter(name)

@@ -18,7 +18,7 @@ from rclpy.serialization import deserialize_message
 
 from deltacharger_driver.board.tactile_node_io import SamplePublishers
 from deltacharger_driver.servos.servo_node_io import StatePublishers
-from deltacharger_ros import flat_messages as flat_node_io
+from deltacharger_ros import flat_messages
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
 
 from ..chargers import wait_until
@@ -91,8 +91,8 @@ def test_one_message_leaves_no_trace_in_the_next() -> None:
 
 @pytest.mark.parametrize("spoil", [lambda data: data[::-1], lambda data: bytes(byte ^ 0xA5 for byte in data)])
 def test_a_middleware_that_serialises_otherwise_gets_messages(spoil: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    serialise = flat_node_io.serialize_message
-    monkeypatch.setattr(flat_node_io, "serialize_message", lambda message: spoil(serialise(message)))
+    serialise = flat_messages.serialize_message
+    monkeypatch.setattr(flat_messages, "serialize_message", lambda message: spoil(serialise(message)))
     assert is_as_ordered(published(flat=False))
 
 
