@@ -13,10 +13,8 @@ Parameters: geometry_file or the arm's single dimensions, gravity, torque_consta
 from __future__ import annotations
 
 import array
-import dataclasses
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,9 +27,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.geometry_file import load_geometry
-from deltacharger_kinematics.parameters import GeometryFileParameters, GeometryParameters, KinematicsNodeParameters
+from deltacharger_kinematics import Delta
+from deltacharger_kinematics.parameters import KinematicsNodeParameters
+from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
 from deltacharger_ros.parameters import declare_all, reject_unknown
@@ -135,44 +133,6 @@ def points(values: Sequence[float]) -> np.ndarray[Any, np.dtype[np.float64]]:
     flat = np.asarray(values, dtype=np.float64)
     missing = -len(flat) % 3
     return (np.concatenate([flat, np.full(missing, np.nan)]) if missing else flat).reshape(-1, 3)
-
-
-def declare_geometry(node: Node) -> DeltaGeometry:
-    """Declare the geometry as parameters of `node` and return it.
-
-    With `geometry_file` the file alone decides, limb by limb, and the single parameters show what it says; one that was
-    given beside it must say the same.
-
-    Raises:
-        StartupError: the file is missing or refused, a value is out of its range, or both were given and differ.
-    """
-    file = declare_all(node, GeometryFileParameters).geometry_file
-    base = _load(node, file) if file else DeltaGeometry()
-    try:
-        given = dataclasses.asdict(declare_all(node, GeometryParameters, defaults=base))
-    except node_support.StartupError as error:
-        raise node_support.StartupError(f"{error} (geometry_file '{file}')" if file else str(error)) from error
-    for name, value in given.items():
-        if file and value != (told := getattr(base, name)):
-            raise node_support.StartupError(
-                f"{node.get_name()}: parameter '{name}' is {value!r}, but parameter 'geometry_file' ('{file}') says "
-                f"{told!r}; the file decides, so remove '{name}' or correct the file"
-            )
-    try:
-        return base.with_values(**given)
-    except ValueError as error:
-        raise node_support.StartupError(f"{node.get_name()}: {error}") from error
-
-
-def _load(node: Node, file: str) -> DeltaGeometry:
-    where = Path(file).expanduser().absolute()
-    try:
-        return load_geometry(where)
-    except OSError as error:
-        problem = f"'{where}' cannot be read: {error.strerror or error}; give a geometry file's path, or leave it out"
-    except ValueError as error:
-        problem = str(error)
-    raise node_support.StartupError(f"{node.get_name()}: parameter 'geometry_file': {problem}")
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -36,7 +36,14 @@ class ModelError(TactileError, ValueError):
         super().__init__(f"{path}: not a usable tactile model: {reason}; train one or use the packaged model")
 
 
-class DatasetError(TactileError, ValueError):
+class _SourcedError(TactileError, ValueError):
+    def __init__(self, source: str, reason: str) -> None:
+        self.source = source
+        self.reason = reason
+        super().__init__(f"{source}: {reason}")
+
+
+class DatasetError(_SourcedError):
     """A data set is not usable as asked. Example: an array is missing in the npz file.
 
     Args:
@@ -44,7 +51,11 @@ class DatasetError(TactileError, ValueError):
         reason: what is wrong with it.
     """
 
-    def __init__(self, source: str, reason: str) -> None:
-        self.source = source
-        self.reason = reason
-        super().__init__(f"{source}: {reason}")
+
+class SensorCalibrationError(_SourcedError):
+    """A calibration, or the data that it is to be made from, cannot be used. Example: a gain of 0.
+
+    Args:
+        source: file or key.
+        reason: what is wrong and what to do.
+    """

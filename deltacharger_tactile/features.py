@@ -152,7 +152,3 @@ def extract(frames: Array, threshold: float) -> PadFeatures:
         axis=1,
     )
     return PadFeatures(np.concatenate([per_pad, across], axis=1), force, active)
-
-
-FEATURES = len(names())
-"""Number of features per frame pair."""

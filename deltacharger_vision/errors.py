@@ -67,6 +67,15 @@ class RenderingError(_NamedError):
     """
 
 
+class BoardError(_NamedError):
+    """A board cannot be used as described. Example: `apriltag:36h11:900`, where the family has 587 tags.
+
+    Args:
+        name: what of it.
+        reason: what is wrong and what to do.
+    """
+
+
 class RendererError(VisionError, RuntimeError):
     """A renderer cannot be used on this machine. Example: MuJoCo without EGL.
 

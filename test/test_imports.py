@@ -75,6 +75,16 @@ def test_libraries_know_no_ros() -> None:
         assert not ros | shells, f"{path} is a library and may not import {sorted(ros | shells)}"
 
 
+def test_no_room_below_scenes_imports_the_node_of_another() -> None:
+    for path in FILES:
+        if package_of(path) in ("scenes", "lab", "bringup"):  # which start nodes, or read what they declare
+            continue
+        others = {module_of(name) for name in imported(path)} - {""}
+        foreign = {name for name in others if package_of(MODULES[name]) != package_of(path)}
+        nodes = {name for name in foreign if name.endswith(("_node", "_node_io"))}
+        assert not nodes, f"{path}: what {sorted(nodes)} shares belongs into its package's ros/"
+
+
 def test_heavy_modules_are_imported_where_used() -> None:
     for path in FILES:
         assert not (heavy := roots(imported(path, at_once=True)) & HEAVY), f"{path}: {heavy}"

@@ -89,7 +89,7 @@ def _read(options: argparse.Namespace) -> tuple[Dataset, PoseEstimator]:
 def _calibrate(data: Dataset, model: PoseEstimator, options: argparse.Namespace) -> _Found:
     from deltacharger_tactile.calibration import faults as sensor_faults
     from deltacharger_tactile.calibration import fit as sensor_calibration_fit
-    from deltacharger_tactile.calibration.rig import SensorCalibrationError
+    from deltacharger_tactile.errors import SensorCalibrationError
 
     dockings = sensor_faults.select(data, options.rig)
     faults = sensor_faults.find(dockings)

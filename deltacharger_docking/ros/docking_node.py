@@ -30,7 +30,7 @@ from deltacharger_docking.ros.goals import Goals
 from deltacharger_docking.ros.inputs import Inputs
 from deltacharger_docking.ros.reports import Reports
 from deltacharger_docking.ros.services import Services
-from deltacharger_kinematics.kinematics_node import declare_geometry
+from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_ros import node_support
 from deltacharger_ros.parameters import declare_all, reject_unknown
 

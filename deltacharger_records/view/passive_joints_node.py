@@ -19,7 +19,7 @@ from deltacharger.msg import ServoState
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from deltacharger_kinematics.kinematics_node import declare_geometry
+from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.parameters import PassiveJointsNodeParameters
 from deltacharger_records.view.mechanism import passive_joints

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, ROWS
-from deltacharger_tactile.calibration.rig import SHAPE, SensorCalibrationError
+from deltacharger_tactile.calibration.rig import SHAPE
 from deltacharger_tactile.dataset import Dataset
+from deltacharger_tactile.errors import SensorCalibrationError
 from deltacharger_tactile.parameters import PadContactParameters
 
 Array = NDArray[np.float64]

@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_tactile.calibration.faults import KnownDockings, find
-from deltacharger_tactile.calibration.rig import AXES, SHAPE, SHIFT_LIMIT, SensorCalibrationError, TactileCalibration
+from deltacharger_tactile.calibration.rig import AXES, SHAPE, SHIFT_LIMIT, TactileCalibration
 from deltacharger_tactile.contact import ContactModel
+from deltacharger_tactile.errors import SensorCalibrationError
 from deltacharger_tactile.estimator import PoseEstimator
 from deltacharger_tactile.parameters import PadDockingParameters, SensorParameters
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from deltacharger_core.machine import COLUMNS, PADS, ROWS
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_tactile.dataset import ANGLE_LIMIT, POSITION_LIMIT
-from deltacharger_tactile.errors import FrameError, TactileError
+from deltacharger_tactile.errors import FrameError, SensorCalibrationError
 from deltacharger_tactile.estimate import Estimate, Limits, angle_classes, position_classes
 
 Array = NDArray[np.float64]
@@ -39,20 +39,6 @@ _FELT = 0.25
 _SHARE = 0.3
 """A pad's readings are never scaled by more: beyond it a light pad's noise would be taken for its ridge."""
 _LARGEST_FILE = 1_000_000
-
-
-class SensorCalibrationError(TactileError, ValueError):
-    """A calibration, or the data that it is to be made from, cannot be used. Example: a gain of 0.
-
-    Args:
-        source: file or key.
-        reason: what is wrong and what to do.
-    """
-
-    def __init__(self, source: str, reason: str) -> None:
-        self.source = source
-        self.reason = reason
-        super().__init__(f"{source}: {reason}")
 
 
 @dataclass(frozen=True)

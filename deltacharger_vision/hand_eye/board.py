@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_vision.errors import BoardError
 from deltacharger_vision.hand_eye.board_corners import (
     DICTIONARIES,
     FAMILIES,
     FEWEST_CORNERS,
     Board,
-    BoardError,
     Gray,
     Sighting,
     dictionary,

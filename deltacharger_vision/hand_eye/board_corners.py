@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_vision.errors import VisionError
+from deltacharger_vision.errors import BoardError
 from deltacharger_vision.hand_eye.corner_refinement import refined
 
 Array = NDArray[np.float64]
@@ -27,20 +27,6 @@ DICTIONARIES = tuple(f"{bits}x{bits}_{count}" for bits in (4, 5, 6, 7) for count
 """Of the markers of a ChArUco board."""
 FEWEST_CORNERS = 4
 """That an image must show of a board."""
-
-
-class BoardError(VisionError, ValueError):
-    """A board cannot be used as described. Example: `apriltag:36h11:900`, where the family has 587 tags.
-
-    Args:
-        name: what of it.
-        reason: what is wrong and what to do.
-    """
-
-    def __init__(self, name: str, reason: str) -> None:
-        self.name = name
-        self.reason = reason
-        super().__init__(f"{name}: {reason}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,8 @@ import yaml
 from deltacharger_tactile import PoseEstimator, default_model
 from deltacharger_tactile.calibration.faults import KnownDockings, compare_tares, find, select
 from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT, Parts, fit, judge, predict
-from deltacharger_tactile.calibration.rig import AXES, SHAPE, SensorCalibrationError, TactileCalibration
-from deltacharger_tactile.errors import FrameError
+from deltacharger_tactile.calibration.rig import AXES, SHAPE, TactileCalibration
+from deltacharger_tactile.errors import FrameError, SensorCalibrationError
 from deltacharger_tactile.generator import generate_continuous, measure
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.sensor import Rig

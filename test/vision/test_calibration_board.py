@@ -8,7 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from deltacharger_vision.hand_eye.board import AprilTag, Board, BoardError, Charuco, markers_in, parse_board
+from deltacharger_vision.errors import BoardError
+from deltacharger_vision.hand_eye.board import AprilTag, Board, Charuco, markers_in, parse_board
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.poses import turn
 from deltacharger_vision.projection import project

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The arm's geometry as parameters of a node: of its own, or out of a file."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from rclpy.node import Node
+
+from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_kinematics.parameters import GeometryFileParameters, GeometryParameters
+from deltacharger_ros import node_support
+from deltacharger_ros.parameters import declare_all
+
+
+def declare_geometry(node: Node) -> DeltaGeometry:
+    """Declare the geometry as parameters of `node` and return it.
+
+    With `geometry_file` the file alone decides, limb by limb, and the single parameters show what it says; one that was
+    given beside it must say the same.
+
+    Raises:
+        StartupError: the file is missing or refused, a value is out of its range, or both were given and differ.
+    """
+    file = declare_all(node, GeometryFileParameters).geometry_file
+    base = _load(node, file) if file else DeltaGeometry()
+    try:
+        given = dataclasses.asdict(declare_all(node, GeometryParameters, defaults=base))
+    except node_support.StartupError as error:
+        raise node_support.StartupError(f"{error} (geometry_file '{file}')" if file else str(error)) from error
+    for name, value in given.items():
+        if file and value != (told := getattr(base, name)):
+            raise node_support.StartupError(
+                f"{node.get_name()}: parameter '{name}' is {value!r}, but parameter 'geometry_file' ('{file}') says "
+                f"{told!r}; the file decides, so remove '{name}' or correct the file"
+            )
+    try:
+        return base.with_values(**given)
+    except ValueError as error:
+        raise node_support.StartupError(f"{node.get_name()}: {error}") from error
+
+
+def _load(node: Node, file: str) -> DeltaGeometry:
+    where = Path(file).expanduser().absolute()
+    try:
+        return load_geometry(where)
+    except OSError as error:
+        problem = f"'{where}' cannot be read: {error.strerror or error}; give a geometry file's path, or leave it out"
+    except ValueError as error:
+        problem = str(error)
+    raise node_support.StartupError(f"{node.get_name()}: parameter 'geometry_file': {problem}")
