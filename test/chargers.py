@@ -24,6 +24,7 @@ from .workers import stay_apart
 stay_apart()
 environment.prepare()
 
+ENDS = 100.0  # s that a program may take to its end: the pictures of a command take a loaded machine more than a minute
 _numbers = itertools.count()
 
 
@@ -70,7 +71,7 @@ class Process:
             self.process.send_signal(number)
         hangs = False
         try:
-            code = self.process.wait(DEADLINE)
+            code = self.process.wait(ENDS)
         except subprocess.TimeoutExpired:
             hangs = True
             self.process.send_signal(signal.SIGABRT)

@@ -55,7 +55,9 @@ class StallWatch:
         self._longest = 0.0
         reports = runtestprotocol(item, nextitem=nextitem, log=False)
         if self._longest > STALL and any(report.failed for report in reports):
-            self._repeated.append(f"{item.nodeid}: the computer stood still for {self._longest * 1e3:.0f} ms")
+            crashes = [getattr(report.longrepr, "reprcrash", None) for report in reports if report.failed]
+            why = "; ".join(crash.message.splitlines()[0][:300] for crash in crashes if crash)
+            self._repeated.append(f"{item.nodeid}: the computer stood still for {self._longest * 1e3:.0f} ms: {why}")
             item._initrequest()  # type: ignore[attr-defined]
             reports = runtestprotocol(item, nextitem=nextitem, log=False)
         for report in reports:

@@ -10,6 +10,8 @@ import pytest
 
 from deltacharger_lab.pages.parameters import document, every_node
 
+pytestmark = pytest.mark.ros
+
 
 def test_the_page_is_what_the_nodes_declare(context: Any, namespace: str) -> None:
     pytest.importorskip("cv2", reason="electrode_detector_node needs deltacharger[vision]")

@@ -12,6 +12,8 @@ from deltacharger_lab.pages.interface_text import Interface, read
 from deltacharger_lab.pages.parameters import every_node
 from deltacharger_lab.pages.topics import document
 
+pytestmark = pytest.mark.ros
+
 ROOT = Path(__file__).parents[2]
 FILES = sorted(path for folder in ("msg", "srv", "action") for path in (ROOT / folder).glob(f"*.{folder}"))
 

@@ -33,6 +33,8 @@ from deltacharger_records.recording.mcap_recording import (
 from deltacharger_ros import qos
 from deltacharger_ros.raw_topics import Topic, listen
 
+pytestmark = pytest.mark.ros
+
 KINDS = {"/a/tactile_frame": TactileFrame, "/a/docking_state": DockingState}
 
 

@@ -28,6 +28,8 @@ from deltacharger_records.replay.recorder import Recorder
 from deltacharger_ros import qos
 from deltacharger_ros.executor import Spinner
 
+pytestmark = pytest.mark.ros
+
 LIMBS = (LimbAdjustment(arm=0.101), LimbAdjustment(angle_offset=0.05), LimbAdjustment())
 CALIBRATED = DeltaGeometry(arm=0.103, limbs=LIMBS)
 TILTED = {"gravity_x": 0.0, "gravity_y": -6.0, "gravity_z": 7.76}

@@ -25,6 +25,8 @@ from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_records.replay.record import replay
 from deltacharger_records.replay.words import story, why
 
+pytestmark = pytest.mark.ros
+
 PNG = b"\x89PNG"
 TILTED = (
     "the target is tilted by 12.6°: the electrodes would come too close to a short; level the target or the charger"

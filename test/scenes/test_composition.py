@@ -15,6 +15,8 @@ from deltacharger_scenes.scene import Scene, parse_scene
 
 from ..chargers import wait_until
 
+pytestmark = pytest.mark.ros
+
 
 def spinning() -> set[str]:
     return {thread.name for thread in threading.enumerate() if thread.name.startswith("spin ")}
