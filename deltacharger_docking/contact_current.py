@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.observation import NAN3
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import LIMB_COUNT, Vector
@@ -27,6 +26,7 @@ class ContactCurrent:
         self._kinematics = kinematics
         self._gravity = parameters.gravity
         self._signal = parameters.current_signal
+        self._constant = parameters.torque_constant
         geometry = kinematics.geometry
         self._limbs = tuple(geometry.limb(index) for index in range(LIMB_COUNT))
         self._platform = geometry.platform_mass + 1.5 * geometry.rod_mass
@@ -46,7 +46,7 @@ class ContactCurrent:
             self._move(angles)
         if self._signal == "contact":
             a, b, c = self._along_z
-            value = TORQUE_CONSTANT * (a * currents[0] + b * currents[1] + c * currents[2]) - self._weight
+            value = self._constant * (a * currents[0] + b * currents[1] + c * currents[2]) - self._weight
         else:
             raw = max(abs(current) for current in currents) if self._signal == "max" else sum(map(abs, currents))
             value = raw / self._factor
@@ -66,7 +66,7 @@ class ContactCurrent:
         self._angles = angles
         self.position = x, y, z = self._kinematics.forward(*angles)
         a, b, c, d, e, f, g, h, i = self._kinematics.jacobian(x, y, z)
-        self._factor = (g + h + i) / (3.0 * TORQUE_CONSTANT)
+        self._factor = (g + h + i) / (3.0 * self._constant)
         p, q, r = b * f - c * e, c * d - a * f, a * e - b * d
         determinant = g * p + h * q + i * r
         if determinant == 0.0 or not math.isfinite(determinant):  # a limb at its edge, or angles that are none

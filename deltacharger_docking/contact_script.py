@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.release_script import take_off
@@ -111,7 +110,7 @@ def slope_expected(context: Context) -> float:
     x, y, z = context.position
     jacobian = context.kinematics.jacobian(x, y, z)
     lever = (jacobian[6] + jacobian[7] + jacobian[8]) / 3.0
-    return context.parameters.servo_stiffness / (3.0 * lever * TORQUE_CONSTANT)
+    return context.parameters.servo_stiffness / (3.0 * lever * context.parameters.torque_constant)
 
 
 def _paper(context: Context, depth: float) -> Script[None]:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 
-from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.codes import State
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.observation import Waypoint
@@ -37,7 +36,7 @@ def ease(context: Context) -> Script[bool]:
         return False
     context.enter(State.CONTACT, parameters.contact_timeout)
     place, hottest = context.position, _hottest(context)
-    fades, response = True, parameters.servo_stiffness / TORQUE_CONSTANT
+    fades, response = True, parameters.servo_stiffness / parameters.torque_constant
     for _ in range(_ROUNDS):
         before = context.contact.currents
         wanted = _wanted(context, fades)
@@ -70,17 +69,17 @@ def _hottest(context: Context) -> float:
 def _wanted(context: Context, fades: bool) -> Vector:
     """Return the currents (A) that press in the middle of the band: all alike, or with what bears the weight now."""
     x, y, z = context.position
-    contact, kinematics = context.contact, context.kinematics
+    contact, kinematics, constant = context.contact, context.kinematics, context.parameters.torque_constant
     now = contact.currents
-    a, b, c = (current * TORQUE_CONSTANT for current in now)
+    a, b, c = (current * constant for current in now)
     missing = (context.parameters.current_target - contact.value) / contact.per_force
     if fades:
-        alike = kinematics.force(x, y, z, (TORQUE_CONSTANT, TORQUE_CONSTANT, TORQUE_CONSTANT))[2]
+        alike = kinematics.force(x, y, z, (constant, constant, constant))[2]
         common = (kinematics.force(x, y, z, (a, b, c))[2] + missing) / alike if alike else math.nan
         common = max(min(common, _COOL), common - _SPARED)
         return common, common, common
     d, e, f = kinematics.torque(x, y, z, (0.0, 0.0, missing))
-    return now[0] + d / TORQUE_CONSTANT, now[1] + e / TORQUE_CONSTANT, now[2] + f / TORQUE_CONSTANT
+    return now[0] + d / constant, now[1] + e / constant, now[2] + f / constant
 
 
 def _lead(context: Context, change: Vector, place: Vector) -> Script[bool]:
@@ -108,7 +107,7 @@ def _ramp(context: Context, start: Vector, change: Vector, duration: float) -> t
     x, y, z = context.position
     geometry, parameters = context.kinematics.geometry, context.parameters
     held = context.kinematics.holding_torque(x, y, z, parameters.gravity)
-    a, b, c = (abs(torque) + parameters.push_current * TORQUE_CONSTANT for torque in held)
+    a, b, c = (abs(torque) + parameters.push_current * parameters.torque_constant for torque in held)
     points = []
     for index in range(1, _POINTS + 1):
         share = index / _POINTS

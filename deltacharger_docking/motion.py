@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.codes import Unreachable
 from deltacharger_docking.observation import Waypoint
 from deltacharger_docking.parameters import DockingParameters
@@ -50,7 +49,7 @@ class Planner:
         held = self._delta.holding_torque(line.positions, self._parameters.gravity)
         angles, velocities = self._command(line, held / self._parameters.servo_stiffness)
         allowed = self._parameters.push_current if push is None else push
-        bound = np.abs(held) + allowed * TORQUE_CONSTANT
+        bound = np.abs(held) + allowed * self._parameters.torque_constant
         return tuple(
             Waypoint(time, _vector(row), _vector(torque), _vector(rate))
             for time, row, torque, rate in list(zip(line.times.tolist(), angles, bound, velocities, strict=True))[1:]

@@ -6,7 +6,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from deltacharger_core.machine import BAR_GAP, BAR_LENGTH, GRAVITY, SERVO_DAMPING, SERVO_STIFFNESS, STALL_CURRENT
+from deltacharger_core.machine import (
+    BAR_GAP,
+    BAR_LENGTH,
+    GRAVITY,
+    SERVO_DAMPING,
+    SERVO_STIFFNESS,
+    STALL_CURRENT,
+    TORQUE_CONSTANT,
+)
 from deltacharger_core.parameters import Bounded, ParameterError, choice, flag, number, numbers, words
 from deltacharger_kinematics.geometry import Vector
 
@@ -26,6 +34,9 @@ class DockingParameters(Bounded):
     current_signal: str = choice("contact", SIGNALS, "what counts as current: contact, or the raw maximum or sum")
     servo_stiffness: float = number(SERVO_STIFFNESS, 1.0, 50.0, "N·m/rad", "servo stiffness in position mode")
     servo_damping: float = number(SERVO_DAMPING, 0.0, 10.0, "N·m·s/rad", "servo damping")
+    torque_constant: float = number(
+        TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current of a servo, as servo_node's"
+    )
     gravity_x: float = number(GRAVITY[0], -20.0, 20.0, "m/s²", "gravity along x of charger_base")
     gravity_y: float = number(GRAVITY[1], -20.0, 20.0, "m/s²", "gravity along y of charger_base")
     gravity_z: float = number(GRAVITY[2], -20.0, 20.0, "m/s²", "gravity along z of charger_base")

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.codes import DockingError, Stuck
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.trajectory_feed import PULL_HORIZON, pull
@@ -59,7 +58,7 @@ def release(context: Context, travel: float = _RELEASED) -> Script[None]:
         yield
     context.feed.stop()
     x, y, z = context.position
-    lead = parameters.release_current * TORQUE_CONSTANT / parameters.servo_stiffness
+    lead = parameters.release_current * parameters.torque_constant / parameters.servo_stiffness
     behind = tuple(max(angle - lead, geometry.joint_min) for angle in context.observation.angles)
     goal: Vector = (behind[0], behind[1], behind[2])
     begun, pushed = context.time, context.contact.value
@@ -100,7 +99,8 @@ def _pull(context: Context, goal: Vector, current: float, z: float, seconds: flo
     It is told in every tick and lapses by itself: whoever stops telling it, and servos that are not heard any more,
     pull no longer. Time without a pull does not count; the phase's does.
     """
-    bound, push = ((each * TORQUE_CONSTANT,) * 3 for each in (current, context.parameters.push_current))
+    constant = context.parameters.torque_constant
+    bound, push = ((each * constant,) * 3 for each in (current, context.parameters.push_current))
     last, left = context.time, seconds
     while left > 0.0 and not _is_off(context, z):
         observation = context.observation

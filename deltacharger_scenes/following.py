@@ -10,9 +10,15 @@ from typing import Any
 from deltacharger_sim.parameters import WorldParameters
 
 _GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
+_CONSTANT = ("servo.torque_constant",)
 _FOLLOWS: dict[str, dict[str, tuple[str, ...]]] = {
-    "kinematics_node": {"gravity": _GRAVITY, "torque_constant": ("servo.torque_constant",)},
-    "docking_node": {"servo_stiffness": ("servo.stiffness",), **{axis: (axis,) for axis in _GRAVITY}},
+    "servo_node": {"torque_constant": _CONSTANT},
+    "kinematics_node": {"gravity": _GRAVITY, "torque_constant": _CONSTANT},
+    "docking_node": {
+        "servo_stiffness": ("servo.stiffness",),
+        "torque_constant": _CONSTANT,
+        **{axis: (axis,) for axis in _GRAVITY},
+    },
 }
 """Of each node, its parameters with the keys of the world that they follow."""
 

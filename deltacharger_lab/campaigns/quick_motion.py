@@ -7,7 +7,6 @@ import functools
 import math
 from itertools import pairwise
 
-from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Waypoint
 from deltacharger_docking.parameters import DockingParameters
@@ -67,7 +66,7 @@ class QuickPlanner(Planner):
         duration = max(PEAK_SPEED * length / speed, 2.0 * _INTERVAL)
         first = self._scalar.holding_torque(*start, parameters.gravity)
         last = self._scalar.holding_torque(*goal, parameters.gravity)
-        allowed = (parameters.push_current if push is None else push) * TORQUE_CONSTANT
+        allowed = (parameters.push_current if push is None else push) * parameters.torque_constant
         softness, low, high = 1.0 / parameters.servo_stiffness, geometry.joint_min, geometry.joint_max
         points = []
         for share, way in _ways(math.ceil(duration / _INTERVAL)):

@@ -75,10 +75,12 @@ def test_nodes_follow_the_world_unless_the_scene_says_otherwise() -> None:
     scene = parse_scene(content, "mine")
     assert scene.node_parameters("docking_node", {}) == {
         "servo_stiffness": 6.0,
+        "torque_constant": 1.2,
         "gravity_x": 0.0,
         "gravity_y": -9.0,
         "gravity_z": 0.0,
     }
+    assert scene.node_parameters("servo_node", {}) == {"torque_constant": 1.2}
     assert scene.node_parameters("kinematics_node", {}) == {"gravity": [0.0, -9.0, 3.0], "torque_constant": 1.2}
 
 
