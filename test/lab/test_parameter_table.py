@@ -8,7 +8,10 @@ from typing import Any
 
 import pytest
 
+from deltacharger_core.parameters import declared
 from deltacharger_lab.pages.parameters import document, every_node
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.parameter_check import tables
 
 pytestmark = pytest.mark.ros
 
@@ -19,3 +22,9 @@ def test_the_page_is_what_the_nodes_declare(context: Any, namespace: str) -> Non
     page = Path(__file__).parents[2] / "docs" / "parameters.md"
     with every_node(context, namespace) as nodes:
         assert page.read_text(encoding="utf-8") == document(nodes)
+        own = {"use_sim_time", "start_type_description_service"}
+        declares = {node.get_name(): set(node._parameters) - own for node in nodes}
+    for name in NODES.keys() & declares.keys():
+        told = {each.name for table in tables(name) for each in declared(table)}
+        found = {parameter for parameter in declares[name] if not parameter.startswith("qos_overrides.")}
+        assert told == found, f"the table of nodes tells other parameters of {name} than it declares"
