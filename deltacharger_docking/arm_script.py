@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 
+from deltacharger_docking import contact_current
 from deltacharger_docking.codes import ServoFailure, State, Stuck, TactileStale
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.energy_script import de_energise
@@ -14,7 +15,6 @@ from deltacharger_docking.release_script import take_off
 FIRST_DATA = 3.0  # s that nodes which have just started may take to be heard
 _SERVICE_TIMEOUT = 3.0  # s for services that answer at once
 _OFF_TIME = 0.1  # s that servo_node needs to switch the torque off
-_FREE_CURRENT = 0.06  # A of contact current either way that tells contact or magnets from free air
 
 
 def prepare(context: Context) -> Script[None]:
@@ -108,7 +108,7 @@ def lift_off(context: Context, pull: bool = False) -> Script[None]:
     parameters = context.parameters
     x, y, z = context.measured()
     clear = min(max(z - parameters.lift, parameters.home_z), z)
-    if pull or context.observation.tactile_contact or abs(context.contact.value) > _FREE_CURRENT:
+    if pull or context.observation.tactile_contact or abs(context.contact.value) > contact_current.FREE:
         yield from take_off(context, clear)
     else:
         context.commanded = x, y, z

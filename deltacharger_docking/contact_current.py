@@ -11,6 +11,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import LIMB_COUNT, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 
+FREE = 0.06  # A of contact current either way that tells contact, or the pull of the magnets, from free air
 _WINDOW = 0.12  # s; a median over at least 100 ms suppresses current noise and single bad replies
 
 

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
+from deltacharger_docking import contact_current
 from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.release_script import take_off
 from deltacharger_kinematics.geometry import Vector
 
-_LEFT_BASELINE = 0.06  # A of contact current either way that tell contact or the pull of the magnets from free air
 _CAUTION = 0.7  # of the way to the band that one step may take, so that it is entered from below
 _SLOPE_RANGE = (0.4, 2.5)  # a measured slope is believed within these multiples of the expected one
 _HARDEST = 0.6  # A that a step may lead to at most where the contact turns out to be as stiff as expected
@@ -142,7 +142,7 @@ def _guarded(context: Context, depth: float) -> Script[None]:
             yield from step_to(context, z - parameters.overshoot_back_off / slope)
             continue
         _check_depth(context, depth)
-        touching = abs(before) > _LEFT_BASELINE or context.observation.tactile_contact
+        touching = abs(before) > contact_current.FREE or context.observation.tactile_contact
         if touching:
             caution = _CAUTION if before < 0.75 * low else 1.0
             step = caution * (parameters.current_target - before) / slope

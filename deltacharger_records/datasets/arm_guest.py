@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
@@ -25,7 +26,7 @@ class ArmError(RuntimeError):
     """The arm cannot be moved, or not any more; the message says why and what to do."""
 
 
-class ArmGuest(Guest):
+class ArmGuest(Guest, ABC):
     """Hears docking_state; may publish joint_trajectory and call set_torque while docking_node does not need the arm.
 
     Args:
@@ -56,9 +57,9 @@ class ArmGuest(Guest):
         finally:
             super().close()
 
+    @abstractmethod
     def _let_go(self) -> None:
         """Stop the arm and switch off the torque, where this program drives it."""
-        raise NotImplementedError
 
     def _told(self) -> bool:
         """Whether docking_node has told its state, or there is none."""

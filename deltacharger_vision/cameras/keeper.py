@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Protocol
 
@@ -33,7 +34,7 @@ class OpenCamera(Protocol):
         """Release the device."""
 
 
-class ImageSource:
+class ImageSource(ABC):
     """A thread that delivers images until it is closed.
 
     Attributes:
@@ -60,8 +61,9 @@ class ImageSource:
         if self._thread.ident is not None:
             self._thread.join()
 
+    @abstractmethod
     def _run(self) -> None:
-        raise NotImplementedError
+        """Deliver images until `_stop` is set."""
 
     def _tell(self, problem: str) -> None:
         if problem != self.problem:
