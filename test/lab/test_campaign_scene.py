@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import math
 import random
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -165,7 +166,7 @@ def test_a_listed_docking_is_as_listed_and_the_rest_is_drawn() -> None:
 
 @pytest.mark.parametrize(
     ("name", "digest"),
-    [("default", "930f58cf75e0584bda09ea59f71e28c0"), ("steep", "36529113c32130671739c9858169e57b")],
+    [("default", "77ca1c1e2391afcbb846db50afc10b09"), ("steep", "e45b5150f0adaa90ca984d8888f6637e")],
 )
 def test_what_a_seed_drew_it_draws_for_ever(name: str, digest: str) -> None:
     scene = load_campaign_scene(name)
@@ -173,9 +174,9 @@ def test_what_a_seed_drew_it_draws_for_ever(name: str, digest: str) -> None:
     for number in range(40):
         one = draw(scene, 21, number, "guarded")
         world = one.world
-        parts = (world.servo, world.contact, world.magnets, world.target)
+        parts = map(astuple, (world.servo, world.contact, world.magnets, world.target, one.goal))
         gravity = (world.gravity_x, world.gravity_y, world.gravity_z)
-        found.update(repr((sorted(one.values.items()), *parts, *gravity, one.goal, one.seed, one.rig_seed)).encode())
+        found.update(repr((sorted(one.values.items()), *parts, *gravity, one.seed, one.rig_seed)).encode())
     assert found.hexdigest()[:32] == digest
 
 
