@@ -108,10 +108,11 @@ def _hardware(options: argparse.Namespace) -> _Hardware:
         return hardware
     try:
         from deltacharger_bringup.cli.scene import load_for_command
+
+        scene = load_for_command(options.scene or DEFAULT_SCENE)
     except ImportError as error:
         hardware.problems.append(wrong("scene", f"cannot be read: {error}", install(error.name or "")))
         return hardware
-    scene = load_for_command(options.scene or DEFAULT_SCENE)
     hardware.scene = scene.name
     if scene.simulation is not None:
         if given:
