@@ -11,10 +11,12 @@ import threading
 import time
 from typing import Any
 
-from deltacharger.msg import DockingState
+from deltacharger.msg import DockingState, ServoState, TactileFrame
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from deltacharger_ros import qos
 from deltacharger_ros.client import ChargerClient, ClientError
+from deltacharger_ros.on_demand import LatestMessage
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import parse_scene
@@ -76,6 +78,10 @@ class Rig:
             self.start(name)
         self.client = ChargerClient(namespace, context)
         self.client.node.create_subscription(DockingState, "docking_state", self._on_state, LATCHED)
+        self._inputs = [
+            LatestMessage(self.client.node, TactileFrame, "tactile_frame", qos.SENSOR),
+            LatestMessage(self.client.node, ServoState, "servo_state", qos.LATEST),
+        ]
         self.ready()
 
     def start(self, name: str) -> None:
@@ -88,11 +94,14 @@ class Rig:
         self._processes[name] = Process(*words)
 
     def ready(self) -> None:
-        """Wait until all nodes are there."""
+        """Wait until all nodes are there, and publish: one that was killed stays in the graph for a while."""
         said = {name: each.err[-3:] for name, each in self._processes.items()}
         assert self.client.wait_until_ready(DEADLINE), said
         for service in ("set_torque", "probe", "predict_misalignment", "detect_electrodes"):
             wait_until(lambda service=service: self._serves(service), service)  # type: ignore[misc]
+        for topic in self._inputs:
+            topic.take()
+            wait_until(topic.take, "what docking decides by")
 
     def _serves(self, name: str) -> bool:
         known = {each for each, _ in self.client.node.get_service_names_and_types()}
