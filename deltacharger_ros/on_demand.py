@@ -4,9 +4,9 @@
 They are matched with their publishers all the time, so that the first message costs no discovery; unneeded, the
 newest messages wait in the reader's history, and nothing of the node runs for them.
 
-Messages are taken by `Subscription.handle`, as `rclpy.wait_for_message` does: taking a TactileFrame so costs 42 µs of
-processor time, a callback of rclpy's EventsExecutor 86 µs, and 69 µs undecoded (docs/benchmarks.md). At rest a
-charger's nodes hear 600 messages a second and need few of them.
+Messages are taken by `Subscription.handle`, as `rclpy.wait_for_message` does: taking a TactileFrame so costs 44 µs of
+processor time, a callback of rclpy's EventsExecutor 102 µs, and one that nobody takes nothing (docs/benchmarks.md). At
+rest a charger's nodes hear 600 messages a second and need few of them.
 """
 
 from __future__ import annotations
