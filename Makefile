@@ -21,7 +21,7 @@ SIDE_BY_SIDE := -n 2 --dist loadfile
 dock: $(INSTALLED)  ## dock in simulation and draw the run
 	$(BIN)/deltacharger dock --scene $(SCENE) --picture dock.png
 
-test: $(INSTALLED)  ## what a change needs, in 10 minutes on two cores; what is judged by real time runs alone
+test: $(INSTALLED)  ## what a change needs; what is judged by real time runs alone
 	$(PYTEST) $(SIDE_BY_SIDE) -m 'not slow and not realtime'
 	$(PYTEST) -m 'not slow and realtime'
 
@@ -29,7 +29,7 @@ test-rest: $(INSTALLED)  ## what `make test` leaves out
 	$(PYTEST) $(SIDE_BY_SIDE) -m 'slow and not realtime'
 	$(PYTEST) -m 'slow and realtime'
 
-test-all: test test-rest  ## every test, in 30 minutes
+test-all: test test-rest  ## every test
 
 check: lint types test  ## what a change needs; `.ci/run` adds the rest
 
