@@ -34,6 +34,8 @@ FRAME_RATE = 120.0
 CONTACT_FORCE = 1.0
 """N; a taxel at or above it is in contact: the smallest force that the published sensor tells (1–9 N)."""
 
+LONGEST_LEASE = 0.25
+"""s for which the contactor is held closed unless its holder asks again."""
 DOCK_DISTANCE = 0.080
 """m; z of the electrodes where the robot stands right (paper: (0, 0, 80) mm)."""
 BAR_LENGTH, BAR_HEIGHT, BAR_GAP = 0.070, 0.010, 0.0074

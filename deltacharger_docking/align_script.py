@@ -14,12 +14,6 @@ from deltacharger_docking.ease_script import ease
 from deltacharger_docking.observation import Service
 from deltacharger_docking.release_script import take_off
 
-_SAME_PLACE_MAX = 2  # dockings at one offset whose estimate stays unsure
-_UNSURE_MAX = 4  # unsure estimates in all
-_WORTH_MOVING = 0.002  # m; a smaller offset is no reason for a pad to lose its ridge
-_KNOWN = 3.0  # standard deviations from zero at which an unsure estimate still tells the direction
-_ESTIMATE_TIMEOUT = 3.0  # s
-
 
 class Alignment:
     """The loop of measuring and moving. One instance serves one target, from its first contact until it is left.
@@ -33,15 +27,11 @@ class Alignment:
         self._context = context
         self.critical_angle = critical_angle
         self._depth = depth
-        self._filter = self._new_filter()
+        self._filter = AlignmentFilter(context.parameters)
         self._angles: list[float] = []
         self._unsure = self._unsure_here = 0
         self._passed = 0
         self.aligned = False
-
-    def _new_filter(self) -> AlignmentFilter:
-        parameters = self._context.parameters
-        return AlignmentFilter(parameters.docking_jitter, parameters.gain_error)
 
     def run(self, stay: bool = False) -> Script[None]:
         """Align until the estimate allows current to flow, with the arm at ease.
@@ -81,7 +71,7 @@ class Alignment:
             settled = stay or (self.aligned and landed) or (exhausted and parameters.charge_when_not_aligned)
             safe = verdict is Verdict.SAFE or (verdict is Verdict.PROBABLY_SAFE and self._passed >= 2)
             if stay and not safe:
-                self._filter = self._new_filter()  # the target is not any more where it was
+                self._filter = AlignmentFilter(parameters)  # the target is not any more where it was
             stay = False
             if settled and safe and (yield from self._stands()):
                 text = "the target lies within the tolerance" if self.aligned else "the electrodes have clearance here"
@@ -119,10 +109,10 @@ class Alignment:
             NoTactileContact: they feel nothing.
             TactileStale: no estimate came.
         """
-        context = self._context
-        context.enter(State.MEASURE, context.parameters.measure_timeout)
+        context, parameters = self._context, self._context.parameters
+        context.enter(State.MEASURE, parameters.measure_timeout)
         reply = yield from context.ask(
-            Service.ESTIMATE, TactileStale, _ESTIMATE_TIMEOUT, context.parameters.estimate_frames
+            Service.ESTIMATE, TactileStale, parameters.service_timeout, parameters.estimate_frames
         )
         if not reply.success or reply.estimate is None:
             raise TactileStale(f"no misalignment estimate: {reply.message}")
@@ -137,18 +127,19 @@ class Alignment:
 
         A pad that has lost its ridge still tells the direction. It only moves the arm; energising needs a sure one.
         """
+        parameters = self._context.parameters
         self._unsure_here += 1
         self._unsure += 1
         place = self._context.position
-        x, y = _pointed_at(estimate)
-        lost = estimate.complete and math.hypot(x, y) > _WORTH_MOVING
+        x, y = _pointed_at(estimate, parameters.unsure_move_sigmas)
+        lost = estimate.complete and math.hypot(x, y) > parameters.unsure_move_min
         reachable = lost and not self._context.planner.reachable((place[0] + x, place[1] + y, place[2]))
-        if reachable and self._unsure < _UNSURE_MAX:
+        if reachable and self._unsure < parameters.unsure_max:
             self._unsure_here = 0
             self._context.status.alignments += 1
             self._context.decide("elsewhere", "a pad has lost its ridge: it is looked for", x_m=x, y_m=y)
             return x, y
-        if self._unsure_here >= _SAME_PLACE_MAX or self._unsure >= _UNSURE_MAX:
+        if self._unsure_here >= parameters.unsure_here_max or self._unsure >= parameters.unsure_max:
             self._give_up(estimate)
         self._context.decide("again", "the estimate is unsure and is made anew by docking again", times=self._unsure)
         return 0.0, 0.0
@@ -220,12 +211,12 @@ class Alignment:
         yield from contact(context, self._depth)
 
 
-def _pointed_at(estimate: FeltPose) -> tuple[float, float]:
-    """Return where (m) an unsure estimate points: out of range all of it, else along the axes that it knows."""
+def _pointed_at(estimate: FeltPose, sigmas: float) -> tuple[float, float]:
+    """Return where (m) an unsure estimate points: out of range all of it, else along axes known at `sigmas`."""
     x, y = estimate.horizontal, estimate.vertical
     if estimate.in_range:
-        x = x if abs(x) > _KNOWN * estimate.horizontal_stddev else 0.0
-        y = y if abs(y) > _KNOWN * estimate.vertical_stddev else 0.0
+        x = x if abs(x) > sigmas * estimate.horizontal_stddev else 0.0
+        y = y if abs(y) > sigmas * estimate.vertical_stddev else 0.0
     return x, y
 
 

@@ -6,32 +6,26 @@ from __future__ import annotations
 import math
 
 from deltacharger_docking.clearance import FeltPose
-
-_SIGMAS = 2.15  # that a contact is judged at; what it leaves beyond the limit: docs/docking.md
-_FELT_SIGMAS = 1.65  # of what the pads feel alone: a landing far out is rare, and rarer where they see well
-_CONTRADICTION = 25.0, 4.0  # sum of squared innovations, in variances, above which they are none: 25 + 4 for each look
+from deltacharger_docking.parameters import DockingParameters
 
 
 class AlignmentFilter:
     """Kalman filter of a fixed target position (x, y in charger_base) seen by touch.
 
-    One docking lands beside its commanded place by `jitter`, and an estimate's error grows with its size, so a first
-    look from 8 mm away weighs little once the platform stands close.
-
-    Args:
-        jitter: standard deviation (m) of one docking.
-        gain_error: relative error of an estimate, added in quadrature.
+    One docking lands beside its commanded place by `docking_jitter` (a standard deviation, m), and an estimate's error
+    grows with its size by `gain_error`, added in quadrature, so a first look from 8 mm away weighs little once the
+    platform stands close.
     """
 
-    def __init__(self, jitter: float, gain_error: float) -> None:
-        self._jitter = jitter
-        self._gain_error = gain_error
+    def __init__(self, parameters: DockingParameters) -> None:
+        self._parameters = parameters
         self._mean = [0.0, 0.0]
         self._information = [0.0, 0.0]
         self._innovations = [0.0, 0.0]
         self._looks = 0
         self.landing = math.inf
-        """How far (m) the last contact may lie off on its worse axis: |mean| + 2.15 σ, at least 1.65 σ felt."""
+        """How far (m) the last contact may lie off on its worse axis: |mean| + landing_sigmas σ, at least
+        landing_felt_sigmas σ felt: a landing far out is rare, and rarer where the pads see well."""
 
     def update(self, platform: tuple[float, float], estimate: FeltPose) -> None:
         """Take one estimate made with the platform at (x, y) m of charger_base."""
@@ -39,13 +33,14 @@ class AlignmentFilter:
             (platform[0] + estimate.horizontal, estimate.horizontal, estimate.horizontal_stddev),
             (platform[1] + estimate.vertical, estimate.vertical, estimate.vertical_stddev),
         )
+        parameters = self._parameters
         self.landing = 0.0
         self._looks += 1
         for axis, (place, offset, stddev) in enumerate(readings):
-            felt = stddev**2 + (self._gain_error * offset) ** 2
-            variance = self._jitter**2 + felt
+            felt = stddev**2 + (parameters.gain_error * offset) ** 2
+            variance = parameters.docking_jitter**2 + felt
             land = self._land(axis, place - offset, offset, max(felt, 1e-12))
-            self.landing = max(self.landing, land, _FELT_SIGMAS * stddev)
+            self.landing = max(self.landing, land, parameters.landing_felt_sigmas * stddev)
             weight = 1.0 / max(variance, 1e-12)
             if self._information[axis] > 0.0:
                 expected = variance + 1.0 / self._information[axis]
@@ -56,18 +51,18 @@ class AlignmentFilter:
     @property
     def contradicts_itself(self) -> bool:
         """Whether the looks differ by more than their errors allow: the pads do not feel where the arm has gone."""
-        fixed, each = _CONTRADICTION
-        return max(self._innovations) > fixed + each * self._looks
+        start, each = self._parameters.contradiction_start, self._parameters.contradiction_each
+        return max(self._innovations) > start + each * self._looks
 
     def _land(self, axis: int, platform: float, offset: float, variance: float) -> float:
-        """Return |mean| + 2.15 σ (m) of this contact: what is felt, and where earlier ones say that the target is."""
+        """Return |mean| + landing_sigmas σ (m) of this contact, from what is felt and where earlier ones saw it."""
         information = self._information[axis]
         mean, weight = offset, 1.0 / variance
         if information > 0.0:
-            known = 1.0 / (self._jitter**2 + 1.0 / information + 1e-12)
+            known = 1.0 / (self._parameters.docking_jitter**2 + 1.0 / information + 1e-12)
             mean = (weight * offset + known * (self._mean[axis] - platform)) / (weight + known)
             weight += known
-        return abs(mean) + _SIGMAS / math.sqrt(weight)
+        return abs(mean) + self._parameters.landing_sigmas / math.sqrt(weight)
 
     @property
     def target(self) -> tuple[float, float]:

@@ -5,16 +5,13 @@ from __future__ import annotations
 
 import math
 
-from deltacharger_docking import contact_current
 from deltacharger_docking.codes import ServoFailure, State, Stuck, TactileStale
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.energy_script import de_energise
 from deltacharger_docking.observation import Service
 from deltacharger_docking.release_script import take_off
 
-FIRST_DATA = 3.0  # s that nodes which have just started may take to be heard
-_SERVICE_TIMEOUT = 3.0  # s for services that answer at once
-_OFF_TIME = 0.1  # s that servo_node needs to switch the torque off
+_OFF_TIME = 0.1  # s that servo_node needs to switch the torque off: some of its cycles
 
 
 def prepare(context: Context) -> Script[None]:
@@ -22,7 +19,7 @@ def prepare(context: Context) -> Script[None]:
     context.enter(State.APPROACH, context.parameters.approach_timeout)
     started = context.time
     while math.inf in (context.observation.servo_age, context.observation.tactile_age):
-        if context.time - started > FIRST_DATA:
+        if context.time - started > context.parameters.first_data_timeout:
             break
         yield
     if context.observation.servo_age > context.parameters.servo_age_max:
@@ -39,7 +36,7 @@ def prepare(context: Context) -> Script[None]:
     # After a restart nobody remembers having docked; the pads do.
     if context.status.docked or (context.observation.tared and context.observation.tactile_contact):
         yield from lift_off(context)
-    reply = yield from context.ask(Service.TARE, TactileStale, _SERVICE_TIMEOUT)
+    reply = yield from context.ask(Service.TARE, TactileStale, context.parameters.service_timeout)
     if not reply.success:
         raise TactileStale(f"the pads were not tared: {reply.message}; they must be free before docking")
     context.decide("tared", "the pads are tared in free air")
@@ -51,7 +48,7 @@ def torque_on(context: Context) -> Script[None]:
     Raises:
         ServoFailure: they were not enabled.
     """
-    reply = yield from context.ask(Service.TORQUE_ON, ServoFailure, _SERVICE_TIMEOUT)
+    reply = yield from context.ask(Service.TORQUE_ON, ServoFailure, context.parameters.service_timeout)
     if not reply.success:
         raise ServoFailure(f"the servos were not enabled: {reply.message}")
 
@@ -89,7 +86,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         if away > parameters.lift:
             raise Stuck(f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand")
     context.status.docked = False
-    reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, _SERVICE_TIMEOUT)
+    reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, context.parameters.service_timeout)
     if not reply.success:
         raise ServoFailure(f"the servos' torque was not switched off: {reply.message}")
     context.decide("limp", "the servos' torque is off")
@@ -108,7 +105,7 @@ def lift_off(context: Context, pull: bool = False) -> Script[None]:
     parameters = context.parameters
     x, y, z = context.measured()
     clear = min(max(z - parameters.lift, parameters.home_z), z)
-    if pull or context.observation.tactile_contact or abs(context.contact.value) > contact_current.FREE:
+    if pull or context.observation.tactile_contact or abs(context.contact.value) > parameters.free_current:
         yield from take_off(context, clear)
     else:
         context.commanded = x, y, z

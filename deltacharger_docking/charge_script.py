@@ -21,13 +21,6 @@ from deltacharger_docking.energy_script import Watch, no_current
 from deltacharger_docking.observation import DockGoal, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 
-_UNSAFE_TWICE = 2  # successive estimates without clearance that end charging
-_BLIND_MAX = 3  # successive estimates that fail or stay unsure, after which nobody watches the clearance any more
-_FRAMES = 12  # of one look at the clearance
-_MEMORY = 2.0  # s of the low-pass that knows what flowed before
-_FALL = 0.5  # of what flowed before; less has not tapered, it was cut off
-_CONFIRMED = 1.0  # s below the least current after which the target counts as full
-
 
 @dataclass
 class Order:
@@ -59,13 +52,13 @@ class Taper:
     """Tells a full target from a current that was cut off.
 
     At constant voltage a battery's current falls over minutes. A cut takes it away between two samples. So current
-    below the least is taken for a full target where it has never been less than half of its own mean over the last two
-    seconds, and stays below for one second; at a falling current with time constant T that mean is ahead by 2 s / T, so
-    everything slower than T = 4 s is a taper.
+    below the least is taken for a full target where it has never been less than `taper_share` of its own mean over the
+    last `taper_time`, and stays below for `full_time`; at a falling current with time constant T that mean is ahead by
+    taper_time / T, so at half and 2 s everything slower than T = 4 s is a taper.
     """
 
     def __init__(self, parameters: DockingParameters) -> None:
-        self._least = parameters.charge_current_min
+        self._parameters = parameters
         self._time = math.nan
         self._below_since = math.inf
         self.mean = math.nan
@@ -76,16 +69,16 @@ class Taper:
             return Flow.FLOWS
         if math.isnan(self.mean):
             self._time, self.mean = time, current
-        before = self.mean
-        self.mean += (current - before) * -math.expm1((self._time - time) / _MEMORY)
+        before, parameters = self.mean, self._parameters
+        self.mean += (current - before) * -math.expm1((self._time - time) / parameters.taper_time)
         self._time = time
-        if current >= self._least:
+        if current >= parameters.charge_current_min:
             self._below_since = math.inf
             return Flow.FLOWS
-        if current < _FALL * before:
+        if current < parameters.taper_share * before:
             return Flow.LOST
         self._below_since = min(self._below_since, time)
-        return Flow.FULL if time - self._below_since >= _CONFIRMED else Flow.FLOWS
+        return Flow.FULL if time - self._below_since >= parameters.full_time else Flow.FLOWS
 
 
 class Counter:
@@ -134,17 +127,19 @@ def charge(context: Context, order: Order) -> Script[str]:
 
 
 def _clearance_checks(context: Context, order: Order) -> Script[None]:
-    """Feel the misalignment every few seconds; end charging when clearance is gone twice or unknown thrice in a row."""
+    """Feel the misalignment every few seconds; end charging when clearance is gone or unknown too often in a row."""
     parameters = context.parameters
     unsafe = blind = 0
     while True:
         yield from context.wait(parameters.clearance_period)
-        reply = yield from context.ask(Service.ESTIMATE, TactileStale, parameters.measure_timeout, _FRAMES)
+        reply = yield from context.ask(
+            Service.ESTIMATE, TactileStale, parameters.measure_timeout, parameters.clearance_frames
+        )
         estimate = reply.estimate
         if estimate is None or not estimate.usable:
             blind += 1
             context.decide("blind", "the clearance was not felt", times=blind)
-            if blind >= _BLIND_MAX:
+            if blind >= parameters.blind_max:
                 raise _blind(reply, blind)
             continue
         blind = 0
@@ -161,7 +156,7 @@ def _clearance_checks(context: Context, order: Order) -> Script[None]:
                 vertical_m=estimate.vertical,
                 vertical_stddev_m=estimate.vertical_stddev,
             )
-        if unsafe >= _UNSAFE_TWICE:
+        if unsafe >= parameters.unsafe_max:
             raise CriticalAngle(
                 f"the target moved while charging: {math.degrees(estimate.angle):.1f}°, "
                 f"{1000 * estimate.vertical:.1f} mm vertical leave no clearance"

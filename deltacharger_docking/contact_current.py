@@ -11,9 +11,6 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import LIMB_COUNT, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 
-FREE = 0.06  # A of contact current either way that tells contact, or the pull of the magnets, from free air
-_WINDOW = 0.12  # s; a median over at least 100 ms suppresses current noise and single bad replies
-
 
 class ContactCurrent:
     """Contact current I_c = f_z J_z / Kt, with f_z from J⁻ᵀ (τ − τ_hold(p)) less its reading in free air.
@@ -27,6 +24,7 @@ class ContactCurrent:
         self._kinematics = kinematics
         self._gravity = parameters.gravity
         self._signal = parameters.current_signal
+        self._span = parameters.contact_window
         self._constant = parameters.torque_constant
         geometry = kinematics.geometry
         self._limbs = tuple(geometry.limb(index) for index in range(LIMB_COUNT))
@@ -54,7 +52,7 @@ class ContactCurrent:
         window = self._window
         if math.isfinite(value):
             window.append((time, value, currents))
-        while window and window[0][0] < time - _WINDOW:
+        while window and window[0][0] < time - self._span:
             window.popleft()
         self._median = math.nan
 
@@ -98,7 +96,7 @@ class ContactCurrent:
 
     @property
     def force(self) -> float:
-        """Force (N) of the servos on the target along +z, median over 0.12 s; NaN without readings."""
+        """Force (N) of the servos on the target along +z, median over `contact_window`; NaN without readings."""
         if self._median != self._median and self._window:
             values = sorted(value for _, value, _ in self._window)
             middle = len(values) // 2
@@ -107,7 +105,7 @@ class ContactCurrent:
 
     @property
     def currents(self) -> Vector:
-        """Mean of the servos' currents (A) over 0.12 s; NaN without readings."""
+        """Mean of the servos' currents (A) over `contact_window`; NaN without readings."""
         count = len(self._window)
         if not count:
             return NAN3

@@ -3,16 +3,15 @@
 
 from __future__ import annotations
 
-from deltacharger_docking import contact_current
 from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.release_script import take_off
 from deltacharger_kinematics.geometry import Vector
 
-_CAUTION = 0.7  # of the way to the band that one step may take, so that it is entered from below
-_SLOPE_RANGE = (0.4, 2.5)  # a measured slope is believed within these multiples of the expected one
-_HARDEST = 0.6  # A that a step may lead to at most where the contact turns out to be as stiff as expected
-_ATTEMPTS = 3  # overshoots after which contact is given up
+_RUN_UP = 0.004  # m along +z before the tare; enough for the servos' friction to have the sign of pushing
+_NEAR = 0.75  # of the band's lower end; from there on a step may take the whole way, for what it can miss is small
+_LONGEST = 3.0  # paper's steps that one step may be long, however soft the contact seems
+_TOLD = 0.02  # A between two readings that tell a slope from noise
 
 
 def approach(context: Context, target: Vector) -> Script[None]:
@@ -24,7 +23,7 @@ def approach(context: Context, target: Vector) -> Script[None]:
     context.enter(State.APPROACH, parameters.approach_timeout)
     x, y, z = target
     standoff = z - parameters.standoff
-    run_up = min(0.004, max(standoff - context.position[2], 0.0))
+    run_up = min(_RUN_UP, max(standoff - context.position[2], 0.0))
     yield from context.move((x, y, standoff - run_up), parameters.travel_speed, settle=False)
     yield from context.move((x, y, standoff), parameters.contact_speed)
     context.decide("zero", "the contact current is tared at the standoff", contact_current_A=context.contact.value)
@@ -134,7 +133,7 @@ def _guarded(context: Context, depth: float) -> Script[None]:
             context.decide(
                 "overshoot", "the push is above its band and is given back", contact_current_A=before, times=overshoots
             )
-            if overshoots > _ATTEMPTS:
+            if overshoots > parameters.overshoots_max:
                 raise Overcurrent(
                     f"contact current overshot to {before:.2f} A {overshoots} times; is the target moving, or the "
                     "parameter servo_stiffness far too low?"
@@ -142,19 +141,19 @@ def _guarded(context: Context, depth: float) -> Script[None]:
             yield from step_to(context, z - parameters.overshoot_back_off / slope)
             continue
         _check_depth(context, depth)
-        touching = abs(before) > contact_current.FREE or context.observation.tactile_contact
+        touching = abs(before) > parameters.free_current or context.observation.tactile_contact
         if touching:
-            caution = _CAUTION if before < 0.75 * low else 1.0
-            step = caution * (parameters.current_target - before) / slope
-            stiff = (_HARDEST - before) / expected  # soft springs may bottom within the step
-            step = min(step, 3.0 * parameters.paper_step, max(stiff, 0.0))
+            share = parameters.step_share if before < _NEAR * low else 1.0
+            step = share * (parameters.current_target - before) / slope
+            stiff = (parameters.step_current_max - before) / expected  # soft springs may bottom within the step
+            step = min(step, _LONGEST * parameters.paper_step, max(stiff, 0.0))
         else:
-            step = min(parameters.coarse_step, _CAUTION * parameters.current_min / expected)
+            step = min(parameters.coarse_step, parameters.step_share * parameters.current_min / expected)
         yield from step_to(context, z + step)
         after = context.contact.value
-        if touching and before > 0.0 and after - before > 0.02:
+        if touching and before > 0.0 and after - before > _TOLD:
             measured = (after - before) / step
-            slope = min(max(measured, _SLOPE_RANGE[0] * expected), _SLOPE_RANGE[1] * expected)
+            slope = min(max(measured, parameters.response_min * expected), parameters.response_max * expected)
 
 
 def _check_depth(context: Context, depth: float) -> None:

@@ -32,6 +32,8 @@ T = TypeVar("T")
 # Algorithm 1 reads from top to bottom as in the paper and still never blocks.
 Script = Generator[None, None, T]
 
+_READING = 0.01  # s between two of them, the servos' cycle
+_UNCOUNTED = 0.2  # s between two steps beyond which nobody knows how much energy flowed
 _REACHES_OUT = (State.APPROACH, State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
 
 
@@ -96,7 +98,7 @@ class Context:
                 self._replies.setdefault(reply.number, reply)
         power = observation.charge_current * observation.target_voltage
         if observation.contactor_closed and math.isfinite(power):
-            self.energy += power * min(self.time - before, 0.2)
+            self.energy += power * min(self.time - before, _UNCOUNTED)
         self.status.position = self.position
         self.status.contact_current = self.contact.value
 
@@ -233,7 +235,7 @@ class Context:
         """
         yield from self.wait(self.parameters.settle_time)
         self.contact.clear()
-        yield from self.wait(0.13, reads=True)
+        yield from self.wait(self.parameters.contact_window + _READING, reads=True)
         end = self.time + self.parameters.servo_age_max
         while not math.isfinite(self.contact.value) or self.observation.servo_age > self.parameters.press_age_max:
             if self.time > end:

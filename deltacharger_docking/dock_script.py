@@ -20,10 +20,12 @@ from deltacharger_docking.codes import (
 )
 from deltacharger_docking.contact_script import approach, contact, first_push
 from deltacharger_docking.context import Context, Script
-from deltacharger_docking.energy_script import CONTACT_LOST, de_energise, energise
+from deltacharger_docking.energy_script import de_energise, energise
 from deltacharger_docking.goal_check import check_place
 from deltacharger_docking.goal_desk import GoalDesk
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Service
+
+_ANSWER = 1.0  # s beyond locate_timeout, so that the phase ends with what the detector says
 
 
 class TargetVisit:
@@ -110,8 +112,8 @@ class TargetVisit:
     def _stand_again(self) -> Script[None]:
         """Measure anew where the electrodes rest, and dock anew only where they have no good contact any more."""
         context = self._context
-        value = context.contact.value
-        if self._alignment is None or not (context.observation.tactile_contact and value >= CONTACT_LOST):
+        value, least = context.contact.value, context.parameters.contact_lost_current
+        if self._alignment is None or not (context.observation.tactile_contact and value >= least):
             yield from self._dock()
             return
         context.decide("stay", "docked: clearance is measured anew where it stands", contact_current_A=value)
@@ -142,7 +144,7 @@ class TargetVisit:
                 if desk.is_open:
                     raise ServoFailure("the servos lost their torque while docked")
                 return False
-            if context.contact.value < CONTACT_LOST:
+            if context.contact.value < context.parameters.contact_lost_current:
                 raise NoContact("contact was lost after docking; the target moved")
             reason = order.is_met(context)
             if desk.is_open and reason:
@@ -154,7 +156,7 @@ class TargetVisit:
     def _locate(self) -> Script[ElectrodePose]:
         """Ask the camera where the electrodes are."""
         context, parameters = self._context, self._context.parameters
-        context.enter(State.LOCATE, parameters.locate_timeout + 1.0)
+        context.enter(State.LOCATE, parameters.locate_timeout + _ANSWER)
         reply = yield from context.ask(Service.DETECT, ElectrodesNotFound, parameters.locate_timeout)
         found = reply.detection
         if not reply.success or found is None:
@@ -170,7 +172,7 @@ class TargetVisit:
 
     def _check_roll(self, electrodes: ElectrodePose) -> None:
         limit, roll = self._order.critical_angle, electrodes.roll
-        if abs(roll) + 2.0 * electrodes.roll_stddev < limit:
+        if abs(roll) + self._context.parameters.roll_sigmas * electrodes.roll_stddev < limit:
             return
         self._context.decide(
             "refused",

@@ -16,14 +16,9 @@ from deltacharger_docking.context import Context, Script
 from deltacharger_docking.observation import Waypoint
 from deltacharger_kinematics.geometry import Vector
 
-_ENOUGH = 0.015  # A that a servo's current may be off
-_COOL, _SPARED = 0.57, 0.03  # A to which the common current is led, at most so far below the middle of the band
-_ROUNDS = 4  # as the stiffness is known only so well
-_SLIP = 0.0004  # m sideways that tell a slip; an encoder's count is 0.15 mm
-_TAKEN_BACK = 0.4  # of what was faded when it slipped
-_SHORTEST, _LAGS = 0.8, 8.0  # s that it takes at least, and in the servos' lags, so that a slip shows before it is long
-_POINTS = 16
-_RESPONSE = (0.4, 2.5)  # a measured response is believed within these multiples of the expected one
+_ROUNDS = 4  # at most: the stiffness is known only so well, and each round corrects it by what it has shown
+_POINTS = 16  # of the line in joint angles; a receiver goes straight between them, so that more would say no more
+_BACK = 0.3  # of the time of the whole way that the way back takes, which is a part of it
 
 
 def ease(context: Context) -> Script[bool]:
@@ -41,7 +36,8 @@ def ease(context: Context) -> Script[bool]:
         before = context.contact.currents
         wanted = _wanted(context, fades)
         asked = tuple(goal - now for goal, now in zip(wanted, before, strict=True))
-        if max(map(abs, asked)) <= _ENOUGH or not all(map(math.isfinite, (*asked, *context.goal_angles))):
+        known = all(map(math.isfinite, (*asked, *context.goal_angles)))
+        if not known or max(map(abs, asked)) <= parameters.ease_tolerance:
             break
         slipped = yield from _lead(context, (asked[0] / response, asked[1] / response, asked[2] / response), place)
         yield from context.rest()
@@ -50,7 +46,7 @@ def ease(context: Context) -> Script[bool]:
             continue
         got = sum(a * (now - then) for a, now, then in zip(asked, context.contact.currents, before, strict=True))
         share = got / sum(a * a for a in asked)
-        response *= min(max(share, _RESPONSE[0]), _RESPONSE[1])
+        response *= min(max(share, parameters.response_min), parameters.response_max)
     context.decide(
         "eased",
         "friction carries the weight" if fades else "friction carries a part of the weight",
@@ -69,14 +65,15 @@ def _hottest(context: Context) -> float:
 def _wanted(context: Context, fades: bool) -> Vector:
     """Return the currents (A) that press in the middle of the band: all alike, or with what bears the weight now."""
     x, y, z = context.position
-    contact, kinematics, constant = context.contact, context.kinematics, context.parameters.torque_constant
+    contact, kinematics, parameters = context.contact, context.kinematics, context.parameters
+    constant = parameters.torque_constant
     now = contact.currents
     a, b, c = (current * constant for current in now)
-    missing = (context.parameters.current_target - contact.value) / contact.per_force
+    missing = (parameters.current_target - contact.value) / contact.per_force
     if fades:
         alike = kinematics.force(x, y, z, (constant, constant, constant))[2]
         common = (kinematics.force(x, y, z, (a, b, c))[2] + missing) / alike if alike else math.nan
-        common = max(min(common, _COOL), common - _SPARED)
+        common = max(min(common, parameters.ease_current_max), common - parameters.ease_spared_max)
         return common, common, common
     d, e, f = kinematics.torque(x, y, z, (0.0, 0.0, missing))
     return now[0] + d / constant, now[1] + e / constant, now[2] + f / constant
@@ -85,18 +82,19 @@ def _wanted(context: Context, fades: bool) -> Vector:
 def _lead(context: Context, change: Vector, place: Vector) -> Script[bool]:
     """Lead the goal angles by `change` (rad), back by a part once the platform slips from `place`; return whether."""
     parameters = context.parameters
-    duration = max(_SHORTEST, _LAGS * parameters.servo_damping / parameters.servo_stiffness)
+    lag = parameters.servo_damping / parameters.servo_stiffness
+    duration = max(parameters.ease_time_min, parameters.ease_lags * lag)
     start, began = context.goal_angles, context.time
     context.follow(_ramp(context, start, change, duration))
     while context.feed.is_under_way(context.time):
         slip = math.dist(place[:2], context.position[:2])
-        if slip > _SLIP:
+        if slip > parameters.slip_max:
             done = min((context.time - began) / duration, 1.0)
-            back = -_TAKEN_BACK * done
+            back, lasts = -parameters.slip_taken_back * done, _BACK * duration
             here = _shifted(start, change, done)
             context.decide("slipped", "friction carries no more", share=done, slip_m=slip)
-            context.follow(_ramp(context, here, (back * change[0], back * change[1], back * change[2]), 0.3 * duration))
-            yield from context.wait(0.3 * duration)
+            context.follow(_ramp(context, here, (back * change[0], back * change[1], back * change[2]), lasts))
+            yield from context.wait(lasts)
             return True
         yield
     return False

@@ -26,13 +26,7 @@ from deltacharger_docking.codes import (
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.observation import Reply, Service
 
-_PROBE_TIMEOUT = 2.0  # s; the board answers within 250 ms
-_OPEN_TIMEOUT = 1.0  # s until current must be gone after an opening
-_OPENING = 0.1  # s that an opening may take on its way; what was measured before says nothing about it
-_ZERO_CURRENT = 0.5  # A below which the contactor counts as open
-CONTACT_LOST = 0.15  # A of contact current below which the electrodes no longer rest on the target
-_RETREAT_LOST = 0.0015  # m of retreat that means contact is lost whatever the current says
-_SERVO_SILENT = 0.2  # s without servo_state that opens: with lease and ramp the contactor is open within 0.35 s
+_LAST_WORD = 0.2  # s before the phase ends in which it is still told why no current flows
 _SLEPT = 1.0  # s beyond its pace that docking may stand still; the lease has lapsed long before
 _FAULT_DELAY = 0.15  # s that a fault may be told later than the refusal it brings about: charger_power comes at 20 Hz
 
@@ -47,7 +41,7 @@ def energise(context: Context) -> Script[None]:
     context.enter(State.ENERGISE, parameters.energise_timeout)
     if context.observation.power_fault:
         yield from _clear_fault(context)
-    reply = yield from context.ask(Service.PROBE, PowerStale, _PROBE_TIMEOUT)
+    reply = yield from context.ask(Service.PROBE, PowerStale, parameters.probe_timeout)
     context.decide(
         "probe",
         f"the probe {'answered' if reply.success else 'failed: ' + reply.message}",
@@ -64,7 +58,7 @@ def energise(context: Context) -> Script[None]:
     stable_since = math.inf
     while context.time - stable_since < parameters.charge_stable_time:
         problem = watch.problem()
-        if problem is None and context.time > context.deadline - 0.2:
+        if problem is None and context.time > context.deadline - _LAST_WORD:
             problem = NoChargeCurrent(no_current(context))
         if problem is not None:
             raise problem
@@ -88,8 +82,8 @@ def energise(context: Context) -> Script[None]:
 
 def _clear_fault(context: Context) -> Script[None]:
     """Open once, which clears a fault that the stage latched before this docking; one that comes back ends it."""
-    yield from context.ask(Service.OPEN, PowerStale, _PROBE_TIMEOUT)
-    end = context.time + _OPEN_TIMEOUT
+    yield from context.ask(Service.OPEN, PowerStale, context.parameters.probe_timeout)
+    end = context.time + context.parameters.open_timeout
     while context.observation.power_fault and context.time < end:
         yield
 
@@ -100,14 +94,15 @@ def de_energise(context: Context) -> Script[None]:
     Raises:
         ContactorWelded: current still flows, or the power stage no longer says so.
     """
-    observation = context.observation
-    closed = context.live or observation.contactor_closed or abs(observation.charge_current) >= _ZERO_CURRENT
+    observation, parameters = context.observation, context.parameters
+    flows = abs(observation.charge_current) >= parameters.zero_current
+    closed = context.live or observation.contactor_closed or flows
     if closed:
         current = observation.charge_current
         context.decide("open", "the contactor is told to open", charge_current_A=current)
     context.energise = False
     context.status.charging = False
-    begun, end = context.time, context.time + _OPEN_TIMEOUT
+    begun, end = context.time, context.time + parameters.open_timeout
     while closed and not _is_open(context, begun):
         if context.time > end:
             raise _welded(context)
@@ -128,10 +123,10 @@ def _welded(context: Context) -> ContactorWelded:
 
 
 def _is_open(context: Context, begun: float) -> bool:
-    observation = context.observation
-    fresh = context.time - observation.power_age >= begun + _OPENING
-    current = observation.charge_current
-    return fresh and not observation.contactor_closed and not abs(current) >= _ZERO_CURRENT
+    observation, parameters = context.observation, context.parameters
+    fresh = context.time - observation.power_age >= begun + parameters.opening_time
+    flows = abs(observation.charge_current) >= parameters.zero_current
+    return fresh and not observation.contactor_closed and not flows
 
 
 class Watch:
@@ -177,7 +172,7 @@ class Watch:
 
     def _servo_problem(self) -> DockingError | None:
         context, observation = self._context, self._context.observation
-        if observation.servo_age > _SERVO_SILENT:
+        if observation.servo_age > context.parameters.live_servo_age_max:
             return ServoFailure(f"servo_state stopped while the electrodes were live; {SILENT_SERVOS}")
         measured = (context.contact.value, *observation.angles, *observation.currents)  # the first is a median: it lags
         if not all(map(math.isfinite, measured)):
@@ -201,7 +196,7 @@ class Watch:
             return PowerStale("the contactor opened by itself: its lease or heartbeat was lost")
         if self._was_closed and not math.isfinite(observation.charge_current):
             return PowerStale("the charge current is not measured any more; check the power stage")
-        if observation.charge_current < -_ZERO_CURRENT:
+        if observation.charge_current < -parameters.zero_current:
             return ReverseCurrent(f"{observation.charge_current:.1f} A flow out of the target")
         if observation.charge_current > parameters.charge_current_max:
             return ChargeOvercurrent(
@@ -220,10 +215,11 @@ class Watch:
         return PowerStale(f"the contactor's lease was not renewed: {self.refused}")
 
     def _contact_problem(self) -> DockingError | None:
-        context = self._context
-        if context.observation.servo_age > context.parameters.press_age_max:
+        context, parameters = self._context, self._context.parameters
+        if context.observation.servo_age > parameters.press_age_max:
             return None
-        if context.contact.value < CONTACT_LOST or context.position[2] < self._z - _RETREAT_LOST:
+        lowest = self._z - parameters.contact_lost_retreat
+        if context.contact.value < parameters.contact_lost_current or context.position[2] < lowest:
             return NoContact("contact was lost while the electrodes were live; the target moved")
         return None
 

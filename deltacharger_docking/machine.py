@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator
 
-from deltacharger_docking.arm_script import FIRST_DATA, let_go, retract
+from deltacharger_docking.arm_script import let_go, retract
 from deltacharger_docking.codes import (
     SILENT_SERVOS,
     Busy,
@@ -230,7 +230,8 @@ class DockingMachine:
 
     def _is_missing(self, age: float, oldest: float) -> bool:
         """Return whether data of this age (s) end the goal; nodes that have just started are waited for."""
-        starting = age == math.inf and self._context.time - self._desk.started < FIRST_DATA
+        since = self._context.time - self._desk.started
+        starting = age == math.inf and since < self.parameters.first_data_timeout
         return age > oldest and not starting
 
     def _serve(self, script: Callable[[], Script[None]], redockings: int = 0) -> Generator[None, None, None]:

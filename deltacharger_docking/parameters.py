@@ -40,6 +40,10 @@ class DockingParameters(Bounded):
     gravity_x: float = number(GRAVITY[0], -20.0, 20.0, "m/s²", "gravity along x of charger_base")
     gravity_y: float = number(GRAVITY[1], -20.0, 20.0, "m/s²", "gravity along y of charger_base")
     gravity_z: float = number(GRAVITY[2], -20.0, 20.0, "m/s²", "gravity along z of charger_base")
+    contact_window: float = number(0.12, 0.02, 0.5, "s", "time over which the contact current is the median")
+    free_current: float = number(
+        0.06, 0.005, 0.5, "A", "contact current, either way, that tells contact or the magnets' pull from free air"
+    )
     home_x: float = number(0.0, -0.06, 0.06, "m", "where the arm rests, x")
     home_y: float = number(0.0, -0.06, 0.06, "m", "where the arm rests, y")
     home_z: float = number(0.0, 0.0, 0.11, "m", "where the arm rests, z")
@@ -56,26 +60,76 @@ class DockingParameters(Bounded):
     current_min: float = number(0.4, 0.05, 2.0, "A", "contact current from which the electrodes rest on the target")
     current_max: float = number(0.5, 0.05, 2.0, "A", "contact current that the servos hold for four hours")
     band_margin: float = number(0.015, 0.0, 0.04, "A", "how far inside the band a reading must lie to be accepted")
+    step_share: float = number(0.7, 0.1, 1.0, "", "share of the way to the band that one step may take")
+    step_current_max: float = number(
+        0.6, 0.1, 2.0, "A", "contact current that a step may lead to where the contact is as stiff as expected"
+    )
+    response_min: float = number(
+        0.4,
+        0.05,
+        1.0,
+        "",
+        "least multiple of the expected response of contact or servos that a measured one is taken for",
+    )
+    response_max: float = number(
+        2.5, 1.0, 20.0, "", "largest multiple of the expected response that a measured one is taken for"
+    )
+    overshoots_max: int = number(3, 0, 20, "", "overshoots of the band after which contact is given up")
     overshoot_back_off: float = number(0.35, 0.05, 1.0, "A", "contact current to give back after an overshoot")
     push_current: float = number(0.6, 0.1, 2.0, "A", "current bound of each servo above its free-motion current")
     release_current: float = number(
         2.8, 0.5, STALL_CURRENT, "A", "current bound of each servo while it pulls off the magnets"
     )
     release_time: float = number(1.0, 0.1, 2.0, "s", "longest pull on the magnets")
+    release_travel: float = number(
+        0.001, 0.0002, 0.01, "m", "retreat from which the magnets have let go, where the pads feel nothing any more"
+    )
+    spring_travel: float = number(
+        0.004, 0.0002, 0.02, "m", "retreat that electrodes on springs cannot follow, whatever the pads say"
+    )
+    release_pulls_max: int = number(3, 1, 10, "", "pulls after which a platform that does not come is stuck")
+    ease_current_max: float = number(0.57, 0.05, 2.0, "A", "common current to which the servos are led at most")
+    ease_spared_max: float = number(
+        0.03, 0.0, 0.5, "A", "how far below the middle of the band ease_current_max may take the common current"
+    )
+    ease_tolerance: float = number(0.015, 0.001, 0.2, "A", "how far off its share a servo's current may be at ease")
+    ease_time_min: float = number(
+        0.8, 0.1, 10.0, "s", "shortest time in which the servos' currents are led to the common one"
+    )
+    ease_lags: float = number(8.0, 0.0, 50.0, "", "shortest time of easing in lags of the servos, damping / stiffness")
+    slip_max: float = number(0.0004, 0.00015, 0.01, "m", "travel sideways from which the platform slips")
+    slip_taken_back: float = number(0.4, 0.0, 1.0, "", "share of what was led that is taken back after a slip")
     hard_current: float = number(1.0, 0.5, 4.0, "A", "contact current that ends any phase")
     critical_angle: float = number(
         math.radians(12.0), 0.01, math.radians(12.05), "rad", "angle from which the electrodes would short"
+    )
+    roll_sigmas: float = number(
+        2.0, 0.0, 6.0, "", "standard deviations at which a given or detected roll must lie below the critical angle"
     )
     electrode_half_gap: float = number(0.5 * BAR_GAP, 0.0005, 0.02, "m", "half the gap between the two bars")
     electrode_half_length: float = number(0.5 * BAR_LENGTH, 0.005, 0.1, "m", "half the length of a bar")
     clearance_min: float = number(0.0003, 0.0, 0.005, "m", "clearance that must remain at three standard deviations")
     alignment_tolerance: float = number(0.001, 0.0001, 0.01, "m", "filtered misalignment that counts as aligned")
-    landing_limit: float = number(
-        0.0025, 0.001, 0.02, "m", "misalignment within which this very contact must lie, at 2.15 standard deviations"
+    landing_limit: float = number(0.0025, 0.001, 0.02, "m", "misalignment within which this very contact must lie")
+    landing_sigmas: float = number(
+        2.15, 0.0, 6.0, "", "standard deviations at which a contact must lie within landing_limit"
     )
+    landing_felt_sigmas: float = number(
+        1.65, 0.0, 6.0, "", "standard deviations at which what the pads feel of a contact must do so alone"
+    )
+    contradiction_start: float = number(
+        25.0, 1.0, 1000.0, "", "sum of squared innovations (variances) above which looks contradict the arm's moves"
+    )
+    contradiction_each: float = number(4.0, 0.0, 100.0, "", "what each look adds to contradiction_start")
     alignments_max: int = number(15, 1, 50, "", "lateral corrections before alignment ends, as in the paper")
     docking_jitter: float = number(0.00095, 0.0, 0.01, "m", "scatter of one docking beside its commanded place")
     gain_error: float = number(0.15, 0.0, 1.0, "", "relative error of a misalignment estimate that grows with its size")
+    unsure_max: int = number(4, 1, 20, "", "unsure estimates after which alignment ends")
+    unsure_here_max: int = number(2, 1, 20, "", "unsure estimates in one place after which alignment ends")
+    unsure_move_min: float = number(0.002, 0.0, 0.02, "m", "offset from which an unsure estimate is followed")
+    unsure_move_sigmas: float = number(
+        3.0, 0.0, 10.0, "", "standard deviations from zero at which an unsure estimate tells where to, in each axis"
+    )
     charge_when_not_aligned: bool = flag(
         True, "start charging after the last alignment as published; clearance is always required"
     )
@@ -86,12 +140,36 @@ class DockingParameters(Bounded):
     charge_current_min: float = number(0.5, 0.05, 18.0, "A", "charge current that counts as charging")
     charge_stable_time: float = number(1.0, 0.1, 10.0, "s", "how long charge current must stay before docking succeeds")
     charge_current_max: float = number(18.5, 1.0, 30.0, "A", "charge current that opens the contactor")
+    zero_current: float = number(0.5, 0.05, 2.0, "A", "charge current below which the contactor counts as open")
+    open_timeout: float = number(1.0, 0.1, 10.0, "s", "limit for current to be gone after an opening")
+    opening_time: float = number(
+        0.1, 0.0, 1.0, "s", "time that an order to open is under way; what was measured before says nothing about it"
+    )
     target_voltage_min: float = number(10.0, 0.0, 60.0, "V", "lowest voltage of a target that may be charged")
     target_voltage_max: float = number(30.0, 1.0, 60.0, "V", "highest voltage of a target that may be charged")
     probe_resistance_min: float = number(1.0, 0.1, 100.0, "Ω", "probed resistance below which it is a short")
+    contact_lost_current: float = number(
+        0.15, 0.0, 1.0, "A", "contact current below which the electrodes no longer rest on the target"
+    )
+    contact_lost_retreat: float = number(
+        0.0015, 0.0003, 0.01, "m", "retreat that means lost contact while live, whatever the current"
+    )
     clearance_period: float = number(2.0, 0.2, 60.0, "s", "how often clearance is measured again while charging")
+    clearance_frames: int = number(
+        12, 1, 240, "", "tactile frames averaged in one look at the clearance while charging"
+    )
+    unsafe_max: int = number(2, 1, 20, "", "successive looks that find no clearance, after which charging ends")
+    blind_max: int = number(3, 1, 20, "", "successive looks that fail or stay unsure, after which charging ends")
+    taper_time: float = number(2.0, 0.1, 600.0, "s", "time constant of the charge current's own mean")
+    taper_share: float = number(
+        0.5, 0.0, 1.0, "", "share of its own mean below which charge current was cut off and has not tapered"
+    )
+    full_time: float = number(1.0, 0.0, 600.0, "s", "how long tapered current must stay below charge_current_min")
     thermal_reserve_min: float = number(5.0, 0.0, 600.0, "s", "thermal reserve of a servo at which charging ends")
     servo_age_max: float = number(0.5, 0.05, 2.0, "s", "age of servo_state that ends docking")
+    live_servo_age_max: float = number(
+        0.2, 0.02, 0.5, "s", "age of servo_state that opens a closed contactor, besides what lease and ramp take"
+    )
     press_age_max: float = number(
         0.1,
         0.02,
@@ -102,6 +180,11 @@ class DockingParameters(Bounded):
     tactile_age_max: float = number(0.5, 0.05, 2.0, "s", "age of tactile frames that ends docking")
     power_age_max: float = number(0.5, 0.1, 2.0, "s", "age of charger_power that ends charging")
     detection_age_max: float = number(1.0, 0.1, 10.0, "s", "age of a camera detection that may be used")
+    first_data_timeout: float = number(3.0, 0.0, 60.0, "s", "limit for nodes that have just started to be heard")
+    service_timeout: float = number(
+        3.0, 0.1, 60.0, "s", "limit for an answer of set_torque, tare, and predict_misalignment while aligning"
+    )
+    probe_timeout: float = number(2.0, 0.25, 60.0, "s", "limit for an answer of probe, above the board's own")
     locate_timeout: float = number(10.0, 1.0, 120.0, "s", "limit for LOCATE")
     approach_timeout: float = number(20.0, 1.0, 120.0, "s", "limit for APPROACH")
     contact_timeout: float = number(45.0, 1.0, 120.0, "s", "limit for CONTACT and BACK_OFF")
@@ -119,6 +202,9 @@ class DockingParameters(Bounded):
         if not self.target_voltage_min < self.target_voltage_max:
             problem = "target_voltage_min must lie below target_voltage_max"
             raise ParameterError("target_voltage_min", self.target_voltage_min, problem)
+        if not self.release_travel <= self.spring_travel:
+            problem = "release_travel must not lie above spring_travel"
+            raise ParameterError("release_travel", self.release_travel, problem)
 
     @property
     def gravity(self) -> Vector:
@@ -152,4 +238,11 @@ class DockingNodeParameters(Bounded):
         math.inf,
         "",
         "charger_base in base_frame: x, y, z in m, then the quaternion x, y, z, w",
+    )
+    lean_max: float = number(
+        math.radians(30.0),
+        0.0,
+        0.5 * math.pi,
+        "rad",
+        "largest lean of a goal's electrodes from the z axis of charger_base",
     )

@@ -11,12 +11,10 @@ from deltacharger_docking.context import Context, Script
 from deltacharger_docking.trajectory_feed import PULL_HORIZON, pull
 from deltacharger_kinematics.geometry import Vector
 
-_RELEASED = 0.001  # m of retreat that tells the magnets have let go, where the pads feel nothing any more
-_SPRING_TRAVEL = 0.004  # m of retreat that electrodes on springs cannot follow, whatever the pads say
-_SETTING_BACK = 0.05  # s for the goal to get behind the platform before the pull
-_PULLS = (_RELEASED, _SPRING_TRAVEL, _SPRING_TRAVEL)  # m of retreat that ends each pull, as long as none has done
-_CAME = 0.5  # of the way back that shows that the platform came along
-_LEAST = 0.001  # m that it may lack in any case
+_SETTING_BACK = 0.05  # s for the goal to get behind the platform before the pull: some cycles of servo_node
+_CAME = 0.5  # of the way back that shows that the platform came along: it comes whole, or stays with the magnets
+_LEAST = 0.001  # m that it may lack in any case: some counts of the encoders, 0.15 mm each
+_BEHIND = 0.001  # m behind where it came off, at which the goal is put so that nothing draws it back
 
 
 def take_off(context: Context, z: float) -> Script[None]:
@@ -32,11 +30,12 @@ def take_off(context: Context, z: float) -> Script[None]:
     """
     start = context.measured()[2]
     lacks = max((1.0 - _CAME) * (start - z), _LEAST)
-    for travel in _PULLS:
+    parameters = context.parameters
+    for travel in (parameters.release_travel, *[parameters.spring_travel] * (parameters.release_pulls_max - 1)):
         yield from release(context, travel)
         x, y, _ = context.position
-        yield from context.move((x, y, z), context.parameters.travel_speed, settle=False)
-        end = context.time + context.parameters.settle_time
+        yield from context.move((x, y, z), parameters.travel_speed, settle=False)
+        end = context.time + parameters.settle_time
         while context.position[2] > z + lacks and context.time < end:
             yield
         if not context.position[2] > z + lacks:
@@ -44,7 +43,7 @@ def take_off(context: Context, z: float) -> Script[None]:
     raise _stuck(context)
 
 
-def release(context: Context, travel: float = _RELEASED) -> Script[None]:
+def release(context: Context, travel: float) -> Script[None]:
     """Pull the electrodes off the magnets, until the platform has come `travel` m back.
 
     The goal is put behind the measured position while the push bound still holds, because a servo whose bound rises
@@ -75,7 +74,7 @@ def release(context: Context, travel: float = _RELEASED) -> Script[None]:
     )
     try:
         free = context.measured()
-        context.commanded = (x, y, free[2] - 0.001)
+        context.commanded = (x, y, free[2] - _BEHIND)
         line = context.planner.line(free, context.commanded, parameters.travel_speed)
     except DockingError:
         context.hold()  # nothing goes on pulling
@@ -88,9 +87,9 @@ def release(context: Context, travel: float = _RELEASED) -> Script[None]:
 
 def _is_off(context: Context, z: float) -> bool:
     """Return whether the platform has come back to `z` m, and where the pads still feel something, a spring farther."""
-    observation = context.observation
-    held = observation.tactile_contact and observation.tactile_age <= context.parameters.tactile_age_max
-    return context.position[2] <= (z - (_SPRING_TRAVEL - _RELEASED) if held else z)
+    observation, parameters = context.observation, context.parameters
+    held = observation.tactile_contact and observation.tactile_age <= parameters.tactile_age_max
+    return context.position[2] <= (z - (parameters.spring_travel - parameters.release_travel) if held else z)
 
 
 def _pull(context: Context, goal: Vector, current: float, z: float, seconds: float) -> Script[None]:

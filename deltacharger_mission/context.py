@@ -28,7 +28,6 @@ T = TypeVar("T")
 # As in docking: a generator that yields once per tick and finds the world renewed in its context when it goes on.
 Script = Generator[None, None, T]
 
-_BELIEVED = 0.5  # m from the goal; what the navigator says from farther away is older than the arrival
 _ANSWER = 2.0  # s beyond its time to look in which the detector may answer
 _UNDOCK_PAUSE = 1.0  # s between two attempts
 _STATE_DELAY = 2.0  # s by which docking_state may come after a result
@@ -235,7 +234,8 @@ class MissionContext:
         if reply.end is not End.DONE:
             raise _drive_failure(reply, place)
         told = reply.place
-        known = told is not None and told.frame == place.frame and told.distance(place) <= _BELIEVED
+        near = self.parameters.arrival_distance_max
+        known = told is not None and told.frame == place.frame and told.distance(place) <= near
         self.status.place = told if known else place
 
 

@@ -28,8 +28,6 @@ from deltacharger_mission.dialogue import (
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place, views
 
-_FUTILE = 0.005  # m, and
-_FUTILE_TURN = 0.02  # rad, of correction that are nothing to a mobile base: what is out of reach then stays so
 _LOOK_PAUSE = 0.5  # s between two looks of one who stands still
 
 
@@ -186,7 +184,8 @@ class MissionMachine:
                 raise dock_failure(reply)
             x, y, z = reply.suggested
             electrodes = self._placed((x, y, z + DOCK_DISTANCE), electrodes)
-            if not self._gains(electrodes, _FUTILE, _FUTILE_TURN):  # merely too high or too low, or the last stand
+            # Merely too high or too low, or the last stand: what is out of reach then stays so.
+            if not self._gains(electrodes, parameters.gain_min, parameters.gain_turn_min):
                 raise dock_failure(reply)
             yield from context.undock()
             yield from self._stand(electrodes)

@@ -46,6 +46,13 @@ class MissionParameters(Bounded):
         "distance from the right place within which the robot does not stand again before docking",
     )
     stand_turn_tolerance: float = number(0.1, 0.01, 1.0, "rad", "the same for its heading")
+    gain_min: float = number(
+        0.005, 0.0, 0.5, "m", "least correction for which the robot stands again where docking was out of reach"
+    )
+    gain_turn_min: float = number(0.02, 0.0, 1.0, "rad", "least turn for which it does so")
+    arrival_distance_max: float = number(
+        0.5, 0.01, 10.0, "m", "distance from the goal from which the navigator's place is older than the arrival"
+    )
     stands_max: int = number(3, 0, 10, "", "how often the robot stands again before it gives up")
     undock_attempts: int = number(2, 1, 5, "", "how often undocking is tried before the robot stays where it is")
     wait_timeout: float = number(10.0, 0.5, 600.0, "s", "limit for WAIT, until all that a mission needs answers")
@@ -56,6 +63,7 @@ class MissionParameters(Bounded):
     undock_timeout: float = number(60.0, 1.0, 600.0, "s", "limit for one attempt of UNDOCK")
     return_timeout: float = number(300.0, 1.0, 86400.0, "s", "limit for RETURN")
     cancel_timeout: float = number(30.0, 0.5, 300.0, "s", "how long the end of something called off is waited for")
+    lost_timeout: float = number(5.0, 0.1, 600.0, "s", "how long an action may have no server before its goal is lost")
     mission_timeout: float = number(18000.0, 5.0, 172800.0, "s", "limit for all of it until the way out begins")
 
 

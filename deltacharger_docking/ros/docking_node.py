@@ -73,7 +73,7 @@ class DockingNode(Node):
             self._inputs.observation,  # takes no reply that the running goal waits for
             self._begun,
             self._calls.misalignment,
-            (mount.base_frame, mount.base_pose),
+            mount,
             held,
         )
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)

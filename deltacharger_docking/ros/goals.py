@@ -18,6 +18,7 @@ from deltacharger_docking.codes import Busy, Code, DockingError, State
 from deltacharger_docking.goal_check import suggested_base
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, DockingOutcome, DockingStatus, Observation
+from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.reports import changes
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
@@ -55,7 +56,7 @@ class Goals:
         begun: called with the lock held after the machine has begun a goal; it publishes and hands over an outcome
             that is there at once.
         misalignment: gives the message of an estimate.
-        base: name of the robot's frame, and charger_base in it (see `messages.electrodes`).
+        mount: of the charger on its robot.
         held: let goals that come wait for `release`.
     """
 
@@ -67,7 +68,7 @@ class Goals:
         observe: Callable[[], Observation],
         begun: Callable[[], None],
         misalignment: Callable[[FeltPose | None], Misalignment],
-        base: tuple[str, Sequence[float]],
+        mount: DockingNodeParameters,
         held: bool,
     ) -> None:
         self._node = node
@@ -76,7 +77,7 @@ class Goals:
         self._observe = observe
         self._begun = begun
         self._misalignment = misalignment
-        self._base = base
+        self._mount = mount
         self._goal: ServedGoal | None = None
         self._ended: GoalHandle | None = None  # of the goal that ended last
         self._refusal = ""
@@ -204,7 +205,7 @@ class Goals:
 
     def _dock_goal(self, request: Dock.Goal) -> DockGoal:
         return DockGoal(
-            electrodes=io.electrodes(request.electrodes, *self._base),
+            electrodes=io.electrodes(request.electrodes, self._mount),
             critical_angle=request.critical_angle,
             start_charging=request.start_charging,
             hold=request.hold,

@@ -17,12 +17,12 @@ from deltacharger_core.machine import JOINTS
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Rejected
 from deltacharger_docking.observation import ElectrodePose, Waypoint
+from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_ros.messages import duration
 
 _QUOTED = 60  # characters of what a client sent that a message repeats
 _UNIT = (0.9, 1.1)  # norm of a quaternion that somebody meant
-_LEAN_MAX = math.radians(30.0)  # of the electrodes' z axis from charger_base's; what is docked to is the roll alone
 
 
 def estimate(message: Misalignment) -> FeltPose:
@@ -71,13 +71,12 @@ def trajectory(waypoints: Sequence[Waypoint], stamp: Any) -> JointTrajectory:
     return message
 
 
-def electrodes(message: PoseStamped, base_frame: str, base_pose: Sequence[float]) -> ElectrodePose | None:
+def electrodes(message: PoseStamped, mount: DockingNodeParameters) -> ElectrodePose | None:
     """Return a goal's electrodes in charger_base; None for an empty frame_id (ask the camera).
 
     Args:
         message: pose of the electrodes' midpoint, orientation = that of charger_base turned by the roll about its z.
-        base_frame: name of the robot's frame.
-        base_pose: x, y, z (m) and quaternion x, y, z, w of charger_base in it.
+        mount: charger_base in the robot's frame, and how far electrodes may lean: what is docked to is the roll alone.
 
     Raises:
         Rejected: unknown frame, a pose that is not finite, or one that leans away from charger_base.
@@ -85,19 +84,20 @@ def electrodes(message: PoseStamped, base_frame: str, base_pose: Sequence[float]
     frame = message.header.frame_id
     if not frame:
         return None
-    if frame not in ("charger_base", base_frame):
-        raise Rejected(f"unknown frame '{frame[:_QUOTED]}': give charger_base, {base_frame}, or '' to use the camera")
+    if frame not in ("charger_base", mount.base_frame):
+        known = f"charger_base, {mount.base_frame}"
+        raise Rejected(f"unknown frame '{frame[:_QUOTED]}': give {known}, or '' to use the camera")
     position, rotation = _matrix(message.pose)
     if not np.isfinite(position).all() or not np.isfinite(rotation).all():
         raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
     turn = message.pose.orientation
     if not _UNIT[0] <= math.hypot(turn.x, turn.y, turn.z, turn.w) <= _UNIT[1]:
         raise Rejected("the electrodes' orientation is no unit quaternion; send one, such as (0, 0, 0, 1)")
-    if frame == base_frame:
-        base = _rotation(np.asarray(base_pose[3:], dtype=np.float64))
-        position = base.T @ (position - np.asarray(base_pose[:3]))
+    if frame == mount.base_frame:
+        base = _rotation(np.asarray(mount.base_pose[3:], dtype=np.float64))
+        position = base.T @ (position - np.asarray(mount.base_pose[:3]))
         rotation = base.T @ rotation
-    if rotation[2, 2] < math.cos(_LEAN_MAX):
+    if rotation[2, 2] < math.cos(mount.lean_max):
         lean = math.degrees(math.acos(max(min(float(rotation[2, 2]), 1.0), -1.0)))
         raise Rejected(f"the electrodes' z axis leans {lean:.0f}° from charger_base's; give the roll about z alone")
     point: Vector = (float(position[0]), float(position[1]), float(position[2]))

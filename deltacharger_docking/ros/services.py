@@ -15,12 +15,12 @@ from deltacharger.srv import DetectElectrodes, PredictMisalignment, Probe, SetCo
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.observation import ElectrodePose, Reply, Request, Service
 from deltacharger_docking.ros.messages import estimate, unknown
 from deltacharger_ros.messages import duration
 
-LEASE = 0.25  # s; longest lease that tactile_node grants
 _RENEWAL = 0.1  # s between renewals of the lease
 _DISCOVERY = 1.5  # s that a service may take to appear: nodes that start together find each other so late
 _HOLDER = "docking_node"
@@ -127,7 +127,7 @@ class Services:
                 with self._lock:
                     self._refusal = "no node serves set_contactor"
             return
-        message = SetContactor.Request(close=wanted, holder=_HOLDER, lease=duration(LEASE))
+        message = SetContactor.Request(close=wanted, holder=_HOLDER, lease=duration(LONGEST_LEASE))
         self._give_up_renewals(now)
         future = self._contactor.call_async(message)
         self._renewals.append((future, now))

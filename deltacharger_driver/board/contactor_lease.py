@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import math
 
+from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_driver.board.payloads import probe_problem
 from deltacharger_driver.board.protocol import PROBE_LIFETIME
 from deltacharger_driver.errors import DriverError
-
-LONGEST_LEASE = 0.25  # s
 
 
 class LeaseRefused(DriverError, PermissionError):

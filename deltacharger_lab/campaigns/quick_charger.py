@@ -32,7 +32,7 @@ from deltacharger_tactile.parameters import TactileParameters
 
 MOVING, STANDING = 8, 13  # ticks that one step of the machine may last
 SETTLING = 2  # ticks that one step of the world may last where the platform only comes after its goal
-_READINGS = 0.125  # s before a decision from which on readings of the servos count; the machine's window is 0.12 s
+_MORE = 0.005  # s before the machine's window, from which on readings of the servos are made: half a tick
 _STILL = 1e-4  # m/s; what is left of a motion at this speed moves the contact current by less than its noise
 _SAME_PLACE, _SAME_TURN = 5e-4, 4e-3  # m and rad within which the pads feel the same, but for the force
 _SAME_FORCE = 0.2  # relative
@@ -150,7 +150,7 @@ class QuickCharger(VirtualCharger):
     def _pass(self, ticks: int, standing: bool) -> None:
         """Let `ticks` of 10 ms pass, feeding the machine the readings on which its next decision rests."""
         machine, world, start = self.machine, self.world, self.now
-        from_then_on = machine.idle_until - _READINGS if machine.reads else math.inf
+        from_then_on = machine.idle_until - (self.parameters.contact_window + _MORE) if machine.reads else math.inf
         if standing:
             world.step(ticks * TICK)
         most = self._world_ticks()

@@ -86,7 +86,8 @@ class MissionNode(Node):
         self._drives = navigate_to_pose is not None
         home = Place(settings.home_x, settings.home_y, settings.home_yaw, given.map_frame) if self._drives else None
         self._machine = MissionMachine(settings, mount, home)
-        self._others = Others(self, navigate_to_pose, (given.behavior_tree, given.precise_behavior_tree))
+        trees = given.behavior_tree, given.precise_behavior_tree
+        self._others = Others(self, navigate_to_pose, trees, settings.lost_timeout)
         self._diagnostics = Diagnostics(self)
         self._lock = threading.RLock()
         self._mission: _Mission | None = None

@@ -22,7 +22,6 @@ from deltacharger_mission.dialogue import DockingReport, End, MissionObservation
 from deltacharger_mission.ros.messages import fill_pose, read_dock, read_drive, read_undock, unknown_dock, vector
 from deltacharger_ros.messages import duration
 
-_LOST_AFTER = 5.0  # s without a server in the graph before what it served counts as lost
 _ENDS = {
     GoalStatus.STATUS_SUCCEEDED: End.DONE,
     GoalStatus.STATUS_CANCELED: End.CANCELED,
@@ -53,6 +52,7 @@ class ActionCaller:
         name: its name.
         put: takes the reply.
         read: makes the reply of number, end, result message and latest feedback.
+        lost_timeout: s without a server in the graph before what it served counts as lost.
     """
 
     def __init__(
@@ -62,10 +62,12 @@ class ActionCaller:
         name: str,
         put: Put,
         read: Callable[[int, End, Any, Any], TaskReply],
+        lost_timeout: float,
     ) -> None:
         self._client: ActionClient[Any, Any, Any] = ActionClient(node, kind, name)
         self._put = put
         self._read = read
+        self._lost_timeout = lost_timeout
         self._lock = threading.RLock()
         self._calls: dict[int, _Call] = {}
 
@@ -105,7 +107,7 @@ class ActionCaller:
                         self._send(call)
                     continue
                 call.lost_since = math.inf if served else min(call.lost_since, now)
-                if now - call.lost_since > _LOST_AFTER:
+                if now - call.lost_since > self._lost_timeout:
                     self._end(call, End.LOST)
 
     def destroy(self) -> None:
@@ -187,9 +189,10 @@ class Others:
         node: that it belongs to.
         navigate_to_pose: the action of that name; None where nobody drives.
         trees: behaviour trees for a drive and for a small move near the target; empty = the navigator's own.
+        lost_timeout: of the actions, see `ActionCaller`.
     """
 
-    def __init__(self, node: Node, navigate_to_pose: Any, trees: tuple[str, str]) -> None:
+    def __init__(self, node: Node, navigate_to_pose: Any, trees: tuple[str, str], lost_timeout: float) -> None:
         self._navigate_to_pose = navigate_to_pose
         self._trees = trees
         self._lock = threading.Lock()
@@ -198,11 +201,14 @@ class Others:
         self.dock_result = unknown_dock()
         self._detector = Detector(node, self._put)
         self._callers = {
-            Task.DOCK: ActionCaller(node, Dock, "dock", self._put, self._read_dock),
-            Task.UNDOCK: ActionCaller(node, Undock, "undock", self._put, read_undock),
+            task: ActionCaller(node, kind, task.value, self._put, read, lost_timeout)
+            for task, kind, read in (
+                (Task.DOCK, Dock, self._read_dock),
+                (Task.UNDOCK, Undock, read_undock),
+                (Task.DRIVE, navigate_to_pose, read_drive),
+            )
+            if kind is not None
         }
-        if navigate_to_pose is not None:
-            self._callers[Task.DRIVE] = ActionCaller(node, navigate_to_pose, "navigate_to_pose", self._put, read_drive)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         node.create_subscription(DockingState, "docking_state", self._on_state, latched)
 

@@ -21,7 +21,6 @@ from hypothesis import strategies as st
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.clearance import FeltPose, Verdict, judge
 from deltacharger_docking.codes import Code, DockingError, State
-from deltacharger_docking.energy_script import CONTACT_LOST
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import (
     Command,
@@ -190,8 +189,8 @@ class Judge:
         assert observation.torque_enabled
         assert observation.hardware_error == 0
         assert observation.tactile_contact
-        assert contact_current >= CONTACT_LOST
-        assert observation.servo_age <= 0.2
+        assert contact_current >= LIMITS.contact_lost_current
+        assert observation.servo_age <= LIMITS.live_servo_age_max
         assert observation.tactile_age <= LIMITS.tactile_age_max
         assert observation.power_age <= LIMITS.power_age_max
         assert self.probed, "a good probe after the last motion"

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What docking and mission declare decides: each parameter is read, and a scene's value is what the machine has."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.parameter import Parameter
+
+from deltacharger_core.parameters import Declaration, declared
+from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
+from deltacharger_docking.ros.docking_node import DockingNode
+from deltacharger_lab.campaigns.keys import TAKEN, known_keys
+from deltacharger_lab.campaigns.parts import build_parts
+from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
+from deltacharger_scenes.parameter_check import problems
+from deltacharger_scenes.scene import parse_scene
+
+ROOT = Path(__file__).resolve().parents[2]
+TABLES = (DockingParameters, DockingNodeParameters, MissionParameters, MissionNodeParameters)
+
+
+def other(each: Declaration) -> Any:
+    """Return an allowed value beside the default, so near that no two parameters contradict each other."""
+    if isinstance(each.default, tuple):
+        return [*each.default[:-1], 0.51]
+    if each.kind is bool:
+        return not each.default
+    if each.kind is str:
+        return next((word for word in each.choices if word != each.default), "elsewhere")
+    if each.kind is int:
+        return each.default + (1 if each.default < each.high else -1)
+    return each.default + 1e-3 * min(each.high - each.default, each.default - each.low or each.high)
+
+
+def values(node: str) -> dict[str, Any]:
+    tables = TABLES[:2] if node == "docking_node" else TABLES[2:]
+    return {each.name: other(each) for table in tables for each in declared(table)}
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.__name__)
+def test_what_is_declared_is_read(table: type[Any]) -> None:
+    """Read as an attribute somewhere in the package that declares it; what nobody reads decides nothing."""
+    read = {
+        node.attr
+        for path in (ROOT / table.__module__.partition(".")[0]).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load)
+    }
+    assert not {each.name for each in declared(table)} - read
+
+
+@pytest.mark.parametrize("node", ["docking_node", "mission_node"])
+def test_a_scene_may_vary_each_and_is_told_where_it_may_not(node: str) -> None:
+    given = values(node)
+    assert not list(problems(parse_scene({"nodes": [node], "parameters": {node: given}}, "mine")))
+    tables = TABLES[:2] if node == "docking_node" else TABLES[2:]
+    for each in (each for table in tables for each in declared(table) if each.kind in (int, float)):
+        wrong = {node: {each.name: "much"}}
+        ((key, _),) = problems(parse_scene({"nodes": [node], "parameters": wrong}, "mine"))
+        assert key == f"parameters.{node}.{each.name}"
+
+
+@pytest.mark.ros
+def test_the_node_decides_by_what_the_scene_says(context: Any, namespace: str) -> None:
+    given = parse_scene({"nodes": ["docking_node"], "parameters": {"docking_node": values("docking_node")}}, "mine")
+    overrides = [Parameter(name, value=value) for name, value in given.node_parameters("docking_node", {}).items()]
+    node = DockingNode(held=True, context=context, namespace=namespace, parameter_overrides=overrides)
+    try:
+        decides_by = node._machine.parameters
+    finally:
+        node.destroy_node()
+    assert decides_by == DockingParameters(**{each.name: other(each) for each in declared(DockingParameters)})
+
+
+def test_a_campaign_decides_by_what_its_scene_says() -> None:
+    numbers = {each.name: other(each) for each in declared(DockingParameters) if each.kind in (bool, int, float)}
+    given = {f"docking.{name}": value for name, value in numbers.items() if f"docking.{name}" not in TAKEN}
+    assert set(given) <= set(known_keys())
+    _, _, docking = build_parts(given, "guarded")
+    assert {f"docking.{name}": getattr(docking, name) for name in numbers if f"docking.{name}" in given} == given
