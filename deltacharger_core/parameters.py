@@ -133,10 +133,10 @@ def entries(text: str) -> Any:
     return _declared(object, (), text)
 
 
-def like(cls: type[Any], name: str) -> Any:
-    """Declare a field as another class has it."""
+def like(cls: type[Any], name: str, **about: Any) -> Any:
+    """Declare a field as another class has it, but for what is given of the declaration, such as closer bounds."""
     item = cls.__dataclass_fields__[name]
-    return field(default=item.default, metadata=item.metadata)
+    return field(default=item.default, metadata={_KEY: replace(item.metadata[_KEY], **about)})
 
 
 def declaration(item: dataclasses.Field[Any]) -> Declaration | None:

@@ -25,9 +25,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from deltacharger_core.parameters import Bounded, number
 from deltacharger_kinematics.arguments import as_vectors
 from deltacharger_kinematics.delta import Delta
-from deltacharger_kinematics.geometry import LIMB_COUNT, LONGEST, Vector
+from deltacharger_kinematics.geometry import LONGEST, Vector
+from deltacharger_kinematics.limb_arrays import LimbArrays
+from deltacharger_kinematics.modes import KNEE_OUT
 from deltacharger_kinematics.status import NO_ANSWER, KinematicsError, Status
 
 Array = NDArray[np.float64]
@@ -44,7 +47,7 @@ _STRETCHED = 1e-5  # margin, about a µm from the edge of reach, below which an 
 
 
 @dataclass(frozen=True)
-class ArmLimits:
+class ArmLimits(Bounded):
     """What the arms may do (rad/s, rad/s²); the defaults are those of this charger's MX-64 at 12 V.
 
     speed: without load they turn at 63 rpm = 6.60 rad/s and stall at 6.0 N·m (vendor's e-manual); with 1.35 N·m, the
@@ -55,15 +58,11 @@ class ArmLimits:
     rods) and I = 0.0042 kg·m² (rotor through the gear, other halves of the rods). Rotor and friction are assumptions.
 
     Raises:
-        ValueError: names the field; not a number within its bounds.
+        ParameterError: names the field; not a number within its bounds.
     """
 
-    speed: float = 5.0
-    acceleration: float = 35.0
-
-    def __post_init__(self) -> None:
-        _bounded("ArmLimits.speed", self.speed, 1e-3, 1e3, "rad/s")
-        _bounded("ArmLimits.acceleration", self.acceleration, 1e-3, 1e6, "rad/s²")
+    speed: float = number(5.0, 1e-3, 1e3, "rad/s", "of an arm")
+    acceleration: float = number(35.0, 1e-3, 1e6, "rad/s²", "of an arm")
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,19 +200,15 @@ def _derivatives(delta: Delta, positions: Array, angles: Array, direction: Array
 
     In each limb's own axes (outward, across, ahead) c' = a (−sin θ, 0, cos θ) and c'' = −a (cos θ, 0, sin θ).
     """
-    limbs = [delta.geometry.limb(index) for index in range(LIMB_COUNT)]
-
-    def column(name: str) -> Array:
-        return np.array([[getattr(limb, name)] for limb in limbs])
-
-    cosine, sine, arm = column("cosine"), column("sine"), column("arm")
+    limbs = LimbArrays(delta.geometry, KNEE_OUT)
+    cosine, sine, arm = limbs.cosine, limbs.sine, limbs.arm
     (x, y, z), (dx, dy, dz) = positions.T, direction
     outward, across = cosine * dx + sine * dy, cosine * dy - sine * dx
-    angle = angles.T + column("angle_offset")
+    angle = angles.T + limbs.angle_offset
     arm_u, arm_w = arm * np.cos(angle), arm * np.sin(angle)
-    rod_u = cosine * x + sine * y - column("difference") - arm_u
-    rod_v = cosine * y - sine * x - column("tangential_offset")
-    rod_w = z + column("motor_height") - arm_w
+    rod_u = cosine * x + sine * y - limbs.difference - arm_u
+    rod_v = cosine * y - sine * x - limbs.tangential
+    rod_w = z + limbs.motor_height - arm_w
     lever = rod_w * arm_u - rod_u * arm_w
     slope = (rod_u * outward + rod_v * across + rod_w * dz) / lever
     yielding = (outward + arm_w * slope) ** 2 + across**2 + (dz - arm_u * slope) ** 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,10 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
 from deltacharger_core.mcap_file import McapFile
+from deltacharger_core.parameters import from_mapping
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
-from deltacharger_kinematics.geometry_file import geometry_from_mapping, geometry_to_mapping, load_geometry
+from deltacharger_kinematics.geometry_file import geometry_to_mapping, load_geometry
 from deltacharger_records.recording.folder import PARAMETERS
 
 _FILE, _GEOMETRY = "geometry_file", "geometry"
@@ -71,11 +72,11 @@ def docking_settings(told: Mapping[str, Any]) -> tuple[DockingParameters, DeltaG
         ValueError: a value is refused.
     """
     if _GEOMETRY in told:
-        base = geometry_from_mapping(told[_GEOMETRY])
+        base = from_mapping(told[_GEOMETRY], DeltaGeometry)
     else:
         base = load_geometry(Path(told[_FILE]).expanduser()) if told.get(_FILE) else DeltaGeometry()
     lengths = {name: _plain(value) for name, value in _of(DeltaGeometry, told).items() if name != "limbs"}
-    return DockingParameters(**_of(DockingParameters, told)), base.with_values(**lengths)
+    return DockingParameters(**_of(DockingParameters, told)), replace(base, **lengths)
 
 
 def known_settings(told: Mapping[str, Any]) -> tuple[DockingParameters, DeltaGeometry]:

@@ -37,7 +37,7 @@ def declare_geometry(node: Node) -> DeltaGeometry:
                 f"{told!r}; the file decides, so remove '{name}' or correct the file"
             )
     try:
-        return base.with_values(**given)
+        return dataclasses.replace(base, **given)
     except ValueError as error:
         raise node_support.StartupError(f"{node.get_name()}: {error}") from error
 

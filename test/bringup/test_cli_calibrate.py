@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from deltacharger_bringup.cli.main import main
+from deltacharger_core.parameters import from_mapping
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.calibration.data import TICK, Encoder
 from deltacharger_kinematics.calibration.plan import plan
 from deltacharger_kinematics.calibration.problem import COUNT, Uncertainty, numbers, rms, with_numbers
 from deltacharger_kinematics.calibration.recording import PoseRecording
-from deltacharger_kinematics.geometry_file import geometry_from_mapping, load_geometry
+from deltacharger_kinematics.geometry_file import load_geometry
 
 NOMINAL = DeltaGeometry()
 ARM = with_numbers(
@@ -80,7 +81,7 @@ def test_one_object_in_si_units(capsys: pytest.CaptureFixture[str], tmp_path: Pa
     ]
     assert max(map(abs, errors)) < 4.0
     assert len({(row["limb"], row["name"]) for row in found["parameters"]}) == COUNT
-    assert geometry_from_mapping(found["geometry"]).limbs != NOMINAL.limbs
+    assert from_mapping(found["geometry"], DeltaGeometry).limbs != NOMINAL.limbs
 
 
 def test_nothing_is_overwritten_or_written_in_doubt_without_force(

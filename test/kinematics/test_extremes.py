@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -120,7 +121,7 @@ def test_a_platform_joint_on_its_motor_axis_turns_freely() -> None:
 @pytest.mark.parametrize("distance", [5e-324, 1e-170, 1e-30, 1e-20])
 def test_a_platform_joint_as_good_as_on_its_motor_axis(distance: float) -> None:
     limbs = (LimbAdjustment(radius_offset=distance), LimbAdjustment(), LimbAdjustment())
-    solved = alone_and_in_a_batch(Delta(SQUARE.with_values(limbs=limbs)), (0.125, 0.0, -0.5))
+    solved = alone_and_in_a_batch(Delta(dataclasses.replace(SQUARE, limbs=limbs)), (0.125, 0.0, -0.5))
     assert solved.status == Status.INDETERMINATE | Status.LIMB_0
     assert math.isnan(solved.angles[0])
     assert math.isnan(solved.margin)
@@ -258,7 +259,7 @@ def test_round_trips_of_robots_large_and_small(scale: float, arm: float, rod: fl
 
 def scaled(geometry: DeltaGeometry, scale: float) -> DeltaGeometry:
     lengths = ("base_radius", "platform_radius", "arm", "rod", "z_offset")
-    return geometry.with_values(**{name: scale * getattr(geometry, name) for name in lengths})
+    return dataclasses.replace(geometry, **{name: scale * getattr(geometry, name) for name in lengths})
 
 
 def test_a_singular_pose_is_flagged_and_does_not_hurt_its_neighbours() -> None:

@@ -23,8 +23,8 @@ CALIBRATED = DeltaGeometry(
 @pytest.mark.parametrize("field", ["base_radius", "arm", "rod", "platform_radius"])
 @pytest.mark.parametrize("value", [0.0, -0.1, math.nan, math.inf, 1e-300, 1e300, "0.1", None, True])
 def test_impossible_lengths_are_refused(field: str, value: Any) -> None:
-    with pytest.raises(ValueError, match=rf"DeltaGeometry\.{field}"):
-        DeltaGeometry().with_values(**{field: value})
+    with pytest.raises(ValueError, match=rf"^{field}:"):
+        DeltaGeometry(**{field: value})
 
 
 @pytest.mark.parametrize(
@@ -42,18 +42,17 @@ def test_impossible_lengths_are_refused(field: str, value: Any) -> None:
         ({"workspace_max": (0.1, 0.1, math.nan)}, "workspace_max"),
         ({"limbs": (LimbAdjustment(),) * 2}, "limbs"),
         ({"limbs": ({},) * 3}, "limbs"),
-        ({"arms": 0.1}, "arms"),
     ],
 )
 def test_impossible_values_are_refused_by_name(changes: dict[str, Any], named: str) -> None:
     with pytest.raises(ValueError, match=named):
-        DeltaGeometry().with_values(**changes)
+        DeltaGeometry(**changes)
 
 
 @pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(LimbAdjustment)])
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e7, "0"])
 def test_impossible_adjustments_are_refused_by_name(field: str, value: Any) -> None:
-    with pytest.raises(ValueError, match=rf"LimbAdjustment\.{field}"):
+    with pytest.raises(ValueError, match=rf"^{field}:"):
         LimbAdjustment(**{field: value})
 
 
@@ -86,18 +85,18 @@ def test_keys_left_out_keep_their_defaults(tmp_path: Path) -> None:
     ("content", "named"),
     [
         ("armm: 0.1", "armm: unknown key; did you mean 'arm'"),
-        ("arm: -0.1", "arm is -0.1"),
-        ("arm: long", "arm is 'long'"),
-        ("arm: .nan", "arm is nan"),
-        ("arm: true", "arm is True"),
-        ("arm:", "arm is None"),
+        ("arm: -0.1", r"arm: -0\.1 is outside"),
+        ("arm: long", "arm: 'long' is not a number"),
+        ("arm: .nan", "arm: nan is not finite"),
+        ("arm: true", "arm: True is not a number"),
+        ("arm:", "arm: None is not a number"),
         ("limbs: [{}, {}]", "limbs"),
         ("limbs: [{}, {}, {rodd: 0.18}]", r"limbs\[2\]\.rodd: unknown key; did you mean 'rod'"),
-        ("limbs: [{}, {rod: 0}, {}]", r"limbs\[1\]: LimbAdjustment\.rod is 0"),
+        ("limbs: [{}, {rod: 0}, {}]", r"limbs\[1\]\.rod: 0\.0 is outside"),
         ("limbs: [1, 2, 3]", r"limbs\[0\]"),
         ("workspace_min: 3", "workspace_min"),
         ("workspace_min: [a, b, c]", "workspace_min"),
-        ("- 1", "the file is"),
+        ("- 1", "is not a mapping"),
         ("arm: [", "not valid YAML: line 1"),
         ("1: 2", "the key 1 is not a word"),
         ("\x00", "not valid YAML"),

@@ -267,8 +267,8 @@ def test_a_dimension_that_contradicts_the_geometry_file_stops_the_node_with_both
     ("content", "reason"),
     [
         ("arms: 0.1", "did you mean 'arm'"),
-        ("arm: -0.1", "DeltaGeometry.arm"),
-        ("arm: long", "DeltaGeometry.arm"),
+        ("arm: -0.1", "arm: "),
+        ("arm: long", "arm: "),
         ("arm: 1.5", r"'arm'.*geometry_file"),
         ("arm: [", "not valid YAML: line 1"),
         ("limbs: [{}, {}]", "limbs"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -40,7 +40,7 @@ class Robot:
 def _scaled(factor: float) -> DeltaGeometry:
     plain = DeltaGeometry()
     names = ("base_radius", "platform_radius", "arm", "rod", "z_offset")
-    return plain.with_values(**{name: factor * getattr(plain, name) for name in names})
+    return replace(plain, **{name: factor * getattr(plain, name) for name in names})
 
 
 def robots() -> list[Robot]:
@@ -48,23 +48,23 @@ def robots() -> list[Robot]:
     plain = DeltaGeometry()
     found = [Robot("default", plain)]
     for ratio in (1.001, 1.01, 1.1, 10.0, 100.0, 1000.0):
-        found.append(Robot(f"rod/arm {ratio:g}", plain.with_values(rod=ratio * plain.arm)))
+        found.append(Robot(f"rod/arm {ratio:g}", replace(plain, rod=ratio * plain.arm)))
     found += [
-        Robot("arm longer than rod, 180 and 100 mm", plain.with_values(arm=0.18, rod=0.10)),
-        Robot("arm = rod = 100 mm", plain.with_values(rod=0.1)),
-        Robot("D = 0", plain.with_values(platform_radius=plain.base_radius)),
-        Robot("D = −50 mm", plain.with_values(platform_radius=plain.base_radius + 0.05)),
-        Robot("D = 150 mm", plain.with_values(base_radius=plain.platform_radius + 0.15)),
+        Robot("arm longer than rod, 180 and 100 mm", replace(plain, arm=0.18, rod=0.10)),
+        Robot("arm = rod = 100 mm", replace(plain, rod=0.1)),
+        Robot("D = 0", replace(plain, platform_radius=plain.base_radius)),
+        Robot("D = −50 mm", replace(plain, platform_radius=plain.base_radius + 0.05)),
+        Robot("D = 150 mm", replace(plain, base_radius=plain.platform_radius + 0.15)),
         *(Robot(f"all lengths × {factor:g}", _scaled(factor)) for factor in (1e-3, 1e3, 1e6)),
-        Robot("z_offset 1 km", plain.with_values(z_offset=1e3)),
-        Robot("every limb adjusted, 18 parameters", plain.with_values(limbs=ADJUSTED)),
+        Robot("z_offset 1 km", replace(plain, z_offset=1e3)),
+        Robot("every limb adjusted, 18 parameters", replace(plain, limbs=ADJUSTED)),
     ]
     for first, second, third in itertools.product((-1, 1), repeat=3):
         mode = (first, second, third)
         if mode != _OUTWARD:
             found.append(Robot(f"knees {_signs(mode)}", plain, mode))
     found.append(Robot("mirror assembly", plain, _OUTWARD, -1))
-    found.append(Robot("mirror assembly, adjusted, knees + + +", plain.with_values(limbs=ADJUSTED), (1, 1, 1), -1))
+    found.append(Robot("mirror assembly, adjusted, knees + + +", replace(plain, limbs=ADJUSTED), (1, 1, 1), -1))
     return found
 
 
