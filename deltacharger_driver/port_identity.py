@@ -24,19 +24,17 @@ from deltacharger_driver.board.protocol import (
     is_from_board,
 )
 from deltacharger_driver.servos.mx64 import MODEL, MODEL_PROTOCOL_1, SPEEDS
+from deltacharger_driver.servos.packets import BROADCAST, HEADER, PING, STATUS
 from deltacharger_driver.servos.port import latency_timer
-from deltacharger_driver.servos.protocol import crc16
+from deltacharger_driver.servos.protocol import crc16, instruction_packet
 
 SERVO_SPEEDS = (BAUD_RATE, 57600, *(speed for speed in SPEEDS.values() if speed not in (BAUD_RATE, 57600)))
 """Every speed of a servo, the likely ones first, bit/s."""
 _PATIENCE = 0.05  # s; servos with ids up to about 15 answer a ping to all within it
 _LISTEN = 2.4 / POWER_RATE  # s in which a board, which sends its power unasked, is heard twice
 _HELLO_WAIT = 0.15  # s
-_EVERYBODY = 254
 _ATTEMPTS = 4
-_HEADER = b"\xff\xff\xfd\x00"
 _PING_REPLY = 14  # bytes
-_STATUS = 0x55
 _PING_LENGTH = 64  # bytes of wire that a ping and the replies of an arm take at most
 
 
@@ -173,7 +171,7 @@ def find_servos(
     for speed in speeds:
         port.set_speed(speed)
         wire = 10.0 * _PING_LENGTH / speed
-        port.write(_ping_2(_EVERYBODY))
+        port.write(instruction_packet(BROADCAST, PING))
         found += _ping_replies(_receive(port, patience + latency + wire), speed)
         known = {servo.servo for servo in found if not servo.garbled}
         for servo in (servo for servo in ids if servo not in known):
@@ -185,7 +183,7 @@ def _ask_one(port: BoardPort, servo: int, speed: int, wait: float) -> list[Found
     """Ping a servo that did not answer the ping to all: the reply may have been lost, or it knows no such ping."""
     answers = 0
     for _ in range(_ATTEMPTS):
-        reply = _exchange(port, _ping_2(servo), wait)
+        reply = _exchange(port, instruction_packet(servo, PING), wait)
         found = [one for one in _ping_replies(reply, speed) if one.servo == servo]
         if found:
             return found
@@ -206,22 +204,16 @@ def _exchange(port: BoardPort, question: bytes, wait: float) -> bytes:
 def _ping_replies(data: bytes, speed: int) -> list[FoundServo]:
     """Return the servos whose replies to a ping stand intact in `data`."""
     found = []
-    start = data.find(_HEADER)
+    start = data.find(HEADER)
     while start >= 0:
         reply = data[start : start + _PING_REPLY]
         length = int.from_bytes(reply[5:7], "little")
-        intact = len(reply) == _PING_REPLY and length == _PING_REPLY - 7 and reply[7] == _STATUS
+        intact = len(reply) == _PING_REPLY and length == _PING_REPLY - 7 and reply[7] == STATUS
         if intact and crc16(reply[:-2]) == int.from_bytes(reply[-2:], "little"):
             model = int.from_bytes(reply[9:11], "little")
             found.append(FoundServo(reply[4], speed, model=model, firmware=reply[11]))
-        start = data.find(_HEADER, start + 1)
+        start = data.find(HEADER, start + 1)
     return found
-
-
-def _ping_2(servo: int) -> bytes:
-    """Return a ping of Protocol 2.0."""
-    packet = _HEADER + bytes((servo, 3, 0, 1))
-    return packet + crc16(packet).to_bytes(2, "little")
 
 
 def _ping_1(servo: int) -> bytes:

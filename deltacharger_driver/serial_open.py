@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 import errno
-import grp
 import os
-import pwd
 import stat
 import termios
+from pathlib import Path
 
 import serial
 
@@ -93,20 +92,13 @@ def _absence(path: str) -> str:
 
 def _ownership(path: str) -> str:
     """Return who may open a port, as `ls -l` shows it; '' where even that is secret."""
+    port = Path(path)
     try:
-        status = os.stat(path)
+        status = port.stat()
     except OSError:
         return ""
-    return f"{stat.filemode(status.st_mode)} {_name(status)}"
-
-
-def _name(status: os.stat_result) -> str:
     try:
-        user = pwd.getpwuid(status.st_uid).pw_name
-    except KeyError:
-        user = str(status.st_uid)
-    try:
-        group = grp.getgrgid(status.st_gid).gr_name
-    except KeyError:
-        group = str(status.st_gid)
-    return f"{user} {group}"
+        owner = f"{port.owner()} {port.group()}"
+    except KeyError:  # without names, as in a container
+        owner = f"{status.st_uid} {status.st_gid}"
+    return f"{stat.filemode(status.st_mode)} {owner}"

@@ -13,7 +13,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
@@ -29,23 +28,6 @@ _FRAMES = 32  # kept; more than the 20 that come in STALE_FRAME at the highest r
 _CONFIRM_TIME = 0.3  # s to see the contactor open after the board accepted the command
 
 
-@dataclass(frozen=True)
-class LeaseRecord:
-    """The lease for whoever looks on.
-
-    Attributes:
-        holder: '' where nobody holds it.
-        left: s until it lapses, 0 where nobody holds it.
-        renewals, lapses, openings: counted since the start.
-    """
-
-    holder: str
-    left: float
-    renewals: int
-    lapses: int
-    openings: int
-
-
 class ContactorGuard:
     """Serves closes, openings and probes, and ends the lease on everything that ends it.
 
@@ -58,18 +40,15 @@ class ContactorGuard:
     Args:
         link: to the board.
         on_lease: called when a lease begins, so that somebody calls `tick` when it lapses.
-        clock: s, monotonic.
     """
 
     def __init__(
         self,
         link: BoardLink,
         on_lease: Callable[[], None] | None = None,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._link = link
         self._on_lease = on_lease
-        self._clock = clock
         self._lease = ContactorLease()
         self._lock = threading.Lock()  # lease and observations; never held while waiting
         self._commands = threading.Lock()  # one contactor command at a time
@@ -84,25 +63,30 @@ class ContactorGuard:
     def holder(self) -> str:
         """Who holds the lease, '' where nobody does."""
         with self._lock:
-            return self._lease.holder if self._lease.is_live(self._clock()) else ""
+            return self._lease.holder if self._lease.is_live(time.monotonic()) else ""
 
-    def lease_record(self) -> LeaseRecord:
-        """Return who holds the contactor for how long, and what became of the leases since the start."""
+    def lease_record(self) -> dict[str, object]:
+        """Return who holds the contactor for how long, and what became of the leases since the start, to be told."""
         with self._lock:
-            lease, now = self._lease, self._clock()
+            lease, now = self._lease, time.monotonic()
             live = lease.is_live(now)
-            left = lease.remaining(now) if live else 0.0
-            return LeaseRecord(lease.holder if live else "", left, lease.renewals, lease.lapses, lease.openings)
+            return {
+                "holder": lease.holder if live else "",
+                "lease_left": f"{lease.remaining(now) if live else 0.0:.3f} s",
+                "lease_renewals": lease.renewals,
+                "lease_lapses": lease.lapses,
+                "openings": lease.openings,
+            }
 
     def probe_record(self) -> tuple[float, float]:
         """Return the last probe's ohm (NaN = none) and its age in s (inf = none, or voided by an opening)."""
         with self._lock:
-            return self._lease.resistance, self._lease.probe_age(self._clock())
+            return self._lease.resistance, self._lease.probe_age(time.monotonic())
 
     def remaining(self) -> float:
         """Return the seconds until `tick` is due; inf where there is no lease."""
         with self._lock:
-            return self._lease.remaining(self._clock())
+            return self._lease.remaining(time.monotonic())
 
     def observe_tactile(self, sample: TactileSample) -> None:
         """Take note of a tactile frame."""
@@ -151,7 +135,7 @@ class ContactorGuard:
         with self._commands:
             self._open_if_lapsed()
             with self._lock:
-                now = self._clock()
+                now = time.monotonic()
                 renewal = self._lease.is_live(now)
                 self._check_board(holder, now)
                 self._lease.check(holder, duration, now)
@@ -229,7 +213,7 @@ class ContactorGuard:
 
     def _open_if_lapsed(self) -> None:
         with self._lock:
-            lapsed = self._lease.has_lapsed(self._clock())
+            lapsed = self._lease.has_lapsed(time.monotonic())
             self._lease.lapses += lapsed
         if lapsed:
             self._end_lease()
@@ -249,7 +233,7 @@ class ContactorGuard:
             with self._commands:
                 self._open_if_lapsed()
             with self._lock:
-                if self._lease.is_live(self._clock()):
+                if self._lease.is_live(time.monotonic()):
                     raise LeaseRefused("", f"'{self._lease.holder}' keeps the contactor closed; open it, then probe")
                 openings = self._lease.openings
             result = self._link.probe()
@@ -271,13 +255,13 @@ class ContactorGuard:
         """
         with self._lock:
             self._shut = True
-            now = self._clock()
+            now = time.monotonic()
             power = self._power
             fresh = power is not None and now - power.time <= STALE_POWER
             if fresh and power is not None and not power.power.contactor_closed and not self._lease.holder:
                 return True
         self.open()
-        opened_at = self._clock()
+        opened_at = time.monotonic()
         with self._power_seen:
             return self._power_seen.wait_for(lambda: self._seen_open_since(opened_at), _CONFIRM_TIME)
 

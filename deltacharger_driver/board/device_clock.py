@@ -23,13 +23,9 @@ class DeviceClock:
 
     The shortest delay itself (wire time, 3.2 ms for a u12 packet at 1 Mbaud) cannot be seen from one side and
     remains in the result.
-
-    Args:
-        window: s of history.
     """
 
-    def __init__(self, window: float = WINDOW) -> None:
-        self.window = window
+    def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
@@ -53,7 +49,7 @@ class DeviceClock:
         bucket = math.floor(device_time / _BUCKET)
         if bucket > self._bucket:
             self._bucket = bucket
-            self._minima = [m for m in self._minima if m[0] >= device_time - self.window]
+            self._minima = [m for m in self._minima if m[0] >= device_time - WINDOW]
             self._minima.append((device_time, delay))
             self._fit()
         elif delay < self._minima[-1][1]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 
 from deltacharger_driver.board.protocol import HEARTBEAT_PERIOD
@@ -24,14 +25,12 @@ class Heartbeat:
 
     Args:
         send: sends one; may raise `PortGone`, which ends the thread.
-        clock: s, monotonic.
         name: of the thread.
     """
 
-    def __init__(self, send: Callable[[], None], clock: Callable[[], float], name: str) -> None:
+    def __init__(self, send: Callable[[], None], name: str) -> None:
         self.lateness = Lateness()
         self._send = send
-        self._clock = clock
         self._changed = threading.Condition()
         self._until = _NEVER
         self._closing = False
@@ -56,10 +55,10 @@ class Heartbeat:
             PortGone: the port vanished.
         """
         with self._changed:
-            idle = self._clock() >= self._until
+            idle = time.monotonic() >= self._until
             self._until = until
             self._changed.notify_all()
-        if idle and self._clock() < until:
+        if idle and time.monotonic() < until:
             self._send()
 
     def stop(self) -> None:
@@ -68,15 +67,15 @@ class Heartbeat:
             self._until = _NEVER
 
     def _run(self) -> None:
-        due = self._clock()
+        due = time.monotonic()
         while True:
             with self._changed:
                 if self._closing:
                     return
-                now = self._clock()
+                now = time.monotonic()
                 if now >= self._until:
                     self._changed.wait()
-                    due = self._clock()
+                    due = time.monotonic()
                     continue
                 if now < due:
                     self._changed.wait(due - now)

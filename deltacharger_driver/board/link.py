@@ -50,7 +50,6 @@ class BoardLink:
         on_boot: called in the reader's thread when the board has rebooted: it neither streams nor is tared,
             and the contactor is open. Must not wait for a command.
         on_gone: called once, in any thread, when the port has vanished.
-        clock: the host's monotonic clock, s.
     """
 
     def __init__(
@@ -61,13 +60,11 @@ class BoardLink:
         on_power: Callable[[PowerSample], None] | None = None,
         on_boot: Callable[[], None] | None = None,
         on_gone: Callable[[PortGone], None] | None = None,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.port = port
         self.baud_rate = baud_rate
         self._on_boot = on_boot
         self._on_gone = on_gone
-        self._clock = clock
         self._decoder = PacketDecoder()
         self._requests = BoardRequests()
         self._receiver = BoardReceiver(self._requests, on_tactile, on_power, self._rebooted)
@@ -102,7 +99,7 @@ class BoardLink:
         self._decoder = PacketDecoder()
         self._decoder.counters = counters
         before = replace(counters)
-        self._heartbeat = Heartbeat(self._send_heartbeat, self._clock, f"board heartbeat {self.port}")
+        self._heartbeat = Heartbeat(self._send_heartbeat, f"board heartbeat {self.port}")
         self._reader = threading.Thread(target=self._read, name=f"board reader {self.port}", daemon=True)
         self._heartbeat.start()
         self._reader.start()
@@ -248,7 +245,7 @@ class BoardLink:
         data = struct.pack("<Q", next(self._ping_numbers)) if data is None else data
         if len(data) > LONGEST_PING:
             raise ValueError(f"{len(data)} bytes; a PING carries at most {LONGEST_PING}")
-        sent = self._clock()
+        sent = time.monotonic()
         return self._ask(PacketType.PING, data).received - sent
 
     def keep_alive(self, until: float) -> None:
@@ -333,7 +330,7 @@ class BoardLink:
         try:
             while not self._closing.is_set():
                 data = port.read(0.5)
-                received = self._clock()
+                received = time.monotonic()
                 for packet in self._decoder.feed(data):
                     self._receiver.take(packet, received)
         except PortGone as error:

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -48,8 +47,7 @@ _FORCES: dict[int, Taxels] = {
 }
 
 
-@dataclass(frozen=True)
-class Power:
+class Power(NamedTuple):
     """Payload of a POWER packet: V, V, A (NaN = not measured), contactor and fault."""
 
     battery_voltage: float
@@ -59,8 +57,7 @@ class Power:
     fault: int
 
 
-@dataclass(frozen=True)
-class Hello:
+class Hello(NamedTuple):
     """Payload of the board's HELLO packet; `rate` in Hz."""
 
     major: int
@@ -71,8 +68,7 @@ class Hello:
     rate: float
 
 
-@dataclass(frozen=True)
-class Ack:
+class Ack(NamedTuple):
     """Payload of an ACK packet: which packet it answers, how, and what the answer carries."""
 
     type: int
@@ -136,14 +132,7 @@ def decode_samples(payload: bytes, sample_format: int) -> Taxels:
 
 def encode_power(power: Power) -> bytes:
     """Return the payload of a POWER packet."""
-    return _POWER.pack(
-        power.battery_voltage,
-        power.target_voltage,
-        power.charge_current,
-        power.contactor_closed,
-        power.fault,
-        0,
-    )
+    return _POWER.pack(*power, 0)
 
 
 def decode_power(payload: bytes) -> Power:
@@ -167,7 +156,7 @@ def decode_power(payload: bytes) -> Power:
 
 def encode_hello(hello: Hello) -> bytes:
     """Return the payload of the board's HELLO packet."""
-    return _HELLO.pack(hello.major, hello.minor, hello.rows, hello.columns, hello.boot_id, hello.rate)
+    return _HELLO.pack(*hello)
 
 
 def decode_hello(payload: bytes) -> Hello:

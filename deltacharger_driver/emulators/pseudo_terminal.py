@@ -11,7 +11,6 @@ import threading
 import time
 import tty
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol
 
 from deltacharger_driver.servos.mx64 import SPEEDS
@@ -150,12 +149,7 @@ class PseudoTerminal:
     def __enter__(self) -> PseudoTerminal:
         return self.start()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.stop()
 
     def _remove_link(self) -> None:

@@ -38,7 +38,6 @@ class ServoController:
         current_bound: bound of each servo's current where a trajectory sets none, A.
         torque_constant: N·m/A, turns a trajectory's torque bound into a current.
         notify: called with (severity "info" | "warning" | "error", sentence) at every event worth a log line.
-        clock: monotonic time, s.
         contactor: opened before torque goes off.
 
     Attributes:
@@ -53,7 +52,6 @@ class ServoController:
         current_bound: float,
         torque_constant: float,
         notify: Callable[[str, str], None] = lambda severity, sentence: None,
-        clock: Callable[[], float] = time.monotonic,
         contactor: Contactor | None = None,
     ) -> None:
         self.watchdog_trips = 0
@@ -61,7 +59,6 @@ class ServoController:
         self._ids = settings.ids
         self._goals = ServoGoals(len(settings.ids), current_bound, torque_constant)
         self._notify = notify
-        self._clock = clock
         self._contactor = contactor or NoContactor()
         self._phase = ServoPhase.DISCONNECTED
         self._lock = threading.Lock()
@@ -69,8 +66,8 @@ class ServoController:
         self._submitted: tuple[Trajectory, float] | None = None
         self._stop_at = math.inf
         self.stop_reason = self.unasked_stop = ""
-        self._reconnection = Reconnection(self.bus, notify, clock)
-        self._restarts = ServoRestarts(self.bus, notify, clock)
+        self._reconnection = Reconnection(self.bus, notify)
+        self._restarts = ServoRestarts(self.bus, notify)
         self._trips: deque[float] = deque([-math.inf] * _TRIPS, maxlen=_TRIPS)
         self._snapshot: BusSnapshot | None = None
         self._memory = ServoMemory(len(settings.ids))
@@ -125,7 +122,7 @@ class ServoController:
         Args:
             trajectory: its first segment begins at the goal of that moment; what of it has passed is left out, and
                 where all has, its last point holds.
-            start: from when its times count, s of the controller's clock; not before it takes effect if later.
+            start: from when its times count, s, monotonic; not before it takes effect if later.
 
         Raises:
             TrajectoryRefused: torque is off, or the servos are being stopped.
@@ -153,7 +150,7 @@ class ServoController:
             self._phase = ServoPhase.STOPPING
             self._submitted = None
         self.stop_reason = reason
-        self._stop_at = self._clock() + seconds
+        self._stop_at = time.monotonic() + seconds
         self._goals.hold(self._memory.angles)
         self._contactor.ask_open()
 
@@ -167,7 +164,7 @@ class ServoController:
                 self._exchange()
         except PortGone as error:
             self._disconnect(error)
-        return self._memory.report(self._clock(), self._phase, self._faults())
+        return self._memory.report(time.monotonic(), self._phase, self._faults())
 
     def _exchange(self) -> None:
         """Send goals, read the state, and act on what it says."""
@@ -215,11 +212,11 @@ class ServoController:
 
     def _may_let_go(self) -> bool:
         """Whether torque may go off now: its time has come, or it was asked for and the contactor is open."""
-        return self._clock() >= self._stop_at or (self.is_releasing and self._contactor.is_open())
+        return time.monotonic() >= self._stop_at or (self.is_releasing and self._contactor.is_open())
 
     def _advance(self) -> None:
         """Take what was submitted, and the goal and the bounds of this instant."""
-        now = self._clock()
+        now = time.monotonic()
         with self._lock:
             submitted, self._submitted = self._submitted, None
         if submitted is not None and self._phase is ServoPhase.ON:
@@ -241,7 +238,7 @@ class ServoController:
 
     def _go_on_after_silence(self, what: str) -> None:
         self.watchdog_trips += 1
-        now = self._clock()
+        now = time.monotonic()
         self._trips.append(now)
         if now - self._trips[0] < _TRIPS_WITHIN:
             self.stop(f"{what} again and again; this computer is overloaded")
@@ -298,7 +295,7 @@ class ServoController:
         if self._phase is ServoPhase.ON:
             self._begin_stop("torque is being switched off on request", OPENING_TIME)
         elif self._phase is ServoPhase.STOPPING:
-            self._stop_at = min(self._stop_at, self._clock() + OPENING_TIME)
+            self._stop_at = min(self._stop_at, time.monotonic() + OPENING_TIME)
             self._contactor.ask_open()
         else:
             self._switch_off()

@@ -3,34 +3,34 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
+from typing import NamedTuple
 
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.mx64 import describe_hardware_error
 from deltacharger_driver.servos.report import ServoPhase, ServoReport
 
-OK, WARN, ERROR = 0, 1, 2
+OK, WARN, ERROR = b"\0", b"\1", b"\2"
 """Levels of diagnostic_msgs/DiagnosticStatus."""
 
 _HOT = 70.0  # °C, ten below the servo's own limit
 _LITTLE_RESERVE = 60.0  # s
 
 
-@dataclass(frozen=True)
-class DiagnosticEntry:
+class DiagnosticEntry(NamedTuple):
     """One status.
 
     Attributes:
         level: OK, WARN or ERROR.
-        name: of the part.
         message: one sentence.
-        values: further values as text.
+        values: further values.
+        part: its name.
     """
 
-    level: int
-    name: str
+    level: bytes
     message: str
-    values: dict[str, str] = field(default_factory=dict)
+    values: dict[str, object]
+    part: str
 
 
 def bus_entry(
@@ -47,16 +47,15 @@ def bus_entry(
         late: cycles that began late, since the start.
     """
     settings = controller.bus.settings
-    counters = {key: str(value) for key, value in asdict(controller.bus.counters).items()}
-    values = {
+    values: dict[str, object] = {
         "state": report.phase.value,
-        "baud_rate": str(settings.baud_rate),
-        "ids": str(list(settings.ids)),
+        "baud_rate": settings.baud_rate,
+        "ids": list(settings.ids),
         "rate": f"{rate:.1f} Hz",
-        "late_cycles": str(late),
-        **counters,
-        "watchdog_trips": str(controller.watchdog_trips),
-        "reconnections": str(controller.reconnections),
+        "late_cycles": late,
+        **asdict(controller.bus.counters),
+        "watchdog_trips": controller.watchdog_trips,
+        "reconnections": controller.reconnections,
         "last_refusal": last_refusal,
     }
     if report.faults:
@@ -69,20 +68,20 @@ def bus_entry(
         level, message = WARN, f"torque off: {controller.unasked_stop}"
     else:
         level, message = OK, report.phase.value
-    return DiagnosticEntry(level, "servo bus", message, values)
+    return DiagnosticEntry(level, message, values, "servo bus")
 
 
 def servo_entry(report: ServoReport, index: int, servo: int, joint: str) -> DiagnosticEntry:
     """Return the state of one servo."""
-    values = {
+    values: dict[str, object] = {
         "joint": joint,
-        "id": str(servo),
+        "id": servo,
         "angle": f"{report.angle[index]:.4f} rad",
         "current": f"{report.current[index]:.3f} A",
         "voltage": f"{report.voltage[index]:.1f} V",
         "temperature": f"{report.temperature[index]:.0f} °C",
         "thermal_reserve": f"{report.thermal_reserve[index]:.0f} s",
-        "torque_enabled": str(report.torque_enabled[index]),
+        "torque_enabled": report.torque_enabled[index],
     }
     errors = describe_hardware_error(report.hardware_error[index])
     level, message = OK, "OK"
@@ -96,4 +95,4 @@ def servo_entry(report: ServoReport, index: int, servo: int, joint: str) -> Diag
         level, message = ERROR, "the winding has reached its thermal limit; let it rest"
     elif report.thermal_reserve[index] < _LITTLE_RESERVE:
         level, message = WARN, f"thermal limit in {report.thermal_reserve[index]:.0f} s at this current"
-    return DiagnosticEntry(level, f"servo {servo}", message, values)
+    return DiagnosticEntry(level, message, values, f"servo {servo}")

@@ -4,16 +4,17 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from dynamixel_sdk.protocol1_packet_handler import Protocol1PacketHandler
-from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS
+from dynamixel_sdk.robotis_def import COMM_RX_TIMEOUT, COMM_SUCCESS, INST_WRITE
 
-from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, PortGone, ServoFault, WrongThread
+from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, ServoFault, WrongThread
 from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_driver.servos.mx64 import ALERT, REGISTERS, describe_status_error
 from deltacharger_driver.servos.port import PATIENCE, ServoPort
-from deltacharger_driver.servos.protocol import TAKES_NOTHING, ServoLinkCounters, ServoProtocol
+from deltacharger_driver.servos.protocol import ServoLinkCounters, ServoProtocol, instruction_packet
 
 ATTEMPTS = 3
 """How often a read or write is tried before it fails; reads and writes of registers may be repeated without harm."""
@@ -72,34 +73,27 @@ class ServoLink:
         self._check_owner()
         self._handler.setBaudRate(baud_rate)
 
-    def ping(self, servo: int, attempts: int = 1, hurry: bool = False) -> int:
+    def ping(self, servo: int, attempts: int = 1) -> int:
         """Return the model number of a servo.
 
         Args:
             servo: its id.
             attempts: how often to try.
-            hurry: wait for a reply no longer than in the cycle.
 
         Raises:
             NoAnswer: nobody has this id at this speed.
             CorruptReply: somebody answers, but not intelligibly.
             PortGone: the port vanished.
         """
-        self._begin(hurry)
-        result = COMM_RX_TIMEOUT
-        for _ in self._attempts(attempts):
-            model, result, _ = self._protocol.ping(self._handler, servo)
-            if result == COMM_SUCCESS:
-                return int(model)
-        raise self._failure(servo, "ping", result, attempts)
+        return int(self._ask(servo, "ping", attempts, lambda: (*self._protocol.ping(self._handler, servo)[:2], 0)))
 
-    def ping_protocol_1(self, servo: int, hurry: bool = False) -> bool:
+    def ping_protocol_1(self, servo: int) -> bool:
         """Return whether a servo with this id speaks Protocol 1.0 at this speed.
 
         Raises:
             PortGone: the port vanished.
         """
-        self._begin(hurry)
+        self._begin(hurry=False)
         _, result, _ = self._protocol_1.ping(self._handler, servo)
         return bool(result == COMM_SUCCESS)
 
@@ -121,15 +115,13 @@ class ServoLink:
 
     def read_bytes(self, servo: int, address: int, length: int, action: str = "", hurry: bool = False) -> bytes:
         """Return `length` bytes from `address` of a servo; errors as in `read`."""
-        self._begin(hurry)
         action = action or f"read {length} bytes at {address}"
-        result, attempts = COMM_RX_TIMEOUT, 1 if hurry else ATTEMPTS
-        for _ in self._attempts(attempts):
-            data, result, code = self._protocol.readTxRx(self._handler, servo, address, length)
-            if result == COMM_SUCCESS:
-                self._refuse(servo, action, code)
-                return bytes(data)
-        raise self._failure(servo, action, result, attempts)
+        attempts = 1 if hurry else ATTEMPTS
+
+        def ask() -> tuple[Any, int, int]:
+            return self._protocol.readTxRx(self._handler, servo, address, length)  # type: ignore[no-any-return]
+
+        return bytes(self._ask(servo, action, attempts, ask, hurry))
 
     def write(self, servo: int, name: str, value: int, hurry: bool = False) -> None:
         """Write the register `name` of a servo.
@@ -151,15 +143,12 @@ class ServoLink:
 
     def write_bytes(self, servo: int, address: int, data: bytes, action: str = "", hurry: bool = False) -> None:
         """Write `data` from `address` of a servo on; errors as in `write`."""
-        self._begin(hurry)
-        action = action or f"write {len(data)} bytes at {address}"
-        result, attempts = COMM_RX_TIMEOUT, 1 if hurry else ATTEMPTS
-        for _ in self._attempts(attempts):
-            result, code = self._protocol.writeTxRx(self._handler, servo, address, len(data), list(data))
-            if result == COMM_SUCCESS:
-                self._refuse(servo, action, code)
-                return
-        raise self._failure(servo, action, result, attempts)
+        action, values = action or f"write {len(data)} bytes at {address}", list(data)
+
+        def send() -> tuple[None, int, int]:
+            return None, *self._protocol.writeTxRx(self._handler, servo, address, len(values), values)
+
+        self._ask(servo, action, 1 if hurry else ATTEMPTS, send, hurry)
 
     def write_unanswered(self, servo: int, name: str, value: int) -> None:
         """Write a register without waiting for a reply; for a servo told not to give any.
@@ -167,13 +156,9 @@ class ServoLink:
         Raises:
             PortGone: the port vanished.
         """
-        self._check_owner()
         register = REGISTERS[name]
-        result = self._protocol.writeTxOnly(
-            self._handler, servo, register.address, register.size, list(register.to_bytes(value))
-        )
-        if result != COMM_SUCCESS:
-            raise PortGone(self.port, TAKES_NOTHING)
+        address = register.address.to_bytes(2, "little")
+        self.send(instruction_packet(servo, INST_WRITE, address + register.to_bytes(value)))
 
     def sync_read(
         self, servos: Sequence[int], address: int, length: int, ahead: bytes = b""
@@ -197,17 +182,26 @@ class ServoLink:
         Raises:
             NoAnswer, CorruptReply, ServoFault, PortGone: as in `write`, without a retry.
         """
-        self._begin(hurry=False)
-        result, code = self._protocol.reboot(self._handler, servo)
-        if result != COMM_SUCCESS:
-            raise self._failure(servo, "reboot", result, 1)
-        self._refuse(servo, "reboot", code)
+        self._ask(servo, "reboot", 1, lambda: (None, *self._protocol.reboot(self._handler, servo)))
 
-    def _attempts(self, count: int) -> Iterator[int]:
-        """Count to `count`, and every repetition as a retry."""
-        for attempt in range(count):
+    def _ask(
+        self, servo: int, action: str, attempts: int, question: Callable[[], tuple[Any, int, int]], hurry: bool = False
+    ) -> Any:
+        """Return the data of `question`, which gives (data, result, error byte), asked again for want of a good reply.
+
+        Raises:
+            NoAnswer, CorruptReply, ServoFault, PortGone: as in `read`.
+        """
+        self._begin(hurry)
+        result = COMM_RX_TIMEOUT
+        for attempt in range(attempts):
             self.counters.retries += attempt > 0
-            yield attempt
+            data, result, code = question()
+            if result == COMM_SUCCESS:
+                if code & ~ALERT:
+                    raise ServoFault(servo, action, describe_status_error(code), code)
+                return data
+        raise self._failure(servo, action, result, attempts)
 
     def _begin(self, hurry: bool) -> None:
         """Check who asks, and set how long the reply is waited for."""
@@ -224,8 +218,3 @@ class ServoLink:
         if result == COMM_RX_TIMEOUT:
             return NoAnswer(device, action, attempts * self._handler.reply_timeout)
         return CorruptReply(device, action, self._protocol.getTxRxResult(result).removeprefix("[TxRxResult] "))
-
-    @staticmethod
-    def _refuse(servo: int, action: str, code: int) -> None:
-        if code & ~ALERT:
-            raise ServoFault(servo, action, describe_status_error(code), code)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from deltacharger_driver.servos.protocol import crc16
+from deltacharger_driver.servos.protocol import crc16, packet
 
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 254
@@ -42,11 +42,7 @@ class Instruction:
 
 def status(servo: int, error: int, parameters: bytes = b"") -> bytes:
     """Return the status packet (Protocol 2.0) of a servo."""
-    body = bytes((STATUS, error)) + parameters
-    if PLAIN in body:
-        body = body.replace(PLAIN, STUFFED)
-    head = HEADER + bytes((servo,)) + (len(body) + 2).to_bytes(2, "little") + body
-    return head + crc16(head).to_bytes(2, "little")
+    return packet(servo, bytes((STATUS, error)) + parameters)
 
 
 def status_1(servo: int, error: int, parameters: bytes = b"") -> bytes:

@@ -170,11 +170,6 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         """Take the first `length` bytes of what has come."""
         del self._buffer[:length]
 
-    def getBytesAvailable(self) -> int:  # noqa: N802
-        """Return how many bytes wait to be read."""
-        self._wait(0.0)
-        return len(self._buffer)
-
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
         """Allow `packet_length` bytes their wire time, the adapter its latency both ways, and the margin."""
         self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + self.reply_timeout * 1e3)

@@ -16,7 +16,6 @@ from dynamixel_sdk.robotis_def import (
     BROADCAST_ID,
     COMM_RX_TIMEOUT,
     COMM_SUCCESS,
-    INST_ACTION,
     INST_PING,
     INST_READ,
     INST_SYNC_READ,
@@ -25,8 +24,6 @@ from dynamixel_sdk.robotis_def import (
 
 from deltacharger_driver.errors import PortGone
 from deltacharger_driver.servos.port import ServoPort
-
-TAKES_NOTHING = "it takes no more bytes"
 
 _ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
 _HEADER = b"\xff\xff\xfd\0"
@@ -76,11 +73,16 @@ def crc16(data: Sequence[int], crc: int = 0) -> int:
     return crc
 
 
-def instruction_packet(servo: int, instruction: int, parameters: bytes) -> bytes:
-    """Return an instruction as it stands on the wire, stuffed and with its checksum."""
-    body = (bytes((instruction,)) + parameters).replace(_TO_STUFF, _TO_STUFF + b"\xfd")
-    packet = _HEADER + struct.pack("<BH", servo, len(body) + 2) + body
-    return packet + struct.pack("<H", crc16(packet))
+def packet(servo: int, body: bytes) -> bytes:
+    """Return the packet to or from a servo, its instruction first in `body`, stuffed and with its checksum."""
+    body = body.replace(_TO_STUFF, _TO_STUFF + b"\xfd")
+    head = _HEADER + struct.pack("<BH", servo, len(body) + 2) + body
+    return head + struct.pack("<H", crc16(head))
+
+
+def instruction_packet(servo: int, instruction: int, parameters: bytes = b"") -> bytes:
+    """Return an instruction as it stands on the wire."""
+    return packet(servo, bytes((instruction,)) + parameters)
 
 
 def sync_write_packet(address: int, length: int, rows: Sequence[tuple[int, bytes]]) -> bytes:
@@ -111,17 +113,6 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
         """Return the checksum of the first `data_blk_size` bytes."""
         return crc16(data_blk_ptr[:data_blk_size], crc_accum)
 
-    def addStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
-        """Double the FD of every FF FF FD behind the length, in place (the SDK changes a copy and loses it)."""
-        body: list[int] = []
-        for byte in packet[_INSTRUCTION:-2]:
-            body.append(byte)
-            if byte == 0xFD and body[-3:-1] == [0xFF, 0xFF]:
-                body.append(0xFD)
-        packet[_INSTRUCTION:-2] = body
-        packet[_LENGTH : _LENGTH + 2] = (len(body) + 2).to_bytes(2, "little")
-        return packet
-
     def removeStuffing(self, packet: list[int]) -> list[int]:  # noqa: N802
         """Undo the stuffing and cut the packet to its length (the SDK shifts bytes under its own comparison)."""
         end = int.from_bytes(bytes(packet[_LENGTH : _LENGTH + 2]), "little") + _INSTRUCTION - 2
@@ -137,15 +128,12 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
         Raises:
             PortGone: the port vanished or takes nothing.
         """
-        self._settle(port)
+        if self._suspect:
+            self._suspect = False
+            port.drain()
         port.clearPort()
         if port.writePort(packets) != len(packets):
-            raise PortGone(str(port.port_name), TAKES_NOTHING)
-
-    def txPacket(self, port: ServoPort, txpacket: list[int]) -> int:  # noqa: N802
-        """Send an instruction; after a failure, wait for the line to fall silent first."""
-        self._settle(port)
-        return int(super().txPacket(port, txpacket))
+            raise PortGone(str(port.port_name), "it takes no more bytes")
 
     def rxPacket(  # noqa: N802
         self, port: ServoPort, fast_option: bool = False
@@ -153,7 +141,6 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
         """Receive one packet of whichever servo, and count what goes wrong."""
         intact = self._take_intact(port)
         if intact:
-            port.is_using = False
             return intact, COMM_SUCCESS
         packet, result = super().rxPacket(port, fast_option)
         if result == COMM_RX_TIMEOUT:
@@ -162,11 +149,6 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
             self.counters.corrupt += 1
         self._suspect = self._suspect or result != COMM_SUCCESS
         return packet, int(result)
-
-    def _settle(self, port: ServoPort) -> None:
-        if self._suspect:
-            self._suspect = False
-            port.drain()
 
     @staticmethod
     def _take_intact(port: ServoPort) -> bytes:
@@ -185,7 +167,7 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
         return packet
 
     def txRxPacket(self, port: ServoPort, txpacket: list[int]) -> tuple[Sequence[int] | None, int, int]:  # noqa: N802
-        """Send an instruction and return (reply, result, error byte).
+        """Send an instruction, stuffed as the SDK's own is not, and return (reply, result, error byte).
 
         Another servo's reply, or one of another length, is discarded: it is a late answer to an older question.
         """
@@ -195,12 +177,7 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
             expected = txpacket[_PARAMETERS + 1] | txpacket[_PARAMETERS + 2] << 8
         elif instruction == INST_PING:
             expected = 3
-        result = self.txPacket(port, txpacket)
-        if result != COMM_SUCCESS:
-            return None, result, 0
-        if servo == BROADCAST_ID or instruction == INST_ACTION:
-            port.is_using = False
-            return None, result, 0
+        self.send(port, instruction_packet(servo, instruction, bytes(txpacket[_INSTRUCTION + 1 : -2])))
         port.setPacketTimeout(expected + 11)
         while True:
             reply, result = self.rxPacket(port)

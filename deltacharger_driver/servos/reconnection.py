@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 from deltacharger_driver.errors import DriverError
@@ -17,17 +18,15 @@ class Reconnection:
     Args:
         bus: to open.
         notify: called with (severity, sentence) where the reason changes.
-        clock: monotonic time, s.
 
     Attributes:
         fault: why it is not connected.
         count: how often it was opened again.
     """
 
-    def __init__(self, bus: ServoBus, notify: Callable[[str, str], None], clock: Callable[[], float]) -> None:
+    def __init__(self, bus: ServoBus, notify: Callable[[str, str], None]) -> None:
         self._bus = bus
         self._notify = notify
-        self._clock = clock
         self._pause = _FIRST
         self._next = 0.0
         self.fault = "not connected"
@@ -37,17 +36,17 @@ class Reconnection:
         """Begin anew: the port has just vanished."""
         self.fault = str(error)
         self._pause = _FIRST
-        self._next = self._clock() + self._pause
+        self._next = time.monotonic() + self._pause
 
     def attempt(self) -> bool:
         """Open the bus where it is time to; return whether it is open now."""
-        if self._clock() < self._next:
+        if time.monotonic() < self._next:
             return False
         try:
             self._bus.open(scan=False)
         except DriverError as error:
             self._pause = min(2.0 * self._pause, _LONGEST)
-            self._next = self._clock() + self._pause
+            self._next = time.monotonic() + self._pause
             if str(error) != self.fault:
                 self.fault = str(error)
                 self._notify("error", self.fault)

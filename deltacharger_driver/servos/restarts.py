@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 from deltacharger_driver.errors import DriverError, PortGone
@@ -19,13 +20,11 @@ class ServoRestarts:
     Args:
         bus: of the servos.
         notify: told severity and sentence of what happens.
-        clock: s, monotonic.
     """
 
-    def __init__(self, bus: ServoBus, notify: Callable[[str, str], None], clock: Callable[[], float]) -> None:
+    def __init__(self, bus: ServoBus, notify: Callable[[str, str], None]) -> None:
         self._bus = bus
         self._notify = notify
-        self._clock = clock
         self._asked: ServoRequest | None = None
         self._deadline = 0.0
         self._away: set[int] = set()  # servos that were told to restart and are not back
@@ -49,7 +48,7 @@ class ServoRestarts:
         self._away = set(faulty or range(len(self._bus.settings.ids)))
         for index in sorted(self._away):
             self._bus.reboot(index)
-        self._asked, self._deadline = request, self._clock() + _REBOOT_TIME
+        self._asked, self._deadline = request, time.monotonic() + _REBOOT_TIME
 
     def restore(self, snapshot: BusSnapshot) -> list[int]:
         """Set up every servo that has restarted; return the ids of those that did so by themselves.
@@ -87,7 +86,7 @@ class ServoRestarts:
             return
         if not self._away and snapshot.complete:
             self._asked.finish(not faults, "; ".join(faults) or "rebooted and set up; torque is off")
-        elif self._clock() >= self._deadline:
+        elif time.monotonic() >= self._deadline:
             self._asked.finish(False, "; ".join(faults) or "the servos did not come back in time")
         else:
             return

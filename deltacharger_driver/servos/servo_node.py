@@ -172,12 +172,7 @@ class ServoNode(Node):
         entries = [bus_entry(report, self._controller, refused, self._last_refusal, rate, late)]
         entries += [servo_entry(report, index, ids[index], joint) for index, joint in enumerate(JOINTS)]
         port = self._controller.bus.settings.port
-        self._diagnostics.publish(
-            *(
-                self._diagnostics.status(bytes((entry.level,)), entry.message, entry.values, entry.name, port)
-                for entry in entries
-            )
-        )
+        self._diagnostics.publish(*(self._diagnostics.status(*entry, port) for entry in entries))
 
     def _take_trajectory(self) -> None:
         """Hand the trajectory that has come, if any, to the controller, or refuse it."""

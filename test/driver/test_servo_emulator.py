@@ -48,15 +48,6 @@ def test_they_come_as_from_the_factory_but_for_id_and_speed(host: Host) -> None:
     assert ServoBusEmulator(BenchArm()).servo(1).table.get("return_delay") == 250
 
 
-def test_eeprom_is_locked_while_torque_is_on(host: Host) -> None:
-    assert host.write(1, "operating_mode", 5) == OK
-    assert host.write(1, "torque_enable", 1) == OK
-    assert host.write(1, "operating_mode", 3) == ACCESS
-    assert host.write(1, "homing_offset", 7) == ACCESS
-    assert host.write(1, "torque_enable", 0) == OK
-    assert host.write(1, "operating_mode", 3) == OK
-
-
 def test_every_kind_of_refusal_has_its_number(host: Host) -> None:
     assert host.write(1, "present_position", 1) == ACCESS
     assert host.write(1, "torque_enable", 2) == RANGE

@@ -29,7 +29,7 @@ from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.link import ServoLink
 from deltacharger_driver.servos.mx64 import REGISTERS
 from deltacharger_driver.servos.port import ServoPort
-from deltacharger_driver.servos.protocol import ServoProtocol, crc16, sync_write_packet
+from deltacharger_driver.servos.protocol import ServoProtocol, crc16, instruction_packet, sync_write_packet
 from deltacharger_driver.servos.snapshot import BusSettings
 
 pytestmark = pytest.mark.realtime
@@ -278,6 +278,6 @@ def test_checksum_and_stuffing_agree_with_the_sdk_where_it_is_right() -> None:
     assert crc16(packet[:-2]) == sdk.updateCRC(0, packet, len(packet) - 2) == struct.unpack("<H", bytes(packet[-2:]))[0]
     assert ours.updateCRC(0, packet, 5) == sdk.updateCRC(0, packet, 5)
     for body in (b"\xff\xff\xfd", b"\xff\xff\xff\xfd\xfd", b"\xff\xff\xfd\xff\xff\xfd\x07", STUFFING, b"plain"):
-        stuffed = ours.addStuffing([0xFF, 0xFF, 0xFD, 0, 1, len(body) + 3, 0, 0x55, *body, 0, 0])
-        assert b"\xff\xff\xfd\xfd" in bytes(stuffed) or body == b"plain"
-        assert bytes(ours.removeStuffing(stuffed)[8:-2]) == body
+        stuffed = instruction_packet(1, 0x55, body)
+        assert b"\xff\xff\xfd\xfd" in stuffed or body == b"plain"
+        assert bytes(ours.removeStuffing(list(stuffed))[8:-2]) == body

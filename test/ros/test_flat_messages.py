@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 
-from deltacharger_driver.board.tactile_node_io import SamplePublishers
+from deltacharger_driver.board.tactile_node import SamplePublishers
 from deltacharger_driver.servos.servo_node_io import StatePublishers
 from deltacharger_ros import flat_messages
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
