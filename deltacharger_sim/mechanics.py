@@ -21,6 +21,7 @@ import math
 from deltacharger_core.machine import NOMINAL_VOLTAGE
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, DeltaGeometry, Vector
 from deltacharger_sim.linkage import Linkage
+from deltacharger_sim.motion import Motion
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.touch import TargetTouch
 
@@ -44,29 +45,16 @@ _Joint = tuple[float, float, float, float, float, float, float, float, float, fl
 _Balance = tuple[float, float, float, float, float, float, float, float, float]
 
 
-class Mechanics:
+class Mechanics(Motion):
     """Three degrees of freedom of the charger against a target.
 
     Attributes:
-        position: of the platform, m, charger_base.
-        velocity: m/s.
-        angles: of the arms, rad.
-        rates: rad/s.
-        torques: of the motors, N·m, before gear friction.
         gear: torque of each gear's friction on its arm, N·m.
         rub: lateral friction of the electrodes on the platform, N.
-        slack: how far play lets each encoder run ahead of its arm, rad.
-        tilt: of the platform about x and y, rad; 0 without compliance.
-        pad_share: share of the contact force that the left pad carries; 0.5 without compliance or tilt.
-        contact_force: normal force on the electrodes together, N.
-        magnet_force: pull of the magnets, N.
-        imbalance: what the last step's solution left unbalanced, N; small unless the step is long and friction slips.
-        gap: distance of the touched faces, m; negative = compression of the springs; inf without a target.
-        still: whether the last step moved nothing, so that the next one with the same inputs will not either.
     """
 
     def __init__(self, parameters: WorldParameters, geometry: DeltaGeometry, start: Vector) -> None:
-        self._parameters = parameters
+        super().__init__(parameters, start)
         self._linkage = Linkage(geometry)
         self._geometry = geometry
         self._mass = geometry.platform_mass + 1.5 * geometry.rod_mass
@@ -78,26 +66,14 @@ class Mechanics:
                 (0.5 * geometry.rod_mass * geometry.limb(index).arm, LIMB_DIRECTIONS[index]) for index in range(3)
             )
         )
-        self._target_z = parameters.target.z if parameters.target.present else math.inf
         self._touch = TargetTouch(parameters)
         self._play = 0.5 * parameters.servo.backlash
         here = self._linkage.linearise(*start)
         if here is None:
             raise ValueError(f"start {start!r} is out of the arm's reach: give a point of its workspace (m)")
         self.angles, self._rows, self._turns = here
-        self.position: Vector = start
-        self.velocity: Vector = (0.0, 0.0, 0.0)
-        self.rates: Vector = (0.0, 0.0, 0.0)
-        self.torques: Vector = (0.0, 0.0, 0.0)
         self.gear: Vector = (0.0, 0.0, 0.0)
         self.rub: tuple[float, float] = (0.0, 0.0)
-        self.slack: Vector = (0.0, 0.0, 0.0)
-        self.tilt: tuple[float, float] = (0.0, 0.0)
-        self.pad_share = 0.5
-        self.contact_force = 0.0
-        self.magnet_force = 0.0
-        self.imbalance = 0.0
-        self.still = False
         # Rates by the rows that the step began with. The next step's are by its own, and the difference of the two
         # holds all of d²θ/dt² = (dθ/dp) a + (d/dt dθ/dp) v; with the exact rates half of the second term would miss.
         self._spin: Vector = (0.0, 0.0, 0.0)
@@ -105,24 +81,10 @@ class Mechanics:
         self._servos: tuple[tuple[float, float, float, float, float], ...] = ()
         self._found: tuple[list[float], list[float], float, float, float, float] = ([], [], 0.0, 0.0, 0.0, 0.0)
 
-    @property
-    def gap(self) -> float:
-        """Distance between the touched faces (m); negative = springs compressed."""
-        return self._target_z - self.position[2]
-
     def step(
         self, dt: float, enabled: tuple[bool, bool, bool], reference: Vector, limit: Vector, x: float, y: float
     ) -> None:
-        """Advance by `dt` s.
-
-        Args:
-            dt: s.
-            enabled: whether each servo's torque is on.
-            reference: goal angle of each servo, rad.
-            limit: current bound of each servo, A.
-            x: centre of the target's terminal in end_effector, m; its distance weakens the magnets.
-            y: the same along y, m.
-        """
+        """Advance by `dt` s; arguments as those of `Motion.step`."""
         inputs = (dt, enabled, reference, limit, x, y)
         if inputs == self._inputs:
             if self.still:
@@ -323,10 +285,3 @@ class Mechanics:
             if drive[0] > 0.0:
                 ahead[index] = max(-play, min(play, drive[4] - angle))
         self.slack = (ahead[0], ahead[1], ahead[2])
-
-    @property
-    def voltage(self) -> float:
-        """Of the servos' supply under what they draw (V)."""
-        servo, torques = self._parameters.servo, self.torques
-        drawn = (abs(torques[0]) + abs(torques[1]) + abs(torques[2])) / servo.torque_constant
-        return servo.supply_voltage - servo.supply_resistance * drawn

@@ -3,44 +3,75 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.parameters import WorldParameters
 
+_NONE: Vector = (0.0, 0.0, 0.0)
 
-class Motion(Protocol):
-    """State of the arm and one step of it; `Mechanics` tells what each attribute is."""
 
-    position: Vector
-    velocity: Vector
-    angles: Vector
-    rates: Vector
-    torques: Vector
-    slack: Vector
-    tilt: tuple[float, float]
-    pad_share: float
-    contact_force: float
-    magnet_force: float
-    imbalance: float
-    still: bool
+class Motion(ABC):
+    """State of the arm and one step of it.
+
+    Args:
+        parameters: of the world.
+        start: where the platform begins, m, charger_base.
+
+    Attributes:
+        position: of the platform, m, charger_base.
+        velocity: m/s.
+        angles: of the arms, rad.
+        rates: rad/s.
+        torques: of the motors, N·m, before gear friction.
+        slack: how far play lets each encoder run ahead of its arm, rad.
+        tilt: of the platform about x and y, rad; 0 without compliance.
+        pad_share: share of the contact force that the left pad carries; 0.5 without compliance or tilt.
+        contact_force: normal force on the electrodes together, N.
+        magnet_force: pull of the magnets, N.
+        imbalance: what the last step's solution left unbalanced, N; small unless the step is long and friction slips.
+        still: whether the last step moved nothing, so that the next one with the same inputs will not either.
+    """
+
+    def __init__(self, parameters: WorldParameters, start: Vector) -> None:
+        self._parameters = parameters
+        self._target_z = parameters.target.z if parameters.target.present else math.inf
+        self.position = start
+        self.velocity = self.angles = self.rates = self.torques = self.slack = _NONE
+        self.tilt = (0.0, 0.0)
+        self.pad_share = 0.5
+        self.contact_force = self.magnet_force = self.imbalance = 0.0
+        self.still = False
 
     @property
     def gap(self) -> float:
-        """Distance between the touched faces (m)."""
+        """Distance between the touched faces (m); negative = springs compressed, inf = there is no target."""
+        return self._target_z - self.position[2]
 
     @property
     def voltage(self) -> float:
-        """Of the servos' supply (V)."""
+        """Of the servos' supply under what they draw (V)."""
+        servo, torques = self._parameters.servo, self.torques
+        drawn = (abs(torques[0]) + abs(torques[1]) + abs(torques[2])) / servo.torque_constant
+        return servo.supply_voltage - servo.supply_resistance * drawn
 
+    @abstractmethod
     def step(
         self, dt: float, enabled: tuple[bool, bool, bool], reference: Vector, limit: Vector, x: float, y: float
     ) -> None:
-        """Advance by `dt` s."""
+        """Advance by `dt` s.
+
+        Args:
+            dt: s.
+            enabled: whether each servo's torque is on.
+            reference: goal angle of each servo, rad.
+            limit: current bound of each servo, A.
+            x: centre of the target's terminal in end_effector, m; its distance weakens the magnets.
+            y: the same along y, m.
+        """
 
 
-class MakeMotion(Protocol):
-    """Makes the motion of a world."""
-
-    def __call__(self, parameters: WorldParameters, geometry: DeltaGeometry, start: Vector) -> Motion:
-        """Return the motion of an arm that stands at `start` (m)."""
+MakeMotion = Callable[[WorldParameters, DeltaGeometry, Vector], Motion]
+"""Makes the motion of an arm that stands at a point (m)."""

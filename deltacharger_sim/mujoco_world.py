@@ -7,6 +7,7 @@ differs.
 
 from __future__ import annotations
 
+import functools
 import logging
 import math
 from typing import Any
@@ -15,6 +16,7 @@ from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim import mujoco_model
 from deltacharger_sim.magnets import pull
+from deltacharger_sim.motion import Motion
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import TactileSource, World
 
@@ -24,8 +26,8 @@ _LOG = logging.getLogger(__name__)
 _DEAD = 1e-12  # N·m that a servo without power may give; MuJoCo wants a range
 
 
-class MujocoMechanics:
-    """What `Mechanics` is, by MuJoCo: the same attributes, units and frames; NaN once MuJoCo has diverged.
+class MujocoMechanics(Motion):
+    """Motion by MuJoCo; NaN once MuJoCo has diverged.
 
     Args:
         parameters: of the world.
@@ -37,7 +39,7 @@ class MujocoMechanics:
     Raises:
         ModuleNotFoundError: MuJoCo is not installed.
         ParameterError: the reference does not have something that the parameters ask for.
-        ValueError: the arm does not reach `start`, or there is no such integrator.
+        ValueError: there is no such integrator.
     """
 
     def __init__(
@@ -48,25 +50,18 @@ class MujocoMechanics:
         step: float = STEP,
         integrator: str = "",
     ) -> None:
+        super().__init__(parameters, start)
         self._mujoco = mujoco_model.load()
         # Otherwise MuJoCo writes a file into the current folder when it diverges.
         self._mujoco.set_mju_user_warning(_LOG.warning)
-        self._parameters = parameters
         self._step = step
         self.model: Any = mujoco_model.build(parameters, geometry, step, integrator or mujoco_model.integrators()[0])
         self.data: Any = self._mujoco.MjData(self.model)
         names = [f"arm{index}" for index in range(LIMB_COUNT)]
         self._arms = [int(self.model.joint(name).qposadr[0]) for name in names]
         self._axes = [int(self.model.joint(axis).qposadr[0]) for axis in "xyz"]
-        self._target_z = parameters.target.z if parameters.target.present else math.inf
         self._inputs: tuple[object, ...] = ()
         self._begin(geometry, start)
-        self.slack: Vector = (0.0, 0.0, 0.0)
-        self.torques: Vector = (0.0, 0.0, 0.0)
-        self.tilt: tuple[float, float] = (0.0, 0.0)
-        self.pad_share = 0.5
-        self.contact_force = self.magnet_force = self.imbalance = 0.0
-        self.still = False
         self._read()
 
     def _begin(self, geometry: DeltaGeometry, start: Vector) -> None:
@@ -81,21 +76,10 @@ class MujocoMechanics:
         for axis, value in zip(self._axes, start, strict=True):
             self.data.qpos[axis] = value
 
-    @property
-    def gap(self) -> float:
-        """Distance between the touched faces (m); negative = springs compressed."""
-        return self._target_z - self.position[2]
-
-    @property
-    def voltage(self) -> float:
-        """Of the servos' supply under what they draw (V)."""
-        servo = self._parameters.servo
-        return servo.supply_voltage - servo.supply_resistance * sum(map(abs, self.torques)) / servo.torque_constant
-
     def step(
         self, dt: float, enabled: tuple[bool, bool, bool], reference: Vector, limit: Vector, x: float, y: float
     ) -> None:
-        """Advance by `dt` s, which is rounded to whole steps of MuJoCo; arguments as those of `Mechanics.step`."""
+        """Advance by `dt` s, which is rounded to whole steps of MuJoCo; arguments as those of `Motion.step`."""
         inputs = (enabled, reference, limit)
         if inputs != self._inputs:
             self._inputs = inputs
@@ -125,10 +109,10 @@ class MujocoMechanics:
         place, speed, force = data.qpos.tolist(), data.qvel.tolist(), data.actuator_force.tolist()
         x, y, z = self._axes
         first, second, third = self._arms
-        self.position: Vector = (place[x], place[y], place[z])
-        self.velocity: Vector = (speed[x], speed[y], speed[z])
-        self.angles: Vector = (place[first], place[second], place[third])
-        self.rates: Vector = (speed[first], speed[second], speed[third])
+        self.position = (place[x], place[y], place[z])
+        self.velocity = (speed[x], speed[y], speed[z])
+        self.angles = (place[first], place[second], place[third])
+        self.rates = (speed[first], speed[second], speed[third])
         self.torques = (force[0], force[1], force[2])
         rows = [int(row) for row in data.contact.efc_address] if data.ncon else []
         self.contact_force = float(sum(data.efc_force[row] for row in rows if row >= 0))
@@ -139,7 +123,6 @@ def mujoco_world(
     tactile: TactileSource | None = None,
     seed: int = 0,
     geometry: DeltaGeometry | None = None,
-    start: Vector = (0.0, 0.0, 0.0),
     step: float = STEP,
     integrator: str = "",
 ) -> World:
@@ -148,10 +131,8 @@ def mujoco_world(
     Raises:
         ModuleNotFoundError: MuJoCo is not installed.
         ParameterError: the reference does not have something that the parameters ask for.
-        ValueError: the arm does not reach `start`, or there is no such integrator.
+        ValueError: there is no such integrator.
     """
 
-    def moved(parameters: WorldParameters, geometry: DeltaGeometry, start: Vector) -> MujocoMechanics:
-        return MujocoMechanics(parameters, geometry, start, step, integrator)
-
-    return World(parameters, tactile, seed, geometry, start, moved)
+    moved = functools.partial(MujocoMechanics, step=step, integrator=integrator)
+    return World(parameters, tactile, seed, geometry, mechanics=moved)

@@ -7,14 +7,10 @@ import threading
 import time
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from deltacharger_core.arrays import Array
 from deltacharger_sim.world import World
 
 _CATCH_UP = 0.5  # s; a longer pause of the process is skipped rather than computed
-
-Array = NDArray[np.float64]
 
 
 class SharedWorld:

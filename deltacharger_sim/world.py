@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.circuit import Circuit
 from deltacharger_sim.clearance import Overlap, overlap
@@ -25,7 +25,6 @@ from deltacharger_sim.proven import UnprovenWarning, doubts
 _APART = 0.001  # m of gap that ends a docking; less is a bounce
 T = TypeVar("T")
 Pose = tuple[float, float, float]
-Array = NDArray[np.float64]
 
 
 class TactileSource(Protocol):

@@ -8,13 +8,6 @@ class VisionError(Exception):
     """Root of every error raised by deltacharger_vision."""
 
 
-class _NamedError(VisionError, ValueError):
-    def __init__(self, name: str, reason: str) -> None:
-        self.name = name
-        self.reason = reason
-        super().__init__(f"{name}: {reason}")
-
-
 class _SourcedError(VisionError, ValueError):
     def __init__(self, source: str, reason: str) -> None:
         self.source = source
@@ -22,11 +15,11 @@ class _SourcedError(VisionError, ValueError):
         super().__init__(f"{source}: {reason}")
 
 
-class ImageError(_NamedError):
+class ImageError(_SourcedError):
     """Arrays are not an RGB-D image. Example: colour 640 × 400 and depth 1280 × 720.
 
     Args:
-        name: which of them: color, depth or intrinsics.
+        source: which of them: color, depth or intrinsics.
         reason: what is wrong with it and what to give instead.
     """
 
@@ -58,20 +51,20 @@ class MountError(_SourcedError):
     """
 
 
-class RenderingError(_NamedError):
+class RenderingError(_SourcedError):
     """A scene cannot be rendered. Example: a pose that is not a rigid transform.
 
     Args:
-        name: what it is about.
+        source: what it is about.
         reason: what is wrong and what to do.
     """
 
 
-class BoardError(_NamedError):
+class BoardError(_SourcedError):
     """A board cannot be used as described. Example: `apriltag:36h11:900`, where the family has 587 tags.
 
     Args:
-        name: what of it.
+        source: what of it.
         reason: what is wrong and what to do.
     """
 
@@ -82,7 +75,3 @@ class RendererError(VisionError, RuntimeError):
     Args:
         reason: what is missing and what to install.
     """
-
-    def __init__(self, reason: str) -> None:
-        self.reason = reason
-        super().__init__(reason)

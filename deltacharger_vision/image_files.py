@@ -74,7 +74,7 @@ def read_rgbd(color: Path, depth: Path | None, intrinsics: Intrinsics) -> RgbdIm
     try:
         return RgbdImage.make(pixels, metres, intrinsics)
     except ImageError as error:
-        named = depth if error.name == "depth" and depth is not None else color
+        named = depth if error.source == "depth" and depth is not None else color
         raise ImageError(str(named), str(error)) from error
 
 

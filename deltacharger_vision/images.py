@@ -9,8 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_vision.errors import CameraInfoError, ImageError
 
+_CODE = np.arange(256) / 255.0
+LIGHT = np.where(_CODE <= 0.04045, _CODE / 12.92, ((_CODE + 0.055) / 1.055) ** 2.4)
+"""Light, 0–1, of each level 0–255 by sRGB (IEC 61966-2-1), which cameras encode by."""
 SMALLEST, LARGEST = 16, 16384
 """Width and height of an image, px."""
 _FOCAL = (1.0, 1e5)
@@ -76,7 +80,7 @@ class Intrinsics:
                 "intrinsics", f"{name} = {found!r} is outside {low:g}…{high:g} px; calibrate the camera anew"
             )
 
-    def matrix(self) -> NDArray[np.float64]:
+    def matrix(self) -> Array:
         """Return (3, 3) px: from a direction (x, y, 1) in the optical frame to an undistorted pixel (u, v, 1)."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 

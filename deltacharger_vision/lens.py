@@ -9,11 +9,9 @@ x' = x radial + 2 p1 x y + p2 (r² + 2 x²), y' = y radial + p1 (r² + 2 y²) + 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_vision.errors import CameraInfoError
-
-Array = NDArray[np.float64]
 
 _STEPS = 30
 _CLOSE = 1e-9

@@ -11,15 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.errors import MountError
 from deltacharger_vision.poses import cross_matrix
-
-Array = NDArray[np.float64]
 
 FRAME, CAMERA_FRAME = "charger_base", "camera_color_optical_frame"
 POSITION_STDDEV, ROTATION_STDDEV = 0.002, math.radians(0.5)

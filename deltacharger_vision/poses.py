@@ -11,13 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deltacharger_vision.terminal import Terminal
-
-Array = NDArray[np.float64]
-
-_SIGNS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+from deltacharger_core.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -49,17 +44,6 @@ def cross_matrix(vector: Array) -> Array:
     """Return [v]× of a vector (3,), so that [v]× w = v × w."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def face_corners(terminal: Terminal) -> Array:
-    """Return the corners (2, 4, 3) m of the touched faces, the bar at −y first."""
-    half = 0.5 * np.array([terminal.bar_length, terminal.bar_height])
-    centre = 0.5 * (terminal.bar_height + terminal.gap)
-    corners = np.zeros((2, 4, 3))
-    corners[..., :2] = _SIGNS * half
-    corners[0, :, 1] -= centre
-    corners[1, :, 1] += centre
-    return corners
 
 
 def facing(pose: TerminalPose) -> float:

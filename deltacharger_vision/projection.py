@@ -4,12 +4,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.lens import distort, undistort
-
-Array = NDArray[np.float64]
 
 
 def rays(pixels: Array, intrinsics: Intrinsics) -> Array:

@@ -3,21 +3,18 @@
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
-import numbers
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import BAR_GAP, BAR_HEIGHT, BAR_LENGTH
-from deltacharger_core.parameters import Bounded, ParameterError, number
+from deltacharger_core.parameters import Bounded, ParameterError, from_mapping, number
 from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_vision.errors import TerminalError
 
-UPPER, LOWER = 0, 1
+LOWER, UPPER = 0, 1
 """Rows of `Terminal.corners`."""
 
 
@@ -44,8 +41,8 @@ class Terminal(Bounded):
         """Distance between the bars' middle lines, m."""
         return self.bar_height + self.gap
 
-    def corners(self) -> NDArray[np.float64]:
-        """Return (2, 4, 3) m: corners of the touched face of the upper, then the lower bar, in the terminal's frame.
+    def corners(self) -> Array:
+        """Return (2, 4, 3) m: corners of the touched face of the lower, then the upper bar, in the terminal's frame.
 
         Each in the order (−x, −y), (+x, −y), (+x, +y), (−x, +y): counter-clockwise about +z, clockwise in an image of
         a camera that looks along +z with y down and x right.
@@ -53,7 +50,7 @@ class Terminal(Bounded):
         x, y = self.bar_length / 2, self.bar_height / 2
         face = np.array([(-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0)])
         shift = np.array([0.0, self.spacing / 2, 0.0])
-        return np.stack([face + shift, face - shift])
+        return np.stack([face - shift, face + shift])
 
     @staticmethod
     def load(path: str | Path) -> Terminal:
@@ -68,16 +65,7 @@ class Terminal(Bounded):
             found = read_yaml(path)
         except YamlError as error:
             raise TerminalError(source, f"{error.problem}; correct it") from error
-        known = [item.name for item in dataclasses.fields(Terminal)]
-        if not isinstance(found, dict) or not found:
-            raise TerminalError(source, f"must be a mapping with {', '.join(known)}, each in m")
-        for key, length in found.items():
-            if key not in known:
-                near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.0)[0]
-                raise TerminalError(source, f"unknown key {key!r}; did you mean {near}? Known: {', '.join(known)}")
-            if isinstance(length, bool) or not isinstance(length, numbers.Real):
-                raise TerminalError(source, f"{key} = {length!r} is not a number; write metres, such as 0.07")
         try:
-            return Terminal(**{key: float(length) for key, length in found.items()})
+            return from_mapping(found, Terminal)
         except ParameterError as error:
-            raise TerminalError(source, f"{error}; lengths are in metres") from error
+            raise TerminalError(source, f"{error}; lengths are in metres, such as bar_length: 0.07") from error

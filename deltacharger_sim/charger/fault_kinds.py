@@ -122,30 +122,12 @@ def _servo_missing(hardware: Hardware, order: FaultOrder) -> Undo:
     return lambda: hardware.servos.faults.missing.discard(order.servo)
 
 
-def _servo_deaf(hardware: Hardware, order: FaultOrder) -> Undo:
-    return _attribute(hardware.servos.faults, "deaf", True)
-
-
-def _servo_delay(hardware: Hardware, order: FaultOrder) -> Undo:
-    return _attribute(hardware.servos.faults, "delay", order.amount)
-
-
-def _board_silent(hardware: Hardware, order: FaultOrder) -> Undo:
-    return _attribute(hardware.board.faults, "silent", True)
-
-
-def _board_deaf(hardware: Hardware, order: FaultOrder) -> Undo:
-    return _attribute(hardware.board.faults, "deaf", True)
-
-
-def _board_delay(hardware: Hardware, order: FaultOrder) -> Undo:
-    return _attribute(hardware.board.faults, "delay", order.amount)
-
-
-def _attribute(target: Any, name: str, value: Any) -> Undo:
-    before = getattr(target, name)
-    setattr(target, name, value)
-    return lambda: setattr(target, name, before)
+def _wire(device: str, name: str, hardware: Hardware, order: FaultOrder) -> Undo:
+    """Make the wire to "servos" or "board" late by the amount, or deaf, or silent."""
+    faults = getattr(hardware, device).faults
+    before = getattr(faults, name)
+    setattr(faults, name, order.amount if name == "delay" else True)
+    return lambda: setattr(faults, name, before)
 
 
 def _servo_error(bit: int, hardware: Hardware, order: FaultOrder) -> None:
@@ -188,14 +170,10 @@ def _servo_duplicate_id(hardware: Hardware, order: FaultOrder) -> Undo:
     return _servo_register("id", round(order.amount), hardware, order)
 
 
-def _servo_unplugged(hardware: Hardware, order: FaultOrder) -> Undo:
-    hardware.servo_terminal.unplug()
-    return hardware.servo_terminal.replug
-
-
-def _board_unplugged(hardware: Hardware, order: FaultOrder) -> Undo:
-    hardware.board_terminal.unplug()
-    return hardware.board_terminal.replug
+def _unplugged(port: str, hardware: Hardware, order: FaultOrder) -> Undo:
+    terminal: PseudoTerminal = getattr(hardware, f"{port}_terminal")
+    terminal.unplug()
+    return terminal.replug
 
 
 def _board_reboot(hardware: Hardware, order: FaultOrder) -> None:
@@ -252,9 +230,13 @@ KINDS: dict[str, Kind] = {
     "servo_duplicate_id": Kind(
         "the servo takes the id `amount`; their replies collide", _servo_duplicate_id, servo=ONE, amount=_ID
     ),
-    "servo_deaf": Kind("nothing reaches the servos; after 0.12 s they stop by themselves", _servo_deaf),
-    "servo_delay": Kind("every reply of the servos comes `amount` s late", _servo_delay, amount=_DELAY),
-    "servo_unplugged": Kind("the servo port disappears", _servo_unplugged),
+    "servo_deaf": Kind(
+        "nothing reaches the servos; after 0.12 s they stop by themselves", functools.partial(_wire, "servos", "deaf")
+    ),
+    "servo_delay": Kind(
+        "every reply of the servos comes `amount` s late", functools.partial(_wire, "servos", "delay"), amount=_DELAY
+    ),
+    "servo_unplugged": Kind("the servo port disappears", functools.partial(_unplugged, "servo")),
     **{
         f"servo_{name}": Kind(
             f"a share `amount` of the servos' replies suffers: {name}",
@@ -267,10 +249,14 @@ KINDS: dict[str, Kind] = {
     "board_reboot": Kind("the board boots, in `amount` s", _board_reboot, lasts=False, amount=_BOOT),
     "board_trip": Kind("the power stage opens with fault `amount`", _board_trip, lasts=False, amount=_CODE),
     "board_dead_taxel": Kind("taxel `amount` dies", _board_dead_taxel, amount=_TAXEL, several=True),
-    "board_silent": Kind("nothing leaves the board", _board_silent),
-    "board_deaf": Kind("nothing reaches the board", _board_deaf),
-    "board_delay": Kind("everything that the board sends comes `amount` s late", _board_delay, amount=_DELAY),
-    "board_unplugged": Kind("the board's port disappears", _board_unplugged),
+    "board_silent": Kind("nothing leaves the board", functools.partial(_wire, "board", "silent")),
+    "board_deaf": Kind("nothing reaches the board", functools.partial(_wire, "board", "deaf")),
+    "board_delay": Kind(
+        "everything that the board sends comes `amount` s late",
+        functools.partial(_wire, "board", "delay"),
+        amount=_DELAY,
+    ),
+    "board_unplugged": Kind("the board's port disappears", functools.partial(_unplugged, "board")),
     **{
         f"board_{name}": Kind(
             f"a share `amount` of the board's packets suffers: {name}",

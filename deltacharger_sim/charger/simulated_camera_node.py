@@ -14,35 +14,93 @@ import dataclasses
 import math
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from deltacharger.msg import ServoState
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
-from sensor_msgs.msg import CameraInfo, Image
+from rclpy.qos import QoSProfile
 
+from deltacharger_core.arrays import Array
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
 from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_sim.charger import simulated_camera_node_io as io
 from deltacharger_sim.charger.parameters import ImageParameters, SimulatedCameraNodeParameters
+from deltacharger_vision.cameras.recording import COLOR, DEPTH
 from deltacharger_vision.errors import VisionError
-from deltacharger_vision.parameters import CAMERA_INFO, COLOR, DEPTH
+from deltacharger_vision.hand_eye.board import Board, parse_board
+from deltacharger_vision.mount import Mount
+from deltacharger_vision.poses import turn
 from deltacharger_vision.rendering.board_drawing import with_board
+from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
+from deltacharger_vision.rendering.parameters import CameraParameters
 from deltacharger_vision.rendering.scene import RenderedScene, shifted
-from deltacharger_vision.rendering.scene_drawing import charger_parts
-from deltacharger_vision.ros.messages import (
-    camera_info_message,
-    color_message,
-    depth_message,
-)
+from deltacharger_vision.rendering.scene_drawing import charger_parts, draw_scene
+from deltacharger_vision.ros.publishers import CameraPublishers
 
 _PAUSE = 0.05  # s between two looks for subscribers
 _ARM = 1.0  # s that an image waits for the arm's angles
+Camera = SimulatedCamera | MujocoCamera
+
+
+def _mounted(given: SimulatedCameraNodeParameters, random: np.random.Generator) -> Array:
+    """Return charger_base_T_camera (4, 4), its drawn error included.
+
+    Raises:
+        VisionError: the mount is no pose.
+    """
+    pose = Mount.from_numbers(given.mount).pose
+    pose[:3, :3] = turn(given.hand_eye_rotation_stddev * random.normal(size=3)) @ pose[:3, :3]
+    pose[:3, 3] += given.hand_eye_position_stddev * random.normal(size=3)
+    return pose
+
+
+def _target_pose(given: SimulatedCameraNodeParameters) -> Array:
+    """Return charger_base_T_terminal (4, 4)."""
+    pose = np.eye(4)
+    about_x, about_y = np.array([given.target_tilt_x, 0.0, 0.0]), np.array([0.0, given.target_tilt_y, 0.0])
+    pose[:3, :3] = turn(about_x) @ turn(about_y) @ turn(np.array([0.0, 0.0, given.target_roll]))
+    pose[:3, 3] = given.target_x, given.target_y, given.target_z
+    return pose
+
+
+def _scene(given: SimulatedCameraNodeParameters, random: np.random.Generator) -> RenderedScene:
+    """Return what else is in the picture."""
+    drawn = draw_scene(random, clutter=given.clutter, decoys=given.decoys, target=given.target_present)
+    if given.glare < 0.0:
+        return drawn
+    return dataclasses.replace(drawn, parameters=dataclasses.replace(drawn.parameters, highlight=given.glare))
+
+
+def _camera_maker(given: SimulatedCameraNodeParameters, defects: ImageParameters) -> Callable[[], Camera]:
+    """Return what makes the camera, in the thread that renders."""
+    kind = MujocoCamera if given.renderer == "mujoco" else SimulatedCamera
+    return lambda: kind(OAK_D.scaled(given.width, given.height), CameraParameters(**dataclasses.asdict(defects)))
+
+
+def _try_out(node: Node, make: Callable[[], Camera]) -> None:
+    """Make the camera once, so that what is wrong with it stops the node at its start."""
+    try:
+        camera = make()
+    except VisionError as error:
+        raise node_support.StartupError(f"{node.get_name()}: {error}") from error
+    if isinstance(camera, MujocoCamera):
+        camera.close()
+
+
+def _board(given: SimulatedCameraNodeParameters) -> tuple[Board, Array] | None:
+    """Return the calibration board on the platform and end_effector_T_board (4, 4), or None.
+
+    Raises:
+        VisionError: there is no such board, or its pose is none.
+    """
+    if not given.board:
+        return None
+    found = parse_board(given.board, given.board_size, given.board_marker or None)
+    return found, Mount.from_numbers(given.board_pose).pose
 
 
 class SimulatedCameraNode(Node):
@@ -61,21 +119,18 @@ class SimulatedCameraNode(Node):
         self._period = 1.0 / given.rate
         self._random = np.random.default_rng(given.seed)
         try:
-            self._mount = io.mounted(given, self._random)
-            self._target = io.target_pose(given)
-            self._scene = io.scene(given, self._random)
-            self._make_camera = io.camera_maker(given, defects)
-            self._board = io.board(given)
+            self._mount = _mounted(given, self._random)
+            self._target = _target_pose(given)
+            self._scene = _scene(given, self._random)
+            self._make_camera = _camera_maker(given, defects)
+            self._board = _board(given)
         except VisionError as error:
             raise node_support.StartupError(f"simulated_camera_node: {error}") from error
-        io.try_out(self, self._make_camera)
+        _try_out(self, self._make_camera)
         self._kinematics = ScalarDelta(DeltaGeometry())
         self._angles: tuple[float, float, float] | None = None
-        self._color = self.create_publisher(Image, COLOR, qos_profile_sensor_data)
-        self._depth = self.create_publisher(Image, DEPTH, qos_profile_sensor_data)
-        self._info = self.create_publisher(CameraInfo, CAMERA_INFO, qos_profile_sensor_data)
-        self.looks = 0
-        self.rendered = 0
+        self._images = CameraPublishers(self)
+        self.looks = self.rendered = 0
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulated camera", daemon=True)
         self._thread.start()
@@ -92,15 +147,15 @@ class SimulatedCameraNode(Node):
                 stack.enter_context(camera)
             self._serve(camera)
 
-    def _serve(self, camera: io.Camera) -> None:
+    def _serve(self, camera: Camera) -> None:
         while not self._stopping.wait(_PAUSE):
             self.looks += 1
-            if not self._wanted():
+            if not self._images.wanted():
                 continue
             arm = self.create_subscription(ServoState, "servo_state", self._on_servo_state, QoSProfile(depth=1))
             self._await_arm()
             due = time.monotonic()
-            while self._wanted() and not self._stopping.wait(max(0.0, due - time.monotonic())):
+            while self._images.wanted() and not self._stopping.wait(max(0.0, due - time.monotonic())):
                 due = max(due + self._period, time.monotonic())
                 self._publish(camera)
             self.destroy_subscription(arm)
@@ -112,25 +167,17 @@ class SimulatedCameraNode(Node):
         while self._angles is None and self.count_publishers("servo_state") and time.monotonic() < end:
             self._stopping.wait(0.005)
 
-    def _wanted(self) -> bool:
-        publishers = (self._color, self._depth, self._info)
-        return any(publisher.get_subscription_count() for publisher in publishers)
-
-    def _publish(self, camera: io.Camera) -> None:
-        stamp = self.get_clock().now().to_msg()
-        if self._info.get_subscription_count():
-            self._info.publish(camera_info_message(camera.intrinsics, stamp))
-        deep = bool(self._depth.get_subscription_count())
-        if not deep and not self._color.get_subscription_count():
+    def _publish(self, camera: Camera) -> None:
+        """Publish what somebody wants; an image alone is rendered, with depth only where that is wanted."""
+        deep = self._images.wanted(DEPTH)
+        if not deep and not self._images.wanted(COLOR):
+            self._images.info(camera.intrinsics)
             return
+        taken = time.monotonic()
         pose = np.linalg.inv(self._mount) @ self._target
         image = camera.render(self._with_charger(), pose, self._random, color_only=not deep)
         self.rendered += 1
-        if not self.context.ok():
-            return
-        self._color.publish(color_message(image.color, stamp))
-        if deep:
-            self._depth.publish(depth_message(image.depth, stamp))
+        self._images.image(image, taken, deep)
 
     def _with_charger(self) -> RenderedScene:
         """Return the scene with the charger's own parts as they stand; without them before the angles are known."""

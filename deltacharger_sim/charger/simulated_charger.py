@@ -8,14 +8,13 @@ Nothing here knows ROS.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
-import shutil
 import tempfile
 import threading
 import time
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from deltacharger_core import runtime
@@ -44,18 +43,16 @@ class SimulatedCharger:
     Attributes:
         servo_port: path of the servo bus.
         board_port: path of the board.
-        faults: what goes wrong with the hardware; None where it is not running.
+        faults: what goes wrong with the hardware; None before the start.
     """
 
     def __init__(self, simulation: Simulation, directory: Path | None = None, namespace: str = "") -> None:
         self._simulation = simulation
         self._directory = directory
         self._namespace = namespace
-        self._temporary: Path | None = None
         self._terminals: list[PseudoTerminal] = []
         self._taps: dict[str, _Tap] = {}
-        self._control: ControlServer | None = None
-        self._registration: Registration | None = None
+        self._opened = contextlib.ExitStack()
         self.faults: Faults | None = None
         self.servo_port = ""
         self.board_port = ""
@@ -63,48 +60,33 @@ class SimulatedCharger:
 
     def start(self) -> SimulatedCharger:
         """Open both ports."""
-        folder = self._directory
-        if folder is None:
-            folder = self._temporary = Path(tempfile.mkdtemp(prefix="deltacharger-"))
         plant = SharedWorld(self.world)
         servos = ServoBusEmulator(plant, seed=self._simulation.seed)
         board = BoardEmulator(plant, seed=self._simulation.seed)
-        try:
-            self.servo_port = self._serve(servos, folder / _SERVO)
-            self.board_port = self._serve(board, folder / _BOARD)
-            servos.line_speed = self._terminals[0].speed
-            hardware = Hardware(servos, board, *self._terminals)
+        with contextlib.ExitStack() as opened:
+            folder = self._directory or Path(
+                opened.enter_context(tempfile.TemporaryDirectory("", "deltacharger-", ignore_cleanup_errors=True))
+            )
+            servo_terminal = self._serve(servos, folder / _SERVO, opened)
+            board_terminal = self._serve(board, folder / _BOARD, opened)
+            self.servo_port, self.board_port = servo_terminal.path, board_terminal.path
+            servos.line_speed = servo_terminal.speed
+            hardware = Hardware(servos, board, servo_terminal, board_terminal)
             self.faults = Faults(self._simulation.faults, hardware, time.monotonic)
-            self._listen(self.faults, folder / SOCKET)
-        except BaseException:
-            self.stop()
-            raise
+            opened.callback(self.faults.close)
+            self._listen(self.faults, folder / SOCKET, opened)
+            self._opened = opened.pop_all()
         return self
 
     def stop(self) -> None:
         """Close both ports, as if the cables were pulled. Safe to call twice."""
-        if self._registration is not None:
-            self._registration.remove()
-            self._registration = None
-        if self._control is not None:
-            self._control.close()
-            self._control = None
-        if self.faults is not None:
-            self.faults.close()
-            self.faults = None
-        for terminal in reversed(self._terminals):
-            terminal.stop()
-        self._terminals = []
-        if self._temporary is not None:
-            shutil.rmtree(self._temporary, ignore_errors=True)
-            self._temporary = None
+        self._opened.close()
+        self._terminals.clear()
 
     def __enter__(self) -> SimulatedCharger:
         return self.start()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.stop()
 
     @property
@@ -132,21 +114,21 @@ class SimulatedCharger:
             if left <= 0.0 or hurry.wait(left):
                 return False
 
-    def _listen(self, faults: Faults, path: Path) -> None:
-        self._control = ControlServer(path, lambda request: answer(faults, request))
+    def _listen(self, faults: Faults, path: Path, opened: contextlib.ExitStack) -> None:
+        control = ControlServer(path, lambda request: answer(faults, request))
+        opened.callback(control.close)
         name = runtime.charger(domain(), self._namespace)
         try:
-            self._registration = Registration(name, path)
+            opened.callback(Registration(name, path).remove)
         except OSError as error:  # a charger that is not found by its domain is still a charger
             level = logging.INFO if self._directory is None else logging.WARNING
             _log.log(level, "'deltacharger fault' finds this charger by --directory %s only: %s", path.parent, error)
 
-    def _serve(self, device: ByteDevice, link: Path) -> str:
-        tap = _Tap(device)
-        terminal = PseudoTerminal(tap, link).start()
-        self._taps[link.name] = tap
+    def _serve(self, device: ByteDevice, link: Path, opened: contextlib.ExitStack) -> PseudoTerminal:
+        tap = self._taps[link.name] = _Tap(device)
+        terminal = opened.enter_context(PseudoTerminal(tap, link))
         self._terminals.append(terminal)
-        return terminal.path
+        return terminal
 
 
 class _Tap:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,16 +29,87 @@ from deltacharger_core.mcap_file import RecordingError
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
 from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_vision.cameras.camera_node_io import CameraPublishers, RecordingPlayer
-from deltacharger_vision.cameras.keeper import CameraKeeper, OpenCamera
+from deltacharger_vision.cameras.keeper import CameraKeeper, ImageSource, OpenCamera
 from deltacharger_vision.cameras.oak_pipeline import OakCamera, OakImage, OakSettings
-from deltacharger_vision.cameras.recording import CameraRecording
+from deltacharger_vision.cameras.recording import COLOR, INFO, CameraRecording, Recorded
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.parameters import ReplayParameters
+from deltacharger_vision.ros.messages import decoded, stamp_ns
+from deltacharger_vision.ros.publishers import CameraPublishers
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
 OpenOak = Callable[[OakSettings, Callable[[], bool], Callable[[OakImage], None]], OpenCamera]
 """Opens a camera as `OakCamera` does."""
+_PAUSE = 0.05  # s between two looks for subscribers
+_JUMP = 1_000_000_000  # ns; a stamp so far from its pace comes from another clock than those before
+_LEAST_GAP = 0.01  # s between two passes of a recording whose images have all one time
+
+
+class RecordingPlayer(ImageSource):
+    """Publishes a recording at its own pace, from the moment that somebody subscribes.
+
+    Stamps are moved to the present and keep their distances; each colour image has a camera_info of its stamp.
+
+    Attributes:
+        passes: how often it came to the end.
+
+    Args:
+        recording: to publish.
+        publishers: of the topics.
+        loop: begin again at the end.
+        on_change: called in its thread when `problem` changes.
+    """
+
+    def __init__(
+        self, recording: CameraRecording, publishers: CameraPublishers, loop: bool, on_change: Callable[[], None]
+    ) -> None:
+        super().__init__("", on_change)
+        self.passes = 0
+        self._recording = recording
+        self._publishers = publishers
+        self._loop = loop
+        self._info = next((decoded(recording, each) for each in recording.messages(INFO)), None)
+
+    def _run(self) -> None:
+        while not self._publishers.wanted():
+            if self._stop.wait(_PAUSE):
+                return
+        try:
+            self._play()
+            while self._loop and not self._stop.is_set():
+                self._play()
+            problem = "the recording has ended"
+        except RecordingError as error:
+            problem = str(error)
+        if not self._stop.is_set():
+            self._tell(problem)
+
+    def _play(self) -> None:
+        """Publish the recording once, or until it is told to stop."""
+        started, first, shift = time.monotonic(), None, None
+        for each in self._recording.messages():
+            first = each.time if first is None else first
+            lasted = 1e-9 * (each.time - first)
+            if self._stop.wait(max(0.0, started + lasted - time.monotonic())):
+                return
+            if each.kind == INFO:
+                self._info = decoded(self._recording, each)
+            elif self._publishers.wanted(each.kind, INFO):
+                shift = self._publish(each, shift)
+        self.passes += 1
+        if self._loop:
+            self._stop.wait(max(_LEAST_GAP, lasted / max(self._recording.images - 1, 1)))
+
+    def _publish(self, each: Recorded, shift: int | None) -> int:
+        """Publish an image and return by how much its stamp was moved, ns."""
+        message, now = decoded(self._recording, each), self._publishers.now()
+        stamp = stamp_ns(message)
+        if shift is None or abs(stamp + shift - now) > _JUMP:
+            shift = now - stamp
+        if each.kind == COLOR and self._info is not None:
+            self._publishers.recorded(INFO, self._info, stamp + shift)
+        self._publishers.recorded(each.kind, message, stamp + shift)
+        return shift
 
 
 class CameraNode(Node):

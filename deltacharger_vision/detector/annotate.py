@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.projection import project
@@ -46,7 +47,7 @@ def annotated(image: RgbdImage, found: Detection | None) -> NDArray[np.uint8]:
     return picture
 
 
-def _pixel(point: NDArray[np.float64], intrinsics: Intrinsics) -> tuple[int, int]:
+def _pixel(point: Array, intrinsics: Intrinsics) -> tuple[int, int]:
     x, y = np.clip(np.round(project(point, intrinsics)), -(2**15), 2**15)
     return int(x), int(y)
 

@@ -18,15 +18,13 @@ from deltacharger_vision.detector.judgement import Candidate, Judge, JudgementSe
 from deltacharger_vision.detector.pairing import Pair, PairingSettings, find_pairs
 from deltacharger_vision.detector.segmentation import SegmentationSettings, find_blobs
 from deltacharger_vision.errors import CameraInfoError
-from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.images import LIGHT, Intrinsics, RgbdImage
 from deltacharger_vision.mount import line_angle
-from deltacharger_vision.poses import cross_matrix, face_corners
+from deltacharger_vision.poses import cross_matrix
 from deltacharger_vision.projection import check_lens, project
 from deltacharger_vision.terminal import Terminal
 
-_CODE = np.arange(256) / 255.0
-_LINEAR = (255.0 * np.where(_CODE <= 0.04045, _CODE / 12.92, ((_CODE + 0.055) / 1.055) ** 2.4)).astype(np.float32)
-"""Light of each grey level by sRGB (IEC 61966-2-1), which cameras encode by, 0–255."""
+_LINEAR = (255.0 * LIGHT).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -106,6 +104,6 @@ class ElectrodeDetector:
             covariance=found.covariance,
             confidence=found.confidence,
             range=float(np.linalg.norm(pose.translation)),
-            bars=project(pose.points(face_corners(self.terminal)), intrinsics),
+            bars=project(pose.points(self.terminal.corners()), intrinsics),
             source="fused" if found.fused else "pnp",
         )

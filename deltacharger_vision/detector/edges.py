@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.outlines import Lines
 from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.poses import Array
 from deltacharger_vision.projection import rays
 
 SAMPLES = 24
@@ -59,8 +59,8 @@ class EdgePoints:
     lines: Lines
     model: Array
     rays: Array
-    seen: NDArray[np.bool_]
-    inside: NDArray[np.bool_]
+    seen: Mask
+    inside: Mask
     weight: Array
     missed: float
     saturated: float
@@ -103,7 +103,7 @@ def find_edges(
     return EdgePoints(lines, model, found, seen, inside, weight, missed, saturated, blur)
 
 
-def _leave_inner(seen: NDArray[np.bool_], inside: NDArray[np.bool_], weight: Array, lines: Lines) -> float:
+def _leave_inner(seen: Mask, inside: Mask, weight: Array, lines: Lines) -> float:
     """Drop inner edges whose outer one was seen, as streaks and blur would be taken for them.
 
     Returns:
@@ -121,7 +121,7 @@ def _leave_inner(seen: NDArray[np.bool_], inside: NDArray[np.bool_], weight: Arr
     return missed
 
 
-def _steepest(fall: Array, offsets: Array, allowed: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+def _steepest(fall: Array, offsets: Array, allowed: Mask) -> tuple[Array, Array, Array]:
     """Return the offset (L, S) px of the steepest place of profiles (L, S, K), how steep it is, and the ramp's width.
 
     Only offsets (L, K) that are allowed count. The slope is 0 where the steepest place is not a peak of the profile.

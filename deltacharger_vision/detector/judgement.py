@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.edges import EdgeSettings, find_edges
 from deltacharger_vision.detector.outlines import visible_lines
@@ -31,7 +32,7 @@ from deltacharger_vision.detector.starts import (
 )
 from deltacharger_vision.detector.support import SupportSettings, outline_shares, plate_is_dark, supported
 from deltacharger_vision.images import RgbdImage
-from deltacharger_vision.poses import Array, TerminalPose, face_corners, facing
+from deltacharger_vision.poses import TerminalPose, facing
 from deltacharger_vision.terminal import Terminal
 
 _SAME_TILT = 0.03  # rad
@@ -110,7 +111,7 @@ class Judge:
         self._grey = grey
         self._image = image
         self._terminal = terminal
-        self._corners = face_corners(terminal)
+        self._corners = terminal.corners()
         self._settings = settings
         self._focal = math.sqrt(image.intrinsics.fx * image.intrinsics.fy)
 

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.poses import Array, TerminalPose, face_corners
+from deltacharger_vision.poses import TerminalPose
 from deltacharger_vision.projection import project
 from deltacharger_vision.terminal import Terminal
 
@@ -53,14 +54,14 @@ class Lines:
     outward: Array
     bar: NDArray[np.int64]
     side: NDArray[np.int64]
-    outer: NDArray[np.bool_]
+    outer: Mask
     room: Array
     bias: Array
 
 
 def visible_lines(pose: TerminalPose, terminal: Terminal, intrinsics: Intrinsics, bias: float) -> Lines:
     """Return the lines of the touched faces, and of the roots of those sides that show."""
-    corners = face_corners(terminal)
+    corners = terminal.corners()
     start, end = corners.reshape(8, 3), np.roll(corners, -1, axis=1).reshape(8, 3)
     camera = -pose.rotation.T @ pose.translation
     depth = np.array([0.0, 0.0, terminal.bar_thickness])

@@ -6,13 +6,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.segmentation import Blobs
 from deltacharger_vision.terminal import Terminal
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.poses import Array, TerminalPose
+from deltacharger_vision.poses import TerminalPose
 from deltacharger_vision.projection import project, rays
 from deltacharger_vision.terminal import Terminal
 
@@ -152,7 +153,7 @@ def _consensus(region: Region, tolerance: float, random: np.random.Generator) ->
     return np.asarray(planes[np.argmax(agree.sum(axis=0))])
 
 
-def _correlation(region: Region, residual: Array, good: NDArray[np.bool_]) -> float:
+def _correlation(region: Region, residual: Array, good: Mask) -> float:
     """Return by how much fewer independent samples there are: the variance of block means over what it would be."""
     _, block = np.unique(region.block[good], return_inverse=True)
     size = np.bincount(block).astype(float)

@@ -11,12 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.edges import EdgePoints
 from deltacharger_vision.detector.plane import Plane
-from deltacharger_vision.poses import Array, TerminalPose, cross_matrix, facing
+from deltacharger_vision.poses import TerminalPose, cross_matrix, facing
 from deltacharger_vision.terminal import Terminal
 
 ROUNDS = 10
@@ -61,7 +61,7 @@ class PoseFit:
 
     pose: TerminalPose
     covariance: Array
-    used: NDArray[np.bool_]
+    used: Mask
     scatter: float
     spread: float
     enlarged: float

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.parameters import Bounded, number
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from deltacharger_core.arrays import Array
 from deltacharger_vision.detector.pairing import Pair
 from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.poses import Array, TerminalPose, face_corners, facing
+from deltacharger_vision.poses import TerminalPose, facing
 from deltacharger_vision.projection import project, rays
 from deltacharger_vision.terminal import Terminal
 
@@ -32,7 +33,7 @@ def by_corners(pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> list[T
 
     corners = pair.centre[:, None] + _SIGNS[:, :1] * pair.along[:, None] + _SIGNS[:, 1:] * pair.across[:, None]
     ideal = rays(corners.reshape(-1, 1, 2), intrinsics)
-    model = face_corners(terminal).reshape(-1, 1, 3)
+    model = terminal.corners().reshape(-1, 1, 3)
     try:
         found, vectors, translations, _ = cv2.solvePnPGeneric(model, ideal, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     except cv2.error:  # corners that no plane in front of a camera shows
@@ -84,7 +85,7 @@ def laid_over(pose: TerminalPose, pair: Pair, terminal: Terminal, intrinsics: In
         intrinsics: of the camera.
         sides: whether the blobs hold the sides of the bars, which may be bright or dark, or the touched faces alone.
     """
-    face = face_corners(terminal)
+    face = terminal.corners()
     whole = np.concatenate([face, face + np.array([0.0, 0.0, terminal.bar_thickness if sides else 0.0])], axis=1)
     along = pair.along.sum(axis=0)
     along = along / np.linalg.norm(along)

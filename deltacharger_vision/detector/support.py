@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.edges import EdgePoints
 from deltacharger_vision.detector.refine import PoseFit
 from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.poses import Array, TerminalPose
+from deltacharger_vision.poses import TerminalPose
 from deltacharger_vision.projection import project
 from deltacharger_vision.terminal import Terminal
 

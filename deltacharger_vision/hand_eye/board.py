@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.errors import BoardError
 from deltacharger_vision.hand_eye.board_corners import (
     DICTIONARIES,
@@ -23,8 +24,6 @@ from deltacharger_vision.hand_eye.board_corners import (
     grayscale,
     marker_detector,
 )
-
-Array = NDArray[np.float64]
 
 SMALLEST, LARGEST = 0.002, 1.0
 """Side of a tag or a square, m."""
@@ -85,7 +84,7 @@ class AprilTag(Board):
         half = self.size / 2
         return np.array([(-half, half, 0.0), (half, half, 0.0), (half, -half, 0.0), (-half, -half, 0.0)])
 
-    def cells(self) -> NDArray[np.bool_]:
+    def cells(self) -> Mask:
         """Return (rows, columns), True = black: the border and the bits."""
         family = dictionary(self.family)
         return np.asarray(family.generateImageMarker(self.tag, int(family.markerSize) + 2) == 0)
@@ -167,7 +166,7 @@ class Charuco(Board):
         across, down = np.meshgrid(x, y)
         return np.stack([across.ravel(), down.ravel(), np.zeros(across.size)], axis=-1)
 
-    def cells(self) -> NDArray[np.bool_]:
+    def cells(self) -> Mask:
         """Return (rows, columns), True = black; the marker's size is rounded to a 60th of a square."""
         side = 60
         image = self._board.generateImage((self.columns * side, self.rows * side), marginSize=0, borderBits=1)

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.errors import BoardError
 from deltacharger_vision.hand_eye.corner_refinement import refined
 
-Array = NDArray[np.float64]
 Gray = NDArray[np.uint8]
 
 FAMILIES = ("16h5", "25h9", "36h10", "36h11")
@@ -72,7 +72,7 @@ class Board(ABC):
         """Return all corners (K, 3) m that an image can show."""
 
     @abstractmethod
-    def cells(self) -> NDArray[np.bool_]:
+    def cells(self) -> Mask:
         """Return (rows, columns) of equal rectangles that the pattern consists of, True = black, first row on top."""
 
     @abstractmethod

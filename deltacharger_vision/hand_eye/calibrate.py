@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import JOINTS
 from deltacharger_vision.hand_eye.fit import HandEyeFit, fit, set_apart
 from deltacharger_vision.hand_eye.model import ANGLES, BOARD, CAMERA, SCALE, SHIFT, HandEyeState
@@ -25,8 +25,6 @@ from deltacharger_vision.hand_eye.views import FEWEST, Beliefs, Corners, HandEye
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.poses import cross_matrix
-
-Array = NDArray[np.float64]
 
 HELD_OUT = 5
 """Every so many-th view judges the others."""
@@ -109,7 +107,7 @@ def calibrate(
     try:
         whole = fit(corners, beliefs, _state(first, 1.0))
     except HandEyeError as error:
-        raise HandEyeError(f"{error.reason}; the board fits best at {sized.state.scale:.3f} of its size") from error
+        raise HandEyeError(f"{error}; the board fits best at {sized.state.scale:.3f} of its size") from error
     return Calibration(
         mount=_mount(whole, beliefs),
         board=whole.state.board,

@@ -10,11 +10,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_vision.hand_eye.calibrate import Calibration, axis_name, count_places, moved
-
-Array = NDArray[np.float64]
 
 GOOD_VIEWS = 15
 """From which on more views gain little against the error of the board's offset."""

@@ -7,12 +7,11 @@ light: in the encoded values of an image (sRGB) the middle of a blurred edge lie
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from deltacharger_core.arrays import Array
+from deltacharger_vision.images import LIGHT
 
 _PROFILE = 13  # samples across an edge
 _ENDS = 2  # of them at either end, that tell the levels of both sides
@@ -31,7 +30,7 @@ def refined(gray: NDArray[np.uint8], pixels: Array, offsets: Array, free: float)
         offsets: (K, 2, M, 2) px, from each corner to samples on the two edges that cross there.
         free: px to either side of the edges that show nothing else.
     """
-    light = _light()[gray]
+    light = LIGHT.astype(np.float32)[gray]
     width = float(np.clip(free, _NARROWEST, _WIDEST))
     found = np.array(pixels, dtype=float)
     along = offsets[:, :, -1] - offsets[:, :, 0]
@@ -84,11 +83,3 @@ def _invertible(matrices: Array) -> Array:
     """Return matrices (K, 2, 2) with NaN for those of edges that hardly cross."""
     crossing = np.abs(np.linalg.det(np.nan_to_num(matrices))) > 0.1
     return np.where(crossing[:, None, None], matrices, np.nan)
-
-
-@cache
-def _light() -> NDArray[np.float32]:
-    """Return the light (256,) of sRGB values, IEC 61966-2-1."""
-    encoded = np.arange(256) / 255.0
-    light = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-    return np.asarray(light, dtype=np.float32)

@@ -14,8 +14,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.hand_eye.model import (
     ANGLES,
     FREE,
@@ -26,8 +26,6 @@ from deltacharger_vision.hand_eye.model import (
     residuals,
 )
 from deltacharger_vision.hand_eye.views import Beliefs, Corners, HandEyeError
-
-Array = NDArray[np.float64]
 
 _ROBUST_STEPS, _STEPS = 12, 12
 _CHANCE = 1e-5  # of a good view that it contradicts the others so much
@@ -80,7 +78,7 @@ class HandEyeFit:
 
     state: HandEyeState
     covariance: Array
-    kept: NDArray[np.bool_]
+    kept: Mask
     spread: HandEyeSpread
     apart: Apart
 
@@ -208,7 +206,7 @@ def _robust_spread(apart: Apart, beliefs: Beliefs) -> HandEyeSpread:
     return HandEyeSpread(max(float(pixel), beliefs.pixel_stddev), max(float(arm), beliefs.arm_stddev))
 
 
-def _agreeing(apart: Apart, spread: HandEyeSpread) -> NDArray[np.bool_]:
+def _agreeing(apart: Apart, spread: HandEyeSpread) -> Mask:
     """Return (N,) which views agree with the others; all, where there are too few to tell who is wrong."""
     from scipy.stats import chi2
 
@@ -220,7 +218,7 @@ def _agreeing(apart: Apart, spread: HandEyeSpread) -> NDArray[np.bool_]:
     return np.asarray(near & sharp)
 
 
-def _spread(apart: Apart, kept: NDArray[np.bool_], beliefs: Beliefs, covariance: Array) -> HandEyeSpread:
+def _spread(apart: Apart, kept: Mask, beliefs: Beliefs, covariance: Array) -> HandEyeSpread:
     """Return the spread of the kept views, with what was believed before counting as a few more observations."""
     from scipy.optimize import brentq
 

@@ -14,13 +14,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import JOINTS
 from deltacharger_vision.hand_eye.views import Corners
 from deltacharger_vision.poses import cross_matrix, turn
-
-Array = NDArray[np.float64]
 
 CAMERA, SHIFT, BOARD, ANGLES, SCALE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 9 + len(JOINTS)), 9 + len(JOINTS)
 """Columns of a step: rotation of the camera (rad, about charger_base's axes), d (m), rotation of the board (rad),

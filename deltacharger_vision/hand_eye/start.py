@@ -12,11 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_vision.hand_eye.views import Corners, HandEyeError
-
-Array = NDArray[np.float64]
 
 _CAP = 3.0  # px; a view that fits worse counts as one that fits so badly
 _LIKE = np.radians(10.0)  # two orientations within it are one

@@ -10,14 +10,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import JOINTS
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import Sighting
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.projection import rays
-
-Array = NDArray[np.float64]
 
 FEWEST = 5
 """Views that a calibration needs, one of them to judge the others."""
@@ -30,13 +29,7 @@ class HandEyeError(VisionError, ValueError):
 
     Args:
         reason: what is missing and what to do.
-        views: indices of those concerned; empty where it is all.
     """
-
-    def __init__(self, reason: str, views: Sequence[int] = ()) -> None:
-        self.reason = reason
-        self.views = tuple(views)
-        super().__init__(reason)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,10 +9,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.rendering.scene import Box, Color, RenderedScene, check_pose, shifted
 
-Array = NDArray[np.float64]
 Area = tuple[int, int, int, int]
 """Left, top, right and bottom of a rectangle of cells, the last two beyond it."""
 
@@ -83,7 +83,7 @@ def _boxes(board: Board) -> tuple[Box, ...]:
     return tuple(boxes)
 
 
-def _areas(black: NDArray[np.bool_]) -> list[Area]:
+def _areas(black: Mask) -> list[Area]:
     """Return the rectangles around what is black and connected by more than a corner, those within others left out."""
     import cv2
 
@@ -96,7 +96,7 @@ def _holds(outer: Area, inner: Area) -> bool:
     return outer[0] <= inner[0] and outer[1] <= inner[1] and outer[2] >= inner[2] and outer[3] >= inner[3]
 
 
-def _rectangles(marked: NDArray[np.bool_]) -> list[Area]:
+def _rectangles(marked: Mask) -> list[Area]:
     """Return rectangles that cover the marked cells (rows, columns) and no others.
 
     They overlap where they can: at a seam between two, half-covered pixels would let the black through.
@@ -113,13 +113,13 @@ def _rectangles(marked: NDArray[np.bool_]) -> list[Area]:
     return list(found)
 
 
-def _changes(marked: NDArray[np.bool_], axis: int) -> NDArray[np.int64]:
+def _changes(marked: Mask, axis: int) -> NDArray[np.int64]:
     """Return where rows (axis 0) or columns (1) differ from those before, and both ends."""
     differs = (np.diff(marked, axis=axis) != 0).any(axis=1 - axis)
     return np.concatenate([[0], 1 + np.flatnonzero(differs), [marked.shape[axis]]])
 
 
-def _grown(marked: NDArray[np.bool_], cell: tuple[int, int], first: int) -> tuple[tuple[int, int], tuple[int, int]]:
+def _grown(marked: Mask, cell: tuple[int, int], first: int) -> tuple[tuple[int, int], tuple[int, int]]:
     """Return (start, end) along rows and columns of a marked rectangle around a cell, grown along `first` first."""
     spans = [(cell[0], cell[0] + 1), (cell[1], cell[1] + 1)]
     for axis in (first, 1 - first):

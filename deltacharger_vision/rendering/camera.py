@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.rendering.image_defects import blurred, developed, slow_field
 from deltacharger_vision.rendering.materials import brushed
@@ -14,7 +15,6 @@ from deltacharger_vision.rendering.ray_caster import Piece, Rays
 from deltacharger_vision.rendering.scene import Box, RenderedScene, check_pose
 from deltacharger_vision.rendering.stereo_depth import measured
 
-Array = NDArray[np.float64]
 Plane = NDArray[np.float32]
 
 OAK_D = Intrinsics(640, 400, 441.0, 441.0, 319.5, 199.5)

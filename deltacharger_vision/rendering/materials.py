@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_vision.rendering.parameters import SceneParameters
 from deltacharger_vision.rendering.ray_caster import Piece, Rays
 from deltacharger_vision.rendering.scene import Box
 
-Array = NDArray[np.float64]
 Plane = NDArray[np.float32]
 
 _STREAKS = 48

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_vision.errors import RendererError
 from deltacharger_vision.images import Intrinsics
 
-Array = NDArray[np.float64]
 Plane = NDArray[np.float32]
 
 NEAR, FAR = 0.01, 500.0

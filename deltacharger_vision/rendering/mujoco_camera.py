@@ -6,11 +6,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.rendering.camera import OAK_D, taken
 from deltacharger_vision.rendering.materials import streaks
@@ -19,7 +19,6 @@ from deltacharger_vision.rendering.parameters import CameraParameters, ScenePara
 from deltacharger_vision.rendering.ray_caster import Rays
 from deltacharger_vision.rendering.scene import Box, RenderedScene, check_pose, shifted
 
-Array = NDArray[np.float64]
 Plane = NDArray[np.float32]
 
 _WALL_SIDE, _WALL_THICKNESS = 100.0, 0.01
@@ -54,9 +53,7 @@ class MujocoCamera:
     def __enter__(self) -> MujocoCamera:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -122,7 +119,7 @@ class MujocoCamera:
         light: Plane,
         inverse: Plane,
         holes: Plane,
-        whole: NDArray[np.bool_],
+        whole: Mask,
         window: tuple[slice, slice],
         random: np.random.Generator,
     ) -> None:
@@ -153,7 +150,7 @@ def _brightest(parameters: SceneParameters, boxes: Iterable[Box]) -> float:
     return max(lit * max(box.color) + (highlight if box.metal else 0.0) for box in boxes)
 
 
-def _window(mask: NDArray[np.bool_]) -> tuple[slice, slice] | None:
+def _window(mask: Mask) -> tuple[slice, slice] | None:
     """Return rows and columns that hold a mask (H, W); None where it is empty."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.lens import undistort
 
-Array = NDArray[np.float64]
 Plane = NDArray[np.float32]
 
 _SIGN = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
@@ -135,7 +135,7 @@ class Rays:
         axes: Array,
         centre: Array,
         half: Array,
-        seen: NDArray[np.bool_],
+        seen: Mask,
         window: tuple[slice, slice],
         edge_width: float,
     ) -> Plane | None:

@@ -7,13 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_vision.errors import RenderingError
 from deltacharger_vision.rendering.parameters import SceneParameters
 from deltacharger_vision.terminal import Terminal
 
-Array = NDArray[np.float64]
 Color = tuple[float, float, float]
 
 

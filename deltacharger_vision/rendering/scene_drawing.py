@@ -12,14 +12,13 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_vision.errors import RenderingError
 from deltacharger_vision.rendering.parameters import SceneParameters
 from deltacharger_vision.rendering.scene import Box, Color, RenderedScene, shifted
 from deltacharger_vision.terminal import UPPER, Terminal
 
-Array = NDArray[np.float64]
 Random = np.random.Generator
 
 REACH = 0.45
@@ -30,7 +29,6 @@ _DARK: Color = (0.05, 0.05, 0.055)
 
 def draw_scene(
     random: Random,
-    terminal: Terminal | None = None,
     clutter: int = 0,
     decoys: int = 0,
     target: bool = True,
@@ -39,7 +37,6 @@ def draw_scene(
 
     Args:
         random: draws all of it.
-        terminal: None = default.
         clutter: boxes around.
         decoys: things that resemble electrodes and are none.
         target: False leaves plate and bars out.
@@ -49,7 +46,7 @@ def draw_scene(
     """
     if clutter < 0 or decoys < 0:
         raise RenderingError("scene", f"{clutter} boxes and {decoys} decoys; give 0 or more")
-    chosen = terminal or Terminal()
+    terminal = Terminal()
     parameters = dataclasses.replace(
         SceneParameters(),
         plate=random.uniform(0.03, 0.12),
@@ -63,12 +60,12 @@ def draw_scene(
         wall_distance=random.uniform(0.4, 2.5),
     )
     light = (random.uniform(-1.0, 1.0), random.uniform(0.1, 1.0), random.uniform(-1.0, -0.2))
-    background: list[Box] = [_panel(random, chosen, parameters)] if target and random.random() < 0.5 else []
-    behind = chosen.bar_thickness + parameters.plate_thickness + 0.01
+    background: list[Box] = [_panel(random, terminal, parameters)] if target and random.random() < 0.5 else []
+    behind = terminal.bar_thickness + parameters.plate_thickness + 0.01
     background += [_clutter(random, behind, parameters.wall_distance) for _ in range(clutter)]
     for _ in range(decoys):
-        background += draw_decoy(random, chosen, _place(random, behind, 0.9 * parameters.wall_distance))
-    return RenderedScene(chosen, parameters, light, tuple(background), target=target)
+        background += draw_decoy(random, terminal, _place(random, behind, 0.9 * parameters.wall_distance))
+    return RenderedScene(terminal, parameters, light, tuple(background), target=target)
 
 
 def draw_decoy(random: Random, terminal: Terminal, pose: Array) -> list[Box]:

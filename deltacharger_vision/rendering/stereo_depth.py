@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Mask
 from deltacharger_vision.rendering.image_defects import white
 from deltacharger_vision.rendering.parameters import CameraParameters
 
@@ -68,7 +69,7 @@ def blotches(shape: tuple[int, ...], width: int, random: np.random.Generator) ->
     return found
 
 
-def _hidden(inverse: Plane, per_inverse: float) -> NDArray[np.bool_]:
+def _hidden(inverse: Plane, per_inverse: float) -> Mask:
     """Return what one of the two cameras, half a baseline to either side of this image, cannot see.
 
     A camera to the right sees column x at x − d/2. Something to the right of x hides it when it falls to the left of
@@ -97,7 +98,7 @@ def _fattened(disparity: Plane, reach: int, step: float) -> Plane:
     return np.where(largest - disparity > np.float32(step), largest, disparity)
 
 
-def _holes(share: Plane, width: int, random: np.random.Generator) -> NDArray[np.bool_]:
+def _holes(share: Plane, width: int, random: np.random.Generator) -> Mask:
     """Return blobs of about `width` px that make up the given share (H, W), drawn at half the resolution."""
     rows, columns = share.shape
     coarse = blotches(((rows + 1) // 2, (columns + 1) // 2), max(1, width // 2), random)

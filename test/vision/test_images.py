@@ -76,7 +76,7 @@ def test_intrinsics_follow_the_size_of_the_image() -> None:
 def test_what_is_no_image_is_refused(color: Any, depth: Any, name: str, words: str) -> None:
     with pytest.raises(ImageError, match=words) as caught:
         RgbdImage.make(color, depth, CAMERA)
-    assert caught.value.name == name
+    assert caught.value.source == name
 
 
 def test_a_scaled_camera_shows_the_same_point_at_the_same_place() -> None:
