@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_kinematics.geometry import Vector
-
-Array = NDArray[np.float64]
-
 
 _DOUBLE = np.dtype(np.float64)
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
 from deltacharger_kinematics.arguments import as_point, as_vectors, broadcast
 from deltacharger_kinematics.forward import ForwardSolver
@@ -26,8 +27,6 @@ from deltacharger_kinematics.modes import AHEAD, KNEE_OUT, WorkingMode
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.status import KinematicsError, Status
 from deltacharger_kinematics.vectors import cross, dot
-
-Array = NDArray[np.float64]
 
 
 class Inverse(NamedTuple):

@@ -6,13 +6,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.limb_arrays import LimbArrays
 from deltacharger_kinematics.status import NEAR_TYPE_1, NEAR_TYPE_2, Status
 
-Array = NDArray[np.float64]
 Bits = NDArray[np.uint32]
-Mask = NDArray[np.bool_]
 
 ALL_LIMBS = np.uint32(Status.LIMB_0 | Status.LIMB_1 | Status.LIMB_2)
 _LIMB_BITS = np.array([[Status.LIMB_0], [Status.LIMB_1], [Status.LIMB_2]], dtype=np.uint32)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics.flags import WarningFlags, point_flag
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.inverse import CHUNK
@@ -13,9 +14,7 @@ from deltacharger_kinematics.limb_arrays import LimbArrays
 from deltacharger_kinematics.status import COLLINEAR, Status
 from deltacharger_kinematics.vectors import cross, determinant, dot
 
-Array = NDArray[np.float64]
 Bits = NDArray[np.uint32]
-Mask = NDArray[np.bool_]
 
 
 class ForwardSolver:

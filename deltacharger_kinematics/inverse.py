@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics.exact.precise import DOUBTFUL_ROOT, HOPELESS, solve_limb
 from deltacharger_kinematics.flags import ALL_LIMBS, WarningFlags, limb_flag
 from deltacharger_kinematics.geometry import DeltaGeometry
@@ -21,9 +22,7 @@ from deltacharger_kinematics.limb_arrays import LimbArrays
 from deltacharger_kinematics.status import Status
 from deltacharger_kinematics.vectors import determinant
 
-Array = NDArray[np.float64]
 Bits = NDArray[np.uint32]
-Mask = NDArray[np.bool_]
 
 CHUNK = 8192  # points; larger chunks fall out of the caches, smaller ones pay more for calls
 LARGEST = 1e6  # in units of the robot's size; beyond it a point is out of reach whatever rounding does

@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry
-
-Array = NDArray[np.float64]
 
 
 class LimbArrays:

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_kinematics.arguments import as_vectors
 from deltacharger_kinematics.delta import Delta
@@ -32,8 +33,6 @@ from deltacharger_kinematics.geometry import LONGEST, Vector
 from deltacharger_kinematics.limb_arrays import LimbArrays
 from deltacharger_kinematics.modes import KNEE_OUT
 from deltacharger_kinematics.status import NO_ANSWER, KinematicsError, Status
-
-Array = NDArray[np.float64]
 
 REFUSED = NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_2 | Status.JOINT_LIMIT | Status.SWING_LIMIT
 """What no point of a line may be, unless the caller says otherwise. Outside the workspace box and near the edge of
@@ -187,7 +186,7 @@ class _Motion:
         self.velocities = slope * speed
         self.accelerations = bend * speed**2 + slope * (60.0 * u * (1.0 - u) * (1.0 - 2.0 * u))[:, None]
 
-    def _refuse(self, status: NDArray[np.uint32], bad: NDArray[np.bool_], way: Array) -> None:
+    def _refuse(self, status: NDArray[np.uint32], bad: Mask, way: Array) -> None:
         indices = np.flatnonzero(bad)
         if len(indices):
             x, y, z = self.positions[indices[0]].tolist()

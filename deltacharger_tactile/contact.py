@@ -10,12 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.machine import COLUMNS, PADS, ROWS
 from deltacharger_tactile.parameters import PadContactParameters
-
-Array = NDArray[np.float64]
 
 WAVES = 3
 """Sinusoids that make up the waviness of one ridge."""
@@ -59,7 +58,7 @@ class Contact:
 
     taxels: Array
     approach: Array
-    touching: NDArray[np.bool_]
+    touching: Mask
 
 
 class ContactModel:

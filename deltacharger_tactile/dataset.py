@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.machine import COLUMNS, PADS, ROWS
 from deltacharger_tactile import npz
 from deltacharger_tactile.errors import DatasetError
-
-Array = NDArray[np.float64]
 
 SUBSET_CONTINUOUS, SUBSET_ANGLE, SUBSET_POSITION = -1, 0, 1
 ANGLE_CLASSES = 6
@@ -53,7 +52,7 @@ class Dataset:
     left: NDArray[np.float32]
     right: NDArray[np.float32]
     tare: NDArray[np.float32]
-    dead: NDArray[np.bool_]
+    dead: Mask
     angle: Array
     vertical: Array
     horizontal: Array

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_tactile.dataset import ANGLE_CLASSES, POSITION_CLASSES
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -92,3 +91,9 @@ def position_classes(position: Array, stddev: Array) -> Array:
 
 def _normal(value: Array) -> Array:
     return np.asarray([0.5 * math.erfc(-x / math.sqrt(2.0)) for x in value.ravel()]).reshape(value.shape)
+
+
+def shaped(column: NDArray[Any], shape: tuple[int, ...]) -> Any:
+    """Return (N, …) values in the shape of what was asked about, a single one as a plain number."""
+    result = column.reshape((*shape, *column.shape[1:]))
+    return result if result.ndim else result.item()

@@ -17,16 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, ROWS
 from deltacharger_tactile import features, npz
 from deltacharger_tactile.dataset import ANGLE_LIMIT, POSITION_LIMIT
 from deltacharger_tactile.errors import ModelError
-from deltacharger_tactile.estimate import Estimate, Limits, angle_classes, position_classes
+from deltacharger_tactile.estimate import Estimate, Limits, angle_classes, position_classes, shaped
 from deltacharger_tactile.expert import Expert
 from deltacharger_tactile.network import Network
 from deltacharger_tactile.support import Support
-
-Array = NDArray[np.float64]
 
 FORMAT = 2
 THRESHOLD = 0.25
@@ -141,7 +140,7 @@ class PoseEstimator:
         columns += [angle_classes(mean[:, 2], spread[:, 2])]
         columns += [position_classes(mean[:, axis], spread[:, axis]) for axis in (1, 0)]
         columns += [force[:, 0], force[:, 1]]
-        return Estimate(*(_shaped(column, shape) for column in columns))
+        return Estimate(*(shaped(column, shape) for column in columns))
 
     def pose(self, left: ArrayLike, right: ArrayLike) -> Array:
         """Estimate the pose alone: (N, 3) m, m, rad, NaN where nothing is felt; half the work of `predict`.
@@ -152,7 +151,7 @@ class PoseEstimator:
         """
         return self._feel(features.stack(left, right))[3]
 
-    def _feel(self, frames: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_], Array, Array]:
+    def _feel(self, frames: Array) -> tuple[Array, Mask, Mask, Array, Array]:
         """Return inputs of the mirror images, whether both pads hold the ridge, contact, pose and its spread (N, 3)."""
         inputs, holds, touched = self._prepare(frames)
         contact = np.asarray(np.any(frames >= CONTACT_FORCE, axis=(1, 2, 3)))  # NaN is not
@@ -166,7 +165,7 @@ class PoseEstimator:
         """Mahalanobis distance (N,) of frames from the training data: how far a device has drifted."""
         return self._learnt.distance(self._prepare(features.stack(left, right))[0][0])
 
-    def drifted(self, left: ArrayLike, right: ArrayLike) -> NDArray[np.bool_]:
+    def drifted(self, left: ArrayLike, right: ArrayLike) -> Mask:
         """Return which frames (N,) look like none of training though both pads hold the ridge."""
         inputs, holds, _ = self._prepare(features.stack(left, right))
         strange = np.zeros(len(holds), dtype=bool)
@@ -181,7 +180,7 @@ class PoseEstimator:
             raise ModelError(self.name, "it has not been fitted")
         return self._support
 
-    def _prepare(self, frames: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    def _prepare(self, frames: Array) -> tuple[Array, Mask, Mask]:
         """Return inputs (4, N, F) of the mirror images, whether both pads hold the ridge, whether any is touched."""
         dead = ~np.isfinite(frames)
         live = features.fill_dead(frames)
@@ -292,11 +291,6 @@ def _try(model: PoseEstimator) -> None:
         raise ValueError("whitening")
 
 
-def _within(pose: Array) -> NDArray[np.bool_]:
+def _within(pose: Array) -> Mask:
     """Whether poses (N, 3) lie within the range that estimates may be used in; NaN does not."""
     return np.asarray(np.all(np.abs(pose) <= [POSITION_LIMIT, POSITION_LIMIT, ANGLE_LIMIT], axis=1))
-
-
-def _shaped(column: NDArray[Any], shape: tuple[int, ...]) -> Any:
-    shaped = column.reshape((*shape, *column.shape[1:]))
-    return shaped if shaped.ndim else shaped.item()

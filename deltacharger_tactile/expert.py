@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_tactile import features
 from deltacharger_tactile.network import Network, Weights, fit
-
-Array = NDArray[np.float64]
 
 _SCALE = np.array([0.005, 0.005, math.radians(6.0)])
 _FLOOR = np.array([1e-4, 5e-5, math.radians(0.03)])

@@ -9,13 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.parameters import PadContactParameters
-
-Array = NDArray[np.float64]
 
 _PITCH = 1e3 * PadContactParameters().pad_side / ROWS
 _BASELINE = 2e3 * PadContactParameters().pad_distance

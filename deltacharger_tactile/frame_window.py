@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import FRAME_RATE
 from deltacharger_tactile.parameters import FRAMES_MAX
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import CONTACT_FORCE, FRAME_RATE
 from deltacharger_tactile.contact import ContactModel
 from deltacharger_tactile.dataset import (
@@ -29,10 +30,8 @@ from deltacharger_tactile.dataset import (
     Dataset,
 )
 from deltacharger_tactile.errors import DatasetError
-from deltacharger_tactile.parameters import PadDockingParameters, TactileParameters
-from deltacharger_tactile.sensor import SHAPE, Dockings, Rig, Sensor
-
-Array = NDArray[np.float64]
+from deltacharger_tactile.parameters import SHAPE, PadDockingParameters, TactileParameters
+from deltacharger_tactile.sensor import Dockings, Rig, Sensor
 
 SESSIONS = 5
 _TARE_FRAMES = 60

@@ -15,6 +15,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from deltacharger.msg import Misalignment, TactileFrame
 from deltacharger.srv import PredictMisalignment
 from rcl_interfaces.msg import SetParametersResult
@@ -23,16 +24,52 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
+from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_ros import node_support
 from deltacharger_ros.on_demand import OnDemandSubscription
 from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_tactile import misalignment_node_io
 from deltacharger_tactile.errors import FrameError
+from deltacharger_tactile.estimate import Estimate
 from deltacharger_tactile.frame_window import Frame, FrameWindow, Refused
 from deltacharger_tactile.parameters import FRAMES_MAX, MisalignmentNodeParameters
 from deltacharger_tactile.perception import Perception, PerceptionError
 
 _FILES = ("model", "calibration", "classifiers")
+
+
+def to_frame(message: TactileFrame) -> Frame:
+    """Return a message as a frame.
+
+    Raises:
+        FrameError: it is not of two pads of 10 × 10.
+    """
+    sizes = {len(message.left), len(message.right)}
+    if (message.rows, message.columns) != (ROWS, COLUMNS) or sizes != {ROWS * COLUMNS}:
+        raise FrameError(*((message.rows, message.columns, len(pad)) for pad in (message.left, message.right)))
+    stamp = message.header.stamp
+    left, right = (np.asarray(pad, dtype=float).reshape(ROWS, COLUMNS) for pad in (message.left, message.right))
+    return Frame(stamp.sec + 1e-9 * stamp.nanosec, stamp, message.tared, left, right)
+
+
+def to_message(estimate: Estimate, name: str, stamp: Any) -> Misalignment:
+    """Return an estimate of one frame pair as a message.
+
+    Args:
+        estimate: pose of the target in end_effector.
+        name: of the model.
+        stamp: of the newest frame used.
+    """
+    message = Misalignment()
+    message.header.stamp = stamp
+    message.header.frame_id = "end_effector"
+    message.contact, message.sure, message.in_range = estimate.contact, estimate.sure, estimate.in_range
+    for axis in ("angle", "vertical", "horizontal"):
+        for field in (axis, f"{axis}_stddev"):
+            setattr(message, field, getattr(estimate, field))
+        setattr(message, f"{axis}_probability", getattr(estimate, f"{axis}_probability").astype(np.float32))
+    message.left_force, message.right_force = estimate.left_force, estimate.right_force
+    message.model = name
+    return message
 
 
 class MisalignmentNode(Node):
@@ -98,7 +135,7 @@ class MisalignmentNode(Node):
 
     def _receive(self, message: TactileFrame) -> None:
         try:
-            self._window.add(misalignment_node_io.to_frame(message))
+            self._window.add(to_frame(message))
         except FrameError:
             self.get_logger().error(
                 f"tactile_frame is {message.rows} × {message.columns} with {len(message.left)} and "
@@ -132,7 +169,7 @@ class MisalignmentNode(Node):
         """
         left, right = self._window.average(frames, self._max_age)
         perception = self._perception
-        return misalignment_node_io.to_message(perception.predict(left, right), perception.name, frames[-1].stamp)
+        return to_message(perception.predict(left, right), perception.name, frames[-1].stamp)
 
     def _publish(self, period: float) -> None:
         following = time.monotonic() + period

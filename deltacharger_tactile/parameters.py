@@ -13,9 +13,11 @@ import json
 import math
 from dataclasses import dataclass, field
 
-from deltacharger_core.machine import MAGNET_FLOOR, MAGNET_FORCE, MAGNET_WIDTH
+from deltacharger_core.machine import COLUMNS, MAGNET_FLOOR, MAGNET_FORCE, MAGNET_WIDTH, PADS, ROWS
 from deltacharger_core.parameters import Bounded, number, words
 
+SHAPE = (PADS, ROWS, COLUMNS)
+"""Of both pads' readings."""
 FRAMES_MAX = 240
 """Tactile frames that one estimate averages at most: two seconds."""
 _DEGREE = math.pi / 180.0

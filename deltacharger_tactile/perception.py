@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from deltacharger_tactile import MODEL_PATH
 from deltacharger_tactile.calibration.rig import TactileCalibration
@@ -20,8 +20,6 @@ from deltacharger_tactile.errors import TactileError
 from deltacharger_tactile.estimate import Estimate
 from deltacharger_tactile.estimator import PoseEstimator
 from deltacharger_tactile.parameters import SensorParameters
-
-Array = NDArray[np.float64]
 
 _LARGEST = 100.0
 """A reading beyond it (N) is no force: eleven times what a taxel measures."""

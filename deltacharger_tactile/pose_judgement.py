@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_tactile.classifiers import labels
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError
 from deltacharger_tactile.estimator import NOMINAL, PoseEstimator
-
-Array = NDArray[np.float64]
 
 AXES = ("horizontal", "vertical", "angle")
 

@@ -10,14 +10,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.machine import COLUMNS, PADS, ROWS
 from deltacharger_tactile.contact import Waviness
-from deltacharger_tactile.parameters import SensorParameters, TactileParameters
-
-Array = NDArray[np.float64]
-SHAPE = (PADS, ROWS, COLUMNS)
+from deltacharger_tactile.parameters import SHAPE, SensorParameters, TactileParameters
 
 
 @dataclass(frozen=True)
@@ -35,7 +32,7 @@ class Rig:
 
     gain: Array
     offset: Array
-    dead: NDArray[np.bool_]
+    dead: Mask
     tilt: Array
     magnets: float
     waviness: Waviness

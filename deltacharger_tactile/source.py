@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import FRAME_RATE
 from deltacharger_tactile.contact import ContactModel
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.sensor import Dockings, Rig, Sensor
-
-Array = NDArray[np.float64]
 
 
 class ContactSource:

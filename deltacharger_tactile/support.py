@@ -12,12 +12,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_tactile import features
 from deltacharger_tactile.network import Network, Weights, fit
-
-Array = NDArray[np.float64]
 
 _SHOWN = ("u_mm", "v_mm", "uu_mm2", "uv_mm2", "vv_mm2", "slope", "active", "peak_N")
 _NAMES = features.names()
@@ -85,7 +83,7 @@ class Support:
         shown = (inputs[:, _TARGETS] - self.shown_centre) / self.shown_spread
         return np.asarray(np.sqrt(np.mean(((shown - mean) / spread) ** 2, axis=1)))
 
-    def contains(self, inputs: Array, pose: Array) -> NDArray[np.bool_]:
+    def contains(self, inputs: Array, pose: Array) -> Mask:
         """Whether features (N, F) and the poses estimated from them (N, 3) look like training."""
         near = self.distance(inputs) <= self.distance_limit
         return np.asarray(near & (self.deviation(inputs, pose) <= self.picture_limit))

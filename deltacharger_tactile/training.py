@@ -16,14 +16,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError
 from deltacharger_tactile.estimator import PoseEstimator
 from deltacharger_tactile.generator import measure
 from deltacharger_tactile.parameters import PadDockingParameters, SensorParameters, TactileParameters
 from deltacharger_tactile.sensor import Rig
-
-Array = NDArray[np.float64]
 
 TRAINING_RIGS = range(1_000_000, 1_000_120)
 CALIBRATION_RIGS = range(1_100_000, 1_100_060)

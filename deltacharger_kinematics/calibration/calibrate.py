@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics.calibration.checks import check_near, check_reached, check_spread
 from deltacharger_kinematics.calibration.data import Measurements
 from deltacharger_kinematics.calibration.problem import (
@@ -25,11 +25,11 @@ from deltacharger_kinematics.calibration.problem import (
     numbers,
     rms,
 )
-from deltacharger_kinematics.calibration.table import Array, CalibrationError
+from deltacharger_kinematics.calibration.table import CalibrationError
 from deltacharger_kinematics.delta import Delta
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry
 
-Rows = NDArray[np.bool_]
+Rows = Mask
 
 FEWEST_ROWS = COUNT // 3
 _UNOBSERVED = 1e-8  # of the largest singular value; exact degeneracy comes out below 1e-10

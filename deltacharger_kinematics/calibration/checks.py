@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics.calibration.data import Measurements
-from deltacharger_kinematics.calibration.table import MILLIMETRE, Array, CalibrationError
+from deltacharger_kinematics.calibration.table import MILLIMETRE, CalibrationError
 from deltacharger_kinematics.geometry import DeltaGeometry
 
 _FAR = 4.0  # times the error that the tolerances explain; beyond it, something else than tolerances is wrong
@@ -107,5 +107,5 @@ def named(lines: tuple[int, ...]) -> str:
     return f"line{'s' if len(lines) > 1 else ''} {shown}{more}"
 
 
-def _lines(measurements: Measurements, rows: NDArray[np.bool_]) -> tuple[int, ...]:
+def _lines(measurements: Measurements, rows: Mask) -> tuple[int, ...]:
     return tuple(line for line, wanted in zip(measurements.lines, rows, strict=True) if wanted)

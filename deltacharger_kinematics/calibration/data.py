@@ -9,15 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics.calibration.table import (
     DEGREES,
     HELD_OUT,
     POSITION_COLUMNS,
     RADIANS,
     TICKS,
-    Array,
     CalibrationError,
     Table,
     Triple,
@@ -75,7 +74,7 @@ class Measurements:
 
     positions: Array
     angles: Array
-    held_out: NDArray[np.bool_] | None
+    held_out: Mask | None
     lines: tuple[int, ...]
     angle_stddev: float = 0.0
     encoder: Encoder | None = None
@@ -83,7 +82,7 @@ class Measurements:
     def __len__(self) -> int:
         return len(self.positions)
 
-    def subset(self, rows: NDArray[np.bool_]) -> Measurements:
+    def subset(self, rows: Mask) -> Measurements:
         """Return the rows that `rows` (n,) marks."""
         return Measurements(
             self.positions[rows],
@@ -169,7 +168,7 @@ def _check_angles(names: tuple[str, ...], values: Array, angles: Array, lines: S
         raise CalibrationError(f"no {DEGREES[0][:-6]} angle exceeds {np.abs(values).max():.2g}°: is it radians?")
 
 
-def _held_out(table: Table) -> NDArray[np.bool_] | None:
+def _held_out(table: Table) -> Mask | None:
     if HELD_OUT not in table.names:
         return None
     for row, line in zip(table.rows, table.lines, strict=True):

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from deltacharger_core.arrays import Array
 from deltacharger_kinematics.calibration.data import Measurements
-from deltacharger_kinematics.calibration.table import Array, CalibrationError
+from deltacharger_kinematics.calibration.table import CalibrationError
 from deltacharger_kinematics.delta import Delta
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, LimbAdjustment
 

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from deltacharger_core.arrays import Array
+
 Triple = tuple[int, int, int]
 
 MILLIMETRE = 1e-3

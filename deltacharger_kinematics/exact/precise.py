@@ -14,11 +14,11 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_kinematics.exact import double_double as dd
 from deltacharger_kinematics.exact.double_double import DoubleDouble, Number
 from deltacharger_kinematics.geometry import Limb
 
-Array = NDArray[np.float64]
 # √Q as a share of u² + v² + w² + a² + L² below which plain doubles are not enough. Their error grows with its inverse,
 # 1e-15 rad here; nowhere in the default workspace is the share below 0.26.
 DOUBTFUL_ROOT = 0.25

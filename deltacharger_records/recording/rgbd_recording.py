@@ -11,8 +11,7 @@ from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
 from deltacharger_vision.cameras.recording import COLOR, DEPTH, INFO, CameraRecording
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, stamp_ns
-from deltacharger_vision.ros.recorded import decoded
+from deltacharger_vision.ros.messages import decoded, intrinsics_of, rgbd_of, stamp_ns
 
 TOLERANCE = 15_000_000
 """ns between the stamps of colour and depth: under half the time between two images at 30 Hz."""

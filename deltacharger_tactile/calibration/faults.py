@@ -12,14 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, ROWS
-from deltacharger_tactile.calibration.rig import SHAPE
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import SensorCalibrationError
-from deltacharger_tactile.parameters import PadContactParameters
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from deltacharger_tactile.parameters import SHAPE, PadContactParameters
 
 _DEAD_SHARE = 0.05  # of the dockings in which the board told a taxel dead; a glitch is left to the estimator
 _EVENTS = 3  # dockings that must have shown it

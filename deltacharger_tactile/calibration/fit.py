@@ -14,16 +14,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_tactile.calibration.faults import KnownDockings, find
-from deltacharger_tactile.calibration.rig import AXES, SHAPE, SHIFT_LIMIT, TactileCalibration
+from deltacharger_tactile.calibration.rig import AXES, SHIFT_LIMIT, TactileCalibration
 from deltacharger_tactile.contact import ContactModel
 from deltacharger_tactile.errors import SensorCalibrationError
 from deltacharger_tactile.estimator import PoseEstimator
-from deltacharger_tactile.parameters import PadDockingParameters, SensorParameters
-
-Array = NDArray[np.float64]
+from deltacharger_tactile.parameters import SHAPE, PadDockingParameters, SensorParameters
 
 FEWEST = 5
 """Dockings in range, fewer of which tell nothing."""
@@ -101,12 +99,10 @@ class Worth:
     count: int
     in_range: tuple[float, float]
     known: bool
-    worse: NDArray[np.bool_]
+    worse: Mask
 
 
-def predict(
-    model: PoseEstimator, calibration: TactileCalibration, frames: Array
-) -> tuple[Array, Array, NDArray[np.bool_]]:
+def predict(model: PoseEstimator, calibration: TactileCalibration, frames: Array) -> tuple[Array, Array, Mask]:
     """Return poses (N, 3), standard deviations (N, 3) and in_range (N,) with a calibration, frames (N, 2, 10, 10) N."""
     pads = calibration.apply(frames[:, 0], frames[:, 1])
     estimate = calibration.correct(model.predict(*pads), model.limits)

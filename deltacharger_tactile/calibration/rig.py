@@ -8,7 +8,6 @@ alone, reading and writing the file PyYAML.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,16 +17,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from deltacharger_core.machine import COLUMNS, PADS, ROWS
+from deltacharger_core.arrays import Array, Mask
+from deltacharger_core.machine import PADS
+from deltacharger_core.parameters import did_you_mean
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_tactile.dataset import ANGLE_LIMIT, POSITION_LIMIT
 from deltacharger_tactile.errors import FrameError, SensorCalibrationError
-from deltacharger_tactile.estimate import Estimate, Limits, angle_classes, position_classes
-
-Array = NDArray[np.float64]
+from deltacharger_tactile.estimate import Estimate, Limits, angle_classes, position_classes, shaped
+from deltacharger_tactile.parameters import SHAPE
 
 VERSION = 1
-SHAPE = (PADS, ROWS, COLUMNS)
 AXES = ("horizontal", "vertical", "angle")
 SIDES = ("left", "right")
 GAIN_LOW, GAIN_HIGH = 0.2, 5.0
@@ -64,7 +63,7 @@ class TactileCalibration:
     """
 
     gain: Array = field(default_factory=lambda: np.ones(SHAPE))
-    dead: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(SHAPE, dtype=bool))
+    dead: Mask = field(default_factory=lambda: np.zeros(SHAPE, dtype=bool))
     load_shift: float = 0.0
     bias: Array = field(default_factory=lambda: np.zeros(3))
     bias_stddev: Array = field(default_factory=lambda: np.zeros(3))
@@ -141,7 +140,7 @@ class TactileCalibration:
             classes = angle_classes if axis == "angle" else position_classes
             changed |= {axis: pose[axis], f"{axis}_stddev": spread[axis]}
             changed[f"{axis}_probability"] = classes(pose[axis], spread[axis])
-        return dataclasses.replace(estimate, **{name: _shaped(value, shape) for name, value in changed.items()})
+        return dataclasses.replace(estimate, **{name: shaped(value, shape) for name, value in changed.items()})
 
     def save(self, path: str | Path, comment: str = "") -> None:
         """Write it as YAML, `comment` above it.
@@ -172,11 +171,6 @@ class TactileCalibration:
             return _from_mapping(content)
         except SensorCalibrationError as error:
             raise SensorCalibrationError(source, str(error)) from error
-
-
-def _shaped(values: NDArray[Any], shape: tuple[int, ...]) -> Any:
-    shaped = values.reshape((*shape, *values.shape[1:]))
-    return shaped if shaped.ndim else shaped.item()
 
 
 def _bound(name: str, value: ArrayLike, low: float, high: float) -> None:
@@ -234,9 +228,8 @@ def _keys(where: str, mapping: Any, known: tuple[str, ...]) -> None:
         raise SensorCalibrationError(where, f"must be a mapping with the keys {', '.join(known)}")
     for key in mapping:
         if key not in known:
-            near = difflib.get_close_matches(str(key), known, 1)
-            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
-            raise SensorCalibrationError(str(key), f"unknown key in {where}; {hint}")
+            hint = did_you_mean(key, known) or f"; known are {', '.join(known)}"
+            raise SensorCalibrationError(str(key), f"unknown key in {where}{hint}")
     missing = [key for key in known if key not in mapping]
     if missing:
         raise SensorCalibrationError(where, f"no key {', '.join(missing)}; calibrate anew")
@@ -258,7 +251,7 @@ def _numbers(where: str, value: Any, shape: tuple[int, ...]) -> Array:
     return numbers
 
 
-def _taxels(value: Any) -> NDArray[np.bool_]:
+def _taxels(value: Any) -> Mask:
     dead = np.zeros(SHAPE, dtype=bool)
     for place in value if isinstance(value, list) else [value]:
         numbers = isinstance(place, list) and len(place) == len(SHAPE) and all(type(part) is int for part in place)

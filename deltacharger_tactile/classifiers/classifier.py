@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, PADS, ROWS
 from deltacharger_tactile import PoseEstimator, default_model, features
 from deltacharger_tactile.classifiers import files, labels, reliability
@@ -21,7 +22,6 @@ from deltacharger_tactile.classifiers.reliability import Reliability
 from deltacharger_tactile.classifiers.runtime import KINDS
 from deltacharger_tactile.errors import ModelError
 
-Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 """Told the share that is done and what is being done."""
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_tactile.classifiers.classifier import Learnt, Progress
 
-Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 Arrays = dict[str, NDArray[Any]]
 

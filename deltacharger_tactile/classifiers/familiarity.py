@@ -14,12 +14,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.machine import ROWS
 from deltacharger_tactile.parameters import PadContactParameters
-
-Array = NDArray[np.float64]
 
 WINDOW = 50
 """Dockings that are judged together at least."""
@@ -71,11 +69,11 @@ class Familiarity:
     window_limit: float = float("inf")
     feature_limit: float = float("inf")
 
-    def strange(self, frames: Array, threshold: float) -> NDArray[np.bool_]:
+    def strange(self, frames: Array, threshold: float) -> Mask:
         """Return which frames (N, 2, 10, 10) N look like none of training."""
         return self._strange(*self.remainders(frames, threshold))
 
-    def _strange(self, remainder: Array, terms: Array) -> NDArray[np.bool_]:
+    def _strange(self, remainder: Array, terms: Array) -> Mask:
         distance, reach = self._sizes(remainder, terms)
         load = np.abs(remainder[:, 0]) / np.sqrt(1.0 + reach)
         return np.asarray((distance > self.frame_limit) | (reach > self.reach_limit) | (load > self.load_limit))

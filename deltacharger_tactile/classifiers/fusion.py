@@ -10,10 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_tactile.classifiers.labels import Examples
 from deltacharger_tactile.errors import DatasetError
-
-Array = NDArray[np.float64]
 
 _LEAST = 1e-6
 """Smallest probability that one docking may give a class: a single strange one must not rule out the truth."""

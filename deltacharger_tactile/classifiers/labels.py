@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_tactile.dataset import ANGLE_CLASSES, POSITION_CLASSES, SUBSET_ANGLE, SUBSET_POSITION, Dataset
 from deltacharger_tactile.errors import DatasetError
 
@@ -29,9 +30,9 @@ class Examples:
         sessions: (N,) number of the session.
     """
 
-    frames: NDArray[np.float64]
+    frames: Array
     labels: NDArray[np.int64]
-    values: NDArray[np.float64]
+    values: Array
     groups: NDArray[np.int64]
     rigs: NDArray[np.int64]
     sessions: NDArray[np.int64]
@@ -49,12 +50,12 @@ def classes(target: str) -> int:
     return ANGLE_CLASSES if target == "angle" else len(POSITION_CLASSES)
 
 
-def centres(target: str) -> NDArray[np.float64]:
+def centres(target: str) -> Array:
     """Return the middle of each class: rad or m."""
     return np.arange(ANGLE_CLASSES) * _ANGLE_STEP if target == "angle" else np.array(POSITION_CLASSES)
 
 
-def label(values: NDArray[np.float64], target: str) -> NDArray[np.int64]:
+def label(values: Array, target: str) -> NDArray[np.int64]:
     """Return the class of values (N,), |angle| in rad or an offset in m; −1 where none of the paper's classes holds it.
 
     Class k of the angle is |angle| within k ± 0.5°.
@@ -76,7 +77,7 @@ def rows(data: Dataset, target: str) -> tuple[NDArray[np.int64], NDArray[np.int6
     return chosen, classes_of[chosen]
 
 
-def _values(data: Dataset, target: str) -> NDArray[np.float64]:
+def _values(data: Dataset, target: str) -> Array:
     commanded = np.asarray(getattr(data, target), dtype=float)
     return np.abs(commanded) if target == "angle" else commanded
 

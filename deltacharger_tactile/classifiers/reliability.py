@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_tactile.classifiers import familiarity
 from deltacharger_tactile.classifiers.familiarity import WINDOW, Familiarity
 from deltacharger_tactile.errors import ModelError
-
-Array = NDArray[np.float64]
 
 NOMINAL = 0.95
 _FEWEST = 20  # held-out frames, fewer of which say nothing about one in twenty
@@ -36,11 +35,11 @@ class Reliability:
     quantile: float
     familiar: Familiarity
 
-    def sets(self, probabilities: Array) -> NDArray[np.bool_]:
+    def sets(self, probabilities: Array) -> Mask:
         """Return which classes (N, C) belong to the set of each frame; a set may be empty."""
         return np.asarray(1.0 - probabilities <= self.quantile)
 
-    def drifted(self, frames: Array, threshold: float) -> NDArray[np.bool_]:
+    def drifted(self, frames: Array, threshold: float) -> Mask:
         """Return which frames (N, 2, 10, 10) N look like none of training."""
         return self.familiar.strange(frames, threshold)
 

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from deltacharger_core.arrays import Array
+
 Arrays = Mapping[str, NDArray[Any]]
 
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_tactile.classifiers.classifier import POSE, Learnt, Progress
 from deltacharger_tactile.classifiers.runtime import softmax
 
-Array = NDArray[np.float64]
 Labels = NDArray[np.int64]
 Arrays = dict[str, NDArray[Any]]
 

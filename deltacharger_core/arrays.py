@@ -1,0 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names for the types of arrays; docstrings say their shapes, units and frames."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
