@@ -101,7 +101,7 @@ def kinematics(options: argparse.Namespace) -> int:
         raise CommandError("mpmath is not installed; install deltacharger[report]", FAILED) from error
     for name, reason in results["absent"].items():
         say(f"{name} is absent: {reason}")
-    return _end(options, results, directory, [report.PAGE, report.FIGURES], ("seed", "points"))
+    return _end(options, results, directory, "kinematics", ("seed", "points"))
 
 
 def tactile(options: argparse.Namespace) -> int:
@@ -117,8 +117,7 @@ def tactile(options: argparse.Namespace) -> int:
     if not plan.names:
         raise CommandError("nothing that trains is installed; install deltacharger[train]", FAILED)
     results = tactile_report.build(plan, directory, command, say)
-    files = [tactile_report.HTML, tactile_report.PAGE, tactile_report.FIGURES]
-    return _end(options, results, directory, files, ("simulated", "rigs", "seeds"), "simulated data:")
+    return _end(options, results, directory, "tactile", ("simulated", "rigs", "seeds"), "simulated data:")
 
 
 def vision(options: argparse.Namespace) -> int:
@@ -136,8 +135,7 @@ def vision(options: argparse.Namespace) -> int:
     if "opencv" in plan.absent:
         raise CommandError(f"OpenCV is absent: {plan.absent['opencv']}", FAILED)
     results = vision_report.build(plan, directory, command, say)
-    files = [vision_report.HTML, vision_report.PAGE, vision_report.FIGURES]
-    return _end(options, results, directory, files, ("simulated", "seed", "images"), "simulated images:")
+    return _end(options, results, directory, "vision", ("simulated", "seed", "images"), "simulated images:")
 
 
 def simulation(options: argparse.Namespace) -> int:
@@ -147,13 +145,12 @@ def simulation(options: argparse.Namespace) -> int:
     from deltacharger_lab.reports.simulation import stability
 
     directory = folder_to_write("--out", options.out)
-    plan = simulation_plan.quick_plan() if options.quick else simulation_plan.full_plan()
+    plan = simulation_plan.QUICK if options.quick else simulation_plan.SimulationPlan()
     command = f"deltacharger report simulation{' --quick' if options.quick else ''}"
     for name, reason in simulation_plan.absent().items():
         say(f"{name} is absent: {reason}")
     results = simulation_report.build(plan, directory, command, say)
-    files = [simulation_report.PAGE, simulation_report.FIGURES, stability.MODULE]
-    return _end(options, results, directory, files, ("models", "quick"))
+    return _end(options, results, directory, "simulation", ("models", "quick"), also=(stability.MODULE,))
 
 
 def docking(options: argparse.Namespace) -> int:
@@ -185,8 +182,9 @@ def docking(options: argparse.Namespace) -> int:
         raise CommandError(str(error), WRONG_INPUT) from error
     except CampaignError as error:
         raise CommandError(str(error), FAILED) from error
-    files = [docking_report.PAGE, docking_report.FIGURES]
-    return _end(options, results, directory, files, ("simulated", "seed", "quick", "not_run"), "simulated dockings:")
+    return _end(
+        options, results, directory, "docking", ("simulated", "seed", "quick", "not_run"), "simulated dockings:"
+    )
 
 
 def footprint(options: argparse.Namespace) -> int:
@@ -220,38 +218,31 @@ def footprint(options: argparse.Namespace) -> int:
         from deltacharger_lab.reports.footprint import report as footprint_report
 
         results = footprint_report.build(plan, context, directory, command, say)
-    files = [footprint_report.PAGE, footprint_report.FIGURES]
-    return _end(options, results, directory, files, ("rows", "left_out", "quick", "repeats"))
+    return _end(options, results, directory, "footprint", ("rows", "left_out", "quick", "repeats"))
 
 
 def _end(
     options: argparse.Namespace,
     results: dict[str, Any],
     directory: Path,
-    files: list[str],
+    subject: str,
     more: tuple[str, ...],
     of_what: str = "",
+    also: tuple[str, ...] = (),
 ) -> int:
     """Say what was written, the file to read first of all, and which targets are met."""
     for name, reason in results["missing_pictures"].items():
         say(f"no picture {name}: {reason}")
-    say(f"{directory / files[0]}: written in {results['elapsed_s']:.0f} s")
+    files = [path for kind in ("html", "md", "json") if (path := directory / f"{subject}.{kind}").exists()]
+    say(f"{files[0]}: written in {results['elapsed_s']:.0f} s")
     if options.json:
-        write_json(_summary(results, directory, files, more))
+        written = [*map(str, files), *(str(directory / name) for name in (*also, *results["pictures"]))]
+        keys = ("targets", "absent", "missing_pictures", "elapsed_s", *more)
+        write_json({"success": True, "files": written, **{key: results[key] for key in keys}})
         return DONE
     if of_what:
         tell(of_what)
-    _tell_targets(results)
-    return DONE
-
-
-def _tell_targets(results: dict[str, Any]) -> None:
     for target in results["targets"]:
         verdict = "not measured" if target["met"] is None else "met" if target["met"] else "NOT MET"
         tell(f"{target['name']:<52} {target['wanted']:>9}  {target['measured']:>10.3g} {target['unit']:<8} {verdict}")
-
-
-def _summary(results: dict[str, Any], directory: Path, files: list[str], more: tuple[str, ...]) -> dict[str, Any]:
-    keys = ("targets", "absent", "missing_pictures", "elapsed_s", *more)
-    written = [str(directory / name) for name in (*files, *results["pictures"])]
-    return {"success": True, "files": written, **{key: results[key] for key in keys}}
+    return DONE

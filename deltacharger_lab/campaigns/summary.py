@@ -48,11 +48,16 @@ def summarise(results: Results) -> dict[str, Any]:
     summary["shorts"] = int(sum(results["shorts"]))
     summary["energised_unsafe"] = float(np.nansum(np.asarray(results["energised_unsafe"], dtype=float)))
     for name in NUMBERS:
-        values = numbers(results, name)
-        found = values[np.isfinite(values)]
-        quantiles = np.quantile(found, (0.5, 0.95, 1.0)) if len(found) else np.full(3, np.nan)
-        summary[name] = dict(zip(("median", "p95", "max"), map(float, quantiles), strict=True))
+        summary[name] = dict(
+            zip(("median", "p95", "max"), quantiles(numbers(results, name), 0.5, 0.95, 1.0), strict=True)
+        )
     return summary
+
+
+def quantiles(values: np.ndarray, *shares: float) -> list[float]:
+    """Return quantiles of what is finite; NaN where nothing is."""
+    known = values[np.isfinite(values)]
+    return [float(each) for each in np.quantile(known, shares)] if len(known) else [math.nan] * len(shares)
 
 
 def numbers(results: Results, name: str) -> np.ndarray:

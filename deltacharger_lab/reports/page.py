@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every report ends with: figures as JSON, a page rendered from exactly these, one HTML file to send around."""
+"""Pages of reports: from a template and the figures, and as one HTML file to send around.
+
+Templates leave out the line under the head of a table: a block of rows is a table, and its first row is the head.
+"""
 
 from __future__ import annotations
 
 import base64
 import html
 import inspect
-import json
 import re
 import textwrap
 from collections.abc import Mapping
@@ -14,12 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_lab.reports import formats
-from deltacharger_ros.outcomes import json_ready
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _FILTERS = dict(inspect.getmembers(formats, inspect.isfunction))
 _WIDTH = 125
-_NO_PROSE = ("#", "|", "- ", "![")  # blocks that keep their lines
+_NO_PROSE = ("#", "- ", "![")  # blocks that keep their lines
 _STYLE = """
 body { max-width: 960px; margin: 2em auto; padding: 0 1em; font: 15px/1.5 system-ui, sans-serif; color: #22303c; }
 img { max-width: 100%; }
@@ -28,24 +29,6 @@ td, th { padding: 3px 9px; border-bottom: 1px solid #dbe1e7; text-align: left; }
 th { background: #f6f7f8; }
 code { background: #f0f2f4; padding: 0 3px; }
 """
-
-
-def write(results: Mapping[str, Any], directory: Path, subject: str, indent: int | None, **more: Any) -> None:
-    """Write SUBJECT.json and the page SUBJECT.md beside it.
-
-    Args:
-        results: of the report; NaN and infinity become null.
-        directory: of the report, with its pictures.
-        subject: of the report and of its template.
-        indent: of the JSON; None = all in one line.
-        more: what the template needs besides.
-
-    Raises:
-        OSError: a file cannot be written.
-    """
-    figures = json_ready(dict(results))
-    (directory / f"{subject}.json").write_text(json.dumps(figures, indent=indent, ensure_ascii=False) + "\n", "utf-8")
-    (directory / f"{subject}.md").write_text(render(subject, figures, **more), "utf-8")
 
 
 def render(subject: str, figures: Mapping[str, Any], **more: Any) -> str:
@@ -76,7 +59,10 @@ def rendered(name: str, values: Mapping[str, Any]) -> str:
 
 
 def _wrapped(block: str) -> str:
-    """Return prose as one paragraph, wrapped between words."""
+    """Return prose as one paragraph, wrapped between words, and a table with the line under its head."""
+    if block.startswith("|"):
+        head, newline, rows = block.partition("\n")
+        return f"{head}\n|{'---|' * (head.count('|') - 1)}{newline}{rows}"
     if block.startswith(_NO_PROSE):
         return block
     return textwrap.fill(" ".join(block.split()), _WIDTH, break_long_words=False, break_on_hyphens=False)

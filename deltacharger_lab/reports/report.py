@@ -3,22 +3,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import importlib
+import json
+import os
+import platform
 import time
 from collections.abc import Callable, Iterable, Mapping
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from deltacharger_lab.reports.machine import machine
-from deltacharger_lab.reports.page import write, write_html
+from deltacharger_lab.reports.page import render, write_html
+from deltacharger_ros.outcomes import json_ready
 
 
 class Report:
     """A report on its way: `results` takes what is measured; then `draw`, the targets, and `write`.
 
     Args:
-        subject: of the report, of its template and of its files.
+        subject: of the report, of its template and of its files SUBJECT.json and SUBJECT.md.
         command: that writes it.
         libraries: whose versions are told.
         html: whether the page is written as one HTML file too.
@@ -61,7 +66,7 @@ class Report:
         self.results["elapsed_s"] = time.monotonic() - self._started
 
     def write(self, directory: Path, indent: int | None = 1, **more: Any) -> dict[str, Any]:
-        """Write figures, page and HTML, and return the figures.
+        """Write figures (NaN and infinity as null), the page rendered from exactly these, and HTML; return the figures.
 
         Args:
             directory: of the report.
@@ -71,7 +76,29 @@ class Report:
         Raises:
             OSError: a file cannot be written.
         """
-        write(self.results, directory, self._subject, indent, **more)
+        figures, path = json_ready(self.results), directory / f"{self._subject}.json"
+        path.write_text(json.dumps(figures, indent=indent, ensure_ascii=False) + "\n", "utf-8")
+        path.with_suffix(".md").write_text(render(self._subject, figures, **more), "utf-8")
         if self._html:
-            write_html(directory / f"{self._subject}.md", directory / f"{self._subject}.html")
+            write_html(path.with_suffix(".md"), path.with_suffix(".html"))
         return self.results
+
+
+def machine(libraries: Iterable[str]) -> dict[str, Any]:
+    """Return processor, cores, load, system, Python and the versions of those libraries that are installed."""
+    versions = {}
+    for name in libraries:
+        with contextlib.suppress(PackageNotFoundError):
+            versions[name] = version(name)
+    lines: list[str] = []
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
+    names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    return {
+        "cores": os.cpu_count(),
+        "system": platform.system(),
+        "python": platform.python_version(),
+        "processor": next(names, platform.processor() or platform.machine()),
+        "load": os.getloadavg()[0],
+        "versions": versions,
+    }

@@ -190,7 +190,7 @@ def test_a_scene_that_does_not_run_says_why_and_keeps_no_other_from_it(
 
 def test_the_pages_tables_are_tables_and_hold_what_was_measured(quick: tuple[Path, dict[str, Any], str]) -> None:
     folder, answer, _ = quick
-    page = (folder / footprint_report.PAGE).read_text("utf-8")
+    page = (folder / "footprint.md").read_text("utf-8")
     tables = [block.split("\n") for block in page.strip().split("\n\n") if block.startswith("|")]
     assert len(tables) == 5
     for lines in tables:

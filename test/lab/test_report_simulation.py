@@ -65,7 +65,7 @@ def test_every_extreme_and_every_part_is_told(quick_report: Quick) -> None:
         assert f"| {scene.name} |" in page
     assert {row["part"] for row in figures["costs"]} == {*PARTS, PADS}
     docked = {row["part"] for row in figures["parts"]}
-    assert docked == set(list(PARTS)[: simulation_plan.quick_plan().parts])
+    assert docked == set(list(PARTS)[: simulation_plan.QUICK.parts])
     assert all(row["step_us"] > 0.0 and row["memory_kb"] > 0.0 for row in figures["costs"])
 
 
@@ -87,12 +87,12 @@ def test_the_packages_map_says_what_the_report_finds(quick_report: Quick) -> Non
     text = (quick_report[0] / stability.MODULE).read_text("utf-8")
     written: dict[str, Any] = {}
     exec(compile(text, stability.MODULE, "exec"), written)
-    assert written["STEPS"] == simulation_plan.quick_plan().map_steps
+    assert written["STEPS"] == simulation_plan.QUICK.map_steps
     assert [len(rows) for rows in written["CELLS"]] == [len(written["CONTACT_STIFFNESSES"])]
 
 
 def test_the_packaged_map_is_that_of_the_full_plan() -> None:
-    plan = simulation_plan.full_plan()
+    plan = simulation_plan.SimulationPlan()
     assert plan.map_steps == stability_map.STEPS
     assert plan.map_contacts == stability_map.CONTACT_STIFFNESSES
     assert plan.map_servos == stability_map.SERVO_STIFFNESSES

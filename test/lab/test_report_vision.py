@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from deltacharger_bringup.cli.main import main
+from deltacharger_lab.campaigns.summary import upper_bound
 from deltacharger_lab.reports.page import render
+from deltacharger_lab.reports.vision import conditions as vision_conditions
 from deltacharger_lab.reports.vision import mount as vision_mount
-from deltacharger_lab.reports.vision import page as vision_page
 from deltacharger_lab.reports.vision import plan as vision_plan
 from deltacharger_lab.reports.vision import views as vision_views
 from deltacharger_lab.reports.vision.conditions import (
@@ -106,7 +107,7 @@ def test_without_mujoco_and_pictures_the_page_says_why(quick_report: Quick) -> N
     figures["rows"] = {name: each for name, each in figures["rows"].items() if MUJOCO not in name}
     figures |= {"absent": {"mujoco": "its rows are left out: none here"}, "pictures": []}
     figures["missing_pictures"] = dict.fromkeys(NAMES, "no matplotlib")
-    page = render("vision", figures, view=vision_page)
+    page = render("vision", figures, view=vision_conditions, upper_bound=upper_bound)
     assert "- mujoco: its rows are left out: none here" in page
     assert f"(No picture {NAMES[0]}: no matplotlib)" in page
     assert ", MuJoCo |" not in page.split("## Two renderers")[1]

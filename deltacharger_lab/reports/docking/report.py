@@ -23,7 +23,7 @@ from deltacharger_lab.reports.docking.pictures import jobs, without
 from deltacharger_lab.reports.docking.plan import CampaignPart, DockingPlan
 from deltacharger_lab.reports.report import Report
 
-PAGE, FIGURES, CAMPAIGNS = "docking.md", "docking.json", "campaigns"
+CAMPAIGNS = "campaigns"
 _PAIRS = (("random", "paper"), ("random", "classes"), ("random", "published"), ("exact", "random"))
 _UNCHARGED_MOST = 60  # rows told one by one
 

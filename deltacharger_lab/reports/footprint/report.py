@@ -21,7 +21,6 @@ from deltacharger_lab.reports.footprint.start import ONE, CannotRun
 from deltacharger_lab.reports.report import Report
 from deltacharger_lab.reports.targets import at_least, at_most, none
 
-PAGE, FIGURES = "footprint.md", "footprint.json"
 BENCH = "bench"
 NEVER = ("torch", "sklearn", "cv2", "depthai", "mujoco", "matplotlib")  # in the bench scene
 

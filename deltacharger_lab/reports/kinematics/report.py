@@ -23,7 +23,6 @@ from deltacharger_lab.reports.kinematics.workspace import slice_workspace
 from deltacharger_lab.reports.report import Report
 from deltacharger_lab.reports.targets import at_least, at_most
 
-PAGE, FIGURES = "kinematics.md", "kinematics.json"
 _LIBRARIES = ("numpy", "mpmath", "scipy", "casadi", "pin", "matplotlib")
 DEFAULT_POINTS, QUICK_POINTS = 5_000, 200
 

@@ -14,7 +14,7 @@ MUJOCO_FAST = "MuJoCo implicitfast"
 
 @dataclass(frozen=True)
 class SimulationPlan:
-    """One report.
+    """One report; the defaults are those of the one that is committed.
 
     Attributes:
         reference_step: of the tiny-step reference, s.
@@ -31,54 +31,35 @@ class SimulationPlan:
         quick: whether it is for a first look.
     """
 
-    reference_step: float
-    steps: tuple[float, ...]
-    order_steps: tuple[float, ...]
-    map_steps: tuple[float, ...]
-    map_contacts: tuple[float, ...]
-    map_servos: tuple[float, ...]
-    repeats: int
-    timing_s: float
-    dockings: tuple[int, ...]
-    docking_steps: tuple[float, ...]
-    parts: int
-    quick: bool
+    reference_step: float = 5e-5
+    steps: tuple[float, ...] = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1)
+    order_steps: tuple[float, ...] = (5e-4, 1e-3, 2e-3, 5e-3, 1e-2)
+    map_steps: tuple[float, ...] = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1)
+    map_contacts: tuple[float, ...] = (1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9)
+    map_servos: tuple[float, ...] = (2.5, 5.0, 10.0, 15.0, 20.0)
+    repeats: int = 5
+    timing_s: float = 0.5
+    dockings: tuple[int, ...] = (1, 2, 3, 4)
+    docking_steps: tuple[float, ...] = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1)
+    parts: int = 100
+    quick: bool = False
 
 
-def full_plan() -> SimulationPlan:
-    """Return the report that is committed."""
-    return SimulationPlan(
-        reference_step=5e-5,
-        steps=(1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1),
-        order_steps=(5e-4, 1e-3, 2e-3, 5e-3, 1e-2),
-        map_steps=(1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1),
-        map_contacts=(1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9),
-        map_servos=(2.5, 5.0, 10.0, 15.0, 20.0),
-        repeats=5,
-        timing_s=0.5,
-        dockings=(1, 2, 3, 4),
-        docking_steps=(1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1),
-        parts=100,
-        quick=False,
-    )
-
-
-def quick_plan() -> SimulationPlan:
-    """Return a report for a first look."""
-    return SimulationPlan(
-        reference_step=2e-4,
-        steps=(1e-3, 5e-3, 1e-2, 1e-1),
-        order_steps=(1e-3, 2e-3, 5e-3, 1e-2),
-        map_steps=(1e-3, 1e-2, 1e-1),
-        map_contacts=(1e3, 1e5, 1e9),
-        map_servos=(15.0,),
-        repeats=2,
-        timing_s=0.2,
-        dockings=(1,),
-        docking_steps=(1e-2,),
-        parts=2,
-        quick=True,
-    )
+QUICK = SimulationPlan(
+    reference_step=2e-4,
+    steps=(1e-3, 5e-3, 1e-2, 1e-1),
+    order_steps=(1e-3, 2e-3, 5e-3, 1e-2),
+    map_steps=(1e-3, 1e-2, 1e-1),
+    map_contacts=(1e3, 1e5, 1e9),
+    map_servos=(15.0,),
+    repeats=2,
+    timing_s=0.2,
+    dockings=(1,),
+    docking_steps=(1e-2,),
+    parts=2,
+    quick=True,
+)
+"""For a first look."""
 
 
 def absent() -> dict[str, str]:

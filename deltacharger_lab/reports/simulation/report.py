@@ -10,13 +10,11 @@ from typing import Any
 
 from deltacharger_lab.reports.pool import ReportTask, joined, work
 from deltacharger_lab.reports.report import Report
-from deltacharger_lab.reports.simulation import energy, extremes, models, page, parts, stability
+from deltacharger_lab.reports.simulation import energy, extremes, models, parts, stability, summary
 from deltacharger_lab.reports.simulation.pictures import jobs
 from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan, absent, models_here
 from deltacharger_lab.reports.simulation.scenes import LIGHT, rms
-from deltacharger_lab.reports.simulation.summary import targets
 
-PAGE, FIGURES = "simulation.md", "simulation.json"
 ENERGY_STEPS = (0.0001, 0.001, 0.005, 0.01, 0.05)
 
 
@@ -43,12 +41,12 @@ def build(plan: SimulationPlan, directory: Path, command: str, progress: Callabl
     _measure(results, plan, names, progress)
     progress("pictures")
     report.draw(jobs(results), directory)
-    results["targets"] = targets(results)
+    results["targets"] = summary.targets(results)
     for bulky in ("reference", "traces"):
         del results[bulky]
     light = [point for point in results["map"] if point["model"] == LIGHT]
     (directory / stability.MODULE).write_text(stability.source(light, plan, command), "utf-8")
-    return report.write(directory, view=page)
+    return report.write(directory, view=summary, stability=stability, light=LIGHT, energy_parts=energy.PARTS)
 
 
 def _measure(

@@ -1,18 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the simulation was to reach, and what it reached."""
+"""What the simulation was to reach and what it reached, and what its page says of several runs together."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
+from deltacharger_lab.reports.formats import fixed
 from deltacharger_lab.reports.simulation.scenes import LIGHT
 from deltacharger_lab.reports.simulation.stability import DIVERGED
 from deltacharger_lab.reports.targets import at_least, at_most, none
 
+Row = dict[str, Any]
 AT = 0.01  # s, the step of the targets
 
 
-def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
+def targets(results: Row) -> list[Row]:
     """Return name, what is wanted, what was measured, its unit and whether it is met, of every target."""
     light = [point for point in results["map"] if point["model"] == LIGHT]
     at = [point for point in light if point["step"] == AT and 1e3 <= point["contact"] <= 1e7 and point["servo"] == 15.0]
@@ -34,3 +37,33 @@ def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
         at_least("order of convergence, free motion", order, 1.0, ""),
         at_most("whole report", results["elapsed_s"] / 60.0, 10.0, "min"),
     ]
+
+
+def is_calm(row: Row) -> bool:
+    """Return whether a run neither diverged nor moves at its end."""
+    return row["rms_mm"] is not None and row["speed"] is not None and row["speed"] < 1e-3
+
+
+def settled(errors: Iterable[Row]) -> list[float]:
+    """Return the forces (N) at which runs with friction came to rest, at steps up to 10 ms."""
+    return [row["force_rubbing"] for row in errors if is_calm(row) and row["step"] <= 0.01 if row["force_rubbing"] > 0]
+
+
+def grouped(rows: Iterable[Row], *keys: str) -> list[tuple[tuple[Any, ...], list[Row]]]:
+    """Return rows with the same values of `keys` together, in the order of the first of them."""
+    found: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        found.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return list(found.items())
+
+
+def ends(runs: Sequence[Row]) -> list[str]:
+    """Return codes, and means over the dockings that charged: time (s), contact current (A), misalignment (mm)."""
+    codes = ", ".join("charged" if run["code"] == "NONE" else run["code"] for run in runs)
+    charged = [run for run in runs if run["code"] == "NONE"]
+    columns = (("elapsed", 1), ("current", 3), ("rest_mm", 2))
+    return [codes, *(fixed(_mean([run[key] for run in charged]), digits) for key, digits in columns)]
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return sum(values) / len(values) if values else None

@@ -18,7 +18,6 @@ from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, TactilePlan, ab
 from deltacharger_lab.reports.tactile.timing import timing
 from deltacharger_tactile.parameters import TactileParameters
 
-PAGE, FIGURES, HTML = "tactile.md", "tactile.json", "tactile.html"
 _SPLIT_MODELS = ("knn", "forest", "lda", "pose")
 _LIBRARIES = ("numpy", "scikit-learn", "xgboost", "xgboost-cpu", "torch", "matplotlib")
 

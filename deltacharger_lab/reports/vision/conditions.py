@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -64,17 +65,16 @@ class Condition:
     away: float = math.nan
 
 
+_DOCKED = partial(views.plain, nearest=DOCK[0], farthest=DOCK[1])
+_IN_CLUTTER = partial(views.in_clutter, nearest=ANYWHERE[0], farthest=ANYWHERE[1])
+_IN_ROOM = partial(views.in_room, nearest=ANYWHERE[0], farthest=ANYWHERE[1])
+
+
 def _by_range() -> list[Condition]:
+    draws = [(away, partial(views.plain, nearest=away, farthest=away)) for away in RANGES]
     return [
-        Condition(
-            f"{away:.2f} m",
-            BY_RANGE,
-            partial(views.plain, nearest=away, farthest=away),
-            4 / 3,
-            stream=1 + number,
-            away=away,
-        )
-        for number, away in enumerate(RANGES)
+        Condition(f"{away:.2f} m", BY_RANGE, draw, 4 / 3, stream=number, away=away)
+        for number, (away, draw) in enumerate(draws, 1)
     ]
 
 
@@ -103,8 +103,8 @@ def _defects() -> list[Condition]:
             _defect(f"motion {value:g} px", camera={"motion_x": 0.75 * value, "motion_y": 0.66 * value})
             for value in (2.0, 4.0, 8.0)
         ),
-        Condition("clutter around", DEFECTS, partial(views.in_clutter, nearest=0.2, farthest=0.8)),
-        Condition("drawn room, decoys", DEFECTS, partial(views.in_room, nearest=0.2, farthest=0.8)),
+        Condition("clutter around", DEFECTS, _IN_CLUTTER),
+        Condition("drawn room, decoys", DEFECTS, _IN_ROOM),
         Condition(ALONE, DEFECTS, partial(views.plain, nearest=0.15, farthest=0.6), color_only=True),
     ]  # fmt: skip
 
@@ -130,17 +130,14 @@ def _alarms() -> list[Condition]:
 
 
 def _intrinsics() -> list[Condition]:
-    near = partial(views.plain, nearest=DOCK[0], farthest=DOCK[1])
-    found = [Condition("exact", INTRINSICS, near)]
+    told = {"exact": OAK_D}
     for percent in (-2, -1, 1, 2):
         factor = 1 + percent / 100
-        told = dataclasses.replace(OAK_D, fx=OAK_D.fx * factor, fy=OAK_D.fy * factor)
-        found.append(Condition(f"focal length {percent:+d} %", INTRINSICS, near, told=told))
-    for axis in "xy":
-        for shift in (-5, 5):
-            told = dataclasses.replace(OAK_D, **{f"c{axis}": getattr(OAK_D, f"c{axis}") + shift})
-            found.append(Condition(f"principal point {axis} {shift:+d} px", INTRINSICS, near, told=told))
-    return found
+        told[f"focal length {percent:+d} %"] = dataclasses.replace(OAK_D, fx=OAK_D.fx * factor, fy=OAK_D.fy * factor)
+    for axis, shift in itertools.product("xy", (-5, 5)):
+        moved = {f"c{axis}": getattr(OAK_D, f"c{axis}") + shift}
+        told[f"principal point {axis} {shift:+d} px"] = dataclasses.replace(OAK_D, **moved)
+    return [Condition(name, INTRINSICS, _DOCKED, told=each) for name, each in told.items()]
 
 
 LENSES = {
@@ -155,29 +152,26 @@ def _lenses() -> list[Condition]:
     found = []
     for name, distortion in LENSES.items():
         lens = dataclasses.replace(OAK_D, distortion=distortion)
-        draw = partial(views.plain, nearest=DOCK[0], farthest=DOCK[1], intrinsics=lens)
+        draw = partial(_DOCKED, intrinsics=lens)
         found.append(Condition(f"{name}, known", LENS, draw, takes=lens, told=lens))
         found.append(Condition(f"{name}, ignored", LENS, draw, takes=lens))
     return found
 
 
 def _sizes() -> list[Condition]:
-    found = []
-    for size in SIZES:
-        camera = OAK_D.scaled(*size)
-        draw = partial(views.plain, nearest=BAND[0], farthest=BAND[1])
-        found.append(Condition(f"{size[0]} × {size[1]} px", SIZE, draw, takes=camera, told=camera))
-    return found
+    draw = partial(views.plain, nearest=BAND[0], farthest=BAND[1])
+    cameras = [OAK_D.scaled(*size) for size in SIZES]
+    return [Condition(f"{of.width} × {of.height} px", SIZE, draw, takes=of, told=of) for of in cameras]
 
 
 def _renderers() -> list[Condition]:
     draws: dict[str, Draw] = {
-        "docking": partial(views.plain, nearest=DOCK[0], farthest=DOCK[1]),
+        "docking": _DOCKED,
         "approaching": partial(views.plain, nearest=APPROACH[0], farthest=APPROACH[1]),
         "exposure × 0.2": partial(_anywhere, camera={"exposure": 0.2}),
         "highlight 4": partial(_anywhere, scene={"highlight": 4.0}),
-        "clutter around": partial(views.in_clutter, nearest=0.2, farthest=0.8),
-        "drawn room, decoys": partial(views.in_room, nearest=0.2, farthest=0.8),
+        "clutter around": _IN_CLUTTER,
+        "drawn room, decoys": _IN_ROOM,
         "half of one bar hidden": partial(views.covered, share=0.5),
     }
     return [
@@ -187,8 +181,13 @@ def _renderers() -> list[Condition]:
     ]
 
 
+def key(condition: Condition) -> str:
+    """Return the key of a condition in CONDITIONS and in the figures."""
+    return f"{condition.group}: {condition.name}"
+
+
 CONDITIONS: dict[str, Condition] = {
-    f"{condition.group}: {condition.name}": condition
+    key(condition): condition
     for part in (_by_range, _defects, _hidden, _alarms, _intrinsics, _lenses, _sizes, _renderers)
     for condition in part()
 }
@@ -200,6 +199,6 @@ def members(group: str) -> list[Condition]:
     return [condition for condition in CONDITIONS.values() if condition.group == group]
 
 
-def key(condition: Condition) -> str:
-    """Return the key of a condition in CONDITIONS and in the figures."""
-    return f"{condition.group}: {condition.name}"
+def keys(*groups: str) -> list[str]:
+    """Return the keys of the rows of tables."""
+    return [key(each) for group in groups for each in members(group)]

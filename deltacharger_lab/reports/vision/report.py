@@ -7,14 +7,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from deltacharger_lab.campaigns.summary import upper_bound
 from deltacharger_lab.reports.pool import work
 from deltacharger_lab.reports.report import Report
-from deltacharger_lab.reports.vision import mount, page, summary
+from deltacharger_lab.reports.vision import conditions, mount, summary
 from deltacharger_lab.reports.vision.measure import FIELDS
 from deltacharger_lab.reports.vision.pictures import jobs
 from deltacharger_lab.reports.vision.plan import VisionPlan
 
-PAGE, FIGURES, HTML = "vision.md", "vision.json", "vision.html"
 _LIBRARIES = ("numpy", "opencv-python-headless", "opencv-python", "mujoco", "matplotlib")
 
 
@@ -42,7 +42,7 @@ def build(plan: VisionPlan, directory: Path, command: str, progress: Callable[[s
     progress("pictures")
     report.draw(jobs(results, plan), directory)
     results["targets"] = summary.targets(results)
-    return report.write(directory, None, view=page)
+    return report.write(directory, None, view=conditions, upper_bound=upper_bound)
 
 
 def _measure(results: dict[str, Any], plan: VisionPlan, progress: Callable[[str], None]) -> None:
@@ -53,5 +53,5 @@ def _measure(results: dict[str, Any], plan: VisionPlan, progress: Callable[[str]
     mounts = summary.gathered(found["mount"])
     results["rows"] = {name: summary.row(each) for name, each in images.items()}
     results["band"] = summary.row(summary.band(images))
-    results["mount"] = {name: summary.mount_row(each) for name, each in mounts.items()}
+    results["mount"] = {name: summary.row(each, mount.FIELDS) for name, each in mounts.items()}
     results["raw"] = {"fields": FIELDS, "images": images, "mount_fields": mount.FIELDS, "mount": mounts}

@@ -8,10 +8,10 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_lab.campaigns.summary import quantiles
 from deltacharger_lab.reports.targets import at_least, at_most
-from deltacharger_lab.reports.vision import conditions, mount
+from deltacharger_lab.reports.vision import conditions
 from deltacharger_lab.reports.vision.conditions import ALARMS, BAND, BY_RANGE, HIDDEN, members
 from deltacharger_lab.reports.vision.measure import FIELDS
 
@@ -26,43 +26,35 @@ def gathered(parts: Iterable[tuple[str, list[list[float]]]]) -> dict[str, list[l
     return found
 
 
-def row(images: Sequence[Sequence[float]]) -> Row:
-    """Return what images (N, FIELDS) of one kind come to; found are the detections that are right."""
-    table = np.array(images, dtype=float).reshape(-1, len(FIELDS))
-    right = table[(table[:, 1] > 0.0) & (table[:, 2] == 0.0)]
-    column = {name: right[:, index] for index, name in enumerate(FIELDS)}
-    return {
-        "images": len(table),
-        "found": len(right),
-        "wrong": int(table[:, 2].sum()),
-        **{f"{name}_p{share}": _quantile(column[name], share) for name in FIELDS[3:6] for share in (50, 95)},
-        "nees": float(np.mean(column["nees"])) if len(right) else math.nan,
-        "tilt_deg_p95": _quantile(column["tilt_deg"], 95),
-    }
-
-
-def mount_row(images: Sequence[Sequence[float]]) -> Row:
-    """Return what images (N, mount.FIELDS) of one level come to."""
-    table = np.array(images, dtype=float).reshape(-1, len(mount.FIELDS))
-    right = table[table[:, 1] > 0.0]
-    found: Row = {"images": len(table), "found": len(right)}
-    for index, name in enumerate(mount.FIELDS[2:7], start=2):
-        found |= {f"{name}_p{share}": _quantile(right[:, index], share) for share in (50, 95)}
-    return {**found, "nees": float(np.mean(right[:, 7])) if len(right) else math.nan}
+def row(images: Sequence[Sequence[float]], fields: Sequence[str] = FIELDS) -> Row:
+    """Return what images (N, fields) of one kind come to; found are the detections that are right."""
+    table = np.array(images, dtype=float).reshape(-1, len(fields))
+    column = dict(zip(fields, table.T, strict=True))
+    right = column["found"] > 0.0
+    found: Row = {"images": len(table)}
+    if "wrong" in column:
+        right &= column["wrong"] == 0.0
+        found["wrong"] = int(column["wrong"].sum())
+    found["found"] = int(right.sum())
+    for name in (each for each in fields if each.endswith(("_mm", "_deg"))):
+        found[f"{name}_p50"], found[f"{name}_p95"] = quantiles(column[name][right], 0.5, 0.95)
+    return {**found, "nees": float(np.mean(column["nees"][right])) if right.any() else math.nan}
 
 
 def band(images: dict[str, list[list[float]]]) -> list[list[float]]:
     """Return the images at all ranges that the targets speak of."""
-    near = [conditions.key(each) for each in members(BY_RANGE) if BAND[0] <= each.away <= BAND[1]]
-    return [image for name in near for image in images[name]]
+    return [image for name in _near() for image in images[name]]
+
+
+def _near() -> list[str]:
+    return [conditions.key(each) for each in members(BY_RANGE) if BAND[0] <= each.away <= BAND[1]]
 
 
 def targets(results: Row) -> list[Row]:
     """Return what the detector should reach beside what it does."""
     whole, rows = results["band"], results["rows"]
     half, alarms = rows[f"{HIDDEN}: {conditions.HALF_HIDDEN}"], rows[f"{ALARMS}: {conditions.CLUTTER}"]
-    near = [conditions.key(each) for each in members(BY_RANGE) if BAND[0] <= each.away <= BAND[1]]
-    slowest = max(results["times"][name]["median_ms"] for name in near)
+    slowest = max(results["times"][name]["median_ms"] for name in _near())
     where = f"{BAND[0]:g}–{BAND[1]:g} m"
     return [
         at_least(f"{where}, electrodes found", 100.0 * whole["found"] / whole["images"], 99.0, "%"),
@@ -74,8 +66,3 @@ def targets(results: Row) -> list[Row]:
         at_most("one frame on one core, slowest range, median", slowest, 15.0, "ms"),
         at_most("false alarms in clutter, with depth", alarms["wrong"], 0.0, f"of {alarms['images']}"),
     ]
-
-
-def _quantile(values: NDArray[np.float64], percent: float) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.percentile(known, percent)) if len(known) else math.nan
