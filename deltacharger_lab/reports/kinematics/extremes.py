@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -36,12 +36,13 @@ class Case:
 
     Attributes:
         name: of the row.
-        given: the point (m) or the arm angles (rad).
+        given: the point (m), or the arm angles (rad) where `forward` is set.
         wanted: bits that the status must have; any one of them where `either` is set.
         answered: whether numbers must come back, for all limbs.
         geometry: of the robot.
         margin: that must come back exactly; None = not checked.
         either: one of the `wanted` bits is enough.
+        forward: whether forward kinematics is asked.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Case:
     geometry: DeltaGeometry = field(default_factory=DeltaGeometry)
     margin: float | None = None
     either: bool = False
+    forward: bool = False
 
 
 def inverse_cases(plan: KinematicsPlan) -> list[Case]:
@@ -106,50 +108,44 @@ def forward_cases() -> list[Case]:
 
 def run_cases(plan: KinematicsPlan) -> list[dict[str, Any]]:
     """Return for each case what came back, its error, and whether it is what must come back."""
-    rows = [_guarded(_inverse_row, case) for case in inverse_cases(plan)]
-    rows += [_guarded(_forward_row, case) for case in forward_cases()]
-    return [*rows, _bad_row_in_batch(), _strict_row(), _empty_row(), _shape_row(), _geometry_row()]
+    cases = inverse_cases(plan) + [replace(case, forward=True) for case in forward_cases()]
+    laws = [_bad_row_in_batch(), _strict_row(), _empty_row(), _shape_row(), _geometry_row()]
+    return [_guarded(case) for case in cases] + laws
 
 
-def _guarded(run: Callable[[Case], dict[str, Any]], case: Case) -> dict[str, Any]:
+def _guarded(case: Case) -> dict[str, Any]:
     try:
-        return run(case)
+        return _case_row(case)
     except Exception as error:  # no input may raise; one that does belongs into the table
         return _law(case.name, f"{type(error).__name__}: {error}", False)
 
 
-def _inverse_row(case: Case) -> dict[str, Any]:
-    delta, exact = Delta(case.geometry), ExactDelta(case.geometry)
-    (one, many), warned = _quietly(lambda: (delta.inverse(case.given), delta.inverse(np.asarray(case.given)[None])))
-    status, angles = Status(int(one.status)), np.asarray(one.angles, dtype=np.float64)
-    error = trip = _NAN
-    if np.isfinite(angles).all():
-        point = np.asarray(case.given, dtype=np.float64)[None]
-        error = float(exact.inverse(point).angles.angle_error(np.stack([angles, many.angles[0]])).max())
-        mirrored = -1 if Status.WRONG_ASSEMBLY in status else 1
-        back = ExactDelta(case.geometry, assembly=mirrored).forward(angles[None])
-        trip = float(back.distance(point)[0])
-    margin = float(one.margin)
-    fits = _fits(case, status, angles, error) and (case.margin is None or margin == case.margin)
-    remark = _remark(fits, _agree(status, angles, many.status[0], many.angles[0]), warned)
-    return _row(case.name, _show(angles, 1.0, "rad"), remark, name_status(status), margin, error, "rad", trip)
+def _case_row(case: Case) -> dict[str, Any]:
+    delta = Delta(case.geometry)
+    solve, answer = (delta.forward, "position") if case.forward else (delta.inverse, "angles")
+    (one, many), warned = _quietly(lambda: (solve(case.given), solve(np.asarray(case.given)[None])))
+    status, numbers, others = Status(int(one.status)), np.asarray(getattr(one, answer)), getattr(many, answer)[0]
+    error, trip = _errors(case, status, np.stack([numbers, others])) if np.isfinite(numbers).all() else (_NAN, _NAN)
+    agree = int(many.status[0]) == int(status) and np.array_equal(np.isnan(others), np.isnan(numbers))
+    margin = _NAN if case.forward else float(one.margin)
+    has = bool(status & case.wanted) if case.either else (status & case.wanted) == case.wanted
+    fits = has and bool(np.isfinite(numbers).all()) == case.answered
+    fits &= (not case.answered or error <= _ANGLE_BOUND) and (case.margin is None or margin == case.margin)
+    notes = ((not fits, _WRONG), (not agree, "single call and array differ"), (warned, "numpy warned"))
+    remark = "; ".join(note for is_so, note in notes if is_so)
+    shown, unit = (_show(numbers, 1e3, "mm"), "m") if case.forward else (_show(numbers, 1.0, "rad"), "rad")
+    return _row(case.name, shown, remark, name_status(status), margin, error, unit, trip)
 
 
-def _forward_row(case: Case) -> dict[str, Any]:
-    delta, exact = Delta(case.geometry), ExactDelta(case.geometry)
-    (one, many), warned = _quietly(lambda: (delta.forward(case.given), delta.forward(np.asarray(case.given)[None])))
-    status, position = Status(int(one.status)), np.asarray(one.position, dtype=np.float64)
-    error = _NAN
-    if np.isfinite(position).all():
-        truth = exact.forward(np.asarray(case.given, dtype=np.float64)[None])
-        error = float(truth.distance(np.stack([position, many.position[0]])).max())
-    fits = _fits(case, status, position, error)
-    remark = _remark(fits, _agree(status, position, many.status[0], many.position[0]), warned)
-    return _row(case.name, _show(position, 1e3, "mm"), remark, name_status(status), _NAN, error, "m")
-
-
-def _agree(status: Status, numbers: Array, other_status: Any, others: Array) -> bool:
-    return int(other_status) == int(status) and np.array_equal(np.isnan(others), np.isnan(numbers))
+def _errors(case: Case, status: Status, answers: Array) -> tuple[float, float]:
+    """Return the largest error of answers (n, 3), and how far the angles of the first lead from the point, m."""
+    given = np.asarray(case.given, dtype=np.float64)[None]
+    exact = ExactDelta(case.geometry)
+    if case.forward:
+        return float(exact.forward(given).distance(answers).max()), _NAN
+    mirrored = ExactDelta(case.geometry, assembly=-1 if Status.WRONG_ASSEMBLY in status else 1)
+    trip = float(mirrored.forward(answers[:1]).distance(given)[0])
+    return float(exact.inverse(given).angles.angle_error(answers).max()), trip
 
 
 def _row(
@@ -167,23 +163,12 @@ def _row(
     return {"name": name, "status": status, "answer": answer, **figures, "ok": not remark, "remark": remark}
 
 
-def _fits(case: Case, status: Status, numbers: Array, error: float) -> bool:
-    has = bool(status & case.wanted) if case.either else (status & case.wanted) == case.wanted
-    good = not case.answered or error <= _ANGLE_BOUND
-    return has and bool(np.isfinite(numbers).all()) == case.answered and good
-
-
 def _quietly(call: Callable[[], Any]) -> tuple[Any, bool]:
     """Return what a call returns and whether it warned."""
     with warnings.catch_warnings(record=True) as caught, np.errstate(all="warn"):
         warnings.simplefilter("always")
         result = call()
     return result, bool(caught)
-
-
-def _remark(fits: bool, agree: bool, warned: bool) -> str:
-    notes = ((not fits, _WRONG), (not agree, "single call and array differ"), (warned, "numpy warned"))
-    return "; ".join(note for is_so, note in notes if is_so)
 
 
 def _bad_row_in_batch() -> dict[str, Any]:
@@ -200,11 +185,10 @@ def _strict_row() -> dict[str, Any]:
     points = [[0.0, 0.0, 0.05], [_NAN, 0.0, 0.0], [0.0, 0.0, 1.0]]
     try:
         Delta().inverse(points, strict=True)
+        answer, holds = "no error", False
     except KinematicsError as error:
-        return _law(
-            "strict=True with rows 1 and 2 bad", f"KinematicsError, indices {error.indices}", error.indices == [1, 2]
-        )
-    return _law("strict=True with rows 1 and 2 bad", "no error", False)
+        answer, holds = f"KinematicsError, indices {error.indices}", error.indices == [1, 2]
+    return _law("strict=True with rows 1 and 2 bad", answer, holds)
 
 
 def _empty_row() -> dict[str, Any]:
@@ -215,9 +199,10 @@ def _empty_row() -> dict[str, Any]:
 def _shape_row() -> dict[str, Any]:
     try:
         Delta().inverse([[1.0, 2.0]])
+        answer, holds = "no error", False
     except ValueError as error:
-        return _law("two coordinates instead of three", f"ValueError: {error}", True)
-    return _law("two coordinates instead of three", "no error", False)
+        answer, holds = f"ValueError: {error}", True
+    return _law("two coordinates instead of three", answer, holds)
 
 
 def _geometry_row() -> dict[str, Any]:

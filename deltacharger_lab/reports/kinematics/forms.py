@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,25 +26,11 @@ _NAN3: Vector = (math.nan, math.nan, math.nan)
 Number = Any
 
 
-@dataclass(frozen=True)
-class Functions:
-    """The functions that a form needs, for arrays or for one number."""
-
-    sqrt: Callable[[Number], Number]
-    sin: Callable[[Number], Number]
-    cos: Callable[[Number], Number]
-    atan: Callable[[Number], Number]
-    atan2: Callable[[Number, Number], Number]
-    acos: Callable[[Number], Number]
-    where: Callable[[Number, Number, Number], Number]
-
-
-def _choose(condition: bool, yes: float, no: float) -> float:
-    return yes if condition else no
-
-
-ARRAYS = Functions(np.sqrt, np.sin, np.cos, np.arctan, np.arctan2, np.arccos, np.where)
-ONE = Functions(math.sqrt, math.sin, math.cos, math.atan, math.atan2, math.acos, _choose)
+# `math`, or numpy's functions under the same names.
+Functions = Any
+ARRAYS: Functions = SimpleNamespace(
+    sqrt=np.sqrt, sin=np.sin, cos=np.cos, atan=np.arctan, atan2=np.arctan2, acos=np.arccos
+)
 
 LimbForm = Callable[[Number, Number, Number, DeltaGeometry, Functions], Number]
 
@@ -57,7 +43,7 @@ def tutorial(r: Number, v: Number, w: Number, geometry: DeltaGeometry, m: Functi
     b = (motor - joint) / w
     discriminant = arm * arm * (b * b + 1.0) - (a + b * motor) * (a + b * motor)
     y = (motor - a * b - m.sqrt(discriminant)) / (b * b + 1.0)
-    return m.atan((a + b * y) / (motor - y)) + m.where(y > motor, math.pi, 0.0)
+    return m.atan((a + b * y) / (motor - y)) + math.pi * (y > motor)
 
 
 def firmware(r: Number, v: Number, w: Number, geometry: DeltaGeometry, m: Functions) -> Number:
@@ -132,9 +118,9 @@ def inverse_one(form: LimbForm, geometry: DeltaGeometry, x: float, y: float, z: 
     w = z + geometry.z_offset
     try:
         return (
-            form(x, y, w, geometry, ONE),
-            form(x * _C1 + y * _S1, y * _C1 - x * _S1, w, geometry, ONE),
-            form(x * _C1 - y * _S1, y * _C1 + x * _S1, w, geometry, ONE),
+            form(x, y, w, geometry, math),
+            form(x * _C1 + y * _S1, y * _C1 - x * _S1, w, geometry, math),
+            form(x * _C1 - y * _S1, y * _C1 + x * _S1, w, geometry, math),
         )
     except (ValueError, ZeroDivisionError):
         return _NAN3
@@ -200,8 +186,9 @@ def forward_array(form: SphereForm, geometry: DeltaGeometry, angles: Array) -> A
 def forward_one(form: SphereForm, geometry: DeltaGeometry, a0: float, a1: float, a2: float) -> Vector:
     """Return the position of one set of arm angles by one form; NaN where it has none."""
     try:
-        centres: Any = [_elbow(a, c, s, geometry, ONE) for a, (c, s) in zip((a0, a1, a2), LIMB_DIRECTIONS, strict=True)]
-        x, y, z = form(centres, geometry.rod, ONE)
+        angles = zip((a0, a1, a2), LIMB_DIRECTIONS, strict=True)
+        centres: Any = [_elbow(angle, c, s, geometry, math) for angle, (c, s) in angles]
+        x, y, z = form(centres, geometry.rod, math)
     except (ValueError, ZeroDivisionError):
         return _NAN3
     return x, y, z - geometry.z_offset

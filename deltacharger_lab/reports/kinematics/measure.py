@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,9 +13,9 @@ from numpy.typing import NDArray
 
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_lab.reports.kinematics import sets
-from deltacharger_lab.reports.kinematics.reference import Exact, ExactDelta, ExactInverse
+from deltacharger_lab.reports.kinematics.reference import Exact, ExactDelta
 from deltacharger_lab.reports.kinematics.sets import PointSet
-from deltacharger_lab.reports.kinematics.solvers import Solver, answers, calls_reachable
+from deltacharger_lab.reports.kinematics.solvers import Solver, calls_reachable
 from deltacharger_lab.reports.kinematics.timing import Stopwatch
 
 Array = NDArray[np.float64]
@@ -51,18 +52,22 @@ class KinematicsPlan:
 
 @dataclass(frozen=True)
 class ErrorSample:
-    """A set with its exact angles."""
+    """Points, or arm angles, with the exact answer to each and that of the other knees or of the mirror image."""
 
     points: PointSet
-    exact: ExactInverse
+    right: Exact
+    other: Exact
 
-    def first(self, count: int) -> ErrorSample:
-        """Return the first `count` points with their angles."""
-        inverse = self.exact
-        cut = [Exact(each.high[:count], each.low[:count]) for each in (inverse.angles, inverse.other)]
-        edge = None if self.points.edge is None else self.points.edge[:count]
-        chosen = PointSet(self.points.name, self.points.about, self.points.points[:count], edge)
-        return ErrorSample(chosen, ExactInverse(*cut))
+    def of(self, solver: Solver, plan: KinematicsPlan) -> ErrorSample:
+        """Return what a solver is measured on: the first few for the slow general ones."""
+        if solver.family != "peer":
+            return self
+        count = plan.peer_points
+        return ErrorSample(self.points.first(count), self.right.first(count), self.other.first(count))
+
+
+Verdict = tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]
+"""Of each answer (n,): its error, NaN where there is none; whether there is none; whether it is the other one."""
 
 
 def inverse_samples(exact: ExactDelta, plan: KinematicsPlan) -> list[ErrorSample]:
@@ -75,7 +80,7 @@ def inverse_samples(exact: ExactDelta, plan: KinematicsPlan) -> list[ErrorSample
         sets.near_type_2(geometry, plan.generator(4), plan.points),
         sets.wide(geometry, plan.generator(5), plan.points),
     ]
-    return [ErrorSample(each, exact.inverse(each.points)) for each in drawn]
+    return [ErrorSample(each, *exact.inverse(each.points)) for each in drawn]
 
 
 def describe(samples: Sequence[PointSet], plan: KinematicsPlan, peer_points: int) -> list[dict[str, Any]]:
@@ -92,45 +97,59 @@ def describe(samples: Sequence[PointSet], plan: KinematicsPlan, peer_points: int
     ]
 
 
-def pose_errors(sample: ErrorSample, angles: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return per pose: error (n,) rad of its worst angle, no answer (n,), wrong knee (n,)."""
-    error, to_other = sample.exact.angles.angle_error(angles), sample.exact.other.angle_error(angles)
-    apart = sample.exact.angles.angle_error(sample.exact.other.high)
+def inverse_errors(sample: ErrorSample, angles: Array) -> Verdict:
+    """Judge arm angles (n, 3): the error of a pose is that of its worst angle, rad."""
+    error, to_other = sample.right.angle_error(angles), sample.other.angle_error(angles)
+    apart = sample.right.angle_error(sample.other.high)
     missing = ~np.isfinite(angles).all(-1)
     wrong = ~missing & ((to_other < 0.1 * error) & (apart > _MERGED)).any(-1)
-    worst = np.where(missing | wrong, np.nan, error.max(-1))
-    return np.asarray(worst), np.asarray(missing), np.asarray(wrong)
+    return np.where(missing | wrong, np.nan, error.max(-1)), np.asarray(missing), np.asarray(wrong)
 
 
-def inverse_accuracy(
-    solvers: Sequence[Solver], samples: Sequence[ErrorSample], geometry: DeltaGeometry, plan: KinematicsPlan
-) -> dict[str, dict[str, dict[str, float]]]:
-    """Return for each solver and set: median and maximum error, shares without an answer and on the wrong knee."""
-    found: dict[str, dict[str, dict[str, float]]] = {}
+def forward_errors(sample: ErrorSample, positions: Array) -> Verdict:
+    """Judge positions (n, 3), m."""
+    error = sample.right.distance(positions)
+    # Angles rounded to doubles may have no position at all; nobody can miss that one.
+    missing = ~np.isfinite(positions).all(-1) & np.isfinite(sample.right.high).all(-1)
+    mirrored = ~missing & (sample.other.distance(positions) < 0.1 * error)
+    return np.where(missing | mirrored, np.nan, error), np.asarray(missing), np.asarray(mirrored)
+
+
+def accuracy(
+    solvers: Sequence[Solver],
+    samples: Sequence[ErrorSample],
+    plan: KinematicsPlan,
+    judge: Callable[[ErrorSample, Array], Verdict],
+    other: str,
+) -> list[dict[str, Any]]:
+    """Return for each solver and set: median and maximum error, shares without an answer and with the other one.
+
+    Args:
+        solvers: what is measured.
+        samples: on what.
+        plan: how much of it.
+        judge: what answers are worth.
+        other: what answers that are the other one are called.
+    """
+    found = []
     for solver in solvers:
-        row = found[solver.name] = {}
+        row = {}
         for sample in samples:
-            used = sample.first(plan.peer_points) if solver.family == "peer" else sample
-            angles = answers(solver, geometry, used.points.points)
-            worst, missing, wrong = pose_errors(used, angles)
-            row[sample.points.name] = {
-                "count": len(worst),
-                **_median_and_max(worst),
-                "none": float(missing.mean()),
-                "wrong": float(wrong.mean()),
-            }
+            used = sample.of(solver, plan)
+            error, missing, mistaken = judge(used, solver.solve(used.points.points))
+            shares = {"none": float(missing.mean()), other: float(mistaken.mean())}
+            row[sample.points.name] = {"count": len(error), **_median_and_max(error), **shares}
+        found.append({"name": solver.name, "family": solver.family, "sets": row})
     return found
 
 
-def edge_curve(
-    solvers: Sequence[Solver], sample: ErrorSample, geometry: DeltaGeometry, plan: KinematicsPlan
-) -> dict[str, list[float | None]]:
+def edge_curve(solvers: Sequence[Solver], sample: ErrorSample, plan: KinematicsPlan) -> dict[str, list[float | None]]:
     """Return the largest error per decade of distance to the edge of reach, from 1e-17 m up; None = no answer there."""
     curves: dict[str, list[float | None]] = {}
     for solver in solvers:
-        used = sample.first(plan.peer_points) if solver.family == "peer" else sample
+        used = sample.of(solver, plan)
         assert used.points.edge is not None
-        worst, _, _ = pose_errors(used, answers(solver, geometry, used.points.points))
+        worst, _, _ = inverse_errors(used, solver.solve(used.points.points))
         decade = np.floor(np.log10(used.points.edge)).astype(int)
         curves[solver.name] = [_largest(worst[decade == each]) for each in DECADES]
     return curves
@@ -140,7 +159,6 @@ def reach_decisions(
     solvers: Sequence[Solver], exact: ExactDelta, inside: ErrorSample, plan: KinematicsPlan
 ) -> tuple[list[PointSet], dict[str, dict[str, int]]]:
     """Return the sets, outside and inside reach, and for each solver how many points it puts on the other side."""
-    geometry = exact.geometry
     drawn = [
         sets.outside(exact, plan.generator(6), plan.points, -15.0, -3.0),
         sets.outside(exact, plan.generator(7), plan.points, -17.0, -15.0),
@@ -150,42 +168,19 @@ def reach_decisions(
     for solver in solvers:
         row = found[solver.name] = {}
         for each in drawn:
-            points = each.points[: plan.peer_points] if solver.family == "peer" else each.points
-            reachable = calls_reachable(solver, geometry, points)
+            points = each.points[: plan.peer_points if solver.family == "peer" else None]
+            reachable = calls_reachable(solver, points)
             mistaken = ~reachable if each is inside.points else reachable
             row[each.name] = int(mistaken.sum())
             row[f"{each.name} count"] = len(points)
     return drawn, found
 
 
-def forward_accuracy(
-    solvers: Sequence[Solver], exact: ExactDelta, samples: Sequence[ErrorSample], plan: KinematicsPlan
-) -> dict[str, dict[str, dict[str, float]]]:
-    """Return for each solver and set: median and maximum error in m, shares without an answer and mirrored."""
+def forward_samples(exact: ExactDelta, samples: Sequence[ErrorSample]) -> list[ErrorSample]:
+    """Return the arm angles of sets as those on which forward kinematics is measured."""
     mirror = ExactDelta(exact.geometry, exact.working_mode, -exact.assembly)
-    truths = []
-    for sample in samples:
-        angles = sample.exact.angles.high
-        truths.append((sample.points.name, angles, exact.forward(angles), mirror.forward(angles)))
-    found: dict[str, dict[str, dict[str, float]]] = {}
-    for solver in solvers:
-        row = found[solver.name] = {}
-        count = plan.peer_points if solver.family == "peer" else None
-        for name, angles, right, other in truths:
-            positions = solver.solve(angles[:count])
-            error = Exact(right.high[:count], right.low[:count]).distance(positions)
-            to_other = Exact(other.high[:count], other.low[:count]).distance(positions)
-            # Angles rounded to doubles may have no position at all; nobody can miss that one.
-            missing = ~np.isfinite(positions).all(-1) & np.isfinite(right.high[:count]).all(-1)
-            mirrored = ~missing & (to_other < 0.1 * error)
-            worst = np.where(missing | mirrored, np.nan, error)
-            row[name] = {
-                "count": len(worst),
-                **_median_and_max(worst),
-                "none": float(missing.mean()),
-                "mirrored": float(mirrored.mean()),
-            }
-    return found
+    drawn = [dataclasses.replace(each.points, points=each.right.high, edge=None) for each in samples]
+    return [ErrorSample(each, exact.forward(each.points), mirror.forward(each.points)) for each in drawn]
 
 
 def round_trips(geometry: DeltaGeometry, plan: KinematicsPlan) -> dict[str, dict[str, float]]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,10 @@ class Exact:
     high: Array
     low: Array
 
+    def first(self, count: int) -> Exact:
+        """Return the first `count` of them."""
+        return Exact(self.high[:count], self.low[:count])
+
     def angle_error(self, angles: Array) -> Array:
         """Return |angles − exact| (..., 3) rad over the shorter way round; NaN where either has no answer."""
         with np.errstate(invalid="ignore"):
@@ -44,8 +48,7 @@ class Exact:
         return np.asarray(np.sqrt((rest * rest).sum(-1)), dtype=np.float64)
 
 
-@dataclass(frozen=True)
-class ExactInverse:
+class ExactInverse(NamedTuple):
     """Arm angles (n, 3) rad of the working mode asked for and of each limb's other knee; NaN out of reach."""
 
     angles: Exact

@@ -82,21 +82,18 @@ def _measure_errors(
     plan: KinematicsPlan,
     progress: Callable[[str], None],
 ) -> None:
-    geometry = exact.geometry
     by_name = {sample.points.name: sample for sample in samples}
     progress("errors of inverse kinematics")
-    errors = measure.inverse_accuracy(inverse, samples, geometry, plan)
-    results["inverse"] = [{"name": each.name, "family": each.family, "sets": errors[each.name]} for each in inverse]
-    curves = measure.edge_curve(inverse, by_name["boundary"], geometry, plan)
+    results["inverse"] = measure.accuracy(inverse, samples, plan, measure.inverse_errors, "wrong")
+    curves = measure.edge_curve(inverse, by_name["boundary"], plan)
     results["edge"] = {"decades": [10.0**each for each in measure.DECADES], "curves": curves}
     progress("decisions at the edge of reach")
     drawn, decisions = measure.reach_decisions(inverse, exact, by_name["boundary"], plan)
     results["reach"] = {"sets": measure.describe(drawn, plan, plan.peer_points), "solvers": decisions}
     progress("errors of forward kinematics")
-    there = [by_name[name] for name in ("interior", "wide", "near type 2")]
-    positions = measure.forward_accuracy(forward, exact, there, plan)
-    results["forward"] = [{"name": each.name, "family": each.family, "sets": positions[each.name]} for each in forward]
-    results["round_trip"] = measure.round_trips(geometry, plan)
+    there = measure.forward_samples(exact, [by_name[name] for name in ("interior", "wide", "near type 2")])
+    results["forward"] = measure.accuracy(forward, there, plan, measure.forward_errors, "mirrored")
+    results["round_trip"] = measure.round_trips(exact.geometry, plan)
 
 
 def _measure_speed(
@@ -119,7 +116,7 @@ def _measure_speed(
         costs = speed.solver_costs(inverse, sample.points.points, plan)
         for row in results["inverse"]:
             row["times"][sample.points.name] = costs[row["name"]]
-    angles = box.exact.angles.high
+    angles = box.right.high
     costs = speed.solver_costs(forward, angles, plan)
     for row in results["forward"]:
         row |= costs[row["name"]]

@@ -7,16 +7,17 @@ distance to the edge, in 60 digits, is the one wanted: 1e-17 m can only be hit t
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.geometry import LIMB_DIRECTIONS
+from deltacharger_kinematics.limb_arrays import LimbArrays
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 
 Array = NDArray[np.float64]
@@ -44,18 +45,24 @@ class PointSet:
     points: Array
     edge: Array | None = None
 
+    def first(self, count: int) -> PointSet:
+        """Return the first `count` points."""
+        edge = None if self.edge is None else self.edge[:count]
+        return dataclasses.replace(self, points=self.points[:count], edge=edge)
+
 
 def plain_edge(geometry: DeltaGeometry, points: Array) -> Array:
     """Return how far inside reach points (n, 3) lie for each limb (n, 3), m, in plain doubles."""
-    edges = []
-    for index in range(3):
-        limb = geometry.limb(index)
-        u = points[:, 0] * limb.cosine + points[:, 1] * limb.sine - limb.difference
-        v = points[:, 1] * limb.cosine - points[:, 0] * limb.sine - limb.tangential_offset
-        across = np.hypot(u, points[:, 2] + limb.motor_height)
-        nearest, farthest = np.hypot(across - limb.arm, v), np.hypot(across + limb.arm, v)
-        edges.append(np.minimum(limb.rod - nearest, farthest - limb.rod))
-    return np.stack(edges, axis=-1)
+    limbs = _limbs(geometry)
+    x, y, z = points.T
+    across = np.hypot(x * limbs.cosine + y * limbs.sine - limbs.difference, z + limbs.motor_height)
+    side = y * limbs.cosine - x * limbs.sine - limbs.tangential
+    nearest, farthest = np.hypot(across - limbs.arm, side), np.hypot(across + limbs.arm, side)
+    return np.asarray(np.minimum(limbs.rod - nearest, farthest - limbs.rod).T)
+
+
+def _limbs(geometry: DeltaGeometry) -> LimbArrays:
+    return LimbArrays(geometry, (-1, -1, -1))
 
 
 def interior(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -> PointSet:
@@ -193,17 +200,19 @@ def _near_edge(
     """Return points (n, 3) and their exact signed distance (n,) to the edge of reach."""
     geometry = exact.geometry
     low, high = (10.0**decade * (geometry.arm + geometry.rod) / _DEFAULT_SPAN for decade in decades)
-    arms, rods = (np.array([getattr(geometry.limb(index), name) for index in range(3)]) for name in ("arm", "rod"))
+    arrays = _limbs(geometry)
+    arms, rods = arrays.arm[:, 0], arrays.rod[:, 0]
     clear = _CLEAR * min(arms.min(), rods.min())
     points, edges = [np.empty((0, 3))], [np.empty(0)]
     missing = count
     for _ in range(_ATTEMPTS):
         wanted = np.exp(rng.uniform(math.log(low), math.log(high), 32 * max(missing, 8))) * (1.0 if inside else -1.0)
         limbs = rng.integers(0, 3, len(wanted))
-        placed = _in_base(geometry, limbs, place(arms[limbs], rods[limbs], rng, wanted))
+        placed = _in_base(arrays, limbs, place(arms[limbs], rods[limbs], rng, wanted))
         others = np.where(np.arange(3) == limbs[:, None], np.inf, plain_edge(geometry, placed)).min(-1)
         keep = np.flatnonzero(np.isfinite(placed).all(-1) & (others > clear))[:missing]
-        for chosen in _rounds(keep):
+        for start in range(0, len(keep), _ROUND):
+            chosen = keep[start : start + _ROUND]
             moved = _settle(exact, placed[chosen], limbs[chosen], wanted[chosen])
             distance = exact.edge(moved).min(-1)
             right = (distance > 0.0) if inside else (distance < 0.0)
@@ -216,20 +225,14 @@ def _near_edge(
     return np.concatenate(points), np.concatenate(edges)
 
 
-def _rounds(indices: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
-    for start in range(0, len(indices), _ROUND):
-        yield indices[start : start + _ROUND]
-
-
-def _in_base(geometry: DeltaGeometry, limbs: NDArray[np.int64], placement: Placement) -> Array:
+def _in_base(arrays: LimbArrays, limbs: NDArray[np.int64], placement: Placement) -> Array:
     """Turn distance, angle and sideways offset of the limb aimed at into points (n, 3); NaN where there is none."""
     across, angle, side = placement
     across = np.where(across >= 0.0, across, np.nan)
-    each = [geometry.limb(index) for index in range(3)]
-    radial = across * np.cos(angle) + np.array([limb.difference for limb in each])[limbs]
-    side = side + np.array([limb.tangential_offset for limb in each])[limbs]
-    height = across * np.sin(angle) - np.array([limb.motor_height for limb in each])[limbs]
-    cosine, sine = np.array(LIMB_DIRECTIONS)[limbs].T
+    names = ("difference", "tangential", "motor_height", "cosine", "sine")
+    inward, tangential, height, cosine, sine = (getattr(arrays, name)[limbs, 0] for name in names)
+    radial, side = across * np.cos(angle) + inward, side + tangential
+    height = across * np.sin(angle) - height
     return np.stack([radial * cosine - side * sine, radial * sine + side * cosine, height], axis=-1)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_kinematics import Delta, DeltaGeometry
-from deltacharger_kinematics.geometry import LIMB_DIRECTIONS
+from deltacharger_kinematics.limb_arrays import LimbArrays
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_lab.reports.kinematics.forms import (
     FORWARD_FORMS,
@@ -42,6 +42,7 @@ class Solver:
         array: (n, 3) to (n, 3) in one call; None = it has no such call.
         one: a single triple; None = arrays only.
         takes: what `one` is called with: three floats, one tuple, or one array.
+        rods: of this robot must close, or an answer is none; None = every answer counts.
     """
 
     name: str
@@ -49,20 +50,28 @@ class Solver:
     array: Callable[[Array], Array] | None = None
     one: Callable[..., Any] | None = None
     takes: Literal["floats", "tuple", "array"] = "floats"
+    rods: DeltaGeometry | None = None
 
-    def arguments(self, triples: Array) -> list[tuple[Any, ...]]:
-        """Return the arguments with which `one` solves each of the triples (n, 3)."""
-        if self.takes == "array":
-            return [(triple,) for triple in triples]
-        rows = [tuple(row) for row in triples.tolist()]
-        return rows if self.takes == "floats" else [(row,) for row in rows]
+    def each(self, triples: Array) -> Callable[[], list[Any]] | None:
+        """Return a call that solves triples (n, 3) one by one; None where `one` is missing."""
+        one = self.one
+        if one is None:
+            return None
+        rows = triples if self.takes == "array" else [tuple(row) for row in triples.tolist()]
+        arguments = rows if self.takes == "floats" else [(row,) for row in rows]
+        return lambda: [one(*each) for each in arguments]
 
     def solve(self, triples: Array) -> Array:
-        """Return the answers (n, 3), by the array call where there is one."""
+        """Return the answers (n, 3) that it stands by, from the array call where there is one; NaN for the others."""
         if self.array is not None:
-            return self.array(triples)
-        assert self.one is not None
-        return np.array([self.one(*each) for each in self.arguments(triples)], dtype=np.float64).reshape(-1, 3)
+            answers = self.array(triples)
+        else:
+            one_by_one = self.each(triples)
+            assert one_by_one is not None
+            answers = np.array(one_by_one(), dtype=np.float64).reshape(-1, 3)
+        if self.rods is None:
+            return answers
+        return np.where(rod_errors(self.rods, triples, answers) <= _CLOSED, answers, np.nan)
 
 
 def inverse_solvers(geometry: DeltaGeometry, peers: Sequence[Peer]) -> list[Solver]:
@@ -78,7 +87,11 @@ def inverse_solvers(geometry: DeltaGeometry, peers: Sequence[Peer]) -> list[Solv
         Solver(POINT, "ours", None, lambda point: delta.inverse(point).angles, "tuple"),
         Solver(SCALAR, "ours", None, scalar.inverse),
         *_closed(INVERSE_FORMS, inverse_array, inverse_one, geometry),
-        *(Solver(peer.name, "peer", peer.inverse_array, peer.inverse, "array") for peer in peers if peer.inverse),
+        *(
+            Solver(peer.name, "peer", peer.inverse_array, peer.inverse, "array", geometry)
+            for peer in peers
+            if peer.inverse
+        ),
     ]
 
 
@@ -105,29 +118,15 @@ def _closed(
 
 def rod_errors(geometry: DeltaGeometry, points: Array, angles: Array) -> Array:
     """Return by how much each rod (n, 3) misses its length, m, in plain doubles."""
-    misses = []
-    for index, (cosine, sine) in enumerate(LIMB_DIRECTIONS):
-        radius = geometry.radius_difference + geometry.arm * np.cos(angles[:, index])
-        height = geometry.arm * np.sin(angles[:, index]) - geometry.z_offset
-        elbow = np.stack([radius * cosine, radius * sine, height], axis=-1)
-        misses.append(np.abs(np.linalg.norm(points - elbow, axis=-1) - geometry.rod))
-    return np.stack(misses, axis=-1)
-
-
-def answers(solver: Solver, geometry: DeltaGeometry, points: Array) -> Array:
-    """Return the angles (n, 3) that a solver stands by: a peer's only where its rods close."""
-    angles = solver.solve(points)
-    if solver.family != "peer":
-        return angles
     with np.errstate(invalid="ignore"):
-        closed = rod_errors(geometry, points, angles) <= _CLOSED
-    return np.where(closed, angles, np.nan)
+        x, y, z = LimbArrays(geometry, (-1, -1, -1)).elbows(np.cos(angles.T), np.sin(angles.T))
+        elbows = np.stack([x, y, z - geometry.z_offset], axis=-1)
+        return np.asarray(np.abs(np.linalg.norm(points - elbows, axis=-1) - geometry.rod).T)
 
 
-def calls_reachable(solver: Solver, geometry: DeltaGeometry, points: Array) -> NDArray[np.bool_]:
+def calls_reachable(solver: Solver, points: Array) -> NDArray[np.bool_]:
     """Return for which points (n,) a solver has an answer that a user would believe."""
     angles = solver.solve(points)
-    if solver.family != "peer":
+    if solver.rods is None:
         return np.asarray(np.isfinite(angles).all(-1))
-    with np.errstate(invalid="ignore"):
-        return np.asarray((rod_errors(geometry, points, angles) <= _BELIEVED).all(-1))
+    return np.asarray((rod_errors(solver.rods, points, angles) <= _BELIEVED).all(-1))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -13,9 +14,9 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_lab.reports.kinematics.forms import INVERSE_FORMS, inverse_array
 from deltacharger_lab.reports.kinematics.measure import KinematicsPlan
 from deltacharger_lab.reports.kinematics.solvers import ARRAY, SCALAR, Solver
-from deltacharger_lab.reports.kinematics.timing import Cost
 
 Array = NDArray[np.float64]
+Call = Callable[[], object]
 BATCH = 10_000
 _SINGLES = 200  # points that one timing of single calls goes through
 _SLOW_LIMIT = 100_000  # larger arrays are timed only where a point costs little
@@ -27,14 +28,13 @@ def solver_costs(solvers: Sequence[Solver], triples: Array, plan: KinematicsPlan
     batch = _tiled(triples, BATCH)
     found: dict[str, dict[str, float | None]] = {}
     for solver in solvers:
-        row = found[solver.name] = {"array_us": None, "array_best_us": None, "one_us": None, "one_best_us": None}
-        if solver.array is not None:
-            cost = plan.stopwatch.time(_array_call(solver, batch))
-            row["array_us"], row["array_best_us"] = _per_triple(cost, BATCH)
-        if solver.one is not None:
-            singles = triples[: _SINGLES if solver.family != "peer" else _SINGLES // 4]
-            cost = plan.stopwatch.time(_single_calls(solver, singles))
-            row["one_us"], row["one_best_us"] = _per_triple(cost, len(singles))
+        singles = triples[: _SINGLES if solver.family != "peer" else _SINGLES // 4]
+        row = found[solver.name] = {}
+        calls = (("array", _whole(solver, batch), BATCH), ("one", solver.each(singles), len(singles)))
+        for kind, call, count in calls:
+            cost = None if call is None else plan.stopwatch.time(call)
+            row[f"{kind}_us"] = None if cost is None else 1e6 * cost.median / count
+            row[f"{kind}_best_us"] = None if cost is None else 1e6 * cost.best / count
     return found
 
 
@@ -45,17 +45,16 @@ def ratios(solvers: Sequence[Solver], triples: Array, plan: KinematicsPlan) -> d
     """
     by_name = {solver.name: solver for solver in solvers}
     batch, singles = _tiled(triples, BATCH), triples[: _SINGLES // 4]
-    found: dict[str, dict[str, float | None]] = {}
-    for solver in solvers:
-        if solver.family != "peer":
-            continue
-        row: dict[str, float | None] = {"one": None, "array": None}
-        if solver.one is not None:
-            row["one"] = plan.stopwatch.ratio(_single_calls(solver, singles), _single_calls(by_name[SCALAR], singles))
-        if solver.array is not None:
-            row["array"] = plan.stopwatch.ratio(_array_call(solver, batch), _array_call(by_name[ARRAY], batch))
-        found[solver.name] = row
-    return found
+    ours = by_name[SCALAR].each(singles), _whole(by_name[ARRAY], batch)
+
+    def ratio(slow: Call | None, quick: Call | None) -> float | None:
+        return plan.stopwatch.ratio(slow, quick) if slow and quick else None
+
+    return {
+        solver.name: {"one": ratio(solver.each(singles), ours[0]), "array": ratio(_whole(solver, batch), ours[1])}
+        for solver in solvers
+        if solver.family == "peer"
+    }
 
 
 def throughput(
@@ -77,7 +76,7 @@ def throughput(
         for size in plan.sizes:
             if size <= largest:
                 batch = _tiled(points, size)
-                row[str(size)] = size / plan.stopwatch.time(lambda call=call, batch=batch: call(batch)).median  # type: ignore[misc]
+                row[str(size)] = size / plan.stopwatch.time(functools.partial(call, batch)).median
     return found
 
 
@@ -89,7 +88,7 @@ def function_costs(geometry: DeltaGeometry, interior: Array, plan: KinematicsPla
     x, y, z = point = tuple(interior[0].tolist())
     arms = tuple(angles[0].tolist())
     push = (1.0, 2.0, 20.0)
-    cases: dict[str, tuple[Callable[[], object], Callable[[], object], Callable[[], object]]] = {
+    cases: dict[str, tuple[Call, Call, Call]] = {
         "inverse": (lambda: scalar.inverse(*point), lambda: delta.inverse(point), lambda: delta.inverse(batch)),
         "forward": (lambda: scalar.forward(*arms), lambda: delta.forward(arms), lambda: delta.forward(angles)),
         "jacobian": (lambda: scalar.jacobian(*point), lambda: delta.jacobian(point), lambda: delta.jacobian(batch)),
@@ -99,14 +98,14 @@ def function_costs(geometry: DeltaGeometry, interior: Array, plan: KinematicsPla
             lambda: delta.torque(batch, push),
         ),
     }
-    found = {}
-    for name, (plain, one, array) in cases.items():
-        found[name] = {
+    return {
+        name: {
             "scalar_us": 1e6 * plan.stopwatch.time(plain).median,
             "point_us": 1e6 * plan.stopwatch.time(one).median,
             "array_us": 1e6 * plan.stopwatch.time(array).median / BATCH,
         }
-    return found
+        for name, (plain, one, array) in cases.items()
+    }
 
 
 def _tiled(points: Array, size: int) -> Array:
@@ -114,22 +113,5 @@ def _tiled(points: Array, size: int) -> Array:
     return np.ascontiguousarray(np.resize(points, (size, 3)))
 
 
-def _array_call(solver: Solver, batch: Array) -> Callable[[], object]:
-    call = solver.array
-    assert call is not None
-    return lambda: call(batch)
-
-
-def _single_calls(solver: Solver, triples: Array) -> Callable[[], object]:
-    call, arguments = solver.one, solver.arguments(triples)
-    assert call is not None
-
-    def run() -> None:
-        for each in arguments:
-            call(*each)
-
-    return run
-
-
-def _per_triple(cost: Cost, count: int) -> tuple[float, float]:
-    return 1e6 * cost.median / count, 1e6 * cost.best / count
+def _whole(solver: Solver, batch: Array) -> Call | None:
+    return None if solver.array is None else functools.partial(solver.array, batch)

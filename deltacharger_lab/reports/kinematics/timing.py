@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import statistics
 import time
+import timeit
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -62,7 +63,4 @@ class Stopwatch:
 
 
 def _spent(call: Callable[[], object], count: int) -> float:
-    start = time.process_time()
-    for _ in range(count):
-        call()
-    return time.process_time() - start
+    return timeit.timeit(call, timer=time.process_time, number=count)
