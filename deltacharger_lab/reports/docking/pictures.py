@@ -108,13 +108,13 @@ def _clearance(results: dict[str, Any], rows: Rows, path: Path) -> None:
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
         figure.subplots_adjust(left=0.06, right=0.985, top=0.81, bottom=0.11, wspace=0.06)
         spoiled = [name for name in ("tails", "understated", "biased") if name in rows]
-        _cloud(left, [rows[name] for name in ("zero", "edge") if name in rows], "estimates as they are")
-        _cloud(right, [rows[name] for name in spoiled], "estimates spoiled: " + (", ".join(spoiled) or "not run"))
+        _cloud(left, summary.joined(rows, "zero", "edge"), "estimates as they are")
+        _cloud(right, summary.joined(rows, *spoiled), "estimates spoiled: " + (", ".join(spoiled) or "not run"))
         left.set_ylabel("believed clearance less 3 σ, mm")
         left.legend(**_LEGEND, loc="upper left")
 
 
-def _cloud(axes: Axes, parts: list[summary.Columns], title: str) -> None:
+def _cloud(axes: Axes, every: summary.Columns | None, title: str) -> None:
     axes.set_title(title, loc="left")
     axes.axhline(0.3, color=INK, linewidth=1.0, linestyle="--")
     axes.text(3.95, 0.36, "docking's limit, 0.3 mm", fontsize=8, ha="right", va="bottom", color=INK)
@@ -122,10 +122,8 @@ def _cloud(axes: Axes, parts: list[summary.Columns], title: str) -> None:
     axes.text(-0.06, -4.8, "wrong bars touch", fontsize=8, ha="right", color=RED)
     axes.set(xlim=(-4.0, 4.0), ylim=(-5.0, 4.0), xlabel="true clearance, mm")
     grid(axes)
-    if not parts:
+    if every is None:
         return
-    names = ("felt_angle", "felt_vertical", "last_angle_stddev", "last_vertical_stddev", "last_clearance", "charged")
-    every = summary.joined(parts, (*names, "energised_unsafe"))
     x, y = 1000.0 * every["last_clearance"].astype(float), 1000.0 * summary.felt_clearance(every, 3.0)
     unsafe = every["energised_unsafe"] > 0.0
     kinds = ((~every["charged"] & ~unsafe, ORANGE, "refused"), (every["charged"] & ~unsafe, BLUE, "charged"))

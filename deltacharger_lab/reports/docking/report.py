@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,8 +16,8 @@ from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.settings import CampaignSettings, scene_of, versions_of
 from deltacharger_lab.campaigns.store import Store, read_results, read_settings
-from deltacharger_lab.reports.docking import page, summary
-from deltacharger_lab.reports.docking.pictures import jobs, without
+from deltacharger_lab.reports.docking import summary
+from deltacharger_lab.reports.docking.pictures import FORMS, jobs, without
 from deltacharger_lab.reports.docking.plan import CampaignPart, DockingPlan
 from deltacharger_lab.reports.report import Report
 
@@ -97,7 +95,9 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Callable[[
     folders = {name: directory / CAMPAIGNS / name for name in rows}
     settings = {name: read_settings(folder) for name, folder in folders.items()}
     progress("figures")
-    upright = _upright(rows)
+    every, near = summary.joined(rows, "random", "upright"), summary.joined(rows, "zero", "edge")
+    upright = None if every is None else summary.part(every, every["degrees"] <= summary.UPRIGHT)
+    forms = {"edge": "`edge`, guarded", **{name: title for name, (title, _) in FORMS.items()}}
     results = report.results
     results |= {
         "quick": plan.quick,
@@ -111,16 +111,16 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Callable[[
             name: summary.calibration(rows[name]) for name in ("random", "edge", "soft", "tilted") if name in rows
         },
         "upright": summary.summarise(upright) if upright is not None else None,
-        "uncharged": _uncharged(rows),
+        "uncharged": _uncharged(upright) if upright is not None else [],
         "drawn": summary.by_drawn(upright) if upright is not None else [],
         "tilts": summary.by_tilt(rows["tilted"]) if "tilted" in rows else [],
-        "near_zero": _near_zero(rows),
+        "near_zero": summary.near_zero(near) if near is not None else {},
         "pairs": _pairs(folders),
     }
     results["targets"] = summary.targets(results["parts"], results["upright"])
     progress("pictures")
     report.draw(jobs(results, rows), directory, without(rows))
-    return report.write(directory, view=page)
+    return report.write(directory, view=summary, forms={name: forms[name] for name in forms if name in rows})
 
 
 def _read(folder: Path) -> summary.Columns | None:
@@ -131,45 +131,12 @@ def _read(folder: Path) -> summary.Columns | None:
     return summary.columns(read_results(folder, [name for name in known if name != "error"]))
 
 
-def _upright(rows: dict[str, summary.Columns]) -> summary.Columns | None:
-    """Return the dockings with magnets, by our own form, that are to be charged."""
-    parts = [rows[name] for name in ("random", "upright") if name in rows]
-    if not parts:
-        return None
-    every = summary.joined(parts, tuple(name for name in parts[0] if all(name in part for part in parts)))
-    inside = every["degrees"] <= summary.UPRIGHT
-    return {name: values[inside] for name, values in every.items()}
-
-
-def _uncharged(rows: dict[str, summary.Columns]) -> list[dict[str, Any]]:
-    """Return the upright dockings that did not charge, each with what it takes to run it again."""
-    found = []
-    for name in ("random", "upright"):
-        for index in (
-            np.flatnonzero(~rows[name]["charged"] & (rows[name]["degrees"] <= summary.UPRIGHT)) if name in rows else ()
-        ):
-            each = {key: rows[name][key][index] for key in ("number", "degrees", "code_name", "message")}
-            found.append({"campaign": name, **{key: _plain(value) for key, value in each.items()}})
-    return found[:_UNCHARGED_MOST]
-
-
-def _plain(value: Any) -> Any:
-    return value.item() if isinstance(value, np.generic) else value
-
-
-def _near_zero(rows: dict[str, summary.Columns]) -> dict[str, Any]:
-    """Return how dockings ended whose true clearance at the decisive estimate was small, by bins of it (mm)."""
-    parts = [rows[name] for name in ("zero", "edge") if name in rows]
-    if not parts:
-        return {}
-    every = summary.joined(parts, ("last_clearance", "charged", "energised_unsafe"))
-    clear = 1000.0 * every["last_clearance"].astype(float)
-    edges = (-math.inf, -1.0, -0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, math.inf)
-    bins = []
-    for low, high in itertools.pairwise(edges):
-        inside = (clear >= low) & (clear < high)
-        bins.append({"low": low, "high": high, **summary.rate(int(every["charged"][inside].sum()), int(inside.sum()))})
-    return {"bins": bins, "unknown": int(np.sum(~np.isfinite(clear)))}
+def _uncharged(upright: summary.Columns) -> list[dict[str, Any]]:
+    """Return the dockings that did not charge, each with what it takes to run it again."""
+    keys = ("campaign", "number", "degrees", "code_name", "message")
+    refused = np.flatnonzero(~upright["charged"].astype(bool))[:_UNCHARGED_MOST]
+    columns = [upright[key][refused].tolist() for key in keys]
+    return [dict(zip(keys, each, strict=True)) for each in zip(*columns, strict=True)]
 
 
 def _pairs(folders: dict[str, Path]) -> list[dict[str, Any]]:

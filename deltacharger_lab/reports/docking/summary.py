@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -13,19 +14,26 @@ from numpy.typing import NDArray
 
 from deltacharger_core.machine import GRAVITY_STRENGTH
 from deltacharger_lab.campaigns.docking import CRASHED
+from deltacharger_lab.campaigns.summary import quantiles as finite_quantiles
 from deltacharger_lab.campaigns.summary import upper_bound, wilson
 from deltacharger_lab.reports.targets import at_least, at_most, none
 
 Array = NDArray[Any]
 Columns = dict[str, Array]
+Figures = dict[str, Any]
 
 BINS = (0.0, 2.0, 5.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 15.0, 20.0)  # degrees of |roll|
 UPRIGHT = 7.0  # degrees up to which all are to be charged
 NEAR = 0.0025  # m in each axis
 BAND = (0.4, 0.5)  # A
 PUSH_MOST, HOTTEST_MOST, MOVES_MOST = 25.0, 0.6, 3
-_QUANTILES = (0.5, 0.95, 0.99, 1.0)
-AXES = ("horizontal", "vertical", "angle")
+AXES = {"horizontal": (1000.0, " mm"), "vertical": (1000.0, " mm"), "angle": (math.degrees(1.0), "°")}
+"""Of an estimate: scale and unit that its error is told in."""
+SAFE = (
+    *("random", "upright", "edge", "zero", "soft", "seen", "tilted", "gaussian", "tails", "understated", "biased"),
+    *("paper", "classes", "published"),
+)
+"""Campaigns of the table on safety."""
 
 
 def columns(results: dict[str, list[Any]]) -> Columns:
@@ -35,9 +43,24 @@ def columns(results: dict[str, list[Any]]) -> Columns:
     return found
 
 
-def joined(parts: list[Columns], names: tuple[str, ...]) -> Columns:
-    """Return the named columns of several campaigns behind one another."""
-    return {name: np.concatenate([part[name] for part in parts]) for name in names}
+def joined(rows: dict[str, Columns], *names: str) -> Columns | None:
+    """Return the rows of campaigns behind one another in the columns that all have, and the name as `campaign`.
+
+    Args:
+        rows: by the campaign's name.
+        names: of campaigns; those that were not run are left out, and there is nothing where none was.
+    """
+    parts = {name: rows[name] for name in names if name in rows}
+    if not parts:
+        return None
+    shared = set.intersection(*map(set, parts.values()))
+    found = {key: np.concatenate([each[key] for each in parts.values()]) for key in shared}
+    return found | {"campaign": np.repeat(list(parts), [len(each["number"]) for each in parts.values()])}
+
+
+def part(rows: Columns, chosen: Array) -> Columns:
+    """Return the chosen rows (indices or mask)."""
+    return {name: column[chosen] for name, column in rows.items()}
 
 
 def summarise(rows: Columns) -> dict[str, Any]:
@@ -82,10 +105,8 @@ def rate(hits: int, count: int) -> dict[str, Any]:
 
 def quantiles(values: Array) -> dict[str, float]:
     """Return median, 95 %, 99 % and the largest of what is finite."""
-    known = values.astype(float)
-    known = known[np.isfinite(known)]
-    found = np.quantile(known, _QUANTILES) if len(known) else np.full(len(_QUANTILES), np.nan)
-    return dict(zip(("median", "p95", "p99", "max"), map(float, found), strict=True))
+    found = finite_quantiles(values.astype(float), 0.5, 0.95, 0.99, 1.0)
+    return dict(zip(("median", "p95", "p99", "max"), found, strict=True))
 
 
 def refused(rows: Columns) -> dict[str, int]:
@@ -94,20 +115,26 @@ def refused(rows: Columns) -> dict[str, int]:
     return dict(codes.most_common())
 
 
-def by_angle(rows: Columns) -> list[dict[str, Any]]:
+def binned(rows: Columns, values: Array, edges: Iterable[float]) -> Iterator[tuple[float, float, Columns]]:
+    """Yield the ends of each bin and its rows; the last bin holds its upper end."""
+    ends = list(itertools.pairwise(edges))
+    for low, high in ends:
+        inside = (values >= low) & ((values < high) | ((low, high) == ends[-1]) & (values <= high))
+        yield low, high, part(rows, inside)
+
+
+def by_angle(rows: Columns) -> list[Figures]:
     """Return charged share and refusals of each bin of |roll| that has dockings."""
     found = []
-    for low, high in itertools.pairwise(BINS):
-        inside = (rows["degrees"] >= low) & ((rows["degrees"] < high) | (high == BINS[-1]) & (rows["degrees"] <= high))
-        if inside.any():
-            part = {name: values[inside] for name, values in rows.items()}
-            charged = rate(int(part["charged"].sum()), len(part["charged"]))
-            unsafe = int(np.sum(part["energised_unsafe"] > 0.0))
-            found.append({"low": low, "high": high, **charged, "refused": refused(part), "unsafe": unsafe})
+    for low, high, inside in binned(rows, rows["degrees"], BINS):
+        if len(inside["charged"]):
+            charged = rate(int(inside["charged"].sum()), len(inside["charged"]))
+            unsafe = int(np.sum(inside["energised_unsafe"] > 0.0))
+            found.append({"low": low, "high": high, **charged, "refused": refused(inside), "unsafe": unsafe})
     return found
 
 
-def by_drawn(rows: Columns) -> list[dict[str, Any]]:
+def by_drawn(rows: Columns) -> list[Figures]:
     """Return how dockings went in the lower, middle and upper third of each range that was drawn from."""
     offset = 1000.0 * np.maximum(np.abs(rows["place_x"] - rows["goal_x"]), np.abs(rows["place_y"] - rows["goal_y"]))
     drawn = (
@@ -116,33 +143,40 @@ def by_drawn(rows: Columns) -> list[dict[str, Any]]:
         ("offset at contact, mm", offset, (0.0, 4.0, 7.0, 10.0)),
         ("gravity along the push", rows["gravity_z"] / GRAVITY_STRENGTH, (-1.0, -1.0 / 3.0, 1.0 / 3.0, 1.0)),
     )
-    found = []
-    for name, values, edges in drawn:
-        for low, high in itertools.pairwise(edges):
-            inside = (values >= low - 1e-9) & (values < high + (1e-9 if high == edges[-1] else 0.0))
-            part = {key: column[inside] for key, column in rows.items()}
-            found.append({"name": name, "range": f"{low:.2g} to {high:.2g}", **_briefly(part)})
-    return found
+    return [
+        {"name": name, "range": f"{low:.2g} to {high:.2g}", **_briefly(inside)}
+        for name, values, edges in drawn
+        for low, high, inside in binned(rows, np.round(values, 9), edges)
+    ]
 
 
-def by_tilt(rows: Columns) -> list[dict[str, Any]]:
+def by_tilt(rows: Columns) -> list[Figures]:
     """Return how dockings went by the tilt (degrees) of the faces about y."""
     tilt = np.degrees(np.abs(rows["world.target.tilt_y"].astype(float)))
     found = []
-    for low, high in itertools.pairwise((0.0, 0.1, 0.25, 0.5, 0.75, 1.0)):
-        part = {key: column[(tilt >= low) & (tilt < high)] for key, column in rows.items()}
-        error = part["last_horizontal_error"].astype(float)
-        known = error[np.isfinite(error)]
-        rms = 1000.0 * float(np.sqrt(np.mean(known**2))) if len(known) else math.nan
-        found.append({"low": low, "high": high, "error": rms, **_briefly(part)})
+    for low, high, inside in binned(rows, tilt, (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)):
+        error = inside["last_horizontal_error"].astype(float)
+        found.append({"low": low, "high": high, "error": 1000.0 * _rms(error[np.isfinite(error)]), **_briefly(inside)})
     return found
 
 
-def _briefly(rows: Columns) -> dict[str, Any]:
-    each = summarise(rows) if len(rows["number"]) else None
-    if each is None:
-        nothing = rate(0, 0)
-        return {"n": 0, "charged": nothing, "near": nothing, "time": math.nan, "moves": math.nan, "hottest": math.nan}
+def near_zero(rows: Columns) -> Figures:
+    """Return how dockings ended whose true clearance at the decisive estimate was small, by bins of it (mm)."""
+    clear = 1000.0 * rows["last_clearance"].astype(float)
+    edges = (-math.inf, -1.0, -0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, math.inf)
+    bins = [
+        {"low": low, "high": high, **rate(int(inside["charged"].sum()), len(inside["charged"]))}
+        for low, high, inside in binned(rows, clear, edges)
+    ]
+    return {"bins": bins, "unknown": int(np.sum(~np.isfinite(clear)))}
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
+
+
+def _briefly(rows: Columns) -> Figures:
+    each = summarise(rows)
     numbers = {"time": each["time"]["median"], "moves": each["moves"]["median"], "hottest": each["hottest"]["p99"]}
     return {"n": each["n"], "charged": each["charged"], "near": each["near"], **numbers}
 
@@ -157,10 +191,10 @@ def calibration(rows: Columns) -> dict[str, dict[str, float]]:
             z = error[known] / stddev[known]
             found[f"{which}_{axis}"] = {
                 "n": len(z),
-                "rms": float(np.sqrt(np.mean(z * z))) if len(z) else math.nan,
+                "rms": _rms(z),
                 "max": float(np.max(np.abs(z), initial=0.0)) if len(z) else math.nan,
                 "beyond_3": float(np.mean(np.abs(z) > 3.0)) if len(z) else math.nan,
-                "error_rms": float(np.sqrt(np.mean(error[known] ** 2))) if len(z) else math.nan,
+                "error_rms": _rms(error[known]),
             }
     return found
 
@@ -217,3 +251,22 @@ def targets(found: dict[str, dict[str, Any]], upright: dict[str, Any] | None) ->
 def _pooled(parts: list[dict[str, Any]], key: str) -> float | None:
     count = sum(part[key]["n"] for part in parts)
     return 100.0 * float(sum(part[key]["hits"] for part in parts)) / count if count else None
+
+
+def by_angle_and_campaign(
+    parts: dict[str, Figures], names: Iterable[str]
+) -> list[tuple[tuple[float, float], dict[str, Figures]]]:
+    """Return for each bin of |roll| (degrees) what campaigns say of it."""
+    found: dict[tuple[float, float], dict[str, Figures]] = {}
+    for name in names:
+        for each in parts[name]["bins"]:
+            found.setdefault((each["low"], each["high"]), {})[name] = each
+    return sorted(found.items())
+
+
+def compared(pair: Figures) -> Iterator[tuple[str, Figures, str, float]]:
+    """Yield name, figures, unit and scale of what is compared docking by docking."""
+    for name, each in pair["rates"].items():
+        yield name, each, "%", 100.0
+    for name, each in pair["numbers"].items():
+        yield name, each, *(("mm", 1000.0) if each["unit"] == "m" else (each["unit"], 1.0))

@@ -6,13 +6,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from types import TracebackType
+from functools import partial
 from typing import Any
 
 from deltacharger.msg import ServoState, TactileFrame
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 from deltacharger_ros.client import ChargerClient, ClientError
+from deltacharger_ros.messages import seconds
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Scene
@@ -26,33 +27,15 @@ class Watcher:
     """A client that is there before the charger, and counts what it publishes.
 
     Args:
-        client: whose node listens.
+        client: whose node listens, until it is closed.
     """
 
     def __init__(self, client: ChargerClient) -> None:
         self._client = client
         self._stamps: dict[str, list[float]] = {name: [] for name in TOPICS}
-        self._subscriptions: list[Any] = []
-
-    def __enter__(self) -> Watcher:
         kinds = ((TactileFrame, qos_profile_sensor_data), (ServoState, QoSProfile(depth=10)))
-        for name, (kind, qos) in zip(TOPICS, kinds, strict=True):
-            take = self._taker(self._stamps[name])
-            self._subscriptions.append(self._client.node.create_subscription(kind, name, take, qos))
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for subscription in self._subscriptions:
-            self._client.node.destroy_subscription(subscription)
-
-    @staticmethod
-    def _taker(stamps: list[float]) -> Callable[[Any], None]:
-        def take(message: Any) -> None:
-            stamps.append(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
-
-        return take
+        for (name, stamps), (kind, qos) in zip(self._stamps.items(), kinds, strict=True):
+            client.node.create_subscription(kind, name, partial(_keep, stamps), qos)
 
     def is_ready(self, scene: Scene) -> bool:
         """Return whether goals would be taken now; of a scene without goals, whether all its nodes are there."""
@@ -61,9 +44,10 @@ class Watcher:
         there = {name for name, _ in self._client.node.get_node_names_and_namespaces()}
         return all({name, NODES[name].stands_in_for} & there for name in scene.nodes)
 
-    def count(self) -> Counting:
-        """Begin to count messages."""
-        return Counting(self._stamps)
+    def count(self) -> Callable[[], dict[str, float]]:
+        """Begin to count messages; the call tells how many came per second of their own stamps, NaN of too few."""
+        begin = {name: len(each) for name, each in self._stamps.items()}
+        return lambda: {name: _rate(self._stamps[name][begin[name] :]) for name in TOPICS}
 
     def is_gone(self) -> bool:
         """Return whether nobody serves or publishes what a charger would."""
@@ -87,18 +71,10 @@ class Watcher:
             return str(error)
 
 
-class Counting:
-    """Messages from an instant on."""
+def _keep(stamps: list[float], message: Any) -> None:
+    stamps.append(seconds(message.header.stamp))
 
-    def __init__(self, stamps: dict[str, list[float]]) -> None:
-        self._stamps = stamps
-        self._begin = {name: len(each) for name, each in stamps.items()}
 
-    def rates(self) -> dict[str, float]:
-        """Return messages per second of their own stamps by topic since the beginning; NaN where too few came."""
-        found = {}
-        for name, begin in self._begin.items():
-            stamps = self._stamps[name][begin:]
-            long = len(stamps) > 2 and stamps[-1] > stamps[0]
-            found[name] = (len(stamps) - 1) / (stamps[-1] - stamps[0]) if long else math.nan
-        return found
+def _rate(stamps: list[float]) -> float:
+    long = len(stamps) > 2 and stamps[-1] > stamps[0]
+    return (len(stamps) - 1) / (stamps[-1] - stamps[0]) if long else math.nan

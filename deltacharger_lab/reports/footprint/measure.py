@@ -39,7 +39,7 @@ def measure(scene: Scene, way: str, plan: FootprintPlan, context: Context, folde
     """
     with contextlib.ExitStack() as stack:
         ports = stack.enter_context(hardware(scene, folder / "hardware")) if scene.touches_hardware else {}
-        watcher = stack.enter_context(Watcher(stack.enter_context(ChargerClient(context=context))))
+        watcher = Watcher(stack.enter_context(ChargerClient(context=context)))
         if not watcher.wait_until_gone():
             raise CannotRun("a charger answers already in this ROS domain; stop it, or set another ROS_DOMAIN_ID")
         with charger(scene, way, ports, folder / "charger") as started:
@@ -85,7 +85,7 @@ def _rest(watcher: Watcher, started: Started, seconds: float) -> dict[str, Any]:
         "processes": after.processes,
         "threads": after.threads,
         "rest_percent": 100.0 * (after.cpu - before.cpu) / (time.monotonic() - begin),
-        **_named("rest", counting.rates()),
+        **_named("rest", counting()),
     }
 
 
@@ -101,7 +101,7 @@ def _docking(watcher: Watcher, scene: Scene, started: Started, plan: FootprintPl
         "docking_percent": 100.0 * (after.cpu - before.cpu) / elapsed,
         "docking_s": elapsed,
         "docking_problem": "",
-        **_named("docking", counting.rates()),
+        **_named("docking", counting()),
     }
 
 

@@ -13,24 +13,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import psutil
 
-LIBRARIES = {
-    "torch": r"/torch/",
-    "sklearn": r"/sklearn/",
-    "xgboost": r"/xgboost/",
-    "cv2": r"/cv2/",
-    "depthai": r"/depthai[./]",
-    "mujoco": r"/mujoco/",
-    "matplotlib": r"/matplotlib/",
-    "scipy": r"/scipy[./]",
-    "pandas": r"/pandas/",
-    "pyarrow": r"/pyarrow/",
-    "casadi": r"/casadi/",
-    "mcap": r"/mcap/",
-    "zstandard": r"/zstandard/",
-    "rerun": r"/rerun[_/]",
-    "PIL": r"/PIL/",
-}
-"""Heavy libraries by the module's name, and what the path of a file of theirs contains."""
+LIBRARIES = (
+    *("torch", "sklearn", "xgboost", "cv2", "depthai", "mujoco", "matplotlib", "scipy", "pandas", "pyarrow", "casadi"),
+    *("mcap", "zstandard", "rerun", "PIL"),
+)
+"""Heavy libraries by the module's name, with which the name of a folder or file of theirs begins."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +90,7 @@ def mapped(roots: Iterable[int]) -> set[str]:
     for process in family(roots):
         with contextlib.suppress(psutil.NoSuchProcess):
             text += "\n".join(each.path for each in process.memory_maps())
-    return {name for name, pattern in LIBRARIES.items() if re.search(pattern, text)}
+    return {name for name in LIBRARIES if re.search(rf"/{name}[/._]", text)}
 
 
 def imported(modules: Iterable[str]) -> set[str]:

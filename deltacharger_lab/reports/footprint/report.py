@@ -47,7 +47,7 @@ def build(
     results["rows"] = _measure(plan, context, results["left_out"], progress)
     results["targets"] = targets(results["rows"])
     report.draw({}, directory)
-    return report.write(directory, looked_for=list(LIBRARIES))
+    return report.write(directory, looked_for=LIBRARIES)
 
 
 def _measure(
