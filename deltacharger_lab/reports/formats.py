@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How reports write figures: every number of every page goes through one of these. Unknown (NaN, None) is –."""
+"""How reports write figures and group rows: every number of every page goes through one of these.
+
+Unknown (NaN, None) is –.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 UNKNOWN = "–"
@@ -93,3 +97,11 @@ def counts(each: dict[str, int]) -> str:
 def plain(value: float | None) -> str:
     """Return a number with three digits that count, or more before the point; never as a power of ten."""
     return fixed(value, 0) if value is not None and value >= 100.0 else short(value)
+
+
+def grouped(rows: Iterable[dict[str, Any]], *keys: str) -> list[tuple[tuple[Any, ...], list[dict[str, Any]]]]:
+    """Return rows with the same values of `keys` together, in the order of the first of them."""
+    found: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
+    for row in rows:
+        found.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return list(found.items())

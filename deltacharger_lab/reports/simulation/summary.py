@@ -49,14 +49,6 @@ def settled(errors: Iterable[Row]) -> list[float]:
     return [row["force_rubbing"] for row in errors if is_calm(row) and row["step"] <= 0.01 if row["force_rubbing"] > 0]
 
 
-def grouped(rows: Iterable[Row], *keys: str) -> list[tuple[tuple[Any, ...], list[Row]]]:
-    """Return rows with the same values of `keys` together, in the order of the first of them."""
-    found: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        found.setdefault(tuple(row[key] for key in keys), []).append(row)
-    return list(found.items())
-
-
 def ends(runs: Sequence[Row]) -> list[str]:
     """Return codes, and means over the dockings that charged: time (s), contact current (A), misalignment (mm)."""
     codes = ", ".join("charged" if run["code"] == "NONE" else run["code"] for run in runs)

@@ -6,7 +6,6 @@ Each row of the section is a function of (rig, seed, plan) that returns accuraci
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_lab.reports.tactile.measure import accuracy, fitted, paper_set
 from deltacharger_lab.reports.tactile.plan import TARGETS, TactilePlan, default, threshold, title
+from deltacharger_lab.reports.tactile.shifts import changed
 from deltacharger_tactile.classifiers import fusion, labels, splits
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.classifiers.labels import Examples
@@ -71,10 +71,9 @@ def thresholds(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
 
 def hole(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
     """Judge with a hole in the electrodes, the paper's idea, and without."""
-    base = TactileParameters()
-    drilled = dataclasses.replace(base, contact=dataclasses.replace(base.contact, hole=HOLE))
     found = []
-    for text, family in (("no hole", base), (f"hole of {1e3 * HOLE:g} mm", drilled)):
+    drilled = changed("contact", hole=HOLE)
+    for text, family in (("no hole", TactileParameters()), (f"hole of {1e3 * HOLE:g} mm", drilled)):
         known, fresh = (
             generate_paper(family, rigs=(rig,), seed=number, threshold=0.0) for number in (seed, 600 + seed)
         )

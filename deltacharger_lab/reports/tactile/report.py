@@ -8,10 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from deltacharger_lab.reports.formats import grouped
 from deltacharger_lab.reports.pool import ReportTask, joined, work
 from deltacharger_lab.reports.report import Report
-from deltacharger_lab.reports.tactile import page, splits, summary
-from deltacharger_lab.reports.tactile.ceiling import ROWS
+from deltacharger_lab.reports.tactile import splits, summary
+from deltacharger_lab.reports.tactile.ceiling import CEILING, ROWS
 from deltacharger_lab.reports.tactile.measure import WINDOWS, judge_rig
 from deltacharger_lab.reports.tactile.pictures import jobs
 from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, TactilePlan, absent, default
@@ -50,7 +51,7 @@ def build(plan: TactilePlan, directory: Path, command: str, progress: Callable[[
     progress("pictures")
     report.draw(jobs(results), directory)
     results["targets"] = summary.targets(results, plan)
-    return report.write(directory, view=page)
+    return report.write(directory, view=summary, ways=splits, ceiling_name=CEILING)
 
 
 def _measure(results: dict[str, Any], plan: TactilePlan, progress: Callable[[str], None]) -> None:
@@ -65,7 +66,9 @@ def _measure(results: dict[str, Any], plan: TactilePlan, progress: Callable[[str
     results["diagrams"] = summary.diagrams(raw["diagrams"])
     results["splits"] = joined(found.get("splits", []))
     results["ceiling"] = summary.mean_rows(joined(found.get("one docking", [])))
-    results["times"] = summary.by_model(times["predictions"])
+    results["times"] = {
+        name: {row["target"]: row for row in each} for (name,), each in grouped(times["predictions"], "model")
+    }
     results["generation_s"] = times["generation_s"]
     results["raw"] = raw
 

@@ -22,14 +22,6 @@ _OTHER = 100  # added to a rig's seed for another one
 _TILT = math.radians(0.06)
 
 
-def _same_rig(rig: Rig) -> Rig:
-    return rig
-
-
-def _same_frames(frames: Array) -> Array:
-    return frames
-
-
 @dataclass(frozen=True)
 class Shift:
     """One change.
@@ -45,24 +37,19 @@ class Shift:
     name: str
     parameters: TactileParameters = dataclasses.field(default_factory=TactileParameters)
     other: int = 0
-    rig: Callable[[Rig], Rig] = _same_rig
-    frames: Callable[[Array], Array] = _same_frames
+    rig: Callable[[Rig], Rig] = lambda rig: rig
+    frames: Callable[[Array], Array] = lambda frames: frames
 
 
-def _sensor(**values: Any) -> TactileParameters:
+def changed(part: str, **values: Any) -> TactileParameters:
+    """Return the default parameters with others in one part of them."""
     base = TactileParameters()
-    return dataclasses.replace(base, sensor=dataclasses.replace(base.sensor, **values))
-
-
-def _contact(**values: Any) -> TactileParameters:
-    base = TactileParameters()
-    return dataclasses.replace(base, contact=dataclasses.replace(base.contact, **values))
+    return dataclasses.replace(base, **{part: dataclasses.replace(getattr(base, part), **values)})
 
 
 def _weaker(share: float) -> TactileParameters:
-    base = TactileParameters()
-    force = {name: share * getattr(base.docking, name) for name in ("magnet_force", "push_per_ampere")}
-    return dataclasses.replace(base, docking=dataclasses.replace(base.docking, **force))
+    usual = TactileParameters().docking
+    return changed("docking", magnet_force=share * usual.magnet_force, push_per_ampere=share * usual.push_per_ampere)
 
 
 def _left_weaker(rig: Rig) -> Rig:
@@ -86,16 +73,16 @@ def _rows_silent(frames: Array) -> Array:
 NONE = Shift("none")
 SHIFTS = (
     NONE,
-    Shift("3 dead taxels", _sensor(dead_taxels=3)),
-    Shift("6 dead taxels", _sensor(dead_taxels=6)),
+    Shift("3 dead taxels", changed("sensor", dead_taxels=3)),
+    Shift("6 dead taxels", changed("sensor", dead_taxels=6)),
     Shift("left pad × 0.8", rig=_left_weaker),
-    Shift("gain spread 25 %", _sensor(gain_spread=0.25)),
-    Shift("docking offsets × 3", _sensor(docking_offset=0.15)),
+    Shift("gain spread 25 %", changed("sensor", gain_spread=0.25)),
+    Shift("docking offsets × 3", changed("sensor", docking_offset=0.15)),
     Shift("left pad + 0.3 N", frames=_left_offset),
     Shift("force − 20 %", _weaker(0.8)),
     Shift("constant tilt 0.06° about y", rig=_tilted),
-    Shift("ridge 8 mm high", _contact(ridge_height=0.008)),
-    Shift("crown radius 30 mm", _contact(crown_radius=0.03)),
+    Shift("ridge 8 mm high", changed("contact", ridge_height=0.008)),
+    Shift("crown radius 30 mm", changed("contact", crown_radius=0.03)),
     Shift("another sensor and rig", other=_OTHER),
     Shift("two rows of a pad read 0", frames=_rows_silent),
 )

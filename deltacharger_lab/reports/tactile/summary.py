@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_lab.reports.tactile.plan import TARGETS, TactilePlan, default, title
+from deltacharger_lab.reports.formats import grouped
+from deltacharger_lab.reports.tactile.plan import TARGETS, TactilePlan, default, kind, title
 from deltacharger_lab.reports.tactile.shifts import NONE
 from deltacharger_lab.reports.targets import at_least, at_most
 from deltacharger_tactile.classifiers.reliability import NOMINAL
@@ -26,18 +27,11 @@ Row = dict[str, Any]
 
 def accuracies(rows: Iterable[Row], names: Iterable[str]) -> dict[str, dict[str, Row]]:
     """Return mean accuracy with the half width of its 95 % interval (t over rigs; NaN of one), by model and target."""
-    rows = list(rows)
-    found: dict[str, dict[str, Row]] = {}
-    for name in names:
-        found[name] = {}
-        for target in TARGETS:
-            chosen = [row for row in rows if row["model"] == name and row["target"] == target]
-            by_rig = defaultdict(list)
-            for row in chosen:
-                by_rig[row["rig"]].append(row["accuracy"])
-            means = [float(np.mean(each)) for each in by_rig.values()]
-            fit = float(np.median([row["fit_s"] for row in chosen]))
-            found[name][target] = {"mean": float(np.mean(means)), "half": _half(means), "fit_s": fit}
+    found: dict[str, dict[str, Row]] = {name: {} for name in names}
+    for (name, target), chosen in grouped(rows, "model", "target"):
+        means = [float(np.mean([row["accuracy"] for row in each])) for _, each in grouped(chosen, "rig")]
+        fit = float(np.median([row["fit_s"] for row in chosen]))
+        found[name][target] = {"mean": float(np.mean(means)), "half": _half(means), "fit_s": fit}
     return found
 
 
@@ -51,11 +45,8 @@ def _half(values: list[float]) -> float:
 
 def shifts(rows: Iterable[Row]) -> list[Row]:
     """Return means over rigs and seeds by model, target and shift, with the verdict."""
-    groups: dict[tuple[str, str, str], list[Row]] = defaultdict(list)
-    for row in rows:
-        groups[row["model"], row["target"], row["shift"]].append(row)
     found = []
-    for (model, target, shift), members in groups.items():
+    for (model, target, shift), members in grouped(rows, "model", "target", "shift"):
         means = {
             key: float(np.mean([row[key] for row in members]))
             for key in ("accuracy", "coverage", "act_rate", "drift_rate")
@@ -81,30 +72,30 @@ def _coverage_error(members: list[Row]) -> float:
 def diagrams(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:
     """Return the sums over rigs and seeds, by model and target."""
     found: dict[str, dict[str, Row]] = defaultdict(dict)
-    for row in rows:
-        sums = found[row["model"]].setdefault(row["target"], {})
-        for key in ("count", "sure", "right", "matrix"):
-            sums[key] = (np.array(row[key]) + np.array(sums.get(key, 0))).tolist()
-    return dict(found)
-
-
-def by_model(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:
-    """Return rows by model and target."""
-    found: dict[str, dict[str, Row]] = defaultdict(dict)
-    for row in rows:
-        found[row["model"]][row["target"]] = row
+    for (model, target), each in grouped(rows, "model", "target"):
+        keys = ("count", "sure", "right", "matrix")
+        found[model][target] = {key: np.sum([row[key] for row in each], axis=0).tolist() for key in keys}
     return dict(found)
 
 
 def mean_rows(rows: Iterable[Row]) -> list[Row]:
     """Return rows of the same name as one, with the mean of each target."""
-    groups: dict[str, list[Row]] = defaultdict(list)
-    for row in rows:
-        groups[row["name"]].append(row)
     return [
         {**members[0], **{target: float(np.mean([row[target] for row in members])) for target in TARGETS}}
-        for members in groups.values()
+        for _, members in grouped(rows, "name")
     ]
+
+
+def best(figures: Row) -> str:
+    """Return the shallow model that tells the angle best; '' without any."""
+    shallow: list[str] = [name for name in figures["models"] if kind(name) == "shallow"]
+    return max(shallow, key=lambda name: figures["accuracy"][name]["angle"]["mean"], default="")
+
+
+def slowest(figures: Row) -> str:
+    """Return the model of the paper that takes longest to tell the angle."""
+    paper: list[str] = [name for name in figures["models"] if kind(name) != "physical"]
+    return max(paper, key=lambda name: figures["times"][name]["angle"]["median_ms"])
 
 
 def targets(results: Row, plan: TactilePlan) -> list[Row]:
