@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.axes import Axes as Axes
     from matplotlib.figure import Figure
+else:
+    Axes = Any  # matplotlib is loaded with the first picture
 
 INK, FAINT, PAPER = "#22303c", "#51606e", "#f6f7f8"
 BLUE, ORANGE, GREEN, PURPLE, RED = "#1f6fb4", "#d9762b", "#2e9e5b", "#7a52a8", "#c8324b"
@@ -30,11 +32,21 @@ STYLE: Any = {
     "axes.facecolor": PAPER,
     "axes.axisbelow": True,
 }
+_REPORTS: Any = {
+    **STYLE,
+    "axes.titlelocation": "left",
+    "axes.grid": True,
+    "grid.color": "white",
+    "grid.linewidth": 1.0,
+    **{f"{axis}tick.{which}.size": 3.0 for axis in "xy" for which in ("major", "minor")},
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+}
 
 
 @contextmanager
 def picture(path: Path, width: float, height: float, title: str, about: str) -> Iterator[Figure]:
-    """Give a figure of `width` × `height` inches with a title to draw on and write it to `path` afterwards.
+    """Give a figure of `width` × `height` inches with a title to draw on, lay it out, and write it to `path`.
 
     Raises:
         ImportError: matplotlib is missing.
@@ -45,19 +57,25 @@ def picture(path: Path, width: float, height: float, title: str, about: str) -> 
     matplotlib.use("Agg")
     from matplotlib import rc_context
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    with rc_context(STYLE):
-        figure = Figure(figsize=(width, height), dpi=120, facecolor="white")
+    with rc_context(_REPORTS):
+        below_title = ConstrainedLayoutEngine(rect=(0.01, 0.01, 0.98, 0.99 - 0.75 / height))
+        figure = Figure(figsize=(width, height), dpi=120, facecolor="white", layout=below_title)
         figure.text(0.4 / width, 1.0 - 0.32 / height, title, fontsize=15, fontweight="bold", va="center")
         figure.text(0.4 / width, 1.0 - 0.60 / height, about, fontsize=9.5, color=FAINT, va="center")
         yield figure
         figure.savefig(path)
 
 
-def grid(axes: Axes, *, both: bool = True) -> None:
-    """Draw white grid lines below everything."""
-    axes.grid(axis="both" if both else "y", which="major", color="white", linewidth=1.0, zorder=0.5)
-    axes.tick_params(which="both", length=3)
+def top_legend(figure: Figure, handles: list[Any], columns: int = 3) -> None:
+    """Name what all panels have in common, in the corner that the title leaves."""
+    figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.985, 0.995), ncols=columns)
+
+
+def note(axes: Axes, text: str, at: tuple[float, float], shift: tuple[float, float], **style: Any) -> None:
+    """Write beside a point, `shift` typographic points away from it."""
+    axes.annotate(text, at, shift, textcoords="offset points", **{"fontsize": 8.5, "ha": "center", **style})
 
 
 def plain_ticks(axes: Axes) -> None:

@@ -5,12 +5,9 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, RED, grid, picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, RED, Axes, picture
 
 _WIDTH, _HEIGHT = 10.5, 6.4  # inches
 _LABELS = {
@@ -97,9 +94,8 @@ def _endings(axes: Axes, found: dict[str, Any]) -> None:
     axes.set_yticks(range(len(names)), [name.lower().replace("_", " ") for name in names])
     axes.set_ylim(max(len(names), _CODES_LEAST) - 0.5, -0.5)  # the first on top, bars of one size
     axes.set_xlim(0.0, 1.15 * count)
-    axes.set_title("how they ended", loc="left")
-    axes.legend(frameon=False, loc="lower right", fontsize=8)
-    grid(axes)
+    axes.set_title("how they ended")
+    axes.legend(loc="lower right")
 
 
 def _shortened(text: str, most: int) -> str:

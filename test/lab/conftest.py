@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -30,8 +32,13 @@ def quick_report(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPa
     assert answer["success"] is True
     assert {Path(name) for name in answer["files"]} == set(folder.iterdir())
     assert answer["targets"] == figures["targets"]
+    assert answer.get("simulated", True) is True
+    assert figures["pictures"] == list(importlib.import_module(f"deltacharger_lab.reports.{subject}.pictures").NAMES)
+    page = (folder / f"{subject}.md").read_text("utf-8")
+    assert f"`{figures['command']}`" in " ".join(page.split())
+    assert sorted(re.findall(r"!\[[^]]+\]\(([^)]+)\)", page)) == sorted(figures["pictures"])
     assert all((folder / name).read_bytes().startswith(b"\x89PNG") for name in figures["pictures"])
-    return folder, answer, figures, (folder / f"{subject}.md").read_text("utf-8")
+    return folder, answer, figures, page
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -15,15 +15,9 @@ import pytest
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.reports import formats
-from deltacharger_lab.reports.footprint import (
-    plan as footprint_plan,
-)
-from deltacharger_lab.reports.footprint import (
-    process as footprint_process,
-)
-from deltacharger_lab.reports.footprint import (
-    report as footprint_report,
-)
+from deltacharger_lab.reports.footprint import plan as footprint_plan
+from deltacharger_lab.reports.footprint import process as footprint_process
+from deltacharger_lab.reports.footprint import report as footprint_report
 from deltacharger_lab.reports.footprint.start import ONE, SEPARATE, WAYS, CannotRun, Started
 from deltacharger_scenes.scene import load_scene, packaged_scenes
 

@@ -12,7 +12,6 @@ from deltacharger_lab.reports.simulation import extremes as simulation_extremes
 from deltacharger_lab.reports.simulation import plan as simulation_plan
 from deltacharger_lab.reports.simulation import stability
 from deltacharger_lab.reports.simulation.parts import PADS, PARTS
-from deltacharger_lab.reports.simulation.pictures import NAMES
 from deltacharger_lab.reports.simulation.scenes import LIGHT, Model, docking, rms, world
 from deltacharger_sim import stability_map
 from deltacharger_sim.proven import proven
@@ -23,14 +22,6 @@ WITH_MUJOCO = importlib.util.find_spec("mujoco") is not None
 
 REPORT = ("simulation",)
 MEASURES_WITH = ("matplotlib",)
-
-
-def test_the_answer_says_what_the_page_shows(quick_report: Quick) -> None:
-    _, _, figures, page = quick_report
-    assert figures["pictures"] == list(NAMES)
-    assert figures["command"] in page
-    for name in NAMES:
-        assert f"]({name})" in page
 
 
 def test_the_targets_that_do_not_hang_on_the_machine_are_met(quick_report: Quick) -> None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -41,12 +40,6 @@ NOTHING = [math.nan] * 5
 
 REPORT = ("vision", "--images", "2")
 MEASURES_WITH = ("cv2", "matplotlib", "scipy")
-
-
-def test_the_answer_says_what_the_page_shows(quick_report: Quick) -> None:
-    _, answer, figures, _ = quick_report
-    assert answer["simulated"] is True
-    assert figures["pictures"] == list(NAMES)
 
 
 def test_every_row_was_measured_with_its_number_of_images(quick_report: Quick) -> None:
@@ -88,7 +81,6 @@ def test_the_mount_decides(quick_report: Quick) -> None:
 def test_the_page_says_what_the_figures_say(quick_report: Quick) -> None:
     _, _, figures, page = quick_report
     assert "of simulated images" in page
-    assert f"`{figures['command']}`" in " ".join(page.split())
     for target in figures["targets"]:
         verdict = "met" if target["met"] else "**NOT MET**"
         line = next(line for line in page.splitlines() if line.startswith(f"| {target['name']} |"))
@@ -97,7 +89,6 @@ def test_the_page_says_what_the_figures_say(quick_report: Quick) -> None:
         found = figures["rows"][key(each)]
         line = next(line for line in page.splitlines() if line.startswith(f"| {each.name} |"))
         assert f"| {found['images']} | {100 * found['found'] / found['images']:.1f} |" in line
-    assert re.findall(r"!\[[^]]+\]\(([^)]+)\)", page) == list(NAMES)
     assert "nan" not in page
     assert "None" not in page
 

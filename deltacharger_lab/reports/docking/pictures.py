@@ -6,15 +6,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from deltacharger_lab.reports.docking import summary
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, grid, picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from deltacharger_records.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, Axes, picture, top_legend
 
 Rows = dict[str, summary.Columns]
 
@@ -62,7 +59,6 @@ def _angle(results: dict[str, Any], rows: Rows, path: Path) -> None:
     )
     with picture(path, 11.0, 4.8, "Who is charged, who is refused", about) as figure:
         left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": (1.15, 1.0)})
-        figure.subplots_adjust(left=0.06, right=0.985, top=0.80, bottom=0.12, wspace=0.16)
         names = [name for name in FORMS if name in rows]
         for index, name in enumerate(names):
             label, colour = FORMS[name]
@@ -76,10 +72,8 @@ def _angle(results: dict[str, Any], rows: Rows, path: Path) -> None:
             )
         left.axvline(12.07, color=RED, linewidth=1.0, linestyle="--")
         left.text(12.25, 97.0, "zero clearance\nat 12.07°", color=RED, fontsize=8, va="top")
-        left.set(xlim=(0.0, 20.0), ylim=(-3.0, 103.0), xlabel="|roll|, degrees")
-        left.set_title("charged, %", loc="left")
-        left.legend(frameon=False, fontsize=8, loc="center right")
-        grid(left)
+        left.set(title="charged, %", xlim=(0.0, 20.0), ylim=(-3.0, 103.0), xlabel="|roll|, degrees")
+        left.legend(fontsize=8, loc="center right")
         _stack(right, rows["random"])
 
 
@@ -97,8 +91,7 @@ def _stack(axes: Axes, rows: summary.Columns) -> None:
         if count.any():
             axes.bar(middle, share, 0.92, base, color=colour, label=f"{name}, {int(count.sum())}", zorder=2)
         base += share
-    axes.set(xlim=(0.0, 20.0), ylim=(0.0, 100.0), xlabel="|roll|, degrees")
-    axes.set_title("how they end, %", loc="left")
+    axes.set(title="how they end, %", xlim=(0.0, 20.0), ylim=(0.0, 100.0), xlabel="|roll|, degrees")
     axes.legend(**_LEGEND, loc="lower right")
 
 
@@ -106,7 +99,6 @@ def _clearance(results: dict[str, Any], rows: Rows, path: Path) -> None:
     about = "each dot one simulated docking at its last estimate; true clearance is judged by exact rectangles"
     with picture(path, 11.0, 5.2, "Near zero clearance", about) as figure:
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
-        figure.subplots_adjust(left=0.06, right=0.985, top=0.81, bottom=0.11, wspace=0.06)
         spoiled = [name for name in ("tails", "understated", "biased") if name in rows]
         _cloud(left, summary.joined(rows, "zero", "edge"), "estimates as they are")
         _cloud(right, summary.joined(rows, *spoiled), "estimates spoiled: " + (", ".join(spoiled) or "not run"))
@@ -115,13 +107,11 @@ def _clearance(results: dict[str, Any], rows: Rows, path: Path) -> None:
 
 
 def _cloud(axes: Axes, every: summary.Columns | None, title: str) -> None:
-    axes.set_title(title, loc="left")
     axes.axhline(0.3, color=INK, linewidth=1.0, linestyle="--")
     axes.text(3.95, 0.36, "docking's limit, 0.3 mm", fontsize=8, ha="right", va="bottom", color=INK)
     axes.axvline(0.0, color=RED, linewidth=1.0, linestyle="--")
     axes.text(-0.06, -4.8, "wrong bars touch", fontsize=8, ha="right", color=RED)
-    axes.set(xlim=(-4.0, 4.0), ylim=(-5.0, 4.0), xlabel="true clearance, mm")
-    grid(axes)
+    axes.set(title=title, xlim=(-4.0, 4.0), ylim=(-5.0, 4.0), xlabel="true clearance, mm")
     if every is None:
         return
     x, y = 1000.0 * every["last_clearance"].astype(float), 1000.0 * summary.felt_clearance(every, 3.0)
@@ -153,7 +143,6 @@ def _load(results: dict[str, Any], rows: Rows, path: Path) -> None:
     )
     about = "simulated dockings of `random`, gravity from anywhere; red: the targets"
     with picture(path, 11.0, 3.9, "Load on servos and target", about) as figure:
-        figure.subplots_adjust(left=0.07, right=0.985, top=0.78, bottom=0.14, wspace=0.2)
         for axes, (name, scale, text, chosen, limits) in zip(figure.subplots(1, 3), panels, strict=True):
             values = scale * rows["random"][name][chosen].astype(float)
             values = values[np.isfinite(values)]
@@ -162,10 +151,7 @@ def _load(results: dict[str, Any], rows: Rows, path: Path) -> None:
             axes.hist(values, np.linspace(low - margin, high + margin, 61), color=BLUE, zorder=2)
             for limit in limits:
                 axes.axvline(limit, color=RED, linewidth=1.2, linestyle="--")
-            axes.set_yscale("log")
-            axes.set_ylim(bottom=0.8)
-            axes.set_xlabel(text)
-            grid(axes, both=False)
+            axes.set(yscale="log", ylim=(0.8, None), xlabel=text)
         figure.axes[0].set_ylabel("dockings")
 
 
@@ -174,7 +160,6 @@ def _alignment(results: dict[str, Any], rows: Rows, path: Path) -> None:
     names = [name for name in FORMS if name in rows]
     with picture(path, 11.0, 4.2, "Moves, time, and where the electrodes rest", about) as figure:
         moves, seconds, rest = figure.subplots(1, 3)
-        figure.subplots_adjust(left=0.055, right=0.985, top=0.78, bottom=0.13, wspace=0.2)
         for index, name in enumerate(names):
             label, colour = FORMS[name]
             charged = rows[name]["charged"]
@@ -184,16 +169,11 @@ def _alignment(results: dict[str, Any], rows: Rows, path: Path) -> None:
             _share_below(seconds, rows[name]["time"][charged].astype(float), colour)
             far = np.maximum(np.abs(rows[name]["final_horizontal"]), np.abs(rows[name]["final_vertical"]))[charged]
             _share_below(rest, 1000.0 * far.astype(float), colour)
-        moves.set(xlabel="alignment moves", ylabel="% of the charged", xticks=range(0, 16, 3))
-        moves.set_title("alignment moves", loc="left")
-        seconds.set_title("charged by then, %", loc="left")
-        rest.set_title("within, %", loc="left")
-        figure.legend(*moves.get_legend_handles_labels(), frameon=False, fontsize=8, loc="upper right", ncols=2)
-        seconds.set(xlabel="time to charging, s", xlim=(0.0, 150.0))
-        rest.set(xlabel="larger of the two offsets at rest, mm", xlim=(0.0, 6.0))
+        moves.set(title="alignment moves", ylabel="% of the charged", xticks=range(0, 16, 3))
+        top_legend(figure, moves.get_legend_handles_labels()[0], 2)
+        seconds.set(title="charged by then, %", xlabel="time to charging, s", xlim=(0.0, 150.0))
+        rest.set(title="within, %", xlabel="larger of the two offsets at rest, mm", xlim=(0.0, 6.0))
         rest.axvline(2.5, color=RED, linewidth=1.0, linestyle="--")
-        for axes in (moves, seconds, rest):
-            grid(axes)
 
 
 def _share_below(axes: Axes, values: summary.Array, colour: str) -> None:
@@ -207,7 +187,6 @@ def _errors(results: dict[str, Any], rows: Rows, path: Path) -> None:
         "(estimate − truth) / σ of simulated dockings of `random`; outside of ±5 at the ends; black: what σ promises"
     )
     with picture(path, 11.0, 3.9, "Are the estimates as good as they say?", about) as figure:
-        figure.subplots_adjust(left=0.06, right=0.985, top=0.80, bottom=0.14, wspace=0.08)
         edges = np.linspace(-5.0, 5.0, 51)
         middle = 0.5 * (edges[1:] + edges[:-1])
         normal = np.exp(-0.5 * middle**2) / np.sqrt(2.0 * np.pi)
@@ -220,6 +199,4 @@ def _errors(results: dict[str, Any], rows: Rows, path: Path) -> None:
                 axes.hist(z, edges, density=True, histtype="step", linewidth=1.5, color=colour, label=label, zorder=2)
             axes.plot(middle, normal, color=INK, linewidth=1.0)
             axes.set(yscale="log", ylim=(1e-4, 12.0), xlabel=f"{axis} error / σ")
-            axes.legend(frameon=False, fontsize=8, loc="upper right")
-            grid(axes)
-            axes.tick_params(colors=FAINT)
+            axes.legend(fontsize=8, loc="upper right")

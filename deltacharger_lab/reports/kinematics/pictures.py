@@ -7,15 +7,12 @@ import itertools
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from deltacharger_lab.reports.kinematics.workspace import Slices, draw_condition, draw_force
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, grid, picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, Axes, note, picture
 
 ERROR_TIME, EDGE, SPEED = "kinematics-error-time.png", "kinematics-edge.png", "kinematics-speed.png"
 CONDITION, FORCE = "kinematics-condition.png", "kinematics-force.png"
@@ -41,19 +38,13 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
     about = "largest angle error against 60 digits; filled: in an array of 10 000, hollow: one call at a time"
     with picture(path, 13.0, 5.6, "Inverse kinematics: error against run time", about) as figure:
         panels = figure.subplots(1, len(_PANELS), sharey=True, sharex=True)
-        figure.subplots_adjust(left=0.065, right=0.815, top=0.80, bottom=0.11, wspace=0.06)
         for axes, (name, title) in zip(panels, _PANELS.items(), strict=True):
             _scatter(axes, results["inverse"], name)
-            axes.set_title(title, pad=6)
-            axes.set(xlabel="µs per pose", xscale="log", yscale="log")
-            grid(axes)
+            axes.set(title=title, xlabel="µs per pose", xscale="log", yscale="log")
         panels[0].set(ylabel="largest error, rad", ylim=(1e-17, 10.0))
         markers = _markers(results["inverse"])
         handles = [_handle(row, markers[row["name"]]) for row in results["inverse"]]
-        figure.legend(
-            handles=handles, loc="center left", bbox_to_anchor=(0.825, 0.46), frameon=False, fontsize=8.5,
-            labelspacing=0.75,
-        )  # fmt: skip
+        figure.legend(handles=handles, loc="outside right center", labelspacing=0.75)
 
 
 def _scatter(axes: Axes, rows: list[dict[str, Any]], name: str) -> None:
@@ -95,7 +86,7 @@ def _edge(results: dict[str, Any], path: Path) -> None:
     decades, markers = results["edge"]["decades"], _markers(results["inverse"])
     about = "largest angle error of points whose exact distance to the edge lies within a factor of ten"
     with picture(path, 13.0, 5.2, "Inverse kinematics toward the edge of reach", about) as figure:
-        axes = figure.add_axes((0.065, 0.12, 0.73, 0.69))
+        axes = figure.subplots()
         for row in results["inverse"]:
             curve = [np.nan if each is None else max(each, _FLOOR) for each in results["edge"]["curves"][row["name"]]]
             axes.plot(
@@ -109,14 +100,13 @@ def _edge(results: dict[str, Any], path: Path) -> None:
             xlabel="distance to the edge of reach, m (lower end of the decade)",
             ylabel="largest error, rad",
         )
-        grid(axes)
-        figure.legend(loc="center left", bbox_to_anchor=(0.81, 0.45), frameon=False, fontsize=8.5, labelspacing=0.75)
+        figure.legend(loc="outside right center", labelspacing=0.75)
 
 
 def _speed(results: dict[str, Any], path: Path) -> None:
     about = "one process, process time; full solves give angles, status and margin"
     with picture(path, 13.0, 4.8, "Poses per second by the size of the array", about) as figure:
-        axes = figure.add_axes((0.065, 0.13, 0.62, 0.66))
+        axes = figure.subplots()
         colours = (BLUE, PURPLE, RED, ORANGE, GREEN, FAINT)
         for (name, row), colour, marker in zip(results["speed"].items(), colours, "oDsv^P", strict=False):
             axes.plot(
@@ -124,7 +114,6 @@ def _speed(results: dict[str, Any], path: Path) -> None:
                 color=colour, label=name, linestyle="dashed" if colour == RED else "solid",
             )  # fmt: skip
         axes.axhline(3e6, color=INK, linewidth=0.8, linestyle=(0, (4, 3)))
-        axes.annotate("wanted: 3 million", (1.0, 3e6), xytext=(2, 3), textcoords="offset points", fontsize=8, color=INK)
+        note(axes, "wanted: 3 million", (1.0, 3e6), (2, 3), ha="left")
         axes.set(xscale="log", yscale="log", xlabel="points in one call", ylabel="poses per second")
-        grid(axes)
-        figure.legend(loc="center left", bbox_to_anchor=(0.70, 0.45), frameon=False, fontsize=9, labelspacing=0.9)
+        figure.legend(loc="outside right center", labelspacing=0.9)

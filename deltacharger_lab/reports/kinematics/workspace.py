@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,7 @@ from numpy.typing import NDArray
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_kinematics import Delta, DeltaGeometry, Status
 from deltacharger_lab.reports.kinematics.sets import plain_edge
-from deltacharger_records.plotting import INK, picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from deltacharger_records.plotting import INK, Axes, picture
 
 Array = NDArray[np.float64]
 _LIMITS = Status.JOINT_LIMIT | Status.SWING_LIMIT
@@ -148,17 +145,14 @@ def draw_force(slices: Slices, path: Path) -> None:
 
 
 def _draw(figure: Any, slices: Slices, fields: list[Array], levels: list[float], label: str, colours: str) -> None:
+    from matplotlib.cm import ScalarMappable
     from matplotlib.colors import BoundaryNorm
 
     norm = BoundaryNorm(levels, 256, extend="max" if levels[0] == 1.0 else "both")  # no condition number is below 1
     panels = figure.subplots(1, len(slices.planes))
-    figure.subplots_adjust(left=0.048, right=0.905, top=0.80, bottom=0.155, wspace=0.27)
     for axes, plane, field in zip(panels, slices.planes, fields, strict=True):
         _panel(axes, plane, field, norm, colours)
-    bar_axes = figure.add_axes((0.922, 0.19, 0.012, 0.575))
-    from matplotlib.cm import ScalarMappable
-
-    bar = figure.colorbar(ScalarMappable(norm, colours), cax=bar_axes, ticks=levels)
+    bar = figure.colorbar(ScalarMappable(norm, colours), ax=panels, ticks=levels, aspect=32.0, pad=0.01)
     bar.outline.set_visible(False)
     bar.ax.tick_params(length=2, labelsize=8)
     bar.set_label(label)
@@ -179,10 +173,8 @@ def _panel(axes: Axes, plane: Slice, field: Array, norm: Any, colours: str) -> N
     for colour, line in ((INK, 3.0), ("white", 1.6)):
         axes.add_patch(Rectangle((left, lower), width, height, fill=False, edgecolor=colour, linewidth=line))
     axes.set_aspect("equal")
-    axes.set_title(plane.title, pad=5)
-    axes.set_xlabel(f"{plane.across}, mm", labelpad=2)
-    axes.set_ylabel(f"{plane.up}, mm", labelpad=1)
-    axes.tick_params(length=3)
+    axes.set(title=plane.title, xlabel=f"{plane.across}, mm", ylabel=f"{plane.up}, mm")
+    axes.grid(visible=False)
 
 
 def _legend(figure: Any) -> None:
@@ -196,5 +188,6 @@ def _legend(figure: Any) -> None:
             Patch(facecolor="white", edgecolor=INK, linewidth=0.8, label="workspace box"),
             Patch(facecolor=_BEYOND, label="out of reach, or rods turned over"),
         ],
-        loc="lower center", bbox_to_anchor=(0.48, 0.01), ncols=4, frameon=False, fontsize=8.5,
-    )  # fmt: skip
+        loc="outside lower center",
+        ncols=4,
+    )

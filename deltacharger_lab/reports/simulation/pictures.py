@@ -6,17 +6,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from deltacharger_lab.reports.formats import tens
 from deltacharger_lab.reports.simulation.energy import PARTS
 from deltacharger_lab.reports.simulation.plan import MUJOCO, MUJOCO_FAST
 from deltacharger_lab.reports.simulation.scenes import LIGHT
 from deltacharger_lab.reports.simulation.stability import DIVERGED
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, grid, picture
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, Axes, note, picture
 
 NAMES = ("simulation-error-time.png", "simulation-map.png", "simulation-energy.png", "simulation-docking.png")
 _COLOURS = {LIGHT: BLUE, MUJOCO: ORANGE, MUJOCO_FAST: GREEN}
@@ -36,13 +33,10 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
         about = "1.2 s of docking with friction against the light model's finest step; each point is a step, in ms"
     with picture(path, 10.0, 5.0, "Error against run time", about) as figure:
         left, right = figure.subplots(1, 2)
-        figure.subplots_adjust(left=0.08, right=0.98, top=0.80, bottom=0.12, wspace=0.22)
         for axes, key, text in ((left, "rms_mm", "path, mm rms"), (right, "force_percent", "settled force, %")):
             for name in results["models"]:
                 _curve(axes, results, name, key)
-            axes.set(xscale="log", yscale="log", xlabel="processor time per simulated second, ms", ylabel=text)
-            axes.set_title(text, loc="left")
-            grid(axes)
+            axes.set(title=text, xscale="log", yscale="log", xlabel="processor time per simulated second, ms")
         left.set_ylim(5e-4, 60.0)
         left.axhline(0.15, color=RED, linewidth=1.0, linestyle="--")
         left.axvline(2.0, color=RED, linewidth=1.0, linestyle="--")
@@ -50,7 +44,7 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
         right.axhline(0.5, color=RED, linewidth=1.0, linestyle="--")
         right.text(0.98, 0.7, "target: 0.5 %", color=RED, fontsize=8, ha="right", transform=right.get_yaxis_transform())
         right.plot([], [], "x", color=FAINT, label="diverged or restless")
-        right.legend(frameon=False, loc=(0.02, 0.26), fontsize=8)
+        right.legend(loc=(0.02, 0.26), fontsize=8)
 
 
 def _curve(axes: Axes, results: dict[str, Any], name: str, key: str) -> None:
@@ -65,7 +59,7 @@ def _curve(axes: Axes, results: dict[str, Any], name: str, key: str) -> None:
     y = [max(abs(row[key]), _FLOOR) for _, row in points]
     axes.plot(x, y, "o-", color=_COLOURS[name], markersize=4, linewidth=1.4, label=name)
     for time, (_, row), value in zip(x, points, y, strict=True):
-        axes.annotate(f"{1000.0 * row['step']:g}", (time, value), (3, 4), textcoords="offset points", fontsize=7)
+        note(axes, f"{1000.0 * row['step']:g}", (time, value), (3, 4), fontsize=7, ha="left")
     top = _DIVERGED_AT if key == "rms_mm" else 100.0
     axes.plot([time for time, _ in lost], [top] * len(lost), "x", color=_COLOURS[name], markersize=6)
 
@@ -77,7 +71,6 @@ def _map(results: dict[str, Any], path: Path) -> None:
         from matplotlib.colors import LogNorm
 
         rows = figure.subplots(1, len(names), squeeze=False)[0]
-        figure.subplots_adjust(left=0.7 / (3.6 * len(names) + 0.8), right=0.98, top=0.78, bottom=0.16, wspace=0.12)
         for index, (axes, name) in enumerate(zip(rows, names, strict=True)):
             points = [point for point in results["map"] if point["model"] == name and point["servo"] == 15.0]
             steps = sorted({point["step"] for point in points})
@@ -94,8 +87,8 @@ def _map(results: dict[str, Any], path: Path) -> None:
             axes.imshow(values, origin="lower", aspect="auto", cmap="viridis", norm=LogNorm(1e-3, 1.0))
             axes.set_xticks(range(len(steps)), [f"{1000.0 * step:g}" for step in steps], fontsize=7)
             axes.set_yticks(range(len(contacts)), [tens(each) for each in contacts] if not index else [])
-            axes.set_xlabel("step, ms")
-            axes.set_title(name, loc="left")
+            axes.set(title=name, xlabel="step, ms")
+            axes.grid(visible=False)
         rows[0].set_ylabel("contact stiffness, N/m per electrode")
 
 
@@ -105,14 +98,12 @@ def _energy(results: dict[str, Any], path: Path) -> None:
     about = f"steps of {1000.0 * step:g} ms; left: above what is left at the end; right: what took it away"
     with picture(path, 11.0, 4.6, "Energy of a charger that nobody drives", about) as figure:
         left, right = figure.subplots(1, 2)
-        figure.subplots_adjust(left=0.06, right=0.98, top=0.80, bottom=0.13, wspace=0.55)
         for row, colour in zip(rows, (BLUE, ORANGE, GREEN, PURPLE), strict=True):
             times, values = zip(*row["course"], strict=True)
             start = values[0]
             left.plot(times, [value / start for value in values], color=colour, linewidth=1.4, label=row["scene"])
         left.set(xlabel="time, s", ylabel="share of the energy to lose")
-        left.legend(frameon=False, fontsize=8)
-        grid(left)
+        left.legend(fontsize=8)
         for part, colour in zip(PARTS, (PURPLE, BLUE, GREEN, FAINT), strict=True):
             total = [sum(row["lost"].values()) for row in rows]
             before = [
@@ -124,16 +115,13 @@ def _energy(results: dict[str, Any], path: Path) -> None:
         right.set_yticks(range(len(rows)), [row["scene"].replace(", ", ",\n") for row in rows], fontsize=8)
         right.invert_yaxis()
         right.set_xlabel("% of the energy lost")
-        right.legend(
-            frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1.02, 1.0), ncols=4, columnspacing=0.9
-        )
+        right.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.02, 1.0), ncols=4, columnspacing=0.9)
 
 
 def _docking(results: dict[str, Any], path: Path) -> None:
     about = "approach, snap, push, pull off; commands every 0.1 s"
     with picture(path, 10.0, 5.2, "One docking by every model", about) as figure:
         top, bottom = figure.subplots(2, 1, sharex=True)
-        figure.subplots_adjust(left=0.08, right=0.98, top=0.84, bottom=0.10, hspace=0.12)
         styles = {(LIGHT, 0.001): (BLUE, "-", 1.8), (LIGHT, 0.01): (GREEN, "--", 1.4), (LIGHT, 0.1): (PURPLE, ":", 1.4)}
         for each in results["traces"]:
             colour, line, width = styles.get((each["model"], each["step"]), (ORANGE, "-", 1.0))
@@ -144,6 +132,4 @@ def _docking(results: dict[str, Any], path: Path) -> None:
         top.axhline(80.0, color=FAINT, linewidth=0.8)
         top.set_ylabel("z, mm")
         bottom.set(ylabel="contact force, N", xlabel="time, s")
-        top.legend(frameon=False, fontsize=8, loc="lower right")
-        for axes in (top, bottom):
-            grid(axes)
+        top.legend(fontsize=8, loc="lower right")

@@ -6,17 +6,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from deltacharger_lab.reports.tactile.measure import BINS
 from deltacharger_lab.reports.tactile.plan import KINDS, TARGETS, kind, title
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PAPER, grid, picture, plain_ticks
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, Axes, note, picture, plain_ticks, top_legend
 
 ANGLE, POSITION = "tactile-angle.png", "tactile-position.png"
 ERROR_TIME, RELIABILITY, CONFUSION = "tactile-error-time.png", "tactile-reliability.png", "tactile-confusion.png"
@@ -39,23 +35,13 @@ def _angle(results: dict[str, Any], path: Path) -> None:
     )
     with picture(path, 9.0, 6.4, "Angle: accuracy and execution time", about) as figure:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-        figure.subplots_adjust(left=0.09, right=0.97, top=0.83, bottom=0.08, hspace=0.12)
         _bars(above, results, "angle")
-        names = results["models"]
-        for index, name in enumerate(names):
-            times = results["times"][name]["angle"]
-            below.bar(index, times["median_ms"], color=COLOURS[kind(name)], width=0.66)
-            below.plot([index] * 2, [times["median_ms"], times["p99_ms"]], color=INK, linewidth=1.2, marker="_")
-            text = f"{times['median_ms']:.2f}"
-            below.annotate(
-                text, (index, times["p99_ms"]), xytext=(0, 4), textcoords="offset points", ha="center", fontsize=8.5
-            )
+        times = [results["times"][name]["angle"] for name in results["models"]]
+        median, slow = (np.array([each[key] for each in times]) for key in ("median_ms", "p99_ms"))
+        _labelled_bars(below, results, median, 0.0 * median, slow - median, "%.2f")
         below.axhline(38.0, color=FAINT, linewidth=1.0, linestyle=(0, (4, 3)))
-        below.annotate("paper's CNN, 38 ms", (0.01, 38.0), xycoords=("axes fraction", "data"), xytext=(0, 3),
-                       textcoords="offset points", fontsize=8.5, color=FAINT)  # fmt: skip
+        note(below, "paper's CNN, 38 ms", (-0.3, 38.0), (0, 3), ha="left", color=FAINT)
         below.set(yscale="log", ylim=(0.005, 150.0), ylabel="ms, log scale")
-        _name_axis(below, names)
-        grid(below, both=False)
         _legend(figure)
 
 
@@ -63,55 +49,44 @@ def _position(results: dict[str, Any], path: Path) -> None:
     about = _ABOUT + "mean and 95 % interval over rigs"
     with picture(path, 9.0, 6.4, "Vertical and horizontal: accuracy", about) as figure:
         panels = figure.subplots(2, 1, sharex=True)
-        figure.subplots_adjust(left=0.09, right=0.97, top=0.83, bottom=0.08, hspace=0.2)
         for axes, target in zip(panels, TARGETS[1:], strict=True):
             _bars(axes, results, target)
-            axes.set_title(target, loc="left", pad=4)
-        _name_axis(panels[1], results["models"])
+            axes.set_title(target)
         _legend(figure)
 
 
 def _bars(axes: Axes, results: dict[str, Any], target: str) -> None:
-    names = results["models"]
-    low = 100.0
-    for index, name in enumerate(names):
-        mean, half = (100.0 * results["accuracy"][name][target][key] for key in ("mean", "half"))
-        axes.bar(index, mean, color=COLOURS[kind(name)], width=0.66)
-        top = mean
-        if np.isfinite(half):
-            axes.plot([index] * 2, [mean - half, min(mean + half, 100.0)], color=INK, linewidth=1.2, marker="_")
-            top = min(mean + half, 100.0)
-        axes.annotate(
-            f"{mean:.1f}", (index, top), xytext=(0, 5), textcoords="offset points", ha="center", fontsize=8.5,
-            bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 0.8},
-        )  # fmt: skip
-        low = min(low, mean - (half if np.isfinite(half) else 0.0))
-    bottom = max(0.0, 10.0 * np.floor((low - 4.0) / 10.0))
+    found = [results["accuracy"][name][target] for name in results["models"]]
+    mean, half = (100.0 * np.array([each[key] for each in found]) for key in ("mean", "half"))
+    half = np.nan_to_num(half)  # of a single rig
+    _labelled_bars(axes, results, mean, half, np.minimum(half, 100.0 - mean), "%.1f")
+    bottom = max(0.0, 10.0 * np.floor(((mean - half).min() - 4.0) / 10.0))
     owner, value = _PAPER[target]
     axes.axhline(value, color=FAINT, linewidth=1.0, linestyle=(0, (4, 3)), zorder=0.8)
-    axes.annotate(f"paper's {title(owner)}, {value:g} %", (1.0, 1.0), xycoords="axes fraction", xytext=(0, 3),
-                  textcoords="offset points", ha="right", fontsize=8.5, color=FAINT)  # fmt: skip
+    text = f"paper's {title(owner)}, {value:g} %"
+    note(axes, text, (1.0, 1.0), (0, 3), xycoords="axes fraction", ha="right", color=FAINT)
     axes.set(ylim=(bottom, 100.0 + 0.08 * (100.0 - bottom)), ylabel="accuracy, %")
-    grid(axes, both=False)
 
 
-def _name_axis(axes: Axes, names: list[str]) -> None:
+def _labelled_bars(axes: Axes, results: dict[str, Any], height: Any, below: Any, above: Any, form: str) -> None:
+    """Draw a bar of each model with its height written above, and how far the interval reaches from there."""
+    names = results["models"]
+    colours = [COLOURS[kind(name)] for name in names]
+    bars = axes.bar(range(len(names)), height, 0.66, color=colours, yerr=(below, above), ecolor=INK, capsize=3.0)
+    axes.bar_label(bars, fmt=form, padding=2.0, fontsize=8.5)
     axes.set_xticks(range(len(names)), [title(name) for name in names])
-    axes.set_xlim(-0.6, len(names) - 0.4)
 
 
 def _legend(figure: Any) -> None:
     from matplotlib.patches import Patch
 
-    handles = [Patch(color=COLOURS[name], label=text) for name, text in KINDS.items()]
-    figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.985, 0.995), ncols=3, frameon=False, fontsize=9)
+    top_legend(figure, [Patch(color=COLOURS[name], label=text) for name, text in KINDS.items()])
 
 
 def _error_time(results: dict[str, Any], path: Path) -> None:
     about = _ABOUT + "mean error rate over rigs against the median time of one prediction on numpy"
     with picture(path, 11.0, 4.8, "Error against prediction time", about) as figure:
         panels = figure.subplots(1, 3)
-        figure.subplots_adjust(left=0.07, right=0.98, top=0.76, bottom=0.12, wspace=0.2)
         for axes, target in zip(panels, TARGETS, strict=True):
             points = []
             for name in results["models"]:
@@ -121,11 +96,9 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
                 points.append((time, error, title(name)))
             axes.set(xscale="log", yscale="log", ylim=_reach([error for _, error, _ in points]))
             axes.margins(x=0.22)
-            axes.set_title(target, pad=6)
-            axes.set_xlabel("ms, log scale")
+            axes.set(title=target, xlabel="ms, log scale")
             plain_ticks(axes)
             _label_points(figure, axes, points)
-            grid(axes)
         panels[0].set_ylabel("wrong class, %, log scale")
         _legend(figure)
 
@@ -136,33 +109,27 @@ def _reach(values: list[float]) -> tuple[float, float]:
     return 0.6 * least, 1.7 * max(*values, least)
 
 
-def _label_points(figure: Figure, axes: Axes, points: list[tuple[float, float, str]]) -> None:
+def _label_points(figure: Any, axes: Axes, points: list[tuple[float, float, str]]) -> None:
     """Name points beside them, each where the fewest labels and points are."""
+    from matplotlib.transforms import Bbox
+
     figure.draw_without_rendering()  # settles the scales
-    places = axes.transData.transform([(time, error) for time, error, _ in points])
-    scale = axes.figure.dpi / 72.0
-    taken = [(x - 6, y - 6, x + 6, y + 6) for x, y in places]
-    inside = axes.get_window_extent()
-    for (x, y), (time, error, text) in zip(places, points, strict=True):
-        width, height = 5.6 * scale * len(text), 12.0 * scale
-        best: tuple[float, tuple[float, float], tuple[float, float, float, float]] | None = None
-        for far in (8.0, 16.0, 26.0):
-            for dx, dy in ((1, 0), (0, 1), (0, -1), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)):
-                left = x + scale * far * dx - width * (0.5 * (1 - dx))
-                low = y + scale * far * dy - height * 0.5
-                box = (left, low, left + width, low + height)
-                hits = sum(_meet(box, other) for other in taken)
-                beyond = box[0] < inside.x0 or box[2] > inside.x1 or box[1] < inside.y0 or box[3] > inside.y1
-                cost = 10.0 * hits + 20.0 * beyond + 0.1 * far
-                if best is None or cost < best[0]:
-                    best = (cost, ((left - x) / scale, (low - y) / scale), box)
-        assert best is not None
-        taken.append(best[2])
-        axes.annotate(text, (time, error), xytext=best[1], textcoords="offset points", fontsize=8.5, va="bottom")
+    taken = [Bbox.from_bounds(x - 6, y - 6, 12, 12) for x, y in axes.transData.transform([each[:2] for each in points])]
+    directions = ((1, 0), (0, 1), (0, -1), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1))
+    for time, error, text in points:
+        label = axes.annotate(text, (time, error), (0, 0), textcoords="offset points", ha="center", va="center")
+        label.set_in_layout(False)
+        half = 0.5 * label.get_window_extent().width * 72.0 / figure.dpi
 
+        def cost(place: tuple[float, float], label: Any = label) -> float:
+            label.set_position(place)
+            box = label.get_window_extent()
+            inside = axes.bbox.contains(*box.min) and axes.bbox.contains(*box.max)
+            return float(box.count_overlaps(taken) + 2.0 * (not inside) + 1e-3 * np.hypot(*place))
 
-def _meet(one: tuple[float, ...], two: tuple[float, ...]) -> bool:
-    return one[0] < two[2] and two[0] < one[2] and one[1] < two[3] and two[1] < one[3]
+        places = [(dx * (far + half), dy * far) for far in (8.0, 16.0, 26.0) for dx, dy in directions]
+        label.set_position(min(places, key=cost))
+        taken.append(label.get_window_extent())
 
 
 def _shifts(results: dict[str, Any], path: Path) -> None:
@@ -197,7 +164,6 @@ def _reliability(results: dict[str, Any], path: Path) -> None:
     about = _ABOUT + "unseen dockings of the same rigs; how often the winning class is right, by its probability"
     with picture(path, 10.0, 6.2, "Reliability", about) as figure:
         panels = figure.subplots(2, len(names), sharex=True, sharey="row", squeeze=False, height_ratios=(3, 1))
-        figure.subplots_adjust(left=0.08, right=0.98, top=0.81, bottom=0.10, wspace=0.1, hspace=0.1)
         for column, name in enumerate(names):
             above, below = panels[:, column]
             above.plot([0, 1], [0, 1], color=FAINT, linewidth=1.0, linestyle=(0, (4, 3)))
@@ -209,15 +175,11 @@ def _reliability(results: dict[str, Any], path: Path) -> None:
                            linewidth=1.3, label=target)  # fmt: skip
                 places = (np.arange(BINS) + 0.25 * (number + 0.5) + 0.125) / BINS
                 below.bar(places, np.maximum(count, 0.0), width=0.25 / BINS, color=colour)
-            above.set_title(title(name), pad=5)
             below.set(yscale="log", ylim=(1, None), xlabel="probability of the winner")
-            above.set(xlim=(0.15, 1.02), ylim=(0.0, 1.03))
-            grid(above)
-            grid(below, both=False)
+            above.set(title=title(name), xlim=(0.15, 1.02), ylim=(0.0, 1.03))
         panels[0, 0].set_ylabel("share that is right")
         panels[1, 0].set_ylabel("frames")
-        handles, texts = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, texts, loc="upper right", bbox_to_anchor=(0.98, 0.995), ncols=3, frameon=False)
+        top_legend(figure, panels[0, 0].get_legend_handles_labels()[0])
 
 
 def _confusion(results: dict[str, Any], path: Path) -> None:
@@ -226,8 +188,6 @@ def _confusion(results: dict[str, Any], path: Path) -> None:
     ticks = {"angle": [str(each) for each in range(6)]}
     with picture(path, 9.5, 1.2 + 2.55 * len(names), "Confusion", about) as figure:
         panels = figure.subplots(len(names), 3, squeeze=False)
-        height = 1.2 + 2.55 * len(names)
-        figure.subplots_adjust(left=0.09, right=0.98, top=1.0 - 1.15 / height, bottom=0.35 / height, hspace=0.28)
         for line, name in enumerate(names):
             for column, target in enumerate(TARGETS):
                 axes = panels[line, column]
@@ -242,6 +202,6 @@ def _confusion(results: dict[str, Any], path: Path) -> None:
                 words = ticks.get(target, ["−10", "−5", "0", "5", "10"])
                 axes.set_xticks(range(len(words)), words)
                 axes.set_yticks(range(len(words)), words)
-                unit = "°" if target == "angle" else "mm"
-                axes.set_title(f"{title(name)}, {target}, {unit}", pad=4, fontsize=9.5)
+                axes.set_title(f"{title(name)}, {target}, {'°' if target == 'angle' else 'mm'}", fontsize=9.5)
                 axes.tick_params(length=0)
+                axes.grid(visible=False)

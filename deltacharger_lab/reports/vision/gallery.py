@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,13 +21,10 @@ from deltacharger_lab.reports.vision.conditions import (
 )
 from deltacharger_lab.reports.vision.measure import Photographer, Sample, errors
 from deltacharger_lab.reports.vision.plan import VisionPlan
-from deltacharger_records.plotting import BLUE, INK, RED, picture
+from deltacharger_records.plotting import BLUE, INK, RED, Axes, picture
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.projection import project
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _HARD = (
     f"{BY_RANGE}: 0.15 m",
@@ -59,11 +55,10 @@ def renderers(plan: VisionPlan, path: Path) -> None:
     detector, closing = ElectrodeDetector(), contextlib.closing(Photographer())
     with closing as photographer, picture(path, width, height, title, about) as figure:
         panels = figure.subplots(1, len(shown), squeeze=False)[0]
-        figure.subplots_adjust(left=0.01, right=0.99, top=1.0 - 1.1 / height, bottom=0.02, wspace=0.03)
         for axes, condition in zip(panels, shown, strict=True):
             sample = photographer.take(condition, plan.first_seed)
             axes.imshow(annotated(sample.image, detector.detect(sample.image)), interpolation="antialiased")
-            axes.set_title(condition.renderer, loc="left", pad=4)
+            axes.set_title(condition.renderer)
             axes.axis("off")
 
 
@@ -78,7 +73,6 @@ def hard(images: dict[str, list[list[float]]], path: Path) -> None:
     detector, closing = ElectrodeDetector(), contextlib.closing(Photographer())
     with closing as photographer, picture(path, width, height, "Hard images", about) as figure:
         panels = figure.subplots(lines, _COLUMNS, squeeze=False)
-        figure.subplots_adjust(left=0.015, right=0.985, top=1.0 - 1.1 / height, bottom=0.015, wspace=0.05, hspace=0.16)
         for axes in panels.flat:
             axes.axis("off")
         for axes, name in zip(panels.flat, names, strict=False):
@@ -103,7 +97,7 @@ def _one(axes: Axes, name: str, sample: Sample, detector: ElectrodeDetector) -> 
             axes.plot(*np.vstack([bar, bar[:1]]).T, color=BLUE, linewidth=1.3)
         _, wrong, across, away, *_ = errors(found, sample.view.pose, condition.real)
         text, colour = ("wrong", RED) if wrong else (f"off by {np.hypot(across, away):.2f} mm", BLUE)
-    axes.set_title(condition.name, loc="left", pad=3, fontsize=9.0)
+    axes.set_title(condition.name, fontsize=9.0)
     axes.text(0.985, 0.03, text, transform=axes.transAxes, ha="right", va="bottom", fontsize=9.0, color=colour,
               bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5, "alpha": 0.85})  # fmt: skip
     if condition.real:

@@ -8,10 +8,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from deltacharger_lab.reports.vision import gallery
 from deltacharger_lab.reports.vision.conditions import BAND, BY_RANGE, DEFECTS, HIDDEN, SIZE, key, members
 from deltacharger_lab.reports.vision.plan import VisionPlan
-from deltacharger_records.plotting import BLUE, FAINT, INK, ORANGE, PAPER, RED, grid, picture, plain_ticks
+from deltacharger_records.plotting import BLUE, FAINT, ORANGE, RED, note, picture, plain_ticks, top_legend
 
 RANGE, FOUND, ERROR_TIME = "vision-range.png", "vision-found.png", "vision-error-time.png"
 RENDERERS, GALLERY = "vision-renderers.png", "vision-gallery.png"
@@ -41,7 +43,6 @@ def _range(results: dict[str, Any], path: Path) -> None:
     rows = [(each.away, results["rows"][key(each)]) for each in members(BY_RANGE)]
     with picture(path, 11.0, 4.6, "Error against range", about) as figure:
         panels = figure.subplots(1, 3)
-        figure.subplots_adjust(left=0.065, right=0.985, top=0.75, bottom=0.13, wspace=0.22)
         for axes, (name, (title, unit, target)) in zip(panels, _ERRORS.items(), strict=True):
             away = [each for each, _ in rows]
             for share, colour, text in ((95, ORANGE, "95 %"), (50, BLUE, "median")):
@@ -50,31 +51,23 @@ def _range(results: dict[str, Any], path: Path) -> None:
             axes.plot(BAND, [target] * 2, color=RED, linewidth=1.3, linestyle=(0, (4, 3)), label="target")
             axes.set_yscale("log")
             plain_ticks(axes)
-            axes.set_title(f"{title}, {unit}", loc="left", pad=6)
-            axes.set(xlabel="range, m", xlim=(0.1, 1.05))
-            grid(axes)
-        handles, texts = panels[0].get_legend_handles_labels()
-        figure.legend(handles, texts, loc="upper right", bbox_to_anchor=(0.985, 0.995), ncols=3, frameon=False)
+            axes.set(title=f"{title}, {unit}", xlabel="range, m", xlim=(0.1, 1.05))
+        top_legend(figure, panels[0].get_legend_handles_labels()[0])
 
 
 def _found(results: dict[str, Any], path: Path) -> None:
     rows = [each for group in (DEFECTS, HIDDEN) for each in members(group) if key(each) in results["rows"]]
-    height = 1.15 + 0.225 * len(rows)
     about = _ABOUT + "0.2–0.8 m, hidden bars 0.2–0.6 m; share of images in which the electrodes were found"
-    with picture(path, 9.0, height, "What is found under each defect", about) as figure:
-        axes = figure.add_axes((0.29, 0.45 / height, 0.66, 1.0 - 1.25 / height))
-        for line, each in enumerate(rows):
-            row = results["rows"][key(each)]
-            found, wrong = (100.0 * row[name] / row["images"] for name in ("found", "wrong"))
-            axes.barh(line, 100.0, color="#e4e8ec", height=0.7)
-            axes.barh(line, found, color=BLUE, height=0.7)
-            axes.barh(line, wrong, left=found, color=RED, height=0.7)
-            inside = found > 12.0
-            text = f"{found:.0f}" if found in (0.0, 100.0) else f"{found:.1f}"
-            axes.text(found - 0.8 if inside else found + 0.8, line, text, va="center", fontsize=8.5,
-                      ha="right" if inside else "left", color="white" if inside else INK)  # fmt: skip
-        axes.set_yticks(range(len(rows)), [each.name for each in rows])
-        axes.set(ylim=(len(rows) - 0.4, -0.6), xlim=(0.0, 100.0), xlabel="found, %; red: wrong", facecolor=PAPER)
+    figures = [results["rows"][key(each)] for each in rows]
+    found, wrong = (np.array([100.0 * each[name] / each["images"] for each in figures]) for name in ("found", "wrong"))
+    with picture(path, 9.0, 1.15 + 0.225 * len(rows), "What is found under each defect", about) as figure:
+        axes, lines = figure.subplots(), range(len(rows))
+        whole = axes.barh(lines, 100.0, 0.7, color="#e4e8ec")
+        axes.barh(lines, found, 0.7, color=BLUE)
+        axes.barh(lines, wrong, 0.7, left=found, color=RED)
+        axes.bar_label(whole, [f"{each:.1f}" for each in found], padding=3.0, fontsize=8.5)
+        axes.set_yticks(lines, [each.name for each in rows])
+        axes.set(ylim=(len(rows) - 0.4, -0.6), xlim=(0.0, 106.0), xlabel="found, %; red: wrong")
         axes.tick_params(axis="y", length=0)
 
 
@@ -82,33 +75,23 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
     about = _ABOUT + "0.15–0.8 m, three sizes of the image; processor time of one core, median"
     with picture(path, 9.0, 4.4, "Error against run time", about) as figure:
         panels = figure.subplots(1, 2)
-        figure.subplots_adjust(left=0.08, right=0.97, top=0.75, bottom=0.13, wspace=0.22)
         for axes, name in zip(panels, ("xy_mm", "z_mm"), strict=True):
             title, unit, target = _ERRORS[name]
             for number, each in enumerate(members(SIZE)):
                 row, time = results["rows"][key(each)], results["times"][key(each)]["median_ms"]
                 low, high = row[f"{name}_p50"], row[f"{name}_p95"]
                 axes.plot([time] * 2, [low, high], color=FAINT, linewidth=1.4, zorder=2)
-                axes.plot(time, low, "o", color=BLUE, markersize=7, zorder=3)
-                axes.plot(time, high, "o", color=ORANGE, markersize=7, zorder=3)
+                axes.plot(time, low, "o", color=BLUE, markersize=7, zorder=3, label="median")
+                axes.plot(time, high, "o", color=ORANGE, markersize=7, zorder=3, label="95 %")
                 # Above the first and the last, below the one between: they are close together.
                 place, shift = (low, -16) if number == 1 else (high, 8)
-                axes.annotate(each.name, (time, place), xytext=(0, shift), textcoords="offset points", ha="center")
-            axes.axhline(target, color=RED, linewidth=1.3, linestyle=(0, (4, 3)))
+                note(axes, each.name, (time, place), (0, shift))
+            axes.axhline(target, color=RED, linewidth=1.3, linestyle=(0, (4, 3)), label="targets")
             axes.axvline(15.0, color=RED, linewidth=1.3, linestyle=(0, (1, 2)))
             axes.set(yscale="log", xscale="log")
             axes.margins(x=0.3, y=0.14)
             plain_ticks(axes)
             axes.set_xticks([5, 10, 15, 20, 30, 50], ["5", "10", "15", "20", "30", "50"])
             axes.xaxis.minorticks_off()
-            axes.set_title(f"{title}, {unit}", loc="left", pad=6)
-            axes.set_xlabel("ms a frame, log scale")
-            grid(axes)
-        from matplotlib.lines import Line2D
-
-        handles = [
-            Line2D([], [], color=BLUE, marker="o", linestyle="none", label="median"),
-            Line2D([], [], color=ORANGE, marker="o", linestyle="none", label="95 %"),
-            Line2D([], [], color=RED, linestyle=(0, (4, 3)), label="targets"),
-        ]
-        figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.985, 0.995), ncols=3, frameon=False)
+            axes.set(title=f"{title}, {unit}", xlabel="ms a frame, log scale")
+        top_legend(figure, panels[0].get_legend_handles_labels()[0][-3:])
