@@ -44,6 +44,30 @@ def test_a_file_where_the_folder_should_be_is_2(
     assert path.read_text("utf-8") == "kept"
 
 
+@pytest.mark.parametrize(
+    ("words", "missing", "extra"),
+    [
+        ("report kinematics", ("mpmath",), "report"),
+        ("report tactile", ("sklearn", "xgboost", "torch"), "train"),
+        ("tactile compare", ("sklearn", "xgboost", "torch"), "train"),
+        ("report vision", ("cv2",), "vision"),
+    ],
+)
+def test_without_what_it_measures_with_it_says_what_to_install(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    words: str,
+    missing: tuple[str, ...],
+    extra: str,
+) -> None:
+    for module in missing:
+        monkeypatch.setitem(sys.modules, module, None)
+    assert main((*words.split(), "--quick", "--out", str(tmp_path), "--json")) == 1
+    assert f"install deltacharger[{extra}]" in json.loads(capsys.readouterr().out)["error"]
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(("subject", "module"), [("tactile", "sklearn"), ("vision", "cv2")])

@@ -27,18 +27,13 @@ SEVEN = math.radians(7.0)
 
 def rows(count: int, **changes: Any) -> Columns:
     """Return so many charged dockings of level targets."""
-    names = ("servo_push", "peak_push", "final_horizontal", "final_vertical", "final_misalignment", "energised_unsafe")
-    found: dict[str, list[Any]] = {name: [0.001] * count for name in names}
-    found |= {"number": list(range(count)), "place_roll": [0.0] * count, "code_name": ["NONE"] * count}
-    found |= {"charged": [True] * count, "ended": [""] * count, "moves": [2] * count, "time": [20.0] * count}
-    found |= {
-        "shorts": [0] * count,
-        "parted_live": [0] * count,
-        "energised": [4.0] * count,
-        "rest_push": [17.0] * count,
-    }
-    found |= {"rest_current": [0.45] * count, "servo_current_hottest": [0.5] * count, "energised_unsafe": [0.0] * count}
-    return docking_summary.columns(found | {name: [value] * count for name, value in changes.items()})
+    names = ("servo_push", "peak_push", "final_horizontal", "final_vertical", "final_misalignment")
+    usual: dict[str, Any] = dict.fromkeys(names, 0.001)
+    usual |= {"place_roll": 0.0, "code_name": "NONE", "charged": True, "ended": "", "moves": 2, "time": 20.0}
+    usual |= {"shorts": 0, "parted_live": 0, "energised": 4.0, "energised_unsafe": 0.0, "rest_push": 17.0}
+    usual |= {"rest_current": 0.45, "servo_current_hottest": 0.5, **changes}
+    found = {name: [value] * count for name, value in usual.items()}
+    return docking_summary.columns(found | {"number": list(range(count))})
 
 
 @pytest.mark.parametrize(("hits", "count"), [(0, 1), (0, 300), (0, 20_000), (1, 20_000), (3, 40), (12, 2000)])

@@ -104,15 +104,6 @@ def test_without_peers_and_matplotlib_the_tables_stay_and_say_what_is_missing(
     assert "casadi is absent" in printed.err
 
 
-def test_without_mpmath_it_says_what_to_install(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setitem(sys.modules, "mpmath", None)
-    assert main(("report", "kinematics", "--quick", "--out", str(tmp_path), "--json")) == 1
-    assert "install deltacharger[report]" in json.loads(capsys.readouterr().out)["error"]
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.parametrize("geometry", [DeltaGeometry(), DeltaGeometry(limbs=ADJUSTED)], ids=["plain", "adjusted"])
 def test_the_reference_brings_points_back_to_30_digits(geometry: DeltaGeometry) -> None:
     """Its inverse and forward are written apart, so that they can only agree where both are right."""

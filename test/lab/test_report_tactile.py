@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from pathlib import Path
 
 import pytest
 
-from deltacharger_bringup.cli.main import main
 from deltacharger_lab.reports.page import write_html
 from deltacharger_lab.reports.pool import ReportTask, work
 from deltacharger_lab.reports.tactile import plan as tactile_plan
@@ -74,17 +72,6 @@ def test_without_libraries_their_rows_are_left_out(monkeypatch: pytest.MonkeyPat
     assert "forest" in names
     monkeypatch.setitem(sys.modules, "sklearn", None)
     assert tactile_plan.full_plan(1).names == ()
-
-
-def test_with_nothing_that_trains_it_says_what_to_install(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    for module in ("sklearn", "xgboost", "torch"):
-        monkeypatch.setitem(sys.modules, module, None)
-    for words in (("report", "tactile"), ("tactile", "compare")):
-        assert main((*words, "--out", str(tmp_path), "--json")) == 1
-        assert "deltacharger[train]" in json.loads(capsys.readouterr().out)["error"]
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_verdict_needs_coverage_or_an_alarm() -> None:

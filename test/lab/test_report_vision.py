@@ -3,15 +3,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from deltacharger_bringup.cli.main import main
 from deltacharger_lab.campaigns.summary import upper_bound
 from deltacharger_lab.reports.page import render
 from deltacharger_lab.reports.vision import conditions as vision_conditions
@@ -202,15 +199,3 @@ def test_the_terminal_of_every_view_is_wholly_in_the_picture(name: str) -> None:
 def test_no_pose_where_the_terminal_is_larger_than_the_picture() -> None:
     with pytest.raises(ValueError, match="no pose"):
         vision_views.draw_pose(0.04, np.random.default_rng(0))
-
-
-def test_without_opencv_it_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    without = dataclasses.replace(
-        vision_plan.VisionPlan(2, 0, True, {}), absent={"opencv": "install deltacharger[vision]"}
-    )
-    monkeypatch.setattr(vision_plan, "plan", lambda *_: without)
-    assert main(("report", "vision", "--quick", "--out", str(tmp_path), "--json")) == 1
-    assert "deltacharger[vision]" in json.loads(capsys.readouterr().out)["error"]
-    assert list(tmp_path.iterdir()) == []
