@@ -17,6 +17,8 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
 
+from .dockings import QUICK, QUICK_DAMPING
+
 SERVED_BY = {
     Service.TORQUE_ON: "servo_node",
     Service.TORQUE_OFF: "servo_node",
@@ -29,18 +31,6 @@ SERVED_BY = {
 OPEN_WITHIN = {"servo_node": 0.35, "tactile_node": 0.11, "docking_node": 0.35}
 _HEARTBEAT, _LEASE = 0.1, 0.25  # s
 _JUST_BEHIND = 0.05  # s
-_QUICK = {
-    "servo_damping": 0.3,
-    "home_z": 0.05,
-    "standoff": 0.008,
-    "coarse_step": 0.004,
-    "contact_speed": 0.05,
-    "lift": 0.008,
-    "travel_speed": 0.3,
-    "charge_stable_time": 0.2,
-    "alignment_tolerance": 0.004,
-    "landing_limit": 0.006,
-}
 
 
 class Faulty(VirtualCharger):
@@ -57,8 +47,8 @@ class Faulty(VirtualCharger):
 
     def __init__(self, nearer: float = 0.0, **parameters: object) -> None:
         target = TargetParameters(x=0.006, y=0.006, z=0.080 - nearer, roll=0.03)
-        world = WorldParameters(target=target, servo=ServoParameters(damping=0.3))
-        super().__init__(world, DockingParameters(**{**_QUICK, **parameters}), 1)
+        world = WorldParameters(target=target, servo=ServoParameters(damping=QUICK_DAMPING))
+        super().__init__(world, DockingParameters(**{**QUICK, **parameters}), 1)
         self.silent = ""
         self.since = 0.0
         self.frozen: tuple[str, ...] = ()

@@ -12,21 +12,16 @@ import pytest
 from deltacharger_docking.codes import Busy, Code, State
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, Observation, Reply, Service
-from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
-from deltacharger_sim.parameters import CircuitParameters, ContactParameters, TargetParameters, WorldParameters
+from deltacharger_sim.parameters import CircuitParameters, ContactParameters
+
+from .dockings import quick_charger
 
 NAN = math.nan
 
 
-def charger(parameters: DockingParameters | None = None, **world: object) -> VirtualCharger:
-    """A charger whose target stands a little beside the goal."""
-    target = TargetParameters(x=0.003, y=-0.002, roll=math.radians(2.0))
-    return VirtualCharger(WorldParameters(target=target, **world), parameters)
-
-
 def charging(**kwargs: object) -> VirtualCharger:
-    run = charger(**kwargs)
+    run = quick_charger(**kwargs)
     assert run.dock().success
     assert run.world.snapshot().contactor_closed
     return run
@@ -107,7 +102,7 @@ def test_electrodes_on_a_welded_contactor_are_not_pulled_apart_by_the_next_goal(
 
 def test_a_failure_right_after_the_close_waits_until_the_contactor_is_open() -> None:
     """The close takes its way and charger_power comes late, so the first messages still tell of an open contactor."""
-    run = charger()
+    run = quick_charger()
     late: list[tuple[float, Callable[[], None]]] = []
     plant, close, open_ = run.plant, run.plant.close_contactor, run.plant.open_contactor
     plant.close_contactor = lambda: late.append((run.now + 0.04, close))
@@ -148,7 +143,7 @@ def test_a_goal_while_the_arm_goes_back_by_itself_is_refused() -> None:
 
 @pytest.mark.parametrize("fault", [{"servo_age": 0.2}, {"angles": (NAN, NAN, NAN), "servos_valid": False}])
 def test_the_way_back_ends_whatever_the_servos_say(fault: dict[str, object]) -> None:
-    run = charger(DockingParameters(retract_timeout=3.0))
+    run = quick_charger(parameters={"retract_timeout": 3.0})
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.MEASURE, 60.0)
     run.machine.cancel()
@@ -159,7 +154,7 @@ def test_the_way_back_ends_whatever_the_servos_say(fault: dict[str, object]) -> 
 
 
 def test_soft_electrodes_are_pulled_off_before_the_arm_goes_home() -> None:
-    run = charger(contact=ContactParameters(stiffness=4e3))
+    run = quick_charger(contact=ContactParameters(stiffness=4e3))
     assert run.dock(DockGoal(GOAL, start_charging=False)).success
     outcome = run.undock()
     away = math.dist(run.world.snapshot().position, run.parameters.home)
@@ -168,7 +163,7 @@ def test_soft_electrodes_are_pulled_off_before_the_arm_goes_home() -> None:
 
 
 def test_undocking_takes_a_limp_arm_home_even_where_the_pads_feel_nothing() -> None:
-    run = charger()
+    run = quick_charger()
     assert run.dock(DockGoal(GOAL, start_charging=False)).success
     run._torque = False
     run.run(0.5)
@@ -178,7 +173,7 @@ def test_undocking_takes_a_limp_arm_home_even_where_the_pads_feel_nothing() -> N
 
 
 def test_a_pull_that_the_servos_forgot_is_repeated() -> None:
-    run = charger()
+    run = quick_charger()
     assert run.dock(DockGoal(GOAL, start_charging=False)).success
     run.outcome = None
     run.machine.start_undock("", run.observe())
@@ -188,13 +183,13 @@ def test_a_pull_that_the_servos_forgot_is_repeated() -> None:
 
 
 def test_holding_a_goal_is_not_limited_by_the_time_to_dock() -> None:
-    run = charger(DockingParameters(goal_timeout=30.0))
+    run = quick_charger(parameters={"goal_timeout": 30.0})
     assert run.dock(DockGoal(GOAL, hold=True, stop_after=25.0)).success
 
 
 def test_torque_lost_while_pressing_ends_the_goal_at_once() -> None:
     """Else the command would run on to the arm's limit, and pressing would resume from there."""
-    run = charger()
+    run = quick_charger()
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.CONTACT, 60.0)
     run.distort = lambda observation: replace(observation, torque_enabled=False)
@@ -229,7 +224,7 @@ def test_a_docking_node_that_was_restarted_lifts_off_before_it_tares() -> None:
 
 
 def test_a_fault_latched_before_docking_is_cleared_once() -> None:
-    run = charger()
+    run = quick_charger()
     latched = [True]
 
     def clear(reply: Reply) -> Reply:
@@ -242,7 +237,7 @@ def test_a_fault_latched_before_docking_is_cleared_once() -> None:
 
 
 def test_after_an_emergency_the_next_goal_is_served_however_late() -> None:
-    run = charger()
+    run = quick_charger()
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.CONTACT, 60.0)
     run.machine.emergency()
@@ -251,7 +246,7 @@ def test_after_an_emergency_the_next_goal_is_served_however_late() -> None:
 
 
 def test_docked_without_charging_is_watched_over() -> None:
-    run = charger()
+    run = quick_charger()
     assert run.dock(DockGoal(GOAL, start_charging=False)).success
     contacts = run.world.record.contacts
     assert run.dock(DockGoal(GOAL, start_charging=False)).success
@@ -281,7 +276,7 @@ def test_a_refused_renewal_opens_at_once_and_is_named_by_the_fault_that_follows(
 
 @pytest.mark.parametrize("fault", [{"hardware_error": 32}, {"servo_age": 5.0}])
 def test_undocking_without_servos_is_no_success_while_the_magnets_may_hold(fault: dict[str, object]) -> None:
-    run = charger()
+    run = quick_charger()
     assert run.dock(DockGoal(GOAL, start_charging=False)).success
     run.distort = lambda observation: replace(observation, **fault)
     run.until(lambda: run.machine.status.code is Code.SERVO_FAULT, 2.0)

@@ -6,20 +6,20 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
 from deltacharger_docking.codes import Busy, Code, State
 from deltacharger_docking.observation import DockGoal, Reply, Service
-from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import CircuitParameters
 
-from .dockings import assert_safe_at_home, charger
+from .dockings import assert_safe_at_home, charger, quick_charger
 
 
-def docked(start_charging: bool = True, **kwargs: object) -> VirtualCharger:
-    run = charger(**kwargs)
+def docked(*place: float, start_charging: bool = True, **kwargs: Any) -> VirtualCharger:
+    run = quick_charger(*place, **kwargs)
     outcome = run.dock(DockGoal(GOAL, start_charging=start_charging))
     assert outcome.success, outcome.message
     return run
@@ -117,7 +117,7 @@ def test_goals_that_come_again_and_again_do_not_put_off_the_clearance_check() ->
 
 
 def test_the_lowest_critical_angle_of_all_goals_counts() -> None:
-    run = charger()
+    run = quick_charger()
     assert run.dock(DockGoal(GOAL, critical_angle=math.radians(8.0))).success
     assert run.dock().success, "a goal without a limit of its own"
     run.answer[Service.ESTIMATE] = lambda reply: shifted(reply, 9.0)
@@ -125,7 +125,7 @@ def test_the_lowest_critical_angle_of_all_goals_counts() -> None:
 
 
 def test_a_goal_with_a_limit_below_what_was_measured_ends_charging() -> None:
-    run = docked(degrees=5.0)
+    run = docked(3.0, -2.0, 5.0)
     assert run.dock(DockGoal(GOAL, critical_angle=math.radians(3.0))).code is Code.CRITICAL_ANGLE
     assert_safe_at_home(run)
 
@@ -145,7 +145,7 @@ def test_a_cancel_without_a_goal_changes_nothing_and_a_held_goal_can_be_taken_ba
 
 
 def test_holding_without_current_lasts_until_its_time_or_a_cancel() -> None:
-    run = charger()
+    run = quick_charger()
     outcome = run.dock(DockGoal(GOAL, start_charging=False, hold=True, stop_after=40.0))
     assert outcome.success
     assert outcome.elapsed >= 40.0
@@ -157,7 +157,7 @@ FILLING = CircuitParameters(target_capacity=40.0)  # constant voltage after 13 s
 
 @pytest.mark.parametrize("hold", [True, False])
 def test_current_that_tapers_off_means_a_full_target(hold: bool) -> None:
-    run = charger(circuit=FILLING)
+    run = quick_charger(circuit=FILLING)
     outcome = run.dock(DockGoal(GOAL, hold=hold), limit=300.0)
     assert outcome.success
     run.until(lambda: not run.world.snapshot().contactor_closed, 120.0)
@@ -195,7 +195,7 @@ def test_a_clock_that_jumps_opens_the_contactor(jump: float) -> None:
 
 @pytest.mark.parametrize("jump", [3600.0, -3600.0])
 def test_a_goal_ends_in_time_although_its_clock_jumps(jump: float) -> None:
-    run = charger()
+    run = quick_charger()
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.MEASURE, 60.0)
     run.distort = lambda observation: replace(observation, time=observation.time + jump)
@@ -204,7 +204,7 @@ def test_a_goal_ends_in_time_although_its_clock_jumps(jump: float) -> None:
     assert (run.machine.status.state is State.IDLE) != outcome.success
 
 
-AGAIN = DockingParameters(redockings_max=2)
+AGAIN = {"redockings_max": 2}
 
 
 def lose_contact(run: VirtualCharger) -> None:
@@ -227,7 +227,7 @@ def test_a_nudge_under_supervision_is_mended_by_docking_again() -> None:
 
 
 def test_a_held_goal_survives_a_nudge_and_counts_all_its_energy() -> None:
-    run = charger(parameters=AGAIN)
+    run = quick_charger(parameters=AGAIN)
     run.begin(DockGoal(GOAL, hold=True, stop_energy=2000.0))
     run.until(lambda: run.machine.status.charging, 120.0)
     run.run(3.0)
@@ -238,7 +238,7 @@ def test_a_held_goal_survives_a_nudge_and_counts_all_its_energy() -> None:
 
 
 def test_docking_again_is_bounded_and_keeps_the_first_error() -> None:
-    run = charger(y=18.0, parameters=AGAIN)
+    run = charger(3.0, 18.0, parameters=AGAIN)
     outcome = run.dock()
     assert outcome.code is Code.NO_TACTILE_CONTACT
     assert "docking again" in outcome.message
@@ -248,14 +248,14 @@ def test_docking_again_is_bounded_and_keeps_the_first_error() -> None:
 
 
 def test_what_docking_does_not_mend_is_not_tried_again() -> None:
-    run = charger(degrees=14.0, parameters=AGAIN)
+    run = quick_charger(3.0, -2.0, 14.0, parameters=AGAIN)
     assert run.dock().code in (Code.CRITICAL_ANGLE, Code.ESTIMATE_UNSURE)
     assert run.states.count(State.RETRACT) == 1
 
 
 @pytest.mark.parametrize(("state", "code"), [(State.RETRACT, Code.NO_CONTACT), (State.CONTACT, Code.CANCELED)])
 def test_a_cancel_before_or_while_docking_again_ends_the_goal(state: State, code: Code) -> None:
-    run = charger(parameters=AGAIN)
+    run = quick_charger(parameters=AGAIN)
     run.begin(DockGoal(GOAL, hold=True))
     run.until(lambda: run.machine.status.charging, 120.0)
     lose_contact(run)
@@ -268,7 +268,7 @@ def test_a_cancel_before_or_while_docking_again_ends_the_goal(state: State, code
 
 
 def test_a_cancel_on_the_last_way_back_does_not_lose_the_result() -> None:
-    run = charger(degrees=14.0)
+    run = quick_charger(3.0, -2.0, 14.0)
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.RETRACT, 120.0)
     run.machine.cancel()
@@ -305,7 +305,7 @@ def test_an_undocking_can_be_taken_back_and_still_ends_at_home() -> None:
 
 
 def test_a_reply_to_a_question_not_asked_yet_is_no_answer() -> None:
-    run = charger()
+    run = quick_charger()
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is State.MEASURE, 60.0)
     forged = tuple(Reply(number, True, resistance=1e9, target_voltage=24.0) for number in range(3, 60))

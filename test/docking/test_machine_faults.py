@@ -10,11 +10,10 @@ import pytest
 
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import Command, DockGoal, Observation, Reply, Service
-from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import GOAL, TICK
 from deltacharger_sim.parameters import CircuitParameters, ServoParameters
 
-from .dockings import MILLIMETRE, assert_safe_at_home, charger, moves, moving_in
+from .dockings import MILLIMETRE, assert_safe_at_home, charger, moves, moving_in, quick_charger
 
 PHASES = [
     State.APPROACH,
@@ -39,7 +38,7 @@ def test_cancel_in_every_phase(state: State) -> None:
 
 
 def test_cancel_while_holding() -> None:
-    run = charger()
+    run = quick_charger()
     run.begin(DockGoal(GOAL, hold=True))
     run.until(lambda: run.machine.status.charging, 120.0)
     run.run(2.0)
@@ -60,7 +59,7 @@ def test_cancel_while_holding() -> None:
     ],
 )
 def test_every_fault_in_every_phase_opens_the_contactor(state: State, fault: dict[str, float], code: Code) -> None:
-    run = charger(6, 6)
+    run = quick_charger(6, 6)
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is state, 120.0)
     run.distort = lambda observation: replace(observation, **fault)
@@ -115,7 +114,7 @@ def test_an_input_that_stays_away_holds_the_arm_first_and_ends_the_goal_then(
 
 
 def test_an_arm_that_is_held_does_not_stop_the_clock() -> None:
-    run = charger(parameters=DockingParameters(approach_timeout=3.0))
+    run = quick_charger(parameters={"approach_timeout": 3.0})
     run.begin(DockGoal(GOAL))
     run.until(lambda: moves(run, 3 * TICK), 10.0)
     run.distort = lambda observation: replace(observation, tactile_age=0.2)
@@ -143,7 +142,7 @@ def test_torque_lost_on_the_way_ends_the_goal_at_once() -> None:
 def test_motion_dies_with_the_machine(state: State, stiffness: float) -> None:
     servo = ServoParameters(stiffness=stiffness)
     if state is State.RETRACT:
-        run = charger(servo=servo)
+        run = quick_charger(servo=servo)
         assert run.dock().success
         run.outcome = None
         run.machine.start_undock("", run.observe())
@@ -159,7 +158,7 @@ def test_motion_dies_with_the_machine(state: State, stiffness: float) -> None:
 
 def test_a_pull_dies_with_the_machine_even_when_it_has_just_come_off() -> None:
     for ticks in range(1, 9):
-        run = charger(6, 6)
+        run = quick_charger(6, 6)
         run.begin(DockGoal(GOAL))
         run.until(lambda run=run: run.machine.status.state is State.ALIGN, 60.0)  # type: ignore[misc]
         run.run((ticks - 0.5) * TICK)
@@ -170,7 +169,7 @@ def test_a_pull_dies_with_the_machine_even_when_it_has_just_come_off() -> None:
 
 
 def test_contact_lost_while_charging_opens_within_a_tenth_of_a_second() -> None:
-    run = charger()
+    run = quick_charger()
     assert run.dock().success
     run.distort = lambda observation: replace(observation, currents=(0.0, 0.0, 0.0))
     start = run.now
@@ -193,7 +192,7 @@ def test_contact_lost_while_charging_opens_within_a_tenth_of_a_second() -> None:
     ],
 )
 def test_what_the_probe_and_the_stage_find_ends_docking(circuit: dict[str, float], code: Code) -> None:
-    run = charger(circuit=CircuitParameters(**circuit))
+    run = quick_charger(circuit=CircuitParameters(**circuit))
     outcome = run.dock()
     assert not outcome.success
     assert outcome.code is code
@@ -201,7 +200,7 @@ def test_what_the_probe_and_the_stage_find_ends_docking(circuit: dict[str, float
 
 
 def test_a_welded_contactor_is_told_and_the_arm_stays() -> None:
-    run = charger(circuit=CircuitParameters(welded=True))
+    run = quick_charger(circuit=CircuitParameters(welded=True))
     assert run.dock().success
     outcome = run.undock()
     assert outcome.code is Code.CONTACTOR_WELDED
@@ -219,7 +218,7 @@ def test_a_welded_contactor_is_told_and_the_arm_stays() -> None:
 )
 @pytest.mark.parametrize("silent", [True, False])
 def test_services_that_fail_or_never_answer(service: Service, code: Code, silent: bool) -> None:
-    run = charger()
+    run = quick_charger()
     run.answer[service] = lambda reply: None if silent else Reply(reply.number, False, "out of order")
     outcome = run.dock()
     assert outcome.code is code
@@ -228,7 +227,7 @@ def test_services_that_fail_or_never_answer(service: Service, code: Code, silent
 
 
 def test_emergency_leaves_everything_off() -> None:
-    run = charger()
+    run = quick_charger()
     assert run.dock().success
     command = run.machine.emergency()
     assert not command.energise
@@ -239,7 +238,7 @@ def test_emergency_leaves_everything_off() -> None:
 def test_every_observation_is_survived() -> None:
     """Whatever the topics say, the machine answers; a machine that raises would leave a goal hanging."""
     blank = Observation(time=0.0)
-    run = charger()
+    run = quick_charger()
     run.begin(DockGoal(GOAL))
     run.distort = lambda observation: replace(blank, time=observation.time, replies=observation.replies)
     outcome = run.finish(60.0)
