@@ -14,21 +14,9 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import GOAL, TICK, VirtualCharger
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
 
+from .. import quick
+
 MILLIMETRE = 1e-3
-QUICK = {
-    "servo_damping": 0.3,
-    "home_z": 0.05,
-    "standoff": 0.008,
-    "coarse_step": 0.004,
-    "contact_speed": 0.05,
-    "lift": 0.008,
-    "travel_speed": 0.3,
-    "charge_stable_time": 0.2,
-    "alignment_tolerance": 0.004,
-    "landing_limit": 0.006,
-}
-"""Parameters with which a docking takes 5 s of virtual time in place of 25, for laws that hold at any speed."""
-QUICK_DAMPING = QUICK["servo_damping"]
 
 
 def charger(
@@ -45,9 +33,9 @@ def charger(
 
 
 def quick_charger(*place: float, parameters: Mapping[str, Any] = MappingProxyType({}), **world: Any) -> VirtualCharger:
-    """The same with quick steps; servos that are given need `QUICK_DAMPING`."""
-    servo = {"servo": ServoParameters(damping=QUICK_DAMPING)}
-    return charger(*place, parameters={**QUICK, **parameters}, **{**servo, **world})
+    """The same with quick steps; servos that are given need its damping."""
+    servo = {"servo": ServoParameters(damping=quick.DAMPING)}
+    return charger(*place, parameters={**quick.STEPS, **parameters}, **{**servo, **world})
 
 
 def assert_safe_at_home(run: VirtualCharger) -> None:

@@ -17,7 +17,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
 
-from .dockings import QUICK, QUICK_DAMPING
+from .. import quick
 
 SERVED_BY = {
     Service.TORQUE_ON: "servo_node",
@@ -47,8 +47,8 @@ class Faulty(VirtualCharger):
 
     def __init__(self, nearer: float = 0.0, **parameters: object) -> None:
         target = TargetParameters(x=0.006, y=0.006, z=0.080 - nearer, roll=0.03)
-        world = WorldParameters(target=target, servo=ServoParameters(damping=QUICK_DAMPING))
-        super().__init__(world, DockingParameters(**{**QUICK, **parameters}), 1)
+        world = WorldParameters(target=target, servo=ServoParameters(damping=quick.DAMPING))
+        super().__init__(world, DockingParameters(**{**quick.STEPS, **parameters}), 1)
         self.silent = ""
         self.since = 0.0
         self.frozen: tuple[str, ...] = ()

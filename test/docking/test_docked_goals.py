@@ -284,7 +284,7 @@ def test_undocking_ends_docking_again() -> None:
 
 
 def test_a_cancel_while_the_camera_looks() -> None:
-    run = charger()
+    run = quick_charger()
     run.answer[Service.DETECT] = lambda reply: None
     run.begin(DockGoal(None))
     run.run(1.0)

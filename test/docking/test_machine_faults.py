@@ -13,7 +13,7 @@ from deltacharger_docking.observation import Command, DockGoal, Observation, Rep
 from deltacharger_lab.campaigns.virtual_charger import GOAL, TICK
 from deltacharger_sim.parameters import CircuitParameters, ServoParameters
 
-from .dockings import MILLIMETRE, assert_safe_at_home, charger, moves, moving_in, quick_charger
+from .dockings import MILLIMETRE, assert_safe_at_home, moves, moving_in, quick_charger
 
 PHASES = [
     State.APPROACH,
@@ -26,7 +26,7 @@ PHASES = [
 
 @pytest.mark.parametrize("state", PHASES)
 def test_cancel_in_every_phase(state: State) -> None:
-    run = charger(6, 6)
+    run = quick_charger(6, 6)
     run.begin(DockGoal(GOAL))
     run.until(lambda: run.machine.status.state is state, 60.0)
     run.machine.cancel()

@@ -17,9 +17,10 @@ from deltacharger_records.replay.recorder import Recorder
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.outcomes import DockRequest, Outcome
 from deltacharger_scenes.composition import Composition
-from deltacharger_scenes.scene import Scene, SceneError, load_scene, parse_scene
+from deltacharger_scenes.scene import Scene, SceneError, parse_scene
 
 from ..chargers import new_namespace
+from ..quick import quick_simulation
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
@@ -27,8 +28,8 @@ BY_CAMERA = DockRequest(None)
 
 
 def scene(**target: Any) -> Scene:
-    """The packaged scene with another target."""
-    packaged = load_scene("camera")
+    """The packaged scene with quick steps and another target."""
+    packaged = quick_simulation("camera")
     assert packaged.simulation is not None
     world = packaged.simulation.world
     moved = dataclasses.replace(world, target=dataclasses.replace(world.target, **target))
@@ -64,7 +65,7 @@ def with_opencv() -> None:
 
 
 def test_from_the_picture_to_charging(context: Any) -> None:
-    with charger(context, load_scene("camera")) as (composition, client):
+    with charger(context, scene()) as (composition, client):
         phases: list[str] = []
         with Recorder(context, client.node.get_namespace()) as recorder:
             outcome = client.dock(BY_CAMERA, lambda progress: phases.append(progress.phase), deadline=120.0)

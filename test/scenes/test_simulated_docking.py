@@ -15,9 +15,9 @@ import pytest
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_scenes.composition import Composition
-from deltacharger_scenes.scene import load_scene
 
 from ..marks import slow
+from ..quick import quick_simulation
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
@@ -28,7 +28,7 @@ PHASES = [*map(slow, ("approach", "contact", "measure", "align")), "energise"]
 
 @pytest.fixture(scope="module")
 def charger(context: Any) -> Iterator[Composition]:
-    with Composition(load_scene("simulated"), context, "simulated_docking") as composition:
+    with Composition(quick_simulation("simulated"), context, "simulated_docking") as composition:
         yield composition
 
 

@@ -23,6 +23,7 @@ from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import parse_scene
 from deltacharger_sim.charger.faults import Fault
 
+from .. import quick
 from ..chargers import new_namespace, wait_until
 from .fault_pulse import Pulse
 
@@ -30,22 +31,9 @@ pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 SCENE = {
-    "simulation": {"seed": 1, "rig_seed": 1, "world": {"servo": {"damping": 0.3}}},
-    "parameters": {
-        # Steps are large and waits short, and touch is taken as aligned after one docking: neither is looked at here.
-        "docking_node": {
-            "servo_damping": 0.3,
-            "home_z": 0.05,
-            "standoff": 0.008,
-            "coarse_step": 0.004,
-            "contact_speed": 0.05,
-            "lift": 0.008,
-            "travel_speed": 0.3,
-            "alignment_tolerance": 0.01,
-            "landing_limit": 0.02,
-            "charge_stable_time": 0.2,
-        }
-    },
+    "simulation": {"seed": 1, "rig_seed": 1, "world": {"servo": {"damping": quick.DAMPING}}},
+    # Touch is taken as aligned after one docking: that is not looked at here.
+    "parameters": {"docking_node": {**quick.STEPS, "alignment_tolerance": 0.01, "landing_limit": 0.02}},
 }
 BY_ITSELF = ("servo_missing", "servo_overload")  # take a servo's torque at once: no driver opens before them
 BORNE = "NONE"  # the fault is lived with
