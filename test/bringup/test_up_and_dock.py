@@ -96,15 +96,17 @@ def test_a_charger_that_the_lock_does_not_know_is_found_over_ros_and_not_disturb
     assert first.end(signal.SIGTERM) == 0
 
 
-def test_dock_starts_a_charger_of_its_own_and_sigint_cancels_it(
+def test_dock_starts_a_charger_of_its_own_and_two_quick_ctrl_c_end_it_with_130_and_one_object(
     start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str
 ) -> None:
     dock = start(
         *(*deltacharger, "dock", "--scene", str(quick_file), "--namespace", namespace, "--json", "--no-picture")
     )
     dock.wait_for_line("contact", dock.err)
+    dock.process.send_signal(signal.SIGINT)
     assert dock.end(signal.SIGINT) == 130
     result = json.loads("\n".join(dock.out))
+    assert not any("Traceback" in line for line in dock.err), dock.err
     assert (result["charger"], result["success"], result["error_name"]) == ("started", False, "CANCELED")
 
 
@@ -143,19 +145,6 @@ def test_without_scene_and_domain_a_charger_in_the_default_domain_is_used(
     assert undock.end() == 0, undock.err
     assert any("ROS domain 0" in line for line in undock.err)
     assert charger.end(signal.SIGTERM) == 0
-
-
-def test_two_quick_ctrl_c_end_dock_with_130_and_one_object(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str
-) -> None:
-    options = ("--scene", str(quick_file), "--namespace", namespace, "--json", "--no-picture")
-    dock = start(*deltacharger, "dock", *options)
-    dock.wait_for_line("contact", dock.err)
-    dock.process.send_signal(signal.SIGINT)
-    dock.process.send_signal(signal.SIGINT)
-    assert dock.end() == 130
-    assert json.loads("\n".join(dock.out))["success"] is False
-    assert not any("Traceback" in line for line in dock.err), dock.err
 
 
 @pytest.mark.skipif("COLCON_PREFIX_PATH" in os.environ, reason="a colcon workspace has no venv prefix to find")
