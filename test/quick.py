@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
 
 from deltacharger_scenes.scene import Scene, load_scene
 
@@ -23,10 +26,10 @@ STEPS = {
 """Parameters of docking_node."""
 
 
-def quick_simulation(name: str) -> Scene:
-    """Return a packaged scene of the simulated charger with such servos and steps."""
+def quick_simulation(name: str, steps: Mapping[str, Any] = MappingProxyType({})) -> Scene:
+    """Return a packaged scene of the simulated charger with such servos and steps, or others in their place."""
     packaged = load_scene(name)
     assert packaged.simulation is not None
     world = packaged.simulation.world
     quick = replace(packaged.simulation, world=replace(world, servo=replace(world.servo, damping=DAMPING)))
-    return replace(packaged, simulation=quick, parameters={**packaged.parameters, "docking_node": STEPS})
+    return replace(packaged, simulation=quick, parameters={**packaged.parameters, "docking_node": {**STEPS, **steps}})

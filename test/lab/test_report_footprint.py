@@ -155,6 +155,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
     return folder / "out", json.loads(ended.stdout), ended.stderr
 
 
+@pytest.mark.slow
 def test_both_ways_of_a_scene_are_measured(quick: tuple[Path, dict[str, Any], str]) -> None:
     folder, answer, messages = quick
     assert {Path(name) for name in answer["files"]} == set(folder.iterdir())
@@ -173,6 +174,7 @@ def test_both_ways_of_a_scene_are_measured(quick: tuple[Path, dict[str, Any], st
     assert "run 1 of 1" in messages
 
 
+@pytest.mark.slow
 def test_a_scene_that_does_not_run_says_why_and_keeps_no_other_from_it(
     quick: tuple[Path, dict[str, Any], str],
 ) -> None:

@@ -7,8 +7,9 @@ import dataclasses
 import math
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import Any
 
 import pytest
@@ -27,9 +28,9 @@ pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 BY_CAMERA = DockRequest(None)
 
 
-def scene(**target: Any) -> Scene:
-    """The packaged scene with quick steps and another target."""
-    packaged = quick_simulation("camera")
+def scene(steps: Mapping[str, Any] = MappingProxyType({}), **target: Any) -> Scene:
+    """The packaged scene with quick steps, others of docking_node in their place, and another target."""
+    packaged = quick_simulation("camera", steps)
     assert packaged.simulation is not None
     world = packaged.simulation.world
     moved = dataclasses.replace(world, target=dataclasses.replace(world.target, **target))
@@ -84,7 +85,7 @@ def test_from_the_picture_to_charging(context: Any) -> None:
 
 
 def test_nothing_in_the_picture_leaves_the_arm_alone(context: Any) -> None:
-    outcome = refused(context, scene(present=False))
+    outcome = refused(context, scene({"locate_timeout": 3.0}, present=False))
     assert outcome.error_name == "ELECTRODES_NOT_FOUND"
     assert "no electrodes in the image" in outcome.error_message
     assert outcome.retriable
