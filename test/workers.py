@@ -18,9 +18,11 @@ APART = 10
 
 
 def stay_apart() -> None:
-    """Give a worker a ROS domain and folders of its own; call before the first import of rclpy."""
+    """Give a worker a ROS domain, folders and a core of its own; call before the first import of rclpy and numpy."""
     os.environ.setdefault("ROS_DOMAIN_ID", DOMAIN)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # threads that spin for each other starve what runs beside them
     worker = os.environ.get("PYTEST_XDIST_WORKER")
     if worker is None:
         return
