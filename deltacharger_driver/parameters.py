@@ -6,7 +6,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from deltacharger_core.machine import BAUD_RATE, CURRENT_BOUND, FRAME_RATE, SERVO_IDS, STALL_CURRENT, TORQUE_CONSTANT
+from deltacharger_core.machine import (
+    BAUD_RATE,
+    CURRENT_BOUND,
+    EXTENDED_TICKS,
+    FRAME_RATE,
+    SERVO_IDS,
+    STALL_CURRENT,
+    TORQUE_CONSTANT,
+)
 from deltacharger_core.parameters import Bounded, ParameterError, number, numbers, words
 
 REPLY_MARGIN = 0.02
@@ -27,7 +35,7 @@ class ServoNodeParameters(Bounded):
     ids: tuple[int, ...] = numbers(SERVO_IDS, 0, 252, "", "servo ids of limbs 0, 1, 2")
     rate: float = number(100.0, 20.0, 200.0, "Hz", "bus cycles per second")
     zero_ticks: tuple[int, ...] = numbers(
-        (2048, 2048, 2048), -1048575, 1048575, "", "encoder count at arm angle 0, per limb"
+        (2048, 2048, 2048), -EXTENDED_TICKS, EXTENDED_TICKS, "", "encoder count at arm angle 0, per limb"
     )
     direction: tuple[int, ...] = numbers(
         (1, 1, 1), -1, 1, "", "1 or -1 per limb: whether the count rises with the angle"

@@ -39,8 +39,6 @@ def save_geometry(geometry: DeltaGeometry, path: str | Path, comment: str = "") 
 def geometry_to_mapping(geometry: DeltaGeometry) -> dict[str, Any]:
     """Return `geometry` as plain numbers, lists and mappings; what a limb leaves at its default is left out."""
     mapping = dataclasses.asdict(geometry)
-    for key in ("workspace_min", "workspace_max"):
-        mapping[key] = [float(value) for value in mapping[key]]
     neutral = dataclasses.asdict(LimbAdjustment())
     mapping["limbs"] = [
         {key: float(value) for key, value in limb.items() if value != neutral[key]} for limb in mapping["limbs"]

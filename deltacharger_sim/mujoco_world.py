@@ -15,9 +15,8 @@ from typing import Any
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim import mujoco_model
-from deltacharger_sim.magnets import pull
 from deltacharger_sim.motion import Motion
-from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.parameters import MagnetParameters, WorldParameters
 from deltacharger_sim.world import TactileSource, World
 
 STEP = 0.001  # s; with `discrete` the settled force is as right as at a tenth of it
@@ -89,7 +88,7 @@ class MujocoMechanics(Motion):
         for _ in range(max(1, round(dt / self._step))):
             if present:
                 gap = self._target_z - float(data.qpos[vertical])
-                self.magnet_force, _ = pull(self._parameters.magnets, gap, offset)
+                self.magnet_force = pull(self._parameters.magnets, gap, offset)
                 data.qfrc_applied[vertical] = self.magnet_force
             self._mujoco.mj_step(model, data)
         self._read()
@@ -136,3 +135,10 @@ def mujoco_world(
 
     moved = functools.partial(MujocoMechanics, step=step, integrator=integrator)
     return World(parameters, tactile, seed, geometry, mechanics=moved)
+
+
+def pull(magnets: MagnetParameters, gap: float, offset: float) -> float:
+    """Return the pull (N, toward the target) at a `gap` and lateral `offset` (m)."""
+    share = max(magnets.floor, 1.0 / (1.0 + (offset / magnets.width) ** 2))
+    ratio = 1.0 + max(gap, 0.0) / magnets.range
+    return magnets.force * share / (ratio * ratio)

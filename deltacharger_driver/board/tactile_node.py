@@ -25,7 +25,7 @@ from deltacharger.srv import Probe, SetContactor
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
 from deltacharger_core.machine import COLUMNS, ROWS
@@ -42,8 +42,8 @@ from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.qos import LATEST
 
-_RELIABLE_LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
 _DIAGNOSTICS_PERIOD = 1.0  # s
 _FRAME = "end_effector"
 _FRAME_FIELDS = ("sequence", "device_time_us", "left", "right", "tared")
@@ -120,7 +120,7 @@ class TactileNode(Node):
         self._power: PowerSample | None = None
         self._frame_rate, self._power_rate = RateMeter(time.monotonic), RateMeter(time.monotonic)
         self._period = 1.0 / given.rate
-        self._samples = SamplePublishers(self, _RELIABLE_LATEST, given.pitch)
+        self._samples = SamplePublishers(self, LATEST, given.pitch)
         self._diagnostics = Diagnostics(self)
         group = ReentrantCallbackGroup()
         self.create_service(Trigger, "tare", self._on_tare, callback_group=group)

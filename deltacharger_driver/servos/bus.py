@@ -42,7 +42,8 @@ MISSING_TIME = 0.2
 is none of the servo's doing."""
 _RETRY_EVERY = 25  # cycles between two questions to a missing servo: waiting for it must not slow the others
 _WRITE_LAYOUT = struct.Struct("<hi")
-_UNKNOWN = (math.nan,) * 5
+UNKNOWN = (math.nan,) * 5
+"""Angle, velocity, current, voltage and temperature of a servo that is not heard."""
 
 
 class ServoBus:
@@ -290,16 +291,16 @@ class ServoBus:
         self._missed[index] += 1
         self._tripped[index] = False
         if len(data) != READ_LENGTH:
-            return _UNKNOWN
+            return UNKNOWN
         if has_restarted(data):
             self._rebooted[index] = True
             self._torque[index] = False
-            return _UNKNOWN
+            return UNKNOWN
         try:
             reading = decode_block(data)
         except RangeError:
             self.counters.implausible += 1
-            return _UNKNOWN
+            return UNKNOWN
         self._missed[index] = 0
         self._seen[index] = now
         self._rebooted[index] = False

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from deltacharger_core.machine import EXTENDED_TICKS, TICKS_PER_TURN
 from deltacharger_driver.errors import RangeError
 
 MODEL = 311
@@ -16,7 +17,6 @@ MODEL = 311
 MODEL_PROTOCOL_1 = 310
 """Model number of the same servo with Protocol 1.0 firmware: other registers, no sync read, no current in mode 5."""
 
-TICKS_PER_TURN = 4096
 TICK = 2.0 * math.pi / TICKS_PER_TURN  # rad
 CURRENT_UNIT = 3.36e-3  # A
 VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0  # rad/s
@@ -24,8 +24,6 @@ ACCELERATION_UNIT = 214.577 * 2.0 * math.pi / 3600.0  # rad/s², of 214.577 rev/
 VOLTAGE_UNIT = 0.1  # V
 WATCHDOG_UNIT = 0.02  # s
 WATCHDOG_TRIPPED = 255  # −1 in one byte
-EXTENDED_TICKS = 1_048_575
-"""Largest goal position of modes 4 and 5, ± 256 turns."""
 
 MODE_CURRENT, MODE_VELOCITY, MODE_POSITION, MODE_EXTENDED, MODE_CURRENT_POSITION, MODE_PWM = 0, 1, 3, 4, 5, 16
 

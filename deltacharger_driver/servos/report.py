@@ -7,12 +7,10 @@ import enum
 import math
 from typing import NamedTuple
 
-from deltacharger_driver.servos.bus import UNKNOWN_AFTER
+from deltacharger_driver.servos.bus import UNKNOWN, UNKNOWN_AFTER
 from deltacharger_driver.servos.mx64 import describe_hardware_error
 from deltacharger_driver.servos.snapshot import BusSnapshot
 from deltacharger_driver.servos.thermal import ThermalModel
-
-_UNKNOWN = (math.nan,) * 5
 
 
 class ServoPhase(enum.Enum):
@@ -59,7 +57,7 @@ class ServoMemory:
     def __init__(self, count: int) -> None:
         self._time = math.nan
         self._thermal = [ThermalModel() for _ in range(count)]
-        self._rows: list[tuple[float, ...]] = [_UNKNOWN] * count
+        self._rows: list[tuple[float, ...]] = [UNKNOWN] * count
         self._valid = (False,) * count
         self._errors = (0,) * count
         self._torque = (False,) * count
@@ -82,14 +80,14 @@ class ServoMemory:
             if snapshot.valid[index]:
                 self._rows[index] = row
             elif snapshot.missed[index] >= UNKNOWN_AFTER or snapshot.rebooted[index]:
-                self._rows[index] = _UNKNOWN
+                self._rows[index] = UNKNOWN
             if first:
                 self._thermal[index].start_at(row[4])
             self._thermal[index].update(row[2], elapsed)
 
     def forget(self) -> None:
         """Nothing is measured any more; errors, torque and heat stay the last known."""
-        self._rows = [_UNKNOWN] * len(self._rows)
+        self._rows = [UNKNOWN] * len(self._rows)
         self._valid = (False,) * len(self._rows)
 
     def report(self, now: float, phase: ServoPhase, faults: list[str]) -> ServoReport:

@@ -27,7 +27,6 @@ from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -45,8 +44,8 @@ from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import Diagnostics
 from deltacharger_ros.on_demand import LatestMessage
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.qos import LATEST
 
-_RELIABLE_LATEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1, reliability=ReliabilityPolicy.RELIABLE)
 _DIAGNOSTICS_PERIOD = 1.0  # s
 _REFUSAL_PERIOD = 0.2  # s between two diagnostics where trajectories are refused
 _LISTEN_EVERY = 10  # cycles between two looks for a trajectory while it can only be refused
@@ -65,9 +64,9 @@ class ServoNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("servo_node", **kwargs)
-        self._contactor = ContactorClient(self, _RELIABLE_LATEST)
+        self._contactor = ContactorClient(self, LATEST)
         self._controller, self._limits = self._configure()
-        self._states = StatePublishers(self, _RELIABLE_LATEST, self._torque_constant)
+        self._states = StatePublishers(self, LATEST, self._torque_constant)
         self._diagnostics = Diagnostics(self)
         self._refused = 0
         self._last_refusal = ""
@@ -85,7 +84,7 @@ class ServoNode(Node):
             self.destroy_node()
             raise node_support.StartupError(f"servo_node: {self._start_error}") from self._start_error
         # Only now, so that nobody is heard before the servos are known.
-        self._trajectories = LatestMessage(self, JointTrajectory, "joint_trajectory", _RELIABLE_LATEST)
+        self._trajectories = LatestMessage(self, JointTrajectory, "joint_trajectory", LATEST)
         self._listening.set()
         group = ReentrantCallbackGroup()
         self.create_service(SetBool, "set_torque", self._on_set_torque, callback_group=group)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from deltacharger_core.arrays import Array, Mask
+from deltacharger_core.machine import EXTENDED_TICKS, TICKS_PER_TURN
 from deltacharger_kinematics.calibration.table import (
     DEGREES,
     HELD_OUT,
@@ -23,8 +24,7 @@ from deltacharger_kinematics.calibration.table import (
     read_table,
 )
 
-TICK = 2.0 * math.pi / 4096  # rad; encoder of the MX-64
-_LARGEST_ZERO = 1_048_575
+TICK = 2.0 * math.pi / TICKS_PER_TURN  # rad; encoder of the MX-64
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Encoder:
     direction: Triple = (1, 1, 1)
 
     def __post_init__(self) -> None:
-        if len(self.zero_ticks) != 3 or any(abs(value) > _LARGEST_ZERO for value in self.zero_ticks):
-            raise CalibrationError(f"zero_ticks is {self.zero_ticks}: give three counts within ±{_LARGEST_ZERO}")
+        if len(self.zero_ticks) != 3 or any(abs(value) > EXTENDED_TICKS for value in self.zero_ticks):
+            raise CalibrationError(f"zero_ticks is {self.zero_ticks}: give three counts within ±{EXTENDED_TICKS}")
         if len(self.direction) != 3 or any(value not in (1, -1) for value in self.direction):
             raise CalibrationError(f"direction is {self.direction}: give 1 or -1 for each of the three servos")
 

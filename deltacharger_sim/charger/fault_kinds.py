@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from deltacharger_core.machine import JOINTS
+from deltacharger_driver.emulators.servo_faults import FAULTS
 from deltacharger_driver.servos.mx64 import SPEEDS
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 ONE, SOME = "one", "some"
 """Whom a fault of the servos concerns: one of them (the second where none is named), or all where none is named."""
 SERVOS = len(JOINTS)
-_WIRE = ("drop", "corrupt", "truncate", "duplicate", "garbage")
 _SPEEDS = {speed: value for value, speed in SPEEDS.items()}
 _HARDWARE_ERRORS = {"voltage": 0, "overheating": 2, "encoder": 3, "shock": 4, "overload": 5}  # bits of the MX-64
 
@@ -244,7 +244,7 @@ KINDS: dict[str, Kind] = {
             servo=SOME,
             amount=_SHARE,
         )
-        for name in _WIRE
+        for name in FAULTS
     },
     "board_reboot": Kind("the board boots, in `amount` s", _board_reboot, lasts=False, amount=_BOOT),
     "board_trip": Kind("the power stage opens with fault `amount`", _board_trip, lasts=False, amount=_CODE),
@@ -263,7 +263,7 @@ KINDS: dict[str, Kind] = {
             functools.partial(_board_share, name),
             amount=_SHARE,
         )
-        for name in _WIRE
+        for name in FAULTS
     },
 }
 """Every fault by name."""

@@ -37,7 +37,7 @@ def evaluate(model: Classifier, examples: Examples) -> dict[str, Any]:
     reliability = model.reliability
     if reliability is not None:
         sets = reliability.sets(probabilities)
-        drifted = reliability.drifted(examples.frames, model.threshold)
+        drifted = reliability.familiar.strange(examples.frames, model.threshold)
         result["coverage"] = float(np.mean(sets[np.arange(len(examples)), examples.labels]))
         result["act_rate"] = float(np.mean((sets.sum(axis=1) == 1) & ~drifted))
         result["drift_rate"] = float(np.mean(drifted))

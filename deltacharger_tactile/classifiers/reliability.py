@@ -39,10 +39,6 @@ class Reliability:
         """Return which classes (N, C) belong to the set of each frame; a set may be empty."""
         return np.asarray(1.0 - probabilities <= self.quantile)
 
-    def drifted(self, frames: Array, threshold: float) -> Mask:
-        """Return which frames (N, 2, 10, 10) N look like none of training."""
-        return self.familiar.strange(frames, threshold)
-
     def drifted_together(self, frames: Array, threshold: float) -> bool:
         """Return whether the last dockings together look unlike training, though each alone may not.
 

@@ -360,12 +360,6 @@ def test_the_contactor_opens_when_the_servos_cable_is_pulled(charging):
     assert time.monotonic() - begin < 2.0  # the client would have gone on
 
 
-def test_without_torque_a_trajectory_is_refused(client, arm):
-    client.send((0.0, START))
-    wait_until(lambda: client.told("set_torque"))
-    assert arm.torque_enabled() == [False] * 3
-
-
 def test_a_missing_servo_stops_all(client, arm, emulator):
     client.set_torque(True)
     emulator.faults.missing = {2}
@@ -394,19 +388,6 @@ def test_a_latched_error_needs_a_reboot(client, arm, emulator):
     answer = client.call(client.reboot, Trigger.Request())
     assert answer.success, answer.message
     assert list(client.fresh().hardware_error) == [0, 0, 0]
-    assert arm.torque_enabled() == [False] * 3
-    assert client.set_torque(True).success
-
-
-def test_the_cable_is_pulled_and_put_back(client, arm, terminal):
-    client.set_torque(True)
-    terminal.stop()
-    wait_until(lambda: not any(client.states[-1].valid))
-    assert all(map(math.isnan, client.fresh().position))
-    wait_until(lambda: client.told("plug"))
-    assert not client.set_torque(True).success
-    terminal.start()
-    wait_until(lambda: all(client.states[-1].valid))
     assert arm.torque_enabled() == [False] * 3
     assert client.set_torque(True).success
 

@@ -274,49 +274,18 @@ def test_a_lease_that_is_not_renewed_lapses_and_is_opened_without_a_fault(rig: R
     assert "probe" in answer.message
 
 
-def test_another_holder_cannot_close(rig: Rig) -> None:
-    rig.dock()
-    assert rig.client.contactor(True, "dock").success
-    answer = rig.client.contactor(True, "thief")
-    assert not answer.success
-    assert "'dock' holds" in answer.message
-    assert rig.client.contactor(True, "dock").success
-
-
-def test_a_long_lease_is_cut(rig: Rig) -> None:
-    rig.dock()
-    began = time.monotonic()
-    assert rig.client.contactor(True, lease=5.0).success
-    wait_until(lambda: rig.plant.read_power()[3])
-    wait_until(lambda: not rig.plant.read_power()[3])
-    assert time.monotonic() - began < 0.6
-
-
 @pytest.mark.parametrize(
     ("trouble", "words"),
     [
         ("no contact", "no contact"),
-        ("no probe", "call probe"),
         ("short", "short circuit"),
-        ("open circuit", "open circuit"),
-        ("reverse polarity", "polarity"),
-        ("no name", "name"),
         ("fault", "over current"),
     ],
 )
 def test_what_refuses_a_close(rig: Rig, trouble: str, words: str) -> None:
     if trouble == "short":
         rig.plant.resistance = 0.5
-    elif trouble == "open circuit":
-        rig.plant.resistance = math.inf
-    elif trouble == "reverse polarity":
-        rig.plant.target = -24.0
-    if trouble == "no probe":
-        assert rig.client.tare().success
-        rig.plant.press(20.0)
-        rig.wait_for_contact()
-    else:
-        rig.dock()
+    rig.dock()
     if trouble == "no contact":
         rig.plant.press(0.0)
         wait_until(lambda: np.nanmax(rig.fresh_frame().left) < 1.0)
@@ -325,7 +294,7 @@ def test_what_refuses_a_close(rig: Rig, trouble: str, words: str) -> None:
         rig.board.trip(BoardFault.OVER_CURRENT)
         wait_until(lambda: rig.power().fault)
         rig.client.probe()
-    answer = rig.client.contactor(True, "" if trouble == "no name" else "dock")
+    answer = rig.client.contactor(True, "dock")
     assert not answer.success
     assert words in answer.message
     assert not rig.board.contactor_commanded

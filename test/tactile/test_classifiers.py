@@ -88,7 +88,7 @@ def test_frames_unlike_those_of_training_are_noticed(angle: Examples) -> None:
     assert model.reliability is not None
     assert evaluate(model, rows)["drift_rate"] < 0.05
     for strange in (0.5 * rows.frames, 2.0 * rows.frames, np.zeros_like(rows.frames)):
-        assert model.reliability.drifted(strange, model.threshold).mean() > 0.9
+        assert model.reliability.familiar.strange(strange, model.threshold).mean() > 0.9
 
 
 def test_what_is_not_calibrated_says_so_by_nan(angle: Examples) -> None:
