@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import uuid
-from types import TracebackType
 from typing import TypeVar
 
 from rclpy.context import Context
@@ -56,7 +55,5 @@ class Guest:
     def __enter__(self: Self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()

@@ -7,7 +7,6 @@ import contextlib
 import importlib
 import sys
 from dataclasses import dataclass
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from rclpy.context import Context
@@ -88,9 +87,7 @@ class Composition:
     def __enter__(self) -> Composition:
         return self.start()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def node(self, name: str) -> Any:

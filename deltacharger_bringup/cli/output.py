@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 import threading
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, TextIO
 
 from deltacharger_ros.outcomes import json_ready
@@ -87,9 +87,7 @@ class Interrupts:
                 self._before[number] = signal.signal(number, self._on_signal)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         for number, handler in self._before.items():
             # Once interrupted the process is on its way out; an impatient third signal must not break that off.
             signal.signal(number, signal.SIG_IGN if self.event.is_set() else handler)

@@ -40,7 +40,7 @@ class Arm(Bounded):
     mode: str = choice("soft", ("soft", "stiff"), "how it yields")
     corner: tuple[float, ...] = numbers((0.0, 1.0), -2.0, 2.0, "m", "of its box")
     limit: float | None = number(None, 0.0, 1.0, "A", "{unit} at most; none = whatever comes")
-    share: float = like(Spring, "stiffness")
+    share: float = like(Spring, "stiffness", high=18.0)
 
 
 WRONG: list[tuple[dict[str, Any], str, str]] = [
@@ -63,7 +63,7 @@ WRONG: list[tuple[dict[str, Any], str, str]] = [
     ({"corner": [0.0, 3.0]}, "arm.corner", "3.0 is outside -2 to 2 m"),
     ({"corner": 1.0}, "arm.corner", "not a list"),
     ({"limit": 2.0}, "arm.limit", "outside 0 to 1 A"),
-    ({"share": 0.0}, "arm.share", "outside 2.5 to 20"),
+    ({"share": 19.0}, "arm.share", "outside 2.5 to 18"),
 ]
 
 

@@ -37,12 +37,8 @@ def test_load_keeps_what_is_not_given(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("bar_lenght: 0.07", "did you mean 'bar_length'"),
-        ("thickness: 0.01", "bar_thickness"),
         ("bar_length: 70", "metres"),
-        ("bar_length: .nan", "not finite"),
         ("gap: wide", "not a number"),
-        ("gap: true", "not a number"),
-        ("- 0.07", "mapping"),
         ("", "mapping"),
         ("gap: [", "YAML"),
     ],
