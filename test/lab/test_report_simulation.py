@@ -12,7 +12,7 @@ from deltacharger_lab.reports.simulation import extremes as simulation_extremes
 from deltacharger_lab.reports.simulation import plan as simulation_plan
 from deltacharger_lab.reports.simulation import stability
 from deltacharger_lab.reports.simulation.parts import PADS, PARTS
-from deltacharger_lab.reports.simulation.scenes import LIGHT, Model, docking, rms, world
+from deltacharger_lab.reports.simulation.scenes import LIGHT, docking, rms, world
 from deltacharger_sim import stability_map
 from deltacharger_sim.proven import proven
 
@@ -90,7 +90,7 @@ def test_the_packaged_map_is_that_of_the_full_plan() -> None:
 
 
 def test_a_path_is_no_distance_from_itself_at_any_sampling() -> None:
-    fine = docking(Model(LIGHT), world(), 0.005)["trace"]
+    fine = docking(LIGHT, world(), 0.005)["trace"]
     assert rms(fine, fine) == 0.0
     assert rms(fine[1::2], fine) == 0.0
     assert rms([(x, y, z + 1e-3) for x, y, z in fine], fine) == pytest.approx(1e-3)

@@ -108,10 +108,17 @@ def hardware(scene: Scene, folder: Path) -> Iterator[dict[str, str]]:
     Raises:
         CannotRun: it does not start.
     """
-    folder.mkdir()
-    started = Started(folder)
-    try:
+    with _processes(folder) as started:
         yield _simulate(started, "simulated", folder)
+
+
+@contextlib.contextmanager
+def _processes(folder: Path) -> Iterator[Started]:
+    """Give processes that log into a folder, made here, and that are ended at the end."""
+    folder.mkdir()
+    started = Started(folder, began=time.monotonic())
+    try:
+        yield started
     finally:
         started.end()
 
@@ -141,9 +148,7 @@ def charger(scene: Scene, way: str, ports: dict[str, str], folder: Path) -> Iter
     Raises:
         CannotRun: it does not start.
     """
-    folder.mkdir()
-    started = Started(folder, began=time.monotonic())
-    try:
+    with _processes(folder) as started:
         if way == ONE:
             used = sorted({NODES[name].port for name in scene.nodes} & set(ports))
             words = [word for name in used for word in (f"--{name}-port", ports[name])]
@@ -151,8 +156,6 @@ def charger(scene: Scene, way: str, ports: dict[str, str], folder: Path) -> Iter
         else:
             _start_nodes(started, scene, ports)
         yield started
-    finally:
-        started.end()
 
 
 def _start_nodes(started: Started, scene: Scene, ports: dict[str, str]) -> None:

@@ -108,18 +108,15 @@ def _measure_speed(
     progress("run times")
     box, edge, fold = samples[:3]
     triples = interior(geometry, plan.generator(10), speed.BATCH).points
-    costs = speed.solver_costs(inverse, triples, plan)
+    timed = {box.points.name: triples}
+    timed |= {each.points.name: each.points.points for each in (edge, fold)}  # other paths of the solve, or more steps
+    costs = {name: speed.solver_costs(inverse, points, plan) for name, points in timed.items()}
     for row in results["inverse"]:
-        row |= costs[row["name"]]
-        row["times"] = {box.points.name: costs[row["name"]]}
-    for sample in (edge, fold):  # where the solve takes another path, or more steps
-        costs = speed.solver_costs(inverse, sample.points.points, plan)
-        for row in results["inverse"]:
-            row["times"][sample.points.name] = costs[row["name"]]
-    angles = box.right.high
-    costs = speed.solver_costs(forward, angles, plan)
+        row["times"] = {name: each[row["name"]] for name, each in costs.items()}
+        row |= row["times"][box.points.name]
+    times = speed.solver_costs(forward, box.right.high, plan)
     for row in results["forward"]:
-        row |= costs[row["name"]]
+        row |= times[row["name"]]
     results["ratios"] = speed.ratios(inverse, triples, plan)
     results["speed"] = speed.throughput(geometry, triples, edge.points.points, plan)
     results["functions"] = speed.function_costs(geometry, triples, plan)

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, Vector
-from deltacharger_lab.reports.simulation.scenes import Arm, Model, world
+from deltacharger_lab.reports.simulation.scenes import Arm, world
 from deltacharger_sim.mechanics import END_STOP, GEAR_BRISTLE, Mechanics
 from deltacharger_sim.parameters import MagnetParameters, ServoParameters, WorldParameters
 from deltacharger_sim.touch import LATERAL_MOST
@@ -39,7 +39,7 @@ def scene(name: str, step: float) -> dict[str, Any]:
         course of the energy above its end.
     """
     parameters, start, commands = scenes()[name]
-    arm = Arm(Model("light").world(parameters, step), step)
+    arm = Arm(World(parameters), step)
     arm.go(start, 1.5)
     arm.release() if not commands else arm.aim(commands[0])
     goals = None if not commands else arm.world._reference

@@ -10,7 +10,7 @@ from typing import Any
 
 from deltacharger_core.machine import GRAVITY, MAGNET_FORCE, STALL_CURRENT, TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_lab.reports.simulation.scenes import DELTA, Arm, Model, world
+from deltacharger_lab.reports.simulation.scenes import DELTA, Arm, model_world, world
 from deltacharger_sim.parameters import (
     LEVER,
     ContactParameters,
@@ -52,7 +52,7 @@ class ExtremeScene:
 def judge(index: int, name: str, step: float) -> dict[str, Any]:
     """Play SCENES[index] with a model and return scene, law, model, step, ok and about."""
     scene = SCENES[index]
-    arm = Arm(Model(name).world(scene.parameters, min(step, 0.001) if name != "light" else step), step)
+    arm = Arm(model_world(name, scene.parameters, min(step, 0.001) if name != "light" else step), step)
     ok, about = scene.play(arm)
     mechanics = arm.world.mechanics
     numbers = (*mechanics.position, *mechanics.velocity, *mechanics.torques, mechanics.contact_force)

@@ -12,7 +12,7 @@ from typing import Any
 
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan
-from deltacharger_lab.reports.simulation.scenes import LIGHT, Arm, Model, docking, rms, settled_exactly, world
+from deltacharger_lab.reports.simulation.scenes import LIGHT, Arm, docking, model_world, rms, settled_exactly, world
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.proven import UnprovenWarning
 
@@ -35,8 +35,7 @@ def reference(name: str, step: float) -> dict[str, Any]:
 
 def both(name: str, step: float) -> dict[str, Any]:
     """Return the docking of a model with friction and weight (`rubbing`) and without (`free`)."""
-    model = Model(name)
-    return {"rubbing": docking(model, WITH_FRICTION, step), "free": docking(model, WITHOUT, step)}
+    return {"rubbing": docking(name, WITH_FRICTION, step), "free": docking(name, WITHOUT, step)}
 
 
 def errors(name: str, step: float, exact: dict[str, Any]) -> dict[str, Any]:
@@ -64,7 +63,7 @@ def times(plan: SimulationPlan, names: tuple[str, ...]) -> list[dict[str, Any]]:
         while len(runs) < (plan.repeats if step >= 1e-3 else 1) or (
             time.process_time() - began < plan.timing_s and len(runs) < _MOST_RUNS
         ):
-            runs.append(docking(Model(name), WITH_FRICTION, step))
+            runs.append(docking(name, WITH_FRICTION, step))
         row = {"model": name, "step": step, "runs": len(runs)}
         rows.append({**row, "moving": max(run["moving"] for run in runs), "all": max(run["all"] for run in runs)})
     return rows
@@ -75,33 +74,32 @@ def convergence(plan: SimulationPlan) -> dict[str, Any]:
 
     The slope of log(error) over log(step) by least squares is the order; the implicit Euler rule has 1.
     """
-    model = Model(LIGHT)
     found = {}
     for name, run in (("swing in free air", _swing), ("docking, no friction", _docking)):
-        exact = run(model, plan.order_steps[0] / 10.0)
-        sizes = [rms(run(model, step), exact) for step in plan.order_steps]
+        exact = run(plan.order_steps[0] / 10.0)
+        sizes = [rms(run(step), exact) for step in plan.order_steps]
         pairs = [(math.log(step), math.log(size)) for step, size in zip(plan.order_steps, sizes, strict=True)]
         slope = statistics.linear_regression(*zip(*pairs, strict=True)).slope
         found[name] = {"steps": list(plan.order_steps), "rms_mm": [1000.0 * size for size in sizes], "order": slope}
     return found
 
 
-def _swing(model: Model, step: float) -> list[Vector]:
+def _swing(step: float) -> list[Vector]:
     """Move by a distance that no step takes in halves."""
-    arm = Arm(model.world(world(friction=0.0, target=TargetParameters(present=False)), step), step)
+    arm = Arm(model_world(LIGHT, world(friction=0.0, target=TargetParameters(present=False)), step), step)
     arm.aim((0.004, -0.006, 0.012))
     arm.run(0.5, 0.01)
     return arm.trace
 
 
-def _docking(model: Model, step: float) -> list[Vector]:
-    found: list[Vector] = docking(model, WITHOUT, step)["trace"]
+def _docking(step: float) -> list[Vector]:
+    found: list[Vector] = docking(LIGHT, WITHOUT, step)["trace"]
     return found
 
 
 def trace(name: str, step: float) -> dict[str, Any]:
     """Return time (s), z (m) and contact force (N) through the docking and a pull-off, for a picture."""
-    arm = Arm(Model(name).world(WITH_FRICTION, step), step)
+    arm = Arm(model_world(name, WITH_FRICTION, step), step)
     arm.go((0.0, 0.0, 0.06), 1.0)
     begin, course = arm.world.time, []
     every = max(1, round(0.005 / step))

@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from deltacharger_lab.reports.formats import tens
 from deltacharger_lab.reports.simulation.energy import PARTS
 from deltacharger_lab.reports.simulation.plan import MUJOCO, MUJOCO_FAST
@@ -49,19 +51,15 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
 
 def _curve(axes: Axes, results: dict[str, Any], name: str, key: str) -> None:
     times = {row["step"]: 1000.0 / row["moving"] for row in results["times"] if row["model"] == name}
-    points: list[tuple[float, dict[str, Any]]] = []
-    lost: list[tuple[float, dict[str, Any]]] = []
-    for row in results["errors"]:
-        if row["model"] == name:
-            good = row[key] == row[key] and row["speed"] < 1e-3
-            (points if good else lost).append((times[row["step"]], row))
-    x = [time for time, _ in points]
-    y = [max(abs(row[key]), _FLOOR) for _, row in points]
+    rows = [row for row in results["errors"] if row["model"] == name]
+    calm = [row for row in rows if row[key] == row[key] and row["speed"] < 1e-3]
+    x, y = [times[row["step"]] for row in calm], [max(abs(row[key]), _FLOOR) for row in calm]
     axes.plot(x, y, "o-", color=_COLOURS[name], markersize=4, linewidth=1.4, label=name)
-    for time, (_, row), value in zip(x, points, y, strict=True):
+    for time, row, value in zip(x, calm, y, strict=True):
         note(axes, f"{1000.0 * row['step']:g}", (time, value), (3, 4), fontsize=7, ha="left")
+    lost = [times[row["step"]] for row in rows if row not in calm]
     top = _DIVERGED_AT if key == "rms_mm" else 100.0
-    axes.plot([time for time, _ in lost], [top] * len(lost), "x", color=_COLOURS[name], markersize=6)
+    axes.plot(lost, [top] * len(lost), "x", color=_COLOURS[name], markersize=6)
 
 
 def _map(results: dict[str, Any], path: Path) -> None:
@@ -104,14 +102,11 @@ def _energy(results: dict[str, Any], path: Path) -> None:
             left.plot(times, [value / start for value in values], color=colour, linewidth=1.4, label=row["scene"])
         left.set(xlabel="time, s", ylabel="share of the energy to lose")
         left.legend(fontsize=8)
+        whole, end = np.array([sum(row["lost"].values()) for row in rows]), np.zeros(len(rows))
         for part, colour in zip(PARTS, (PURPLE, BLUE, GREEN, FAINT), strict=True):
-            total = [sum(row["lost"].values()) for row in rows]
-            before = [
-                sum(row["lost"][other] for other in PARTS[: PARTS.index(part)]) / whole
-                for row, whole in zip(rows, total, strict=True)
-            ]
-            share = [100.0 * row["lost"][part] / whole for row, whole in zip(rows, total, strict=True)]
-            right.barh(range(len(rows)), share, left=[100.0 * each for each in before], color=colour, label=part)
+            share = 100.0 * np.array([row["lost"][part] for row in rows]) / whole
+            right.barh(range(len(rows)), share, left=end, color=colour, label=part)
+            end = end + share
         right.set_yticks(range(len(rows)), [row["scene"].replace(", ", ",\n") for row in rows], fontsize=8)
         right.invert_yaxis()
         right.set_xlabel("% of the energy lost")

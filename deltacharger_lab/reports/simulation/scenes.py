@@ -8,7 +8,6 @@ import logging
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from deltacharger_core.machine import SERVO_STIFFNESS, STALL_CURRENT, TORQUE_CONSTANT
@@ -25,21 +24,15 @@ TRAVEL, PUSH = 0.060, 0.086  # m of command along z before and at the end of the
 PATH_TICKS, HOLD = 12, 1.0  # of the compared path; s of rest after it, until the force is read
 
 
-@dataclass(frozen=True)
-class Model:
-    """One way to move the arm: the light model, or MuJoCo with one of its integrators."""
+def model_world(name: str, parameters: WorldParameters, step: float) -> World:
+    """Return a world of the light model, or of MuJoCo with one of its integrators, whose steps are of `step` s."""
+    if name == LIGHT:
+        return World(parameters)
+    from deltacharger_sim.mujoco_world import mujoco_world
 
-    name: str
-
-    def world(self, parameters: WorldParameters, step: float) -> World:
-        """Return a world of this model whose steps are of `step` s."""
-        if self.name == LIGHT:
-            return World(parameters)
-        from deltacharger_sim.mujoco_world import mujoco_world
-
-        # That it diverges somewhere is what the report finds out.
-        logging.getLogger("deltacharger_sim.mujoco_world").setLevel(logging.ERROR)
-        return mujoco_world(parameters, step=step, integrator=self.name.split()[-1])
+    # That it diverges somewhere is what the report finds out.
+    logging.getLogger("deltacharger_sim.mujoco_world").setLevel(logging.ERROR)
+    return mujoco_world(parameters, step=step, integrator=name.split()[-1])
 
 
 class Arm:
@@ -91,14 +84,14 @@ class Arm:
         return force * sum(DELTA.jacobian(*position)[6:]) / (3.0 * TORQUE_CONSTANT)
 
 
-def docking(model: Model, parameters: WorldParameters, step: float) -> dict[str, Any]:
+def docking(model: str, parameters: WorldParameters, step: float) -> dict[str, Any]:
     """Approach, snap, push and hold: places every SAMPLE, settled force and current, and what it cost.
 
     Returns:
         trace (list of m), force (N), current (A), speed (m/s left at the end), and how many times faster than real time
         one core was in motion (`moving`) and in all (`all`).
     """
-    arm = Arm(model.world(parameters, step), step)
+    arm = Arm(model_world(model, parameters, step), step)
     arm.go((0.0, 0.0, TRAVEL), 1.0)
     arm.used = 0.0
     for index in range(PATH_TICKS):

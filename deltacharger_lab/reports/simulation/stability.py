@@ -9,7 +9,7 @@ from typing import Any
 from deltacharger_lab.reports.formats import tens
 from deltacharger_lab.reports.page import rendered
 from deltacharger_lab.reports.simulation.plan import SimulationPlan
-from deltacharger_lab.reports.simulation.scenes import Arm, Model, docking, rms, settled_exactly, world
+from deltacharger_lab.reports.simulation.scenes import Arm, docking, model_world, rms, settled_exactly, world
 
 DIVERGED, FORCE_OFF, PATH_OFF, PROVEN = "d", "f", "p", "+"
 FORCE_LIMIT, PATH_LIMIT = 0.5, 0.3  # % and mm rms that a proven point may be off
@@ -19,12 +19,12 @@ _FAR = 0.3  # m from the origin that no arm reaches
 
 def column(name: str, servo: float, contact: float, steps: tuple[float, ...], finest: float) -> list[dict[str, Any]]:
     """Return the points of a servo and contact stiffness, judged against the model itself in steps of `finest` s."""
-    model, parameters = Model(name), world(contact, servo, friction=0.0, gravity_y=0.0)
-    exact = docking(model, parameters, finest)
+    parameters = world(contact, servo, friction=0.0, gravity_y=0.0)
+    exact = docking(name, parameters, finest)
     force = settled_exactly(parameters, 0.086)
     points = []
     for step in steps:
-        found = exact if step == finest else docking(model, parameters, step)
+        found = exact if step == finest else docking(name, parameters, step)
         rough = roughly(name, servo, contact, step)
         off = 100.0 * abs(found["force"] / force - 1.0)
         path = 1000.0 * rms(found["trace"], exact["trace"])
@@ -48,7 +48,7 @@ def roughly(name: str, servo: float, contact: float, step: float) -> dict[str, A
     Returns:
         bounded (whether every number stayed finite and near), imbalance (N at worst).
     """
-    arm = Arm(Model(name).world(world(contact, servo), step), step)
+    arm = Arm(model_world(name, world(contact, servo), step), step)
     mechanics = arm.world.mechanics
     bounded, imbalance = True, 0.0
     stages: tuple[tuple[tuple[float, float, float] | None, float], ...] = (
