@@ -26,9 +26,8 @@ class Slice:
     """One plane of points (rows, columns).
 
     Attributes:
-        title: which plane.
-        across: name of the horizontal axis.
-        up: name of the vertical axis.
+        fixed: the axis that it is across, 0–2.
+        value: of that axis, m.
         horizontal: coordinates of the columns, m.
         vertical: coordinates of the rows, m.
         edge: distance to the edge of reach, m, negative outside.
@@ -38,9 +37,8 @@ class Slice:
         box: of the workspace in this plane: left, lower, width, height, m.
     """
 
-    title: str
-    across: str
-    up: str
+    fixed: int
+    value: float
     horizontal: Array
     vertical: Array
     edge: Array
@@ -62,53 +60,41 @@ def slice_workspace(geometry: DeltaGeometry, pixels: int) -> Slices:
     """Return x–z at y = 0 and x–y at the lower, middle and upper z of the workspace box."""
     delta = Delta(geometry)
     low, high = np.array(geometry.workspace_min), np.array(geometry.workspace_max)
-    planes = [_slice(delta, 1, 0.0, pixels)]
-    for z in (low[2], 0.5 * (low[2] + high[2]), high[2]):
-        planes.append(_slice(delta, 2, float(z), pixels))
-    axes = [np.linspace(start, end, 25) for start, end in zip(low, high, strict=True)]
-    box = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
+    levels = (low[2], 0.5 * (low[2] + high[2]), high[2])
+    planes = [_slice(delta, 1, 0.0, pixels), *(_slice(delta, 2, float(z), pixels) for z in levels)]
+    box = np.stack(np.meshgrid(*np.linspace(low, high, 25).T), axis=-1).reshape(-1, 3)
     condition, force = _condition(delta, box), _force(delta, box)
-    return Slices(
-        planes,
-        {
-            "count": len(box),
-            "condition_median": float(np.median(condition)),
-            "condition_max": float(condition.max()),
-            "force_min": float(force.min()),
-            "force_median": float(np.median(force)),
-            "force_max": float(force.max()),
-            "reachable": float(np.isfinite(condition).mean()),
-        },
-    )
+    figures = {
+        "count": len(box),
+        "condition_median": float(np.median(condition)),
+        "condition_max": float(condition.max()),
+        "force_min": float(force.min()),
+        "force_median": float(np.median(force)),
+        "force_max": float(force.max()),
+        "reachable": float(np.isfinite(condition).mean()),
+    }
+    return Slices(planes, figures)
 
 
 def _slice(delta: Delta, fixed: int, value: float, pixels: int) -> Slice:
     geometry = delta.geometry
-    across, up = 0, 2 if fixed == 1 else 1
-    low, high = np.array(geometry.workspace_min), np.array(geometry.workspace_max)
-    horizontal = np.linspace(low[across] - _MARGIN, high[across] + _MARGIN, pixels)
-    rows = round(pixels * (high[up] - low[up] + 2 * _MARGIN) / (high[across] - low[across] + 2 * _MARGIN))
-    vertical = np.linspace(low[up] - _MARGIN, high[up] + _MARGIN, rows)
-    points = np.empty((rows, pixels, 3))
-    points[..., across], points[..., up] = np.meshgrid(horizontal, vertical)
-    points[..., fixed] = value
-    flat = points.reshape(-1, 3)
-    status = np.asarray(delta.inverse(flat).status)
+    plane = [0, 3 - fixed]  # x across; z up at some y, y up at some z
+    low, high = (np.array(end)[plane] for end in (geometry.workspace_min, geometry.workspace_max))
+    size = high - low + 2 * _MARGIN
+    counts = (pixels, round(pixels * size[1] / size[0]))
+    horizontal, vertical = (np.linspace(*each) for each in zip(low - _MARGIN, high + _MARGIN, counts, strict=True))
+    grid = np.full((*counts[::-1], 3), value)
+    grid[..., plane] = np.stack(np.meshgrid(horizontal, vertical), axis=-1)
+    points = grid.reshape(-1, 3)
+    status, inside = np.asarray(delta.inverse(points).status), plain_edge(geometry, points).min(-1)
     here = (status & np.uint32(Status.WRONG_ASSEMBLY)) == 0
-    allowed = here & ((status & np.uint32(_LIMITS)) == 0) & (plain_edge(geometry, flat).min(-1) >= 0.0)
-    shape = (rows, pixels)
-    return Slice(
-        f"{'xyz'[fixed]} = {1e3 * value:.0f} mm",
-        "xyz"[across],
-        "xyz"[up],
-        horizontal,
-        vertical,
-        plain_edge(geometry, flat).min(-1).reshape(shape),
-        np.where(here, _condition(delta, flat), np.nan).reshape(shape),
-        np.where(here, _force(delta, flat), np.nan).reshape(shape),
-        allowed.astype(np.float64).reshape(shape),
-        (low[across], low[up], high[across] - low[across], high[up] - low[up]),
+    within = here & ((status & np.uint32(_LIMITS)) == 0) & (inside >= 0.0)
+    numbers = (np.where(here, each, np.nan) for each in (_condition(delta, points), _force(delta, points)))
+    edge, allowed, condition, force = (
+        np.asarray(each, dtype=np.float64).reshape(grid.shape[:2]) for each in (inside, within, *numbers)
     )
+    box = (low[0], low[1], high[0] - low[0], high[1] - low[1])
+    return Slice(fixed, value, horizontal, vertical, edge, condition, force, allowed, box)
 
 
 def _condition(delta: Delta, points: Array) -> Array:
@@ -173,7 +159,8 @@ def _panel(axes: Axes, plane: Slice, field: Array, norm: Any, colours: str) -> N
     for colour, line in ((INK, 3.0), ("white", 1.6)):
         axes.add_patch(Rectangle((left, lower), width, height, fill=False, edgecolor=colour, linewidth=line))
     axes.set_aspect("equal")
-    axes.set(title=plane.title, xlabel=f"{plane.across}, mm", ylabel=f"{plane.up}, mm")
+    title = f"{'xyz'[plane.fixed]} = {1e3 * plane.value:.0f} mm"
+    axes.set(title=title, xlabel="x, mm", ylabel=f"{'xyz'[3 - plane.fixed]}, mm")
     axes.grid(visible=False)
 
 
