@@ -22,43 +22,37 @@ from deltacharger_bringup.cli.output import (
 )
 from deltacharger_bringup.cli.types import SEED, whole
 
-_DEFAULT_COMPARISON = "report-tactile"
-
 
 def add_kinematics(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report kinematics`."""
-    _add_folder(parser, "report-kinematics")
+    _add_common(parser, "report-kinematics", "fewer points and shorter timings")
     points = "per set, 50 to 100000 (default: 5000, with --quick 200)"
     parser.add_argument("--points", type=whole(50, 100_000), metavar="N", help=points)
     parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="of every set (default: 1)")
-    parser.add_argument("--quick", action="store_true", help="fewer points and shorter timings, for a first look")
 
 
 def add_tactile(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report tactile` and `tactile compare`."""
-    parser.add_argument("--out", default=_DEFAULT_COMPARISON, metavar="DIR", help=f"folder ({_DEFAULT_COMPARISON})")
+    _add_common(parser, "report-tactile", "one rig and few models")
     parser.add_argument("--seed", type=SEED, default=1, metavar="N", help="of the dockings (1)")
-    parser.add_argument("--quick", action="store_true", help="one rig and few models, for a first look")
 
 
 def add_vision(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report vision`."""
-    _add_folder(parser, "report-vision")
+    _add_common(parser, "report-vision", "a tenth of the images")
     images = "of a usual row, 2 to 1000 (default: 150, with --quick 15); rows of targets have more"
     parser.add_argument("--images", type=whole(2, 1000), metavar="N", help=images)
     parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="shifts the seeds of all images (default: 0)")
-    parser.add_argument("--quick", action="store_true", help="a tenth of the images, for a first look")
 
 
 def add_simulation(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report simulation`."""
-    _add_folder(parser, "report-simulation")
-    parser.add_argument("--quick", action="store_true", help="few steps and stiffnesses, for a first look")
+    _add_common(parser, "report-simulation", "few steps and stiffnesses")
 
 
 def add_docking(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report docking`."""
-    _add_folder(parser, "report-docking")
+    _add_common(parser, "report-docking", "a hundredth of the dockings")
     parser.add_argument(
         "--only", action="append", default=[], metavar="NAME", help="run this campaign; may be repeated"
     )
@@ -66,23 +60,21 @@ def add_docking(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-n", "--n", type=whole(1, 10_000_000), metavar="N", help=count)
     parser.add_argument("--seed", type=SEED, default=8, metavar="S", help="of all campaigns (default: 8)")
     parser.add_argument("--workers", type=whole(1, 1024), default=1, metavar="K", help="processes on this computer (1)")
-    parser.add_argument("--quick", action="store_true", help="a hundredth of the dockings, for a first look")
 
 
 def add_footprint(parser: argparse.ArgumentParser) -> None:
     """Add the options of `report footprint`."""
-    _add_folder(parser, "report-footprint")
+    _add_common(parser, "report-footprint", "once and shorter")
     text = "measure this one; may be repeated (default: every packaged scene)"
     parser.add_argument("--scene", action="append", default=[], metavar="NAME|FILE", help=text)
     repeats = "of each scene and way of starting, 1 to 100 (default: 3, with --quick 1)"
     parser.add_argument("--repeats", type=whole(1, 100), metavar="N", help=repeats)
-    parser.add_argument("--quick", action="store_true", help="once and shorter, for a first look")
 
 
-def _add_folder(parser: argparse.ArgumentParser, default: str) -> None:
-    parser.add_argument(
-        "--out", default=default, metavar="DIR", help=f"folder, made where missing (default: {default})"
-    )
+def _add_common(parser: argparse.ArgumentParser, default: str, quick: str) -> None:
+    where = f"folder, made where missing (default: {default})"
+    parser.add_argument("--out", default=default, metavar="DIR", help=where)
+    parser.add_argument("--quick", action="store_true", help=f"{quick}, for a first look")
 
 
 def kinematics(options: argparse.Namespace) -> int:

@@ -175,20 +175,21 @@ def _elbow(angle: Number, cosine: float, sine: float, geometry: DeltaGeometry, m
     return radius * cosine, radius * sine, geometry.arm * m.sin(angle)
 
 
+def _forward(form: SphereForm, geometry: DeltaGeometry, angles: Any, m: Functions) -> tuple[Number, Number, Number]:
+    centres: Any = [_elbow(a, c, s, geometry, m) for a, (c, s) in zip(angles, LIMB_DIRECTIONS, strict=True)]
+    x, y, z = form(centres, geometry.rod, m)
+    return x, y, z - geometry.z_offset
+
+
 def forward_array(form: SphereForm, geometry: DeltaGeometry, angles: Array) -> Array:
     """Return the positions (n, 3) of arm angles (n, 3) by one form; NaN where it has none."""
     with np.errstate(all="ignore"):
-        centres: Any = [_elbow(a, c, s, geometry, ARRAYS) for a, (c, s) in zip(angles.T, LIMB_DIRECTIONS, strict=True)]
-        x, y, z = form(centres, geometry.rod, ARRAYS)
-    return np.stack([x, y, z - geometry.z_offset], axis=-1)
+        return np.stack(_forward(form, geometry, angles.T, ARRAYS), axis=-1)
 
 
-def forward_one(form: SphereForm, geometry: DeltaGeometry, a0: float, a1: float, a2: float) -> Vector:
-    """Return the position of one set of arm angles by one form; NaN where it has none."""
+def forward_one(form: SphereForm, geometry: DeltaGeometry, *angles: float) -> Vector:
+    """Return the position of three arm angles by one form; NaN where it has none."""
     try:
-        angles = zip((a0, a1, a2), LIMB_DIRECTIONS, strict=True)
-        centres: Any = [_elbow(angle, c, s, geometry, math) for angle, (c, s) in angles]
-        x, y, z = form(centres, geometry.rod, math)
+        return _forward(form, geometry, angles, math)
     except (ValueError, ZeroDivisionError):
         return _NAN3
-    return x, y, z - geometry.z_offset

@@ -28,14 +28,9 @@ TARGETS = {
 """Where whole dockings find their target: the third is turned by 11°, beyond what may be charged."""
 
 
-def reference(name: str, step: float) -> dict[str, Any]:
-    """Return the docking in tiny steps of a model, with friction and weight, and without."""
-    return {"name": name, "step": step, **both(name, step)}
-
-
 def both(name: str, step: float) -> dict[str, Any]:
     """Return the docking of a model with friction and weight (`rubbing`) and without (`free`)."""
-    return {"rubbing": docking(name, WITH_FRICTION, step), "free": docking(name, WITHOUT, step)}
+    return {"name": name, "rubbing": docking(name, WITH_FRICTION, step), "free": docking(name, WITHOUT, step)}
 
 
 def errors(name: str, step: float, exact: dict[str, Any]) -> dict[str, Any]:

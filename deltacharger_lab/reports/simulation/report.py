@@ -53,7 +53,7 @@ def _measure(
     results: dict[str, Any], plan: SimulationPlan, names: tuple[str, ...], progress: Callable[[str], None]
 ) -> None:
     known = MUJOCO if MUJOCO in names else LIGHT
-    first = [ReportTask("reference", models.reference, (name, plan.reference_step)) for name in names[:2]]
+    first = [ReportTask("reference", models.both, (name, plan.reference_step)) for name in names[:2]]
     references = work(first, progress)["reference"]
     exact = next(each for each in references if each["name"] == known)
     found = work(tasks(plan, names, exact), progress)
