@@ -24,11 +24,6 @@ from .conftest import Quick
 
 SETS = ("interior", "boundary", "fold", "near type 2", "wide")
 OUTSIDE = ("outside 1e-15 to 1e-3 m", "outside 1e-17 to 1e-15 m")
-TABLE_OF_EXTREMES = (
-    *("NaN in one coordinate", "+inf", "−inf", "1e200 m", "1e308 m in all coordinates", "denormal, 5e-324 m", "−0.0"),
-    *("Q = 0 exactly, all limbs stretched", "Q = 0 exactly, all limbs folded", "a = L, u = w = 0", "float32"),
-    *("forward: spheres that do not meet", "forward: all elbows in one point", "arm of 0, −0.1, NaN or inf m"),
-)
 
 REPORT = ("kinematics",)
 MEASURES_WITH = ()
@@ -62,10 +57,10 @@ def test_the_closed_forms_lose_half_their_digits_at_the_edge_and_ours_does_not(q
     assert max(each for name in OURS for each in curves[name] if each is not None) <= 8e-16
 
 
-def test_the_extremes_of_the_design_come_back_as_wanted(quick_report: Quick) -> None:
-    found = {each["name"]: each for each in quick_report[2]["extremes"]}
-    for name in TABLE_OF_EXTREMES:
-        assert found[name]["ok"], found[name]
+def test_every_extreme_input_comes_back_as_wanted(quick_report: Quick) -> None:
+    found = quick_report[2]["extremes"]
+    assert len({each["name"] for each in found}) >= 35  # some names are those of the row above
+    assert not [each for each in found if not each["ok"]]
 
 
 def test_no_robot_is_too_odd(quick_report: Quick) -> None:
