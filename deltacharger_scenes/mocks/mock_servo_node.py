@@ -2,7 +2,8 @@
 """mock_servo_node: servo_node without servos, for tests of everything above it.
 
 Subscribes: joint_trajectory. Publishes: servo_state, joint_states, /diagnostics. Serves: set_torque, reboot_servos.
-Same names, units and refusals as servo_node; behind them stands a `MockArm` that presses on a plane.
+Same names and units as servo_node, and its own code for trajectories; behind them stands a `MockArm` that presses on a
+plane.
 Parameters: rate, where the target is, and `fault`, which makes it misbehave and may be set while it runs:
 
 silence         servo_state stops
@@ -29,11 +30,10 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from deltacharger_core.machine import (
-    JOINTS,
-    NOMINAL_VOLTAGE,
-    TORQUE_CONSTANT,
-)
+from deltacharger_core.machine import JOINTS, NOMINAL_VOLTAGE, STALL_TORQUE, TORQUE_CONSTANT
+from deltacharger_driver.errors import TrajectoryRefused
+from deltacharger_driver.servos.goals import ServoGoals
+from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check, check_age
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.diagnostics import WARN, Diagnostics
@@ -44,7 +44,6 @@ from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import SERVO_FAULTS, MockServoNodeParameters
 
 _BROKEN = 1  # index of the servo that the faults concern
-_OLDEST_STAMP = 0.5  # s
 
 
 class MockServoNode(Node):
@@ -54,14 +53,14 @@ class MockServoNode(Node):
         super().__init__("servo_node", **kwargs)
         given = declare_all(self, MockServoNodeParameters)
         reject_unknown(self)
-        self._rate, self._default_bound = given.rate, given.current_bound
+        self._rate = given.rate
         geometry = DeltaGeometry()
-        self._joint_min, self._joint_max = geometry.joint_min, geometry.joint_max
+        self._limits = JointLimits(JOINTS, geometry.joint_min, geometry.joint_max, STALL_TORQUE)
         self._fault = FaultSwitch(self, SERVO_FAULTS, given.fault_delay)
         self._lock = threading.Lock()
         self._arm = MockArm(given.target(), given.stiffness, given.damping)
-        self._plan: list[tuple[float, list[float], list[float]]] = []  # (monotonic s, angles, bounds in A) to come
-        self._plan_start: tuple[float, list[float]] = (0.0, list(self._arm.goals))
+        self._goals = ServoGoals(len(JOINTS), given.current_bound, TORQUE_CONSTANT)
+        self._goals.begin_at(tuple(self._arm.angles))
         self._error = [0, 0, 0]
         self._state = self.create_publisher(ServoState, "servo_state", qos.LATEST)
         self._joints = self.create_publisher(JointState, "joint_states", qos.DEFAULT_DEPTH)
@@ -96,7 +95,7 @@ class MockServoNode(Node):
     def reboot(self) -> None:
         """Clear hardware errors and switch torque off, as reboot_servos does."""
         with self._lock:
-            self._plan = []
+            self._goals.hold(self._arm.angles)
             self._error = [0, 0, 0]
             self._arm.torque_enabled = [False] * 3
 
@@ -107,7 +106,8 @@ class MockServoNode(Node):
             now = time.monotonic()
             with self._lock:
                 self._apply_fault()
-                self._follow_plan(now)
+                self._goals.advance(now)
+                self._arm.goals, self._arm.bounds = list(self._goals.angles), list(self._goals.bounds)
                 self._arm.advance(min(now - last, 0.1))
                 message = self._message()
             last = now
@@ -121,20 +121,6 @@ class MockServoNode(Node):
         if fault == "hardware_error" and self._fault.first_time():
             self._error[_BROKEN] = ServoState.ERROR_OVERLOAD
             self._arm.torque_enabled[_BROKEN] = False
-
-    def _follow_plan(self, now: float) -> None:
-        """Interpolate the goal between the points of the plan and set each point's bound from its start on."""
-        while self._plan:
-            end, angles, bounds = self._plan[0]
-            start, origin = self._plan_start
-            self._arm.bounds = list(bounds)
-            if now < end:
-                share = (now - start) / (end - start) if end > start else 1.0  # a plan that begins with its goal
-                self._arm.goals = [a + share * (b - a) for a, b in zip(origin, angles, strict=True)]
-                return
-            self._arm.goals = list(angles)
-            self._plan_start = (end, list(angles))
-            self._plan.pop(0)
 
     def _message(self) -> ServoState:
         message = ServoState()
@@ -169,64 +155,27 @@ class MockServoNode(Node):
         self._joints.publish(joints)
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
-        problem = self._problem(message)
-        if problem:
-            self._report(problem)
+        stamp = Time.from_msg(message.header.stamp, clock_type=self.get_clock().clock_type)
+        age = (self.get_clock().now() - stamp).nanoseconds * 1e-9 if stamp.nanoseconds else 0.0
+        points = [ServoWaypoint(seconds(each.time_from_start), each.positions, each.effort) for each in message.points]
+        try:
+            check_age(age)
+            trajectory = check(message.joint_names, points, self._limits)
+        except TrajectoryRefused as refusal:
+            self.get_logger().warning(f"trajectory refused: {refusal}")
+            self._diagnostics.tell(WARN, str(refusal), {}, "joint_trajectory")
             return
-        order = [list(message.joint_names).index(joint) for joint in JOINTS] if message.points else []
         now = time.monotonic()
         with self._lock:
-            self._plan_start = (now, list(self._arm.goals))
-            self._plan = [
-                (
-                    now + seconds(point.time_from_start),
-                    [point.positions[index] for index in order],
-                    [point.effort[index] / TORQUE_CONSTANT for index in order]
-                    if len(point.effort)
-                    else [self._default_bound] * 3,
-                )
-                for point in message.points
-            ]
-
-    def _problem(self, message: JointTrajectory) -> str:
-        """Return why the trajectory is refused; empty where it is not. The rules are those of servo_node."""
-        stamp = Time.from_msg(message.header.stamp, clock_type=self.get_clock().clock_type)
-        age = (self.get_clock().now() - stamp).nanoseconds * 1e-9
-        if stamp.nanoseconds and age > _OLDEST_STAMP:
-            return f"the stamp is {age:.2f} s old"
-        if not message.points:
-            return ""
-        if sorted(message.joint_names) != sorted(JOINTS):
-            return f"joints {list(message.joint_names)} are not exactly {list(JOINTS)}"
-        previous = 0.0
-        for point in message.points:
-            if len(point.positions) != 3 or len(point.effort) not in (0, 3):
-                return "a point needs three positions, and three efforts or none"
-            numbers = [*point.positions, *point.effort]
-            if not all(math.isfinite(number) for number in numbers) or any(e < 0.0 for e in point.effort):
-                return "a position or effort is not a usable number"
-            if not all(self._joint_min <= angle <= self._joint_max for angle in point.positions):
-                return "an angle is outside the joint limits"
-            end = seconds(point.time_from_start)
-            if end < previous:
-                return "the points are not in the order of their times"
-            previous = end
-        return ""
-
-    def _report(self, problem: str) -> None:
-        self.get_logger().warning(f"trajectory refused: {problem}")
-        self._diagnostics.tell(WARN, problem, {}, "joint_trajectory")
+            self._goals.follow(trajectory, now, now)
 
     def _on_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         with self._lock:
             if request.data and any(self._error):
-                response.success = False
                 response.message = "servo 2 reports overload; clear the cause, then call reboot_servos"
                 return response
             if request.data and not all(self._arm.torque_enabled):
-                self._plan = []
-                self._arm.goals = list(self._arm.angles)
-                self._arm.bounds = [self._default_bound] * 3
+                self._goals.begin_at(tuple(self._arm.angles))
             self._arm.torque_enabled = [request.data] * 3
         response.success = True
         response.message = "torque on, goal at the present position" if request.data else "torque off"

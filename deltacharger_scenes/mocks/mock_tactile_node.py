@@ -20,7 +20,6 @@ contactor_welded    the contactor does not open
 
 from __future__ import annotations
 
-import array
 import math
 import threading
 import time
@@ -28,14 +27,17 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from deltacharger.msg import ChargerPower, ServoState, TactileFrame
+from deltacharger.msg import ServoState
 from deltacharger.srv import Probe, SetContactor
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from deltacharger_core.machine import CONTACT_FORCE, GRAVITY, PADS, TORQUE_CONSTANT
+from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, GRAVITY, PADS, ROWS, TORQUE_CONSTANT
 from deltacharger_driver.board.contactor_lease import LeaseRefused
+from deltacharger_driver.board.payloads import Power
+from deltacharger_driver.board.samples import PowerSample, TactileSample
+from deltacharger_driver.board.tactile_node_io import SamplePublishers
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.messages import seconds
@@ -70,12 +72,11 @@ class MockTactileNode(Node):
         self._push = 0.0
         self._jitter: tuple[float, float, float] | None = None
         self._tare: np.ndarray[Any, np.dtype[np.float64]] | None = None
-        self._newest: np.ndarray[Any, np.dtype[np.float64]] = np.zeros((PADS, 10, 10))
+        self._newest: np.ndarray[Any, np.dtype[np.float64]] = np.zeros((PADS, ROWS, COLUMNS))
         self._recent: list[np.ndarray[Any, np.dtype[np.float64]]] = []
         self._sequence = 0
         self._began = time.monotonic()
-        self._frames = self.create_publisher(TactileFrame, "tactile_frame", qos.SENSOR)
-        self._powers = self.create_publisher(ChargerPower, "charger_power", qos.LATEST)
+        self._samples = SamplePublishers(self, qos.LATEST, self._model.contact.pad_side / COLUMNS)
         group = ReentrantCallbackGroup()
         self.create_subscription(ServoState, "servo_state", self._on_servo_state, qos.LATEST)
         self.create_service(Trigger, "tare", self._on_tare, callback_group=group)
@@ -110,20 +111,20 @@ class MockTactileNode(Node):
                 self._power.advance(now, self._touching())
                 frame = self._sample(now, fault)
                 new_fault = self._power.fault != before  # told before an opening can clear it
-                power = self._power_message(now) if new_fault or now >= next_power else None
+                power = self._power_sample(now) if new_fault or now >= next_power else None
             if power is not None:
                 next_power = max(next_power + 1.0 / _POWER_RATE, now)
             if self.context.ok():
-                if frame is not None and fault != "silence":
-                    self._frames.publish(frame)
+                if fault != "silence":
+                    self._samples.frame(frame)
                 if power is not None and fault != "power_silence":
-                    self._powers.publish(power)
+                    self._samples.power(*power)
             due = max(due + period, now - period)
 
     def _touching(self) -> bool:
         return self._position[2] > self._target.z
 
-    def _sample(self, now: float, fault: str) -> TactileFrame:
+    def _sample(self, now: float, fault: str) -> TactileSample:
         """Read the pads as the board would: raw, less the tare, clipped at 0."""
         pose = None
         force = 0.0
@@ -144,34 +145,17 @@ class MockTactileNode(Node):
         elif fault == "unsure":
             taxels = np.swapaxes(taxels, 1, 2)
         self._newest = taxels
-        return self._frame_message(now, taxels)
-
-    def _frame_message(self, now: float, taxels: np.ndarray[Any, np.dtype[np.float64]]) -> TactileFrame:
         self._sequence += 1
-        message = TactileFrame()
-        message.header.stamp = self.get_clock().now().to_msg()
-        message.header.frame_id = "end_effector"
-        message.sequence = self._sequence
-        message.device_time_us = int((now - self._began) * 1e6)
-        message.rows, message.columns = taxels.shape[1:]
-        message.pitch = self._model.contact.pad_side / message.columns
-        message.left = array.array("f", taxels[0].ravel())
-        message.right = array.array("f", taxels[1].ravel())
-        message.tared = self._tare is not None
-        return message
+        pads = taxels.astype(np.float32)
+        device_time = int((now - self._began) * 1e6)
+        return TactileSample(now, self._sequence, device_time, pads, self._tare is not None, False)
 
-    def _power_message(self, now: float) -> ChargerPower:
-        power = self._power
-        message = ChargerPower()
-        message.header.stamp = self.get_clock().now().to_msg()
-        message.contactor_closed = power.closed
-        message.battery_voltage = BATTERY
-        message.target_voltage = TARGET if self._touching() else math.nan
-        message.charge_current = power.current
-        message.probe_resistance = power.lease.resistance
-        message.probe_age = power.lease.probe_age(now)
-        message.fault = power.fault
-        return message
+    def _power_sample(self, now: float) -> tuple[PowerSample, float, float]:
+        """Return the power stage with the ohm and the age (s) of the last probe."""
+        stage = self._power
+        voltage = TARGET if self._touching() else math.nan
+        power = Power(BATTERY, voltage, stage.current, stage.closed, stage.fault)
+        return PowerSample(now, power), stage.lease.resistance, stage.lease.probe_age(now)
 
     def _on_servo_state(self, message: ServoState) -> None:
         position = self._delta.forward(*message.position)
@@ -189,16 +173,13 @@ class MockTactileNode(Node):
         with self._lock:
             pressed = self._tare is not None and bool(np.nanmax(self._newest) >= CONTACT_FORCE)
             if self._fault.active() == "tare_refusal" or pressed or self._touching():
-                response.success = False
                 response.message = "the pads are in contact; lift the end effector before taring"
                 return response
             if not self._recent:
-                response.success = False
                 response.message = "no frame yet; try again"
                 return response
             self._tare = np.stack(self._recent).mean(axis=0)
-        response.success = True
-        response.message = "tared"
+        response.success, response.message = True, "tared"
         return response
 
     def _on_probe(self, request: Probe.Request, response: Probe.Response) -> Probe.Response:
@@ -209,31 +190,25 @@ class MockTactileNode(Node):
             except LeaseRefused as refusal:
                 response.message = str(refusal)
                 return response
-        response.success = True
-        response.message = "measured"
-        response.resistance = resistance
-        response.target_voltage = voltage
+        response.success, response.message = True, "measured"
+        response.resistance, response.target_voltage = resistance, voltage
         return response
 
     def _on_contactor(self, request: SetContactor.Request, response: SetContactor.Response) -> SetContactor.Response:
         with self._lock:
             if not request.close:
                 self._power.open()
-                response.success = True
-                response.message = "open"
+                response.success, response.message = True, "open"
                 return response
-            problem = self._contact_problem()
-            if problem:
-                response.message = problem
+            response.message = self._contact_problem()
+            if response.message:
                 return response
             try:
-                lease = seconds(request.lease)
-                self._power.close(request.holder, lease, time.monotonic())
+                self._power.close(request.holder, seconds(request.lease), time.monotonic())
             except LeaseRefused as refusal:
                 response.message = str(refusal)
                 return response
-        response.success = True
-        response.message = "closed"
+        response.success, response.message = True, "closed"
         return response
 
     def _contact_problem(self) -> str:
