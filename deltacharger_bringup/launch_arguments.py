@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-import difflib
 import sys
 from collections.abc import Collection, Iterable
 from pathlib import Path
+
+from deltacharger_core.parameters import did_you_mean
 
 _OF_LAUNCH = ("launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_timeout", "sigkill_timeout")
 
@@ -27,6 +28,4 @@ def refuse_slips(file: str, words: Iterable[str], known: Collection[str]) -> Non
     for word in words:
         name, assigned, _ = word.partition(":=")
         if assigned and name not in known and name not in _OF_LAUNCH:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f", did you mean '{near[0]}'?" if near else ""
-            raise ValueError(f"unknown argument '{name}'{hint}; known: {', '.join(known)}")
+            raise ValueError(f"unknown argument '{name}'{did_you_mean(name, known)}; known: {', '.join(known)}")

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -13,7 +12,7 @@ from rclpy.context import Context
 from rclpy.parameter import Parameter
 
 from deltacharger_ros.executor import Spinner
-from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.node_table import NODES, load
 from deltacharger_scenes.scene import Scene
 
 if TYPE_CHECKING:
@@ -121,9 +120,7 @@ class Composition:
             self.charger = SimulatedCharger(self.scene.simulation, namespace=self._namespace).start()
         ports = self.ports()
         for name in self.scene.start_order():
-            spec = NODES[name]
-            factory = getattr(importlib.import_module(spec.module), spec.class_name)
-            node = factory(
+            node = load(NODES[name].path)(
                 context=self._context,
                 namespace=self._namespace or None,
                 parameter_overrides=[
@@ -135,11 +132,11 @@ class Composition:
             self.nodes.append(Running(name, Spinner(node)))
 
 
-def load(scene: Scene) -> None:
+def load_nodes(scene: Scene) -> None:
     """Import what the scene's nodes are made of; who starts them imports it again, and hears why it fails."""
     with contextlib.suppress(Exception):
         for name in scene.start_order():
-            importlib.import_module(NODES[name].module)
+            load(NODES[name].path)
 
 
 def describe(composition: Composition) -> str:

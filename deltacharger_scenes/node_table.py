@@ -3,7 +3,15 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
+from typing import Any
+
+
+def load(path: str) -> Any:
+    """Return what a dotted path names in a module."""
+    module, _, name = path.rpartition(".")
+    return getattr(importlib.import_module(module), name)
 
 
 @dataclass(frozen=True)
@@ -11,8 +19,7 @@ class NodeSpec:
     """Where a node lives.
 
     Attributes:
-        module: Python module.
-        class_name: node class in it.
+        path: of its class, with the module.
         parameters: the classes that declare its parameters, with their modules.
         port: which port of the scene is its parameter `port` ("servo", "board" or "" for none).
         stands_in_for: the node whose topics and services it provides, where it is a mock or a simulation.
@@ -27,8 +34,7 @@ class NodeSpec:
         needs_when_used: libraries that some function of it loads; the parameters or the first use decide.
     """
 
-    module: str
-    class_name: str
+    path: str
     parameters: tuple[str, ...] = ()
     port: str = ""
     stands_in_for: str = ""
@@ -39,6 +45,11 @@ class NodeSpec:
     lacks: str = ""
     needs: tuple[str, ...] = ()
     needs_when_used: tuple[str, ...] = ()
+
+    @property
+    def module(self) -> str:
+        """Where its class and its main are."""
+        return self.path.rpartition(".")[0]
 
     def replaces(self, name: str) -> bool:
         """Return whether it serves the names of the node `name`."""
@@ -52,53 +63,43 @@ _GEOMETRY = (
 
 NODES: dict[str, NodeSpec] = {
     "servo_node": NodeSpec(
-        "deltacharger_driver.servos.servo_node",
-        "ServoNode",
+        "deltacharger_driver.servos.servo_node.ServoNode",
         parameters=("deltacharger_driver.parameters.ServoNodeParameters",),
         port="servo",
         lacks="no arm moves",
         needs=("dynamixel_sdk", "serial"),
     ),
     "mock_servo_node": NodeSpec(
-        "deltacharger_scenes.mocks.mock_servo_node",
-        "MockServoNode",
+        "deltacharger_scenes.mocks.mock_servo_node.MockServoNode",
         parameters=("deltacharger_scenes.mocks.parameters.MockServoNodeParameters",),
         stands_in_for="servo_node",
     ),
     "tactile_node": NodeSpec(
-        "deltacharger_driver.board.tactile_node",
-        "TactileNode",
+        "deltacharger_driver.board.tactile_node.TactileNode",
         parameters=("deltacharger_driver.parameters.TactileNodeParameters",),
         port="board",
         lacks="nothing is felt, nothing is charged",
         needs=("dynamixel_sdk", "serial"),
     ),
     "mock_tactile_node": NodeSpec(
-        "deltacharger_scenes.mocks.mock_tactile_node",
-        "MockTactileNode",
+        "deltacharger_scenes.mocks.mock_tactile_node.MockTactileNode",
         parameters=("deltacharger_scenes.mocks.parameters.MockTactileNodeParameters",),
         stands_in_for="tactile_node",
     ),
     "kinematics_node": NodeSpec(
-        "deltacharger_kinematics.kinematics_node",
-        "KinematicsNode",
-        parameters=(
-            "deltacharger_kinematics.parameters.KinematicsNodeParameters",
-            *_GEOMETRY,
-        ),
+        "deltacharger_kinematics.kinematics_node.KinematicsNode",
+        parameters=("deltacharger_kinematics.parameters.KinematicsNodeParameters", *_GEOMETRY),
         may_restart=True,
         lacks="no end_effector_pose, no contact_wrench, no kinematics services",
     ),
     "misalignment_node": NodeSpec(
-        "deltacharger_tactile.misalignment_node",
-        "MisalignmentNode",
+        "deltacharger_tactile.misalignment_node.MisalignmentNode",
         parameters=("deltacharger_tactile.parameters.MisalignmentNodeParameters",),
         may_restart=True,
         lacks="no misalignment is estimated",
     ),
     "camera_node": NodeSpec(
-        "deltacharger_vision.cameras.camera_node",
-        "CameraNode",
+        "deltacharger_vision.cameras.camera_node.CameraNode",
         parameters=(
             "deltacharger_vision.cameras.oak_pipeline.OakSettings",
             "deltacharger_vision.parameters.ReplayParameters",
@@ -108,8 +109,7 @@ NODES: dict[str, NodeSpec] = {
         needs_when_used=("depthai", "mcap"),
     ),
     "simulated_camera_node": NodeSpec(
-        "deltacharger_sim.charger.simulated_camera_node",
-        "SimulatedCameraNode",
+        "deltacharger_sim.charger.simulated_camera_node.SimulatedCameraNode",
         parameters=(
             "deltacharger_sim.charger.parameters.SimulatedCameraNodeParameters",
             "deltacharger_sim.charger.parameters.ImageParameters",
@@ -120,8 +120,7 @@ NODES: dict[str, NodeSpec] = {
         needs_when_used=("cv2", "mujoco"),
     ),
     "electrode_detector_node": NodeSpec(
-        "deltacharger_vision.detector.electrode_detector_node",
-        "ElectrodeDetectorNode",
+        "deltacharger_vision.detector.electrode_detector_node.ElectrodeDetectorNode",
         parameters=(
             "deltacharger_vision.parameters.DetectorNodeParameters",
             "deltacharger_vision.terminal.Terminal",
@@ -131,15 +130,13 @@ NODES: dict[str, NodeSpec] = {
         needs_when_used=("cv2",),
     ),
     "mock_detector_node": NodeSpec(
-        "deltacharger_scenes.mocks.mock_detector_node",
-        "MockDetectorNode",
+        "deltacharger_scenes.mocks.mock_detector_node.MockDetectorNode",
         parameters=("deltacharger_scenes.mocks.parameters.MockDetectorNodeParameters",),
         stands_in_for="electrode_detector_node",
         may_restart=True,
     ),
     "docking_recorder_node": NodeSpec(
-        "deltacharger_records.recording.docking_recorder_node",
-        "DockingRecorderNode",
+        "deltacharger_records.recording.docking_recorder_node.DockingRecorderNode",
         parameters=("deltacharger_records.parameters.DockingRecorderNodeParameters",),
         told_scene=True,
         may_restart=True,
@@ -147,21 +144,18 @@ NODES: dict[str, NodeSpec] = {
         needs_when_used=("mcap",),
     ),
     "recording_player_node": NodeSpec(
-        "deltacharger_records.recording.recording_player_node",
-        "RecordingPlayerNode",
+        "deltacharger_records.recording.recording_player_node.RecordingPlayerNode",
         parameters=("deltacharger_records.parameters.RecordingPlayerNodeParameters",),
         plays=("servo_node", "tactile_node", "kinematics_node", "electrode_detector_node", "docking_node"),
         needs_when_used=("mcap",),
     ),
     "mock_navigator_node": NodeSpec(
-        "deltacharger_scenes.mocks.mock_navigator_node",
-        "MockNavigatorNode",
+        "deltacharger_scenes.mocks.mock_navigator_node.MockNavigatorNode",
         parameters=("deltacharger_scenes.mocks.parameters.MockNavigatorNodeParameters",),
         needs_when_used=("nav2_msgs",),
     ),
     "docking_node": NodeSpec(
-        "deltacharger_docking.ros.docking_node",
-        "DockingNode",
+        "deltacharger_docking.ros.docking_node.DockingNode",
         parameters=(
             "deltacharger_docking.parameters.DockingParameters",
             "deltacharger_docking.parameters.DockingNodeParameters",
@@ -170,8 +164,7 @@ NODES: dict[str, NodeSpec] = {
         lacks="no actions dock and undock",
     ),
     "mission_node": NodeSpec(
-        "deltacharger_mission.ros.mission_node",
-        "MissionNode",
+        "deltacharger_mission.ros.mission_node.MissionNode",
         parameters=(
             "deltacharger_mission.parameters.MissionParameters",
             "deltacharger_mission.parameters.MissionNodeParameters",
@@ -182,5 +175,5 @@ NODES: dict[str, NodeSpec] = {
 }
 """In the order of starting; closing goes the other way, so who commands closes first: mission_node, docking_node."""
 
-CHARGER = NodeSpec("deltacharger_sim.charger.simulated_charger", "SimulatedCharger", needs=("dynamixel_sdk", "serial"))
+CHARGER = NodeSpec("deltacharger_sim.charger.simulated_charger.SimulatedCharger", needs=("dynamixel_sdk", "serial"))
 """What a scene with the key `simulation` starts before its nodes; no node."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the command line and the launch file change of a scene: ports, camera, model, recording, recorder.
+"""What the command line and the launch file change of a scene: ports, camera, model, recording, recorder of dockings.
 
 Every argument is text; empty leaves the scene as it is. What does not fit the scene, or names nothing that exists, is
 refused before anything starts.
@@ -14,9 +14,11 @@ from pathlib import Path
 from deltacharger_core.parameters import words
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Scene, SceneError
-from deltacharger_scenes.with_recorder import with_recorder, without
 
+RECORDER = "docking_recorder_node"
 CAMERAS = ("oak", "topics", "none")
+_TRUE = ("true", "1", "yes", "on")
+_FALSE = ("false", "0", "no", "off")
 _SEEING = ("camera_node", "electrode_detector_node")
 
 
@@ -80,7 +82,7 @@ def _with_camera(scene: Scene, camera: str) -> Scene:
         if set(NODES[name].plays) & set(wanted):
             raise SceneError(scene.file, "camera", f"'{name}' plays what a camera found then; leave it out")
     gone = {name for name in scene.nodes if {name, NODES[name].stands_in_for} & set(_SEEING)} - set(wanted)
-    scene = without(scene, gone)
+    scene = _without(scene, gone)
     nodes = (*scene.nodes, *(name for name in wanted if name not in scene.nodes))
     return dataclasses.replace(scene, nodes=nodes)
 
@@ -93,11 +95,45 @@ def _with_file(scene: Scene, key: str, file: str, node: str, parameter: str) -> 
     path = Path(file).expanduser().absolute()
     if not path.is_file():
         raise SceneError(scene.file, key, f"'{file}': there is no such file")
-    own = {**scene.parameters.get(node, {}), parameter: str(path)}
-    return dataclasses.replace(scene, parameters={**scene.parameters, node: own})
+    return _with_parameter(scene, node, parameter, str(path))
 
 
 def _with_record(scene: Scene, record: str) -> Scene:
     if record and Path(record).expanduser().is_file():
         raise SceneError(scene.file, "record", f"'{record}' is a file; give a folder, true or false")
     return with_recorder(scene, record)
+
+
+def with_recorder(scene: Scene, folder: str | None) -> Scene:
+    """Return the scene with docking_recorder_node, or as it is where nothing is told.
+
+    Args:
+        scene: to which it is added.
+        folder: where records go; "true" = where the scene or else the node says, "false" = no recorder at all.
+    """
+    if not folder:
+        return scene
+    if folder.lower() in _FALSE:
+        return _without(scene, {RECORDER})
+    if RECORDER not in scene.nodes:
+        scene = dataclasses.replace(scene, nodes=(*scene.nodes, RECORDER))
+    if folder.lower() in _TRUE:
+        return scene
+    return _with_parameter(scene, RECORDER, "folder", str(Path(folder).expanduser().absolute()))
+
+
+def recorder_alone(scene: Scene, folder: str) -> Scene:
+    """Return a scene that starts docking_recorder_node and nothing else, beside a charger of `scene` that runs."""
+    return with_recorder(dataclasses.replace(scene, nodes=(), simulation=None, parameters={}), folder)
+
+
+def _with_parameter(scene: Scene, node: str, name: str, value: str) -> Scene:
+    own = {**scene.parameters.get(node, {}), name: value}
+    return dataclasses.replace(scene, parameters={**scene.parameters, node: own})
+
+
+def _without(scene: Scene, names: set[str]) -> Scene:
+    """Return the scene without these nodes and their parameters."""
+    parameters = {name: values for name, values in scene.parameters.items() if name not in names}
+    nodes = tuple(name for name in scene.nodes if name not in names)
+    return dataclasses.replace(scene, nodes=nodes, parameters=parameters)

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterator
 from typing import Any
 
 from deltacharger_core.parameters import Declaration, ParameterError, declared, did_you_mean, from_mapping
-from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.node_table import NODES, load
 from deltacharger_scenes.scene import Scene
 
 _OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
@@ -16,8 +15,7 @@ _OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 def tables(node: str) -> list[type[Any]]:
     """Return the classes that declare the parameters of a node, by its executable's name."""
-    parts = [path.rpartition(".") for path in NODES[node].parameters]
-    return [getattr(importlib.import_module(module), name) for module, _, name in parts]
+    return [load(path) for path in NODES[node].parameters]
 
 
 def problems(scene: Scene) -> Iterator[tuple[str, str]]:

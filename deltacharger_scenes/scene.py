@@ -8,15 +8,14 @@ range, always naming the file and the key.
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias, TypeVar
 
 from deltacharger_core import environment
 from deltacharger_core.machine import DOCK_DISTANCE
-from deltacharger_core.parameters import Bounded, ParameterError, from_mapping, number, words
+from deltacharger_core.parameters import Bounded, ParameterError, did_you_mean, from_mapping, number, words
 from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_scenes.following import followed
 from deltacharger_scenes.node_table import NODES
@@ -24,6 +23,10 @@ from deltacharger_sim.charger.simulation import Simulation
 
 STANDARD_NODES = ("servo_node", "tactile_node", "kinematics_node", "misalignment_node", "docking_node")
 _SUFFIXES = (".yaml", ".yml")
+_SECTIONS = ("simulation", "ports", "goal", "parameters")  # an empty one says nothing, but it is there
+
+T = TypeVar("T")
+Problems: TypeAlias = Iterator[tuple[str, str]]  # keys with what is wrong
 
 
 class SceneError(ValueError):
@@ -61,27 +64,33 @@ class Ports(Bounded):
 
 
 @dataclass(frozen=True)
-class Scene:
-    """One scene.
+class SceneContent(Bounded):
+    """The keys of a scene's file.
 
     Attributes:
-        name: what it is called.
-        description: one or two sentences for people.
-        nodes: executables to start.
         simulation: the simulated charger; None = real hardware (or mocks, which need none).
         ports: serial ports on real hardware.
         goal: stands in for the camera; None = ask the camera.
         parameters: of each node by its executable's name.
-        file: where it was read from.
     """
 
-    name: str
-    description: str = ""
-    nodes: tuple[str, ...] = STANDARD_NODES
+    name: str = words("", "what it is called")
+    description: str = words("", "one or two sentences for people")
+    nodes: tuple[str, ...] = words(STANDARD_NODES, "executables to start")
     simulation: Simulation | None = None
     ports: Ports = field(default_factory=Ports)
     goal: SceneGoal | None = None
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Scene(SceneContent):
+    """One scene.
+
+    Attributes:
+        file: where it was read from.
+    """
+
     file: str = ""
 
     @property
@@ -118,23 +127,26 @@ class Scene:
         return {"port": path, **parameters} if path else parameters
 
 
-def scene_folders() -> list[Path]:
-    """Return the folders that hold packaged scenes: those of the source tree, then of each installation."""
-    return [folder for folder in environment.config("scenes") if folder.is_dir()]
+def packaged_files(kind: str) -> dict[str, Path]:
+    """Return every packaged file below config/ of a kind, "scenes" or "campaigns", by name.
 
-
-def packaged_scenes() -> dict[str, Path]:
-    """Return the file of every packaged scene by name; the first folder that has a name wins."""
+    They are those of the source tree, then of each installation; the first folder that has a name wins.
+    """
     found: dict[str, Path] = {}
-    for folder in scene_folders():
+    for folder in environment.config(kind):
         for path in sorted(folder.iterdir()):
             if path.suffix in _SUFFIXES:
                 found.setdefault(path.stem, path)
     return found
 
 
-def find_scene(name_or_file: str | Path) -> Path:
-    """Return the file of a scene given by name or by path.
+def packaged_scenes() -> dict[str, Path]:
+    """Return the file of every packaged scene by name."""
+    return packaged_files("scenes")
+
+
+def find_file(name_or_file: str | Path, kind: str) -> Path:
+    """Return a file given by the name of a packaged one, of a kind as in `packaged_files`, or by path.
 
     Raises:
         SceneError: there is none.
@@ -144,15 +156,28 @@ def find_scene(name_or_file: str | Path) -> Path:
         if not path.is_file():
             raise SceneError(str(path), "", "there is no such file")
         return path
-    scenes = packaged_scenes()
-    if str(name_or_file) in scenes:
-        return scenes[str(name_or_file)]
-    raise SceneError(
-        str(name_or_file),
-        "",
-        f"no packaged scene has this name{_nearest(str(name_or_file), list(scenes))}; "
-        f"there are {', '.join(scenes) or 'none'}, or give a YAML file",
-    )
+    found, name = packaged_files(kind), str(name_or_file)
+    if name not in found:
+        near, there = did_you_mean(name, found), ", ".join(found) or "none"
+        kind = kind.removesuffix("s")
+        raise SceneError(name, "", f"no packaged {kind} has this name{near}; there are {there}, or give a YAML file")
+    return found[name]
+
+
+def read_file(path: Path, parse: Callable[[Any, str, str], T]) -> T:
+    """Read a YAML file and build a scene from its content, its name and its path.
+
+    Raises:
+        SceneError: it cannot be read, is not YAML, or `parse` refuses a key or value.
+    """
+    try:
+        return parse(read_yaml(path), path.stem, str(path))
+    except YamlError as error:
+        raise SceneError(error.file, "", error.problem) from error
+    except OSError as error:
+        raise SceneError(str(path), "", f"cannot be read: {error}") from error
+    except ParameterError as error:
+        raise SceneError(str(path), error.key, error.problem) from error
 
 
 def load_scene(name_or_file: str | Path) -> Scene:
@@ -164,17 +189,7 @@ def load_scene(name_or_file: str | Path) -> Scene:
     Raises:
         SceneError: it does not exist, is not YAML, or a key or value in it is refused.
     """
-    path = find_scene(name_or_file)
-    try:
-        content = read_yaml(path)
-    except YamlError as error:
-        raise SceneError(str(path), "", error.problem) from error
-    except OSError as error:
-        raise SceneError(str(path), "", f"cannot be read: {error}") from error
-    try:
-        return parse_scene(content, path.stem, str(path))
-    except ParameterError as error:
-        raise SceneError(str(path), error.key, error.problem) from error
+    return read_file(find_file(name_or_file, "scenes"), parse_scene)
 
 
 def parse_scene(content: Any, name: str, file: str = "") -> Scene:
@@ -188,77 +203,28 @@ def parse_scene(content: Any, name: str, file: str = "") -> Scene:
     Raises:
         SceneError, ParameterError: a key or value is refused.
     """
-    top = _Level(file, "", content)
-    top.only("name", "description", "nodes", "simulation", "ports", "goal", "parameters")
-    nodes = _read_nodes(top)
-    scene = Scene(
-        name=top.text("name", name),
-        description=" ".join(top.text("description", "").split()),
-        nodes=nodes,
-        simulation=_read_simulation(top),
-        ports=from_mapping(top.mapping("ports"), Ports, "ports"),
-        goal=from_mapping(top.mapping("goal"), SceneGoal, "goal") if top.has("goal") else None,
-        parameters=_read_parameters(top, nodes),
-        file=file,
-    )
-    _check_ports(scene)
+    if not isinstance(content, Mapping):
+        kind = "empty" if content is None else f"a {type(content).__name__}"
+        raise SceneError(file, "", f"is {kind}; give keys and values")
+    given = {key: {} if value is None and key in _SECTIONS else value for key, value in content.items()}
+    told = from_mapping({"name": name, **given}, SceneContent)
+    scene = Scene(**{**vars(told), "description": " ".join(told.description.split()), "file": file})
+    for check in (_nodes, _simulation, _parameters, _ports):
+        for key, problem in check(scene):
+            raise SceneError(file, key, problem)
     return scene
 
 
-class _Level:
-    """One mapping of the file with the key that leads to it."""
-
-    def __init__(self, file: str, key: str, content: Any) -> None:
-        self._file = file
-        self._key = key
-        if not isinstance(content, Mapping):
-            kind = "empty" if content is None else f"a {type(content).__name__}"
-            raise SceneError(file, key, f"is {kind}; give keys and values")
-        self._content = content
-
-    def has(self, key: str) -> bool:
-        return key in self._content
-
-    def refuse(self, key: str, problem: str) -> SceneError:
-        return SceneError(self._file, f"{self._key}.{key}" if self._key else key, problem)
-
-    def only(self, *known: str) -> None:
-        for key in self._content:
-            if key not in known:
-                raise self.refuse(key, f"unknown key{_nearest(key, known)}; known: {', '.join(known)}")
-
-    def text(self, key: str, default: str) -> str:
-        value = self._content.get(key, default)
-        if not isinstance(value, str):
-            raise self.refuse(key, f"is {value!r}; give text")
-        return value
-
-    def raw(self, key: str, default: Any) -> Any:
-        return self._content.get(key, default)
-
-    def mapping(self, key: str) -> Mapping[str, Any]:
-        value = self._content.get(key)
-        return {} if value is None else self.below(key)._content
-
-    def below(self, key: str) -> _Level:
-        return _Level(self._file, f"{self._key}.{key}" if self._key else key, self._content[key])
-
-
-def _read_nodes(top: _Level) -> tuple[str, ...]:
-    names = top.raw("nodes", list(STANDARD_NODES))
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise top.refuse("nodes", f"is {names!r}; give a list of executables")
-    for index, name in enumerate(names):
+def _nodes(scene: Scene) -> Problems:
+    for index, name in enumerate(scene.nodes):
+        key = f"nodes[{index}]"
         if name not in NODES:
-            raise top.refuse(
-                f"nodes[{index}]", f"unknown node {name!r}{_nearest(str(name), list(NODES))}; known: {', '.join(NODES)}"
-            )
-        if name in names[:index]:
-            raise top.refuse(f"nodes[{index}]", f"'{name}' is listed twice")
-        for other in names:
+            yield key, f"unknown node '{name}'{did_you_mean(name, NODES)}; known: {', '.join(NODES)}"
+        if name in scene.nodes[:index]:
+            yield key, f"'{name}' is listed twice"
+        for other in scene.nodes:
             if other in NODES and (NODES[name].replaces(other) or _are_doubles(name, other)):
-                raise top.refuse(f"nodes[{index}]", f"'{name}' and '{other}' serve the same names; keep one of them")
-    return tuple(names)
+                yield key, f"'{name}' and '{other}' serve the same names; keep one of them"
 
 
 def _are_doubles(name: str, other: str) -> bool:
@@ -266,78 +232,49 @@ def _are_doubles(name: str, other: str) -> bool:
     return bool(NODES[other].stands_in_for) and NODES[other].stands_in_for in NODES[name].plays
 
 
-def _read_simulation(top: _Level) -> Simulation | None:
-    if not top.has("simulation"):
-        return None
-    simulation = from_mapping(top.mapping("simulation"), Simulation, "simulation")
+def _simulation(scene: Scene) -> Problems:
+    if scene.simulation is None:
+        return
     try:
-        simulation.geometry()
+        scene.simulation.geometry()
     except OSError as error:
-        raise top.refuse("simulation.geometry_file", f"'{error.filename}' cannot be read: {error.strerror}") from error
+        yield "simulation.geometry_file", f"'{error.filename}' cannot be read: {error.strerror}"
     except ValueError as error:
-        raise top.refuse("simulation.geometry_file", str(error)) from error
-    return simulation
+        yield "simulation.geometry_file", str(error)
 
 
-def _read_parameters(top: _Level, nodes: Sequence[str]) -> dict[str, dict[str, Any]]:
-    level = _Level("", "", top.mapping("parameters"))
-    result: dict[str, dict[str, Any]] = {}
-    for name in top.mapping("parameters"):
-        if name not in nodes:
-            raise top.refuse(
-                f"parameters.{name}",
-                f"this scene starts no such node{_nearest(name, nodes)}; it starts {', '.join(nodes)}",
-            )
-        values = level.raw(name, None)
+def _parameters(scene: Scene) -> Problems:
+    if not isinstance(scene.parameters, Mapping):
+        yield "parameters", f"{scene.parameters!r} is not a mapping of keys to values"
+    for name, values in scene.parameters.items():
+        key = f"parameters.{name}"
+        if name not in scene.nodes:
+            near = did_you_mean(name, scene.nodes)
+            yield key, f"this scene starts no such node{near}; it starts {', '.join(scene.nodes)}"
         if not isinstance(values, Mapping):
-            raise top.refuse(f"parameters.{name}", "give parameters and values")
-        for key, value in values.items():
+            yield key, "give parameters and values"
+        for each, value in values.items():
             if not _is_parameter(value):
-                raise top.refuse(
-                    f"parameters.{name}.{key}",
-                    f"is {value!r}; give a number, a truth value, text or a list of one kind",
-                )
-        result[name] = dict(values)
-    return result
+                yield f"{key}.{each}", f"is {value!r}; give a number, a truth value, text or a list of one kind"
 
 
 def _is_parameter(value: Any) -> bool:
-    if isinstance(value, list):
-        return len({type(item) for item in value}) <= 1 and all(
-            isinstance(item, bool | int | float | str) for item in value
-        )
-    return isinstance(value, bool | int | float | str)
+    items = value if isinstance(value, list) else [value]
+    kinds = {type(item) for item in items}
+    return len(kinds) <= 1 and kinds <= {bool, int, float, str}
 
 
-def _check_ports(scene: Scene) -> None:
+def _ports(scene: Scene) -> Problems:
     if scene.simulation is not None and scene.ports != Ports():
-        raise SceneError(scene.file, "ports", "excludes 'simulation', which brings its own ports; keep one of them")
+        yield "ports", "excludes 'simulation', which brings its own ports; keep one of them"
     for index, name in enumerate(scene.nodes):
-        port = NODES[name].port
+        port, own = NODES[name].port, scene.parameters.get(name, {}).get("port")
         if NODES[name].sees_target and scene.touches_hardware:
-            raise SceneError(
-                scene.file,
-                f"nodes[{index}]",
-                f"'{name}' shows a simulated target, and real servos would go there; keep one of them",
-            )
-        if port and scene.simulation is not None and "port" in scene.parameters.get(name, {}):
-            raise SceneError(
-                scene.file,
-                f"parameters.{name}.port",
-                "a simulated scene must not open a port of real hardware; remove it, or the key 'simulation'",
-            )
-        if (
-            port
-            and scene.touches_hardware
-            and not (getattr(scene.ports, port) or scene.parameters.get(name, {}).get("port"))
-        ):
-            raise SceneError(
-                scene.file,
-                f"ports.{port}",
-                f"'{name}' needs a port on real hardware, e.g. /dev/ttyUSB0; or add 'simulation: {{}}'",
-            )
-
-
-def _nearest(word: str, known: Sequence[str]) -> str:
-    near = difflib.get_close_matches(word, list(known), 1)
-    return f", did you mean '{near[0]}'?" if near else ""
+            there = f"'{name}' shows a simulated target, and real servos would go there; keep one of them"
+            yield f"nodes[{index}]", there
+        if port and scene.simulation is not None and own is not None:
+            remedy = "remove it, or the key 'simulation'"
+            yield f"parameters.{name}.port", f"a simulated scene must not open a port of real hardware; {remedy}"
+        if port and scene.touches_hardware and not (getattr(scene.ports, port) or own):
+            remedy = "e.g. /dev/ttyUSB0; or add 'simulation: {}'"
+            yield f"ports.{port}", f"'{name}' needs a port on real hardware, {remedy}"

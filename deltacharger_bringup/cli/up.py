@@ -81,11 +81,11 @@ def _alone(
         CommandError: another one answers, a part broke, or a signal came before it was ready.
     """
     from deltacharger_ros.client import ChargerClient
-    from deltacharger_scenes.composition import load
+    from deltacharger_scenes.composition import load_nodes
 
     with ChargerClient(options.namespace, context) as client:
         asked = time.monotonic()
-        load(scene)
+        load_nodes(scene)
         _refuse_others(client, 0)
         composition = stack.enter_context(start(scene, context, options.namespace, held=True))
         _say_what_runs(composition)

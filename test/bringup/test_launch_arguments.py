@@ -15,7 +15,7 @@ SLIPS = ["scene:=bench", "servo_prot:=/dev/ttyUSB1"]
 
 def test_a_slip_is_refused_with_the_nearest_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["ros2", "launch", "deltacharger", "charger.launch.py", *SLIPS])
-    with pytest.raises(ValueError, match="'servo_prot', did you mean 'servo_port'"):
+    with pytest.raises(ValueError, match="'servo_prot'; did you mean 'servo_port'"):
         refuse_slips("/opt/share/launch/charger.launch.py", SLIPS, KNOWN)
     refuse_slips("/opt/share/launch/charger.launch.py", ["scene:=bench", "launch-prefix:=gdb", "-d"], KNOWN)
 

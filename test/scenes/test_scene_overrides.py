@@ -10,9 +10,8 @@ import pytest
 
 from deltacharger_bringup.cli import main as cli
 from deltacharger_scenes.node_table import NODES
-from deltacharger_scenes.overrides import Overrides, override
+from deltacharger_scenes.overrides import RECORDER, Overrides, override
 from deltacharger_scenes.scene import SceneError, load_scene
-from deltacharger_scenes.with_recorder import RECORDER
 
 from ..chargers import Process
 

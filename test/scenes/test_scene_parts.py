@@ -152,7 +152,7 @@ def test_what_the_table_says_a_node_needs_at_once_is_what_its_import_loads() -> 
     assert loaded == table
 
 
-@pytest.mark.parametrize("spec", [CHARGER, *NODES.values()], ids=lambda spec: spec.class_name)
+@pytest.mark.parametrize("spec", [CHARGER, *NODES.values()], ids=lambda spec: spec.path.rpartition(".")[2])
 def test_what_the_table_says_a_node_needs_is_what_its_sources_import(spec: NodeSpec) -> None:
     finder = ModuleFinder(path=[str(ROOT)], excludes=WITH_RCLPY)
     finder.load_file(str(ROOT.joinpath(*spec.module.split(".")).with_suffix(".py")))
