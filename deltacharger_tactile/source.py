@@ -3,13 +3,23 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import FRAME_RATE
 from deltacharger_tactile.contact import ContactModel
-from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.parameters import PadContactParameters, TactileParameters
 from deltacharger_tactile.sensor import Dockings, Rig, Sensor
+
+Pose = tuple[float, float, float]
+
+
+@functools.lru_cache(maxsize=8)
+def _model(parameters: PadContactParameters) -> ContactModel:
+    """Return the model of these dimensions; its matrices cost more than a docking, so that dockings share them."""
+    return ContactModel(parameters)
 
 
 class ContactSource:
@@ -17,7 +27,8 @@ class ContactSource:
 
     One docking is one contact: `begin_docking` at its first touch, then `sample` with the relative pose (to which
     the world has added the returned jitter) until `sample` is called with None. Not safe for threads: the world's
-    lock guards it.
+    lock guards it. The noise of a frame remembers the last one by the time between them, so that frames which nobody
+    reads may be left out.
 
     Args:
         parameters: family of rigs; None = defaults.
@@ -29,13 +40,12 @@ class ContactSource:
         self.parameters = parameters or TactileParameters()
         self.rig = Rig.draw(self.parameters, rig_seed)
         self._random = np.random.default_rng([0x50C, rig_seed, seed])
-        self._model = ContactModel(self.parameters.contact)
         self._sensor = Sensor(self.parameters.sensor, self.rig, self._random)
         self._docking: Dockings | None = None
         self._began: float | None = None
         self._last: float | None = None
 
-    def begin_docking(self) -> tuple[float, float, float]:
+    def begin_docking(self) -> Pose:
         """Start a new contact: draw its jitter, tilt, hysteresis and offsets.
 
         Returns:
@@ -46,8 +56,8 @@ class ContactSource:
         x, y, angle = self._docking.jitter[0]
         return float(x), float(y), float(angle)
 
-    def sample(self, time: float, pose: tuple[float, float, float] | None, force: float) -> tuple[Array, Array]:
-        """Read both pads.
+    def sample(self, time: float, pose: Pose | None, force: float) -> tuple[Array, Array]:
+        """Read both pads once.
 
         Args:
             time: s, rising.
@@ -57,19 +67,48 @@ class ContactSource:
         Returns:
             left, right: (10, 10) N raw (before tare; NaN = dead); row 0 at +y, column 0 at +x.
         """
-        step = 1.0 / FRAME_RATE if self._last is None else time - self._last
-        self._last = time
-        if pose is None or not force > 0.0:
-            if pose is None:
-                self._docking, self._began = None, None
-            raw = self._sensor.read(None, self._docking, 0.0, step)
-            return raw[0, 0], raw[0, 1]
+        left, right = self.frames(time, pose, force, 1, 0.0)[0]
+        return left, right
+
+    def frames(
+        self, time: float, pose: Pose | None, force: float, count: int, period: float, share: float = 0.5
+    ) -> Array:
+        """Return `count` frames (count, 2, 10, 10) N raw that end at `time`, a `period` (s) apart, all at one pose.
+
+        Args:
+            time: of the last frame, s, rising.
+            pose: as of `sample`.
+            force: total contact force, N.
+            count: frames.
+            period: between them, s.
+            share: of the force that the left pad carries.
+        """
+        pressed = self._press(pose, force, share)
+        first = time - (count - 1) * period
+        if pressed is not None and self._began is None:
+            self._began = first
+        result = []
+        for index in range(count):
+            now = first + index * period
+            step = 1.0 / FRAME_RATE if self._last is None else now - self._last
+            self._last = now
+            felt = 0.0 if pressed is None or self._began is None else now - self._began
+            result.append(self._sensor.read(pressed, self._docking, felt, step)[0])
+        return np.stack(result)
+
+    def _press(self, pose: Pose | None, force: float, share: float) -> Array | None:
+        """Return the forces on the taxels (1, 2, 10, 10) N; None where nothing touches."""
+        if pose is None:
+            self._docking, self._began = None, None
+            return None
+        if not force > 0.0:
+            return None
         if self._docking is None:
             self._docking = Dockings.draw(self.parameters, self._random)
-        if self._began is None:
-            self._began = time
         poses = np.array([pose])
         tilt = self._docking.tilts(self.parameters, self.rig, poses)
-        contact = self._model.solve(poses, force, tilt, self.rig.waviness)
-        raw = self._sensor.read(contact.taxels, self._docking, time - self._began, step)
-        return raw[0, 0], raw[0, 1]
+        model, waviness = _model(self.parameters.contact), self.rig.waviness
+        if share == 0.5:
+            return model.solve(poses, force, tilt, waviness).taxels
+        left, right = (model.solve(poses, 2.0 * each * force, tilt, waviness).taxels for each in (share, 1.0 - share))
+        return np.stack((left[:, 0], right[:, 1]), axis=1)

@@ -3,18 +3,22 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import multiprocessing
 import os
 import signal
 import threading
 from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from typing import Any
 
 from deltacharger_lab.campaigns.docking import dock_once
 from deltacharger_lab.campaigns.settings import CampaignError, scene_of, versions_of
 
 BATCH_MOST = 50  # dockings of a batch, some seconds of work: what a kill -9 may lose of each worker
+_AHEAD = 2  # batches per worker that are handed out
+_POLL = 0.2  # s until an interruption is seen
 _BATCHES = 8  # per worker at least, so that none waits long for the last one
 _halt: Any = None  # event of the process that started this worker
 
@@ -59,6 +63,38 @@ def run_batch(text: str, numbers: Sequence[int], stop: Callable[[], bool] | None
             break
         rows.append(dock_once(scene, settings.seed, number, settings.approach, settings.exact))
     return rows
+
+
+def hand_out(
+    submit: Callable[[list[int]], Future[list[Row]]],
+    left: list[list[int]],
+    workers: int,
+    record: Record,
+    stop: Stop,
+    halt: Callable[[], None] = lambda: None,
+) -> None:
+    """Run batches in workers, each with some ahead, until all are done or `stop` says so.
+
+    Args:
+        submit: hands a batch over.
+        left: the batches.
+        workers: how many there are.
+        record: told the rows of each batch.
+        stop: whether to end.
+        halt: then tells the workers.
+    """
+    rest, running = iter(left), set[Future[list[Row]]]()
+    while True:
+        for numbers in itertools.islice(rest, 0 if stop() else _AHEAD * workers - len(running)):
+            running.add(submit(numbers))
+        if not running:
+            return
+        if stop():
+            halt()
+            running -= {future for future in running if future.cancel()}
+        done, running = wait(running, _POLL, FIRST_COMPLETED)
+        for future in done:
+            record(future.result())
 
 
 def begin_worker(halt: Any) -> None:

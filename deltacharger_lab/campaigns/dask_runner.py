@@ -3,17 +3,11 @@
 
 from __future__ import annotations
 
-import itertools
-import uuid
-from typing import Any
-
-from deltacharger_lab.campaigns.batch import Record, Row, Stop, batches, run_batch
+from deltacharger_lab.campaigns.batch import Record, Stop, batches, hand_out, run_batch
 from deltacharger_lab.campaigns.settings import CampaignError
 from deltacharger_lab.campaigns.store import Store
 
 _CONNECT = 15.0  # s
-_POLL = 0.3  # s until an interruption is seen
-_AHEAD = 2  # batches per thread of a worker that are handed out
 _LOST = 5  # workers that a batch may lose before it is given up
 
 
@@ -44,43 +38,13 @@ def run_on_dask(store: Store, address: str, batch: int, record: Record, stop: St
         threads = sum(client.nthreads().values())
         if not threads:
             raise CampaignError(f"the scheduler at {address} has no workers; start `dask worker {address}` somewhere")
-        _hand_out(distributed, client, store, batches(store.missing(), batch, threads), threads, record, stop)
-
-
-def _hand_out(
-    distributed: Any,
-    client: Any,
-    store: Store,
-    left: list[list[int]],
-    threads: int,
-    record: Record,
-    stop: Stop,
-) -> None:
-    text, run = store.settings.to_json(), uuid.uuid4().hex
-    rest, running = iter(left), set[Any]()
-    while True:
-        for numbers in itertools.islice(rest, 0 if stop() else _AHEAD * threads - len(running)):
-            key = f"docking-{run}-{numbers[0]}"
-            running.add(client.submit(run_batch, text, numbers, key=key, pure=False, retries=_LOST))
-        if not running:
-            return
-        if stop():
-            client.cancel(list(running))
-            return
+        executor = client.get_executor(pure=False, retries=_LOST)
+        text, left = store.settings.to_json(), batches(store.missing(), batch, threads)
         try:
-            found = distributed.wait(running, timeout=_POLL, return_when="FIRST_COMPLETED")
-        except distributed.TimeoutError:
-            continue
-        running = set(found.not_done)
-        for future in found.done:
-            record(_rows(distributed, future))
-
-
-def _rows(distributed: Any, future: Any) -> list[Row]:
-    try:
-        rows: list[Row] = future.result()
-    except distributed.KilledWorker as error:
-        raise CampaignError(f"workers died again and again: {error}; the same command goes on") from error
-    except ModuleNotFoundError as error:
-        raise CampaignError(f"a worker lacks {error.name}; install deltacharger there, in the same version") from error
-    return rows
+            hand_out(lambda numbers: executor.submit(run_batch, text, numbers), left, threads, record, stop)
+        except distributed.KilledWorker as error:
+            raise CampaignError(f"workers died again and again: {error}; the same command goes on") from error
+        except ModuleNotFoundError as error:
+            raise CampaignError(
+                f"a worker lacks {error.name}; install deltacharger there, in the same version"
+            ) from error

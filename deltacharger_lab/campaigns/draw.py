@@ -12,7 +12,7 @@ from deltacharger_core.parameters import ParameterError
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_lab.campaigns.felt import EstimatorErrors
+from deltacharger_lab.campaigns.keys import EstimatorErrors
 from deltacharger_lab.campaigns.parts import NOMINAL, build_parts, nested
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.campaigns.spread import Value

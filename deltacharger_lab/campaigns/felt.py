@@ -11,32 +11,10 @@ from dataclasses import dataclass, replace
 
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.observation import Reply, Service
+from deltacharger_lab.campaigns.keys import EstimatorErrors
 from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 
 AXES = ("horizontal", "vertical", "angle")
-
-
-@dataclass(frozen=True)
-class EstimatorErrors:
-    """What is wrong with every estimate besides what pads and model do; the keys `estimator.…` of a scene.
-
-    Attributes:
-        position_stddev, angle_stddev: noise (m, rad) of which the standard deviations know nothing.
-        bias_horizontal, bias_vertical, bias_angle: added (m, m, rad).
-        stddev_scale: by which the standard deviations are multiplied, once errors have been drawn from them.
-        tail: degrees of freedom of Student's t from which errors as wide as the standard deviations are drawn, in
-            place of the pads' own; NaN = these stay.
-        paper: whether the paper's classes take the place of the estimate.
-    """
-
-    position_stddev: float = 0.0
-    angle_stddev: float = 0.0
-    bias_horizontal: float = 0.0
-    bias_vertical: float = 0.0
-    bias_angle: float = 0.0
-    stddev_scale: float = 1.0
-    tail: float = math.nan
-    paper: bool = False
 
 
 class Felt:
@@ -87,7 +65,7 @@ class Felt:
         noise = [wrong.position_stddev * gauss(0.0, 1.0), wrong.position_stddev * gauss(0.0, 1.0)]
         noise += [wrong.angle_stddev * gauss(0.0, 1.0)]
         told = {axis: getattr(felt, axis) for axis in AXES}
-        if not math.isnan(wrong.tail) and truth is not None:
+        if wrong.tail is not None and truth is not None:
             for axis, real in zip(AXES, truth, strict=True):
                 told[axis] = real + getattr(felt, f"{axis}_stddev") * self._student(wrong.tail)
         moved = {

@@ -70,8 +70,8 @@ class _Gravity:
 
 
 @dataclass(frozen=True)
-class _Estimator:
-    """What is added to the estimates of the misalignment."""
+class EstimatorErrors:
+    """What is wrong with every estimate of the misalignment besides what pads and model do."""
 
     position_stddev: float = number(0.0, 0.0, 0.01, "m", "noise added to each estimate along x and y")
     angle_stddev: float = number(0.0, 0.0, 0.2, "rad", "noise added to each estimate's angle")
@@ -98,7 +98,7 @@ class _Campaign:
     camera: _Camera = field(default_factory=_Camera)
     hand_eye: _HandEye = field(default_factory=_HandEye)
     gravity: _Gravity = field(default_factory=_Gravity)
-    estimator: _Estimator = field(default_factory=_Estimator)
+    estimator: EstimatorErrors = field(default_factory=EstimatorErrors)
 
 
 TAKEN = {

@@ -22,13 +22,13 @@ from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Reply, Service, Waypoint
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_lab.campaigns.pads import Pads
 from deltacharger_lab.campaigns.quick_motion import QuickPlanner, WholeFeed
 from deltacharger_lab.campaigns.virtual_charger import TICK, Pending, VirtualCharger, counts
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.shared_world import SharedWorld
 from deltacharger_sim.world import World
 from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.source import ContactSource
 
 MOVING, STANDING = 8, 13  # ticks that one step of the machine may last
 SETTLING = 2  # ticks that one step of the world may last where the platform only comes after its goal
@@ -65,7 +65,7 @@ class QuickCharger(VirtualCharger):
         seed: int,
         rig_seed: int,
     ) -> None:
-        self._pads = Pads(tactile, rig_seed, seed)
+        self._pads = ContactSource(tactile, rig_seed, seed)
         super().__init__(world, parameters, seed, rig_seed, self._pads)
         self.plant = _Unclocked(self.world, clock=lambda: 0.0)
         self._arrived: tuple[Waypoint, ...] = ()  # the line whose end has been commanded

@@ -4,20 +4,17 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
-from deltacharger_lab.campaigns.batch import Record, Row, Stop, batches, begin_worker, run_batch
+from deltacharger_lab.campaigns.batch import Record, Row, Stop, batches, begin_worker, hand_out, run_batch
 from deltacharger_lab.campaigns.settings import CampaignError
 from deltacharger_lab.campaigns.store import Store
 
-_AHEAD = 2  # batches per worker that are handed out
-_POLL = 0.2  # s until an interruption is seen
 _TRIES = 3  # times that the rest is begun anew after worker processes died
 
 Report = Callable[[Sequence[Row]], None]
@@ -82,24 +79,17 @@ def _run_again_and_again(
 
 def _run_local(store: Store, workers: int, batch: int, record: Record, stop: Stop) -> None:
     text = store.settings.to_json()
-    left = iter(batches(store.missing(), batch, workers))
+    left = batches(store.missing(), batch, workers)
     context = multiprocessing.get_context("spawn")
     halt = context.Event()
     with _one_thread_each(), ProcessPoolExecutor(workers, context, begin_worker, (halt,)) as pool:
-        running: set[Future[list[Row]]] = set()
+
+        def submit(numbers: list[int]) -> Future[list[Row]]:
+            with _without_ctrl_c():
+                return pool.submit(run_batch, text, numbers)
+
         try:
-            while True:
-                for numbers in itertools.islice(left, 0 if stop() else _AHEAD * workers - len(running)):
-                    with _without_ctrl_c():
-                        running.add(pool.submit(run_batch, text, numbers))
-                if not running:
-                    return
-                if stop():
-                    halt.set()
-                    running -= {future for future in running if future.cancel()}
-                done, running = wait(running, _POLL, FIRST_COMPLETED)
-                for future in done:
-                    record(future.result())
+            hand_out(submit, left, workers, record, stop, halt.set)
         except BaseException:
             halt.set()
             pool.shutdown(cancel_futures=True)

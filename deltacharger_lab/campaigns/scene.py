@@ -3,18 +3,17 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from deltacharger_core.parameters import Declaration, ParameterError
-from deltacharger_core.yaml_file import YamlError, read_yaml
+from deltacharger_core.parameters import Declaration, ParameterError, did_you_mean
+from deltacharger_core.yaml_file import read_yaml
 from deltacharger_lab.campaigns.keys import DERIVED, TAKEN, known_keys
 from deltacharger_lab.campaigns.parts import build_parts
 from deltacharger_lab.campaigns.spread import Spread, Value, read_spread
-from deltacharger_scenes.scene import SceneError, scene_folders
+from deltacharger_scenes.scene import find_file, packaged_files, read_file
 
 DEFAULT = "default"
 SECTIONS = ("target", "shift", "camera", "hand_eye", "gravity", "estimator", "world", "tactile", "docking")
@@ -56,24 +55,12 @@ def load_campaign_scene(name_or_file: str) -> CampaignScene:
     Raises:
         SceneError: there is none, it is not YAML, or a key or value in it is refused.
     """
-    path = _find(name_or_file)
-    try:
-        return parse_campaign_scene(read_yaml(path), path.stem, str(path))
-    except YamlError as error:
-        raise SceneError(error.file, "", error.problem) from error
-    except OSError as error:
-        raise SceneError(str(path), "", f"cannot be read: {error}") from error
-    except ParameterError as error:
-        raise SceneError(str(path), error.key, error.problem) from error
+    return read_file(find_file(name_or_file, "campaigns"), parse_campaign_scene)
 
 
 def packaged_campaigns() -> dict[str, Path]:
     """Return the file of every packaged scene of campaigns by name."""
-    found: dict[str, Path] = {}
-    for folder in scene_folders():
-        for path in sorted((folder.parent / "campaigns").glob("*.yaml")):
-            found.setdefault(path.stem, path)
-    return found
+    return packaged_files("campaigns")
 
 
 def _whole(content: Any, name: str, above: tuple[str, ...] = ()) -> Any:
@@ -84,7 +71,7 @@ def _whole(content: Any, name: str, above: tuple[str, ...] = ()) -> Any:
     packaged = packaged_campaigns()
     if base not in packaged or base in (*above, name):
         raise ParameterError(
-            _BASE, base, f"no other packaged campaign{_nearest(base, packaged)}: {', '.join(packaged)}"
+            _BASE, base, f"no other packaged campaign{did_you_mean(base, packaged)}: {', '.join(packaged)}"
         )
     rest = {key: value for key, value in content.items() if key != _BASE}
     under = {
@@ -106,21 +93,6 @@ def _laid_over(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, A
     return merged
 
 
-def _find(name_or_file: str) -> Path:
-    path = Path(name_or_file)
-    if path.suffix in (".yaml", ".yml") or len(path.parts) > 1:
-        if not path.is_file():
-            raise SceneError(str(path), "", "there is no such file")
-        return path
-    packaged = packaged_campaigns()
-    if name_or_file not in packaged:
-        near = _nearest(name_or_file, packaged)
-        raise SceneError(
-            name_or_file, "", f"no packaged campaign{near}; there are {', '.join(packaged)}, or give a file"
-        )
-    return packaged[name_or_file]
-
-
 def parse_campaign_scene(content: Any, name: str, file: str = "") -> CampaignScene:
     """Build a scene from what a YAML file contains.
 
@@ -137,7 +109,8 @@ def parse_campaign_scene(content: Any, name: str, file: str = "") -> CampaignSce
         raise ParameterError("(top)", content, "is no mapping of keys to values")
     for key in content:
         if key not in _TOP:
-            raise ParameterError(str(key), content[key], f"unknown key{_nearest(key, _TOP)}; known: {', '.join(_TOP)}")
+            known = did_you_mean(key, _TOP) or f"; known are {', '.join(_TOP)}"
+            raise ParameterError(str(key), content[key], f"unknown key{known}")
     for key in ("name", "description"):
         if not isinstance(content.get(key, ""), str):
             raise ParameterError(key, content[key], f"{content[key]!r} is not text")
@@ -174,7 +147,7 @@ def _leaves(value: Any, name: str, where: str) -> Iterator[tuple[str, Declaratio
     if not below:
         parent, _, last = name.rpartition(".")
         beside = sorted({key[len(parent) + 1 :].split(".")[0] for key in keys if key.startswith(f"{parent}.")})
-        raise ParameterError(where, value, f"unknown key{_nearest(last, beside)}; known: {', '.join(beside)}")
+        raise ParameterError(where, value, f"unknown key{did_you_mean(last, beside)}; known: {', '.join(beside)}")
     if not isinstance(value, Mapping):
         raise ParameterError(where, value, f"{value!r} is no mapping of keys to values; known: {', '.join(below)}")
     for key, item in value.items():
@@ -193,7 +166,7 @@ def _read_dockings(entries: Any, spreads: Mapping[str, Spread]) -> tuple[Mapping
             raise ParameterError(where, entry, f"{entry!r} is no mapping of keys to values")
         for key in entry:
             if key not in SECTIONS:
-                raise ParameterError(f"{where}.{key}", entry[key], f"unknown key{_nearest(key, SECTIONS)}")
+                raise ParameterError(f"{where}.{key}", entry[key], f"unknown key{did_you_mean(key, SECTIONS)}")
         values: dict[str, Value] = {}
         for name, spread in _spreads(entry, where):
             if spread.shape != "fixed":
@@ -234,8 +207,3 @@ def _without_effect(scene: CampaignScene, cause: str, dependent: tuple[str, ...]
     for name in dependent:
         if zero and name in scene.spreads:
             raise ParameterError(name, scene.spreads[name].ends[0], f"has no effect where {cause} is 0; remove one")
-
-
-def _nearest(word: object, known: Any) -> str:
-    near = difflib.get_close_matches(str(word), list(known), 1)
-    return f", did you mean '{near[0]}'?" if near else ""

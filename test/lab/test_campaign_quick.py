@@ -15,27 +15,15 @@ from deltacharger_docking.motion import Planner
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_lab.campaigns.docking import dock_once
-from deltacharger_lab.campaigns.pads import Pads
 from deltacharger_lab.campaigns.quick_motion import QuickPlanner, WholeFeed
 from deltacharger_lab.campaigns.scene import parse_campaign_scene
-from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.source import ContactSource
 
 from .campaigns import QUICK, scene
 
 
-def test_frames_are_those_of_the_usual_pads() -> None:
-    pads, usual = Pads(TactileParameters(), 7, 3), ContactSource(None, 7, 3)
-    assert pads.begin_docking() == usual.begin_docking()
-    for step, (pose, force) in enumerate(
-        [(None, 0.0), ((0.001, -0.002, 0.03), 60.0), ((0.001, -0.002, 0.03), 78.0), (None, 0.0)]
-    ):
-        ours, theirs = pads.sample(0.1 * step, pose, force), usual.sample(0.1 * step, pose, force)
-        assert np.array_equal(np.stack(ours), np.stack(theirs), equal_nan=True)
-
-
 def test_frames_at_once_are_frames_one_by_one() -> None:
-    together, one_by_one = Pads(TactileParameters(), 7, 3), Pads(TactileParameters(), 7, 3)
+    together, one_by_one = ContactSource(None, 7, 3), ContactSource(None, 7, 3)
     pose = (0.001, -0.002, 0.03)
     together.begin_docking()
     one_by_one.begin_docking()

@@ -15,8 +15,7 @@ import pytest
 
 from deltacharger_core.parameters import Declaration, ParameterError, declared
 from deltacharger_lab.campaigns.draw import draw, zero_angle
-from deltacharger_lab.campaigns.felt import EstimatorErrors
-from deltacharger_lab.campaigns.keys import TAKEN, known_keys
+from deltacharger_lab.campaigns.keys import TAKEN, EstimatorErrors, known_keys
 from deltacharger_lab.campaigns.parts import build_parts
 from deltacharger_lab.campaigns.scene import load_campaign_scene, packaged_campaigns, parse_campaign_scene
 from deltacharger_lab.campaigns.settings import meaning
