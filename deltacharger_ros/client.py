@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-import uuid
 from collections.abc import Callable
 from typing import Any
 
@@ -22,10 +21,9 @@ import rclpy
 from deltacharger.action import Dock, Undock
 from rclpy.action.client import ActionClient
 from rclpy.context import Context
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from deltacharger_ros.executor import Spinner
+from deltacharger_ros.guest import Guest
 from deltacharger_ros.messages import duration, fill_pose, to_outcome, to_progress
 from deltacharger_ros.outcomes import DockRequest, Outcome, Progress
 
@@ -42,46 +40,31 @@ class ClientError(RuntimeError):
     """The charger did not answer: it is not there, went away, or missed the deadline."""
 
 
-class ChargerClient:
+class ChargerClient(Guest):
     """Send Dock and Undock goals and wait for their results.
 
     Args:
         namespace: of the charger; empty for a charger without one.
         context: a running rclpy context; None starts one of the client's own.
-        name: of the client's node; the default is unique in practice.
     """
 
-    def __init__(self, namespace: str = "", context: Context | None = None, name: str | None = None) -> None:
+    def __init__(self, namespace: str = "", context: Context | None = None) -> None:
         self._owned: Context | None = None
         if context is None:
             context = self._owned = Context()
             rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self.node = Node(
-            name or f"charger_client_{uuid.uuid4().hex[:8]}",
-            context=context,
-            namespace=namespace,
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-        )
+        super().__init__("charger_client", context, namespace)
         self._dock: ActionClient[Any, Any, Any] = ActionClient(self.node, Dock, "dock")
         self._undock: ActionClient[Any, Any, Any] = ActionClient(self.node, Undock, "undock")
-        self._spinner: Spinner | None = Spinner(self.node)
+        self._waitables = [self._dock, self._undock]
+        self.serve()
 
     def close(self) -> None:
         """Leave the graph; a goal that still runs goes on without this client. Calling it twice does no harm."""
-        if self._spinner is not None:
-            self._spinner.close(self._dock, self._undock)
-            self._spinner = None
+        super().close()
         if self._owned is not None:
             rclpy.try_shutdown(context=self._owned)
             self._owned = None
-
-    def __enter__(self) -> ChargerClient:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
 
     def answers(self) -> bool:
         """Whether both actions answer now."""
@@ -105,11 +88,11 @@ class ChargerClient:
         Returns:
             Whether it is ready.
         """
-        return _wait(self.is_ready, timeout, stop)
+        return self.wait(self.is_ready, timeout, stop=stop)
 
     def wait_until_it_answers(self, timeout: float, stop: threading.Event | None = None) -> bool:
         """Wait until `answers`; arguments and result as in `wait_until_ready`."""
-        return _wait(self.answers, timeout, stop)
+        return self.wait(self.answers, timeout, stop=stop)
 
     def dock(
         self,
@@ -198,16 +181,6 @@ class ChargerClient:
         if running.result is None:
             raise ClientError(f"the charger rejected the goal '{action}' without a reason")
         return to_outcome(action, running.result)
-
-
-def _wait(condition: Callable[[], bool], timeout: float, stop: threading.Event | None) -> bool:
-    deadline = time.monotonic() + timeout
-    pause = stop or threading.Event()
-    while not condition():
-        if time.monotonic() >= deadline or pause.is_set():
-            return False
-        pause.wait(0.05)
-    return True
 
 
 class _Goal:

@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+import threading
+import time
 import uuid
-from typing import TypeVar
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 from rclpy.context import Context
 from rclpy.node import Node
 
 from deltacharger_ros.executor import Spinner
+
+_POLL = 0.02  # s
 
 Self = TypeVar("Self", bound="Guest")
 
@@ -36,11 +41,36 @@ class Guest:
             start_parameter_services=False,
         )
         self._spinner: Spinner | None = None
+        self._waitables: list[Any] = []  # released before the node
         self._open = True
 
     def serve(self) -> None:
         """Have the node served from now on."""
         self._spinner = Spinner(self.node)
+
+    def wait(
+        self,
+        condition: Callable[[], bool],
+        timeout: float,
+        check: Callable[[], None] | None = None,
+        stop: threading.Event | None = None,
+    ) -> bool:
+        """Wait for `condition`, at most `timeout` s or until `stop` is set, and return whether it came to hold.
+
+        Args:
+            condition: asked again and again.
+            timeout: s.
+            check: called meanwhile; may raise.
+            stop: ends the wait early when set.
+        """
+        end = time.monotonic() + timeout
+        while not condition():
+            if check is not None:
+                check()
+            if time.monotonic() > end or (stop is not None and stop.is_set()):
+                return False
+            time.sleep(_POLL)
+        return True
 
     def close(self) -> None:
         """Leave the graph. Safe to call twice."""
@@ -48,7 +78,7 @@ class Guest:
             return
         self._open = False
         if self._spinner is not None:
-            self._spinner.close()
+            self._spinner.close(*self._waitables)
         else:
             self.node.destroy_node()
 

@@ -16,6 +16,7 @@ _CODE_NAMES = """
     STUCK NO_TACTILE_CONTACT TACTILE_STALE CRITICAL_ANGLE ESTIMATE_UNSURE MISALIGNED NO_CHARGE_CURRENT SHORT_CIRCUIT
     POWER_STALE REVERSE_POLARITY VOLTAGE_OUT_OF_RANGE REVERSE_CURRENT CONTACTOR_WELDED INTERNAL
 """
+_AXES = ("horizontal", "vertical", "angle")
 _STATE_NAMES = "IDLE LOCATE APPROACH BACK_OFF CONTACT MEASURE ALIGN ENERGISE CHARGING RETRACT"
 
 CODES: dict[int, str] = {getattr(Dock.Result, name): name for name in _CODE_NAMES.split()}
@@ -48,7 +49,7 @@ def seconds(message: Any) -> float:
 
 def to_progress(feedback: Any, elapsed: float) -> Progress:
     """Return a feedback message, heard `elapsed` s after the goal was sent, as plain data."""
-    misalignment = getattr(feedback, "misalignment", None)
+    felt = getattr(feedback, "misalignment", None)  # undock's feedback has none of what follows
     return Progress(
         time=elapsed,
         phase=PHASES.get(feedback.state, f"state {feedback.state}"),
@@ -56,9 +57,7 @@ def to_progress(feedback: Any, elapsed: float) -> Progress:
         contact_current=getattr(feedback, "contact_current", math.nan),
         charge_current=getattr(feedback, "charge_current", math.nan),
         alignments=getattr(feedback, "alignments", 0),
-        horizontal=math.nan if misalignment is None else misalignment.horizontal,
-        vertical=math.nan if misalignment is None else misalignment.vertical,
-        angle=math.nan if misalignment is None else misalignment.angle,
+        **{axis: getattr(felt, axis, math.nan) for axis in _AXES},
     )
 
 
@@ -77,30 +76,14 @@ def to_outcome(action: str, result: Any) -> Outcome:
 
 
 def _dock_details(result: Any) -> dict[str, Any]:
-    felt = result.misalignment
+    told = ("contact_current", "contact_force", "charge_current", "energy")
+    felt = [name for axis in _AXES for name in (axis, f"{axis}_stddev")]
     suggested = result.suggested_base_pose
-    position = suggested.pose.position
+    frame, position = suggested.header.frame_id, suggested.pose.position
     return {
         "aligned": result.aligned,
         "alignments": result.alignments,
-        "misalignment": {
-            "horizontal": felt.horizontal,
-            "horizontal_stddev": felt.horizontal_stddev,
-            "vertical": felt.vertical,
-            "vertical_stddev": felt.vertical_stddev,
-            "angle": felt.angle,
-            "angle_stddev": felt.angle_stddev,
-            "sure": felt.sure,
-            "in_range": felt.in_range,
-        },
-        "contact_current": result.contact_current,
-        "contact_force": result.contact_force,
-        "charge_current": result.charge_current,
-        "energy": result.energy,
-        "suggested_base_pose": {
-            "frame_id": suggested.header.frame_id,
-            "position": [position.x, position.y, position.z],
-        }
-        if suggested.header.frame_id
-        else None,
+        "misalignment": {name: getattr(result.misalignment, name) for name in (*felt, "sure", "in_range")},
+        **{name: getattr(result, name) for name in told},
+        "suggested_base_pose": {"frame_id": frame, "position": [position.x, position.y, position.z]} if frame else None,
     }

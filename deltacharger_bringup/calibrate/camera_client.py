@@ -20,7 +20,6 @@ from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.ros.messages import intrinsics_of
 
-_POLL = 0.01  # s
 _SAME_CLOCK = 10.0  # s between stamp and arrival; beyond it the camera's clock is another one
 _LATENCY = 0.5  # s that an image of such a camera may be under way
 
@@ -45,7 +44,7 @@ class CameraClient(Guest):
         self._info_topic = f"{folder}{slash}camera_info"
         self._lock = threading.Lock()
         self._image: tuple[float, Image] | None = None
-        self._info: CameraInfo | None = None
+        self._info: Any = None
         self.node.create_subscription(Image, topic, self._on_image, qos.SENSOR)
         self.node.create_subscription(CameraInfo, self._info_topic, self._on_info, qos.SENSOR)
         self._clock = self.node.get_clock()
@@ -62,9 +61,9 @@ class CameraClient(Guest):
             CameraError: none comes.
             CameraInfoError: it cannot be used.
         """
-        info = self._wait(lambda: self._info, timeout, check)
-        if info is None:
+        if not self.wait(lambda: self._info is not None, timeout, check):
             raise CameraError(f"no {self._info_topic} is heard: start the camera, in this ROS domain")
+        info = self._info
         if info.binning_x > 1 or info.binning_y > 1 or info.roi.x_offset or info.roi.y_offset:
             raise CameraInfoError(self._info_topic, "binning or a region of interest is set; send whole images")
         return intrinsics_of(info, self._info_topic)
@@ -89,9 +88,9 @@ class CameraClient(Guest):
                 return message if arrival > asked + _LATENCY else None
             return message if stamp >= since and arrival > asked else None
 
-        message = self._wait(fresh, timeout, check)
-        if message is None:
+        if not self.wait(lambda: fresh() is not None, timeout, check):
             raise CameraError(f"no image comes on {self._topic}: look at the camera's node and its cable")
+        message = fresh()
         pixels = color_array(message)
         eight = (pixels >> 8).astype(np.uint8) if pixels.dtype == np.uint16 else pixels
         return np.ascontiguousarray(eight if eight.ndim == 3 else np.repeat(eight[:, :, None], 3, axis=2))
@@ -105,13 +104,3 @@ class CameraClient(Guest):
 
     def _on_info(self, message: CameraInfo) -> None:
         self._info = message
-
-    @staticmethod
-    def _wait(value: Callable[[], Any], timeout: float, check: Callable[[], None]) -> Any:
-        end = time.monotonic() + timeout
-        while True:
-            check()
-            found = value()
-            if found is not None or time.monotonic() > end:
-                return found
-            time.sleep(_POLL)

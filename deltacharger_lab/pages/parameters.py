@@ -4,15 +4,18 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+
+from deltacharger_core import environment
 
 _OWN = ("use_sim_time", "start_type_description_service")  # every ROS node has them
 _PER_SCENE = ("port", "file")
@@ -113,21 +116,17 @@ def _player(context: Context, namespace: str) -> Any:
     return node
 
 
-def main() -> int:
-    """Print the page."""
-    from deltacharger_core import environment
-
+def write_page(document: Callable[[list[Node]], str], namespace: str) -> int:
+    """Write a page on all nodes to stdout."""
     environment.prepare()
     environment.isolate()
-    import rclpy
-
     context = Context()
     rclpy.init(context=context, args=[])
-    with every_node(context, "parameter_table") as nodes:
+    with every_node(context, namespace) as nodes:
         sys.stdout.write(document(nodes))
     rclpy.try_shutdown(context=context)
     return 0
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(write_page(document, "parameter_table"))

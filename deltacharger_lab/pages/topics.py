@@ -4,21 +4,18 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rclpy.action.graph import get_action_client_names_and_types_by_node, get_action_server_names_and_types_by_node
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from deltacharger_lab.pages.interface_text import Interface, InterfacePart, read
-from deltacharger_lab.pages.parameters import every_node
+from deltacharger_lab.pages.parameters import write_page
 
 _EVERY_NODES = ("/parameter_events", "/rosout", "/clock")  # topics that every ROS node has
 _EVERY_NODES_TYPES = ("rcl_interfaces", "type_description_interfaces")  # of services that every ROS node has
@@ -176,19 +173,5 @@ def _relative(node: Node, name: str) -> str:
     return name.removeprefix(f"{node.get_namespace().rstrip('/')}/") if node.get_namespace() != "/" else name
 
 
-def main() -> int:
-    """Print the page."""
-    context = Context()
-    rclpy.init(context=context, args=[])
-    with every_node(context, "topic_table") as nodes:
-        sys.stdout.write(document(nodes))
-    rclpy.try_shutdown(context=context)
-    return 0
-
-
 if __name__ == "__main__":
-    from deltacharger_core import environment
-
-    environment.prepare()
-    environment.isolate()
-    raise SystemExit(main())
+    raise SystemExit(write_page(document, "topic_table"))

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
@@ -19,7 +18,6 @@ from deltacharger_ros import qos
 from deltacharger_ros.guest import Guest
 
 _ANSWER = 5.0  # s for a service
-_POLL = 0.02  # s
 
 
 class ArmError(RuntimeError):
@@ -94,11 +92,4 @@ class ArmGuest(Guest, ABC):
         patient: bool = False,
     ) -> bool:
         """Wait for `condition`, asking `check` meanwhile; unless `patient`, no longer than until `stop` is set."""
-        end = time.monotonic() + timeout
-        while not condition():
-            if check is not None:
-                check()
-            if time.monotonic() > end or (self._stop.is_set() and not patient):
-                return False
-            time.sleep(_POLL)
-        return True
+        return self.wait(condition, timeout, check, None if patient else self._stop)

@@ -17,6 +17,8 @@ from deltacharger_core.version import package_version
 from deltacharger_records.datasets.plan import SUBSETS, Part
 from deltacharger_tactile.dataset import VERSION, Dataset
 
+_AS_KEPT = ("angle", "vertical", "horizontal", "current")
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -91,15 +93,12 @@ def dataset(dockings: Sequence[Docking], parts: Mapping[str, Part], settings: Se
         right=felt[:, 1],
         tare=np.full(felt.shape, np.nan, dtype=np.float32),
         dead=dead,
-        angle=column(docking.angle for docking in dockings),
-        vertical=column(docking.vertical for docking in dockings),
-        horizontal=column(docking.horizontal for docking in dockings),
         contact_pose=column((docking.x, docking.y, math.nan) for docking in dockings),
         attempt=column((docking.attempt for docking in dockings), np.int64),
         session=column((docking.session for docking in dockings), np.int64),
         rig=np.full(count, settings.rig, dtype=np.int64),
         subset=column((SUBSETS[parts[docking.part].set] for docking in dockings), np.int64),
-        current=column(docking.current for docking in dockings),
+        **{name: column(getattr(docking, name) for docking in dockings) for name in _AS_KEPT},
         force=np.full(count, np.nan),
         meta=_meta(dockings, parts, settings),
     )

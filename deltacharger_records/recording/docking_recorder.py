@@ -55,7 +55,7 @@ class DockingRecorder:
     def __init__(
         self,
         folder: RecordFolder,
-        gate: Gate[Raw],
+        gate: Gate,
         topics: Mapping[str, str],
         kinds: Mapping[str, Any],
         about: Mapping[str, str],
@@ -211,7 +211,7 @@ class DockingRecorder:
                 file.stream.close()
 
 
-def gate_for(topics: Mapping[str, str], before: float, rate: float, folder_bytes: int) -> Gate[Raw]:
+def gate_for(topics: Mapping[str, str], before: float, rate: float, folder_bytes: int) -> Gate:
     """Return the gate of a recorder.
 
     Args:

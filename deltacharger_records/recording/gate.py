@@ -8,28 +8,14 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Collection
-from typing import Generic, Protocol, TypeVar
+
+from deltacharger_core.mcap_file import Raw
 
 _HELD_MAX = 16 * 2**20  # bytes kept in memory, whatever the rates are
 _STRETCH = 3600  # messages of a topic after which a quiet stretch is kept ever more thinly
 
 
-class Message(Protocol):
-    """What the gate must know of a message."""
-
-    @property
-    def topic(self) -> str:
-        """Its topic."""
-
-    @property
-    def data(self) -> bytes:
-        """What it says."""
-
-
-M = TypeVar("M", bound=Message)
-
-
-class Gate(Generic[M]):
+class Gate:
     """Takes every message and returns those to write, in their order.
 
     Closed, it holds the last seconds. Open, it lets all pass. In a quiet stretch it holds the last seconds and lets few
@@ -51,7 +37,7 @@ class Gate(Generic[M]):
         self._period = 1.0 / rate
         self._budget = budget
         self._always = frozenset(always)
-        self._held: deque[tuple[float, M]] = deque()
+        self._held: deque[tuple[float, Raw]] = deque()
         self._bytes = 0
         self._waiting = 0  # messages at the end of what is held that were neither passed nor dropped
         self._open = False
@@ -61,14 +47,14 @@ class Gate(Generic[M]):
         self._passed = 0
         self.dropped: Counter[str] = Counter()
 
-    def open(self) -> list[M]:
+    def open(self) -> list[Raw]:
         """Begin a record; return what was held."""
         self._open, self._quiet_since, self._passed = True, None, 0
         self.dropped = Counter()
         self._waiting = len(self._held)
         return self._all()
 
-    def close(self) -> list[M]:
+    def close(self) -> list[Raw]:
         """End the record; return what it still has to hold. The last seconds stay held, for the next one."""
         rest = self._all() if self._open else []
         self._open = False
@@ -88,14 +74,14 @@ class Gate(Generic[M]):
         """Something happens: what is held and what comes next is kept whole."""
         self._whole_until = now + self._before
 
-    def offer(self, now: float, message: M) -> list[M]:
+    def offer(self, now: float, message: Raw) -> list[Raw]:
         """Take a message that came at `now`; return what is to be written."""
         self._held.append((now, message))
         self._bytes += len(message.data)
         self._waiting += 1
         if not self._open:
             self._waiting = 0
-            written: list[M] = []
+            written: list[Raw] = []
         elif self._quiet_since is None or now < self._whole_until:
             written = self._all()
         else:
@@ -103,12 +89,12 @@ class Gate(Generic[M]):
         self._forget(now)
         return written
 
-    def _all(self) -> list[M]:
+    def _all(self) -> list[Raw]:
         start = len(self._held) - self._waiting
         self._waiting = 0
         return [message for _, message in list(self._held)[start:] if self._affords(message)]
 
-    def _few(self, now: float, since: float) -> list[M]:
+    def _few(self, now: float, since: float) -> list[Raw]:
         written = []
         while self._waiting and self._held[-self._waiting][0] <= now - self._before:
             time, message = self._held[-self._waiting]
@@ -122,7 +108,7 @@ class Gate(Generic[M]):
                 self.dropped[message.topic] += 1
         return written
 
-    def _affords(self, message: M) -> bool:
+    def _affords(self, message: Raw) -> bool:
         if self._passed > self._budget and message.topic not in self._always:
             self.dropped[message.topic] += 1
             return False

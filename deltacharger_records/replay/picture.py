@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deltacharger_docking.clearance import clearance, clearance_stddev
-from deltacharger_records.plotting import BLUE, FAINT, GREEN, ORANGE, PURPLE, RED
+from deltacharger_records.plotting import BLUE, FAINT, GREEN, ORANGE, RED
 from deltacharger_records.quantities import quantity
 from deltacharger_records.replay.record import Replay
 from deltacharger_records.replay.run_picture import (
+    MISALIGNMENT,
     charge,
     contact_current,
     height,
@@ -117,13 +118,7 @@ def _misalignment(axes: Axes, replay: Replay, scale: TimeScale) -> None:
     """Draw each measurement with its standard deviation; a hollow one was unsure."""
     axes.axhline(0.0, color="#9aa5b1", linewidth=0.8)
     touches, shown = replay.run.touches, list[tuple[float, float]]()
-    for offset, (name, colour, factor, label) in enumerate(
-        (
-            ("horizontal", BLUE, 1e3, "horizontal, mm"),
-            ("vertical", ORANGE, 1e3, "vertical, mm"),
-            ("angle", PURPLE, 180.0 / math.pi, "angle, °"),
-        )
-    ):
+    for offset, (name, colour, factor, label) in enumerate(MISALIGNMENT):
         times = [scale.beside(touch.time, (offset - 1) * 0.004) for touch in touches]
         values = [factor * getattr(touch, name) for touch in touches]
         spread = [factor * getattr(touch, f"{name}_stddev") for touch in touches]

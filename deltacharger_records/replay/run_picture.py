@@ -21,6 +21,12 @@ if TYPE_CHECKING:
 BAND = (0.4, 0.5)
 """Contact current in which the paper holds the dock (A)."""
 
+MISALIGNMENT = (
+    ("horizontal", BLUE, 1e3, "horizontal, mm"),
+    ("vertical", ORANGE, 1e3, "vertical, mm"),
+    ("angle", PURPLE, 180.0 / math.pi, "angle, °"),
+)
+"""Curves of a misalignment: name, colour, scale from SI, label."""
 _PHASE_COLOURS = {
     "locate": "#e6eaf1",
     "approach": "#e4eff8",
@@ -188,11 +194,7 @@ def _force(axes: Axes, run: Run) -> None:
 def _misalignment(axes: Axes, run: Run) -> None:
     felt, decided = run.felt.arrays(), run.decided.arrays()
     axes.axhline(0.0, color="#9aa5b1", linewidth=0.8)
-    for name, colour, scale, label in (
-        ("horizontal", BLUE, 1e3, "horizontal, mm"),
-        ("vertical", ORANGE, 1e3, "vertical, mm"),
-        ("angle", PURPLE, 180.0 / math.pi, "angle, °"),
-    ):
+    for name, colour, scale, label in MISALIGNMENT:
         axes.plot(felt["time"], scale * felt[name], color=colour, linewidth=0.9, alpha=0.45)
         acted = scale * np.append(decided[name], decided[name][-1:])  # holds until the end of the record
         times = np.append(decided["time"], felt["time"][-1:] if len(decided["time"]) and len(felt["time"]) else [])

@@ -32,8 +32,8 @@ from deltacharger_ros.messages import PHASES
 from deltacharger_ros.node_support import StartupError
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.overrides import RECORDER, recorder_alone, with_recorder
 from deltacharger_scenes.scene import Scene
-from deltacharger_scenes.with_recorder import RECORDER, recorder_alone, with_recorder
 
 from ..marks import slow
 

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import State
 from deltacharger_records.recording.gate import Gate
 from deltacharger_records.recording.session import LOST_AFTER, TAIL, Seen, Session
@@ -17,37 +16,35 @@ BEFORE = 2.0
 MANY = 10**9
 
 
-class Said(NamedTuple):
-    topic: str
-    number: int
-    data: bytes = b"x" * 100
+def said(topic: str, number: int, data: bytes = b"x" * 100) -> Raw:
+    return Raw(topic, number, number, data)
 
 
-def gate(rate: float = 1.0, budget: int = MANY) -> Gate[Said]:
+def gate(rate: float = 1.0, budget: int = MANY) -> Gate:
     return Gate(BEFORE, rate, budget, ["state"])
 
 
-def numbers(messages: list[Said]) -> list[int]:
-    return [message.number for message in messages]
+def numbers(messages: list[Raw]) -> list[int]:
+    return [message.received for message in messages]
 
 
 def test_a_record_begins_with_the_seconds_before_and_keeps_all_of_what_follows() -> None:
-    kept, tap = list[Said](), gate()
+    kept, tap = list[Raw](), gate()
     for number in range(1000):
-        assert tap.offer(0.01 * number, Said("servo", number)) == []
+        assert tap.offer(0.01 * number, said("servo", number)) == []
     kept += tap.open()
     for number in range(1000, 1500):
-        kept += tap.offer(0.01 * number, Said("servo", number))
+        kept += tap.offer(0.01 * number, said("servo", number))
     kept += tap.close()
-    assert numbers(kept) == list(range(kept[0].number, 1500))
-    assert 0.01 * (999 - kept[0].number) == pytest.approx(BEFORE, abs=0.02)
+    assert numbers(kept) == list(range(kept[0].received, 1500))
+    assert 0.01 * (999 - kept[0].received) == pytest.approx(BEFORE, abs=0.02)
 
 
 def test_the_next_record_has_its_seconds_before_although_they_stand_in_the_last_one() -> None:
     tap = gate()
     tap.open()
     for number in range(300):
-        tap.offer(0.01 * number, Said("servo", number))
+        tap.offer(0.01 * number, said("servo", number))
     tap.close()
     assert numbers(tap.open())[-1] == 299
     assert len(numbers(tap.open())) > 100
@@ -64,7 +61,7 @@ def test_the_next_record_has_its_seconds_before_although_they_stand_in_the_last_
     )
 )
 def test_what_passes_is_in_order_and_every_state_passes(events: list[tuple[float, str, str]]) -> None:
-    tap, kept, now = gate(), list[Said](), 0.0
+    tap, kept, now = gate(), list[Raw](), 0.0
     tap.open()
     for number, (step, topic, act) in enumerate(events):
         now += step
@@ -74,22 +71,22 @@ def test_what_passes_is_in_order_and_every_state_passes(events: list[tuple[float
             tap.wake()
         elif act == "stir":
             tap.stir(now)
-        kept += tap.offer(now, Said(topic, number))
+        kept += tap.offer(now, said(topic, number))
     kept += tap.close()
     assert numbers(kept) == sorted(set(numbers(kept)))
-    assert [message.number for message in kept if message.topic == "state"] == [
+    assert [message.received for message in kept if message.topic == "state"] == [
         number for number, (_, topic, _) in enumerate(events) if topic == "state"
     ]
     assert len(kept) + tap.dropped.total() == len(events)
 
 
-def charge(hours: float, budget: int = MANY) -> tuple[list[Said], Gate[Said]]:
+def charge(hours: float, budget: int = MANY) -> tuple[list[Raw], Gate]:
     """Charge for so long at 10 messages a second, to keep the test quick; the gate knows no rate."""
-    tap, kept = gate(budget=budget), list[Said]()
+    tap, kept = gate(budget=budget), list[Raw]()
     tap.open()
     tap.rest(0.0)
     for number in range(round(hours * 36_000)):
-        kept += tap.offer(0.1 * number, Said("servo", number))
+        kept += tap.offer(0.1 * number, said("servo", number))
     return kept, tap
 
 
@@ -105,17 +102,17 @@ def test_when_something_happens_while_charging_the_seconds_around_it_are_whole()
     now = 0.1 * 3600
     tap.stir(now)
     for number in range(3600, 3800):
-        kept += tap.offer(0.1 * number, Said("servo", number))
+        kept += tap.offer(0.1 * number, said("servo", number))
     around = [number for number in numbers(kept) if abs(0.1 * number - now) < BEFORE - 0.2]
     assert around == list(range(around[0], around[-1] + 1))
     assert len(around) == pytest.approx(2 * (BEFORE - 0.2) / 0.1, abs=2)
 
 
 def test_a_record_that_has_taken_its_share_keeps_only_the_states() -> None:
-    tap, kept = gate(budget=10_000), list[Said]()
+    tap, kept = gate(budget=10_000), list[Raw]()
     tap.open()
     for number in range(1000):
-        kept += tap.offer(0.01 * number, Said("state" if number % 100 == 0 else "servo", number))
+        kept += tap.offer(0.01 * number, said("state" if number % 100 == 0 else "servo", number))
     assert sum(len(message.data) for message in kept) < 10_000 + 200 + 10 * 100
     assert sum(message.topic == "state" for message in kept) == 10
     assert tap.dropped["servo"] == 990 - sum(message.topic == "servo" for message in kept)
