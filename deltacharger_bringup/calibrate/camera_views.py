@@ -11,8 +11,6 @@ angle_0_deg,… (as servo_node reports them). Lines that start with # are commen
 
 from __future__ import annotations
 
-import csv
-import difflib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,6 +22,7 @@ from numpy.typing import NDArray
 
 from deltacharger_core.files import append_text
 from deltacharger_core.yaml_file import write_yaml
+from deltacharger_kinematics.calibration.table import DEGREES, POSITION_COLUMNS, RADIANS, CalibrationError, read_table
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_vision.hand_eye.board import Board
@@ -35,12 +34,9 @@ VIEWS = "views.csv"
 MOST = 2000
 """Views in a folder."""
 _IMAGE = "image"
-_ANGLES = tuple(f"angle_{limb}_rad" for limb in range(3))
-_POSITIONS = {("x_mm", "y_mm", "z_mm"): 1e-3, ("x_m", "y_m", "z_m"): 1.0}
-_JOINTS = {_ANGLES: 1.0, tuple(f"angle_{limb}_deg" for limb in range(3)): math.radians(1.0)}
-_GROUPS = _POSITIONS | _JOINTS
+_JOINTS = {RADIANS: 1.0, DEGREES: math.radians(1.0)}
+_GROUPS = POSITION_COLUMNS | _JOINTS
 _KNOWN = (_IMAGE, *(name for group in _GROUPS for name in group))
-_LONGEST = 1_000_000  # bytes
 
 
 class ViewsError(ValueError):
@@ -86,27 +82,16 @@ def read_rows(folder: Path) -> list[Row]:
     path = folder / VIEWS
     if not path.is_file():
         raise ViewsError(folder, f"holds no {VIEWS}; name a folder that --take filled, or write one")
-    if path.stat().st_size > _LONGEST:
-        raise ViewsError(path, f"is larger than {_LONGEST // 1000} kB; give one row per image")
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise ViewsError(path, "is not UTF-8; save it as 'CSV UTF-8'") from error
-    rows: list[Row] = []
-    header: list[str] = []
-    for number, text in enumerate(lines, start=1):
-        if not text.strip(" \t,") or text.lstrip().startswith("#"):
-            continue
-        try:
-            cells = [cell.strip() for cell in next(csv.reader([text]))]
-        except csv.Error as error:
-            raise ViewsError(path, f"line {number}: {error}") from error
-        if header:
-            rows.append(_row(path, number, header, cells))
-        else:
-            header = _header(path, number, cells)
-    if not header:
-        raise ViewsError(path, f"is empty; give the header {_IMAGE},{','.join(_ANGLES)}")
+        table = read_table(path, _KNOWN, "docs/camera-calibration.md")
+        group = _group(path, table.names)
+        values = table.columns(group) * _GROUPS[group]
+    except CalibrationError as error:
+        raise ViewsError(path, str(error)) from error
+    rows = [
+        _row(path, line, cells[_IMAGE], group, numbers)
+        for line, cells, numbers in zip(table.lines, table.rows, values.tolist(), strict=True)
+    ]
     if len(rows) > MOST:
         raise ViewsError(path, f"has {len(rows)} rows, more than {MOST}")
     _refuse_doubled(path, rows)
@@ -171,7 +156,7 @@ class ViewsFolder:
         if any(path.name != CAMERA_INFO for path in folder.iterdir()):
             raise ViewsError(folder, f"holds other files and no {VIEWS}; name a new folder")
         write_yaml(folder / CAMERA_INFO, camera_info(intrinsics))
-        self._write(f"{_IMAGE},{','.join(_ANGLES)}\n")
+        self._write(f"{_IMAGE},{','.join(RADIANS)}\n")
 
     def add(self, image: NDArray[np.uint8], angles: Vector) -> str:
         """Add an image (H, W, 3) and the arm's angles (rad) at it; return its name once both are on the disk."""
@@ -208,42 +193,21 @@ def camera_info(intrinsics: Intrinsics) -> dict[str, Any]:
     }
 
 
-def _header(path: Path, line: int, names: list[str]) -> list[str]:
-    for name in names:
-        if name not in _KNOWN:
-            near = difflib.get_close_matches(name, _KNOWN, 1)
-            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(_KNOWN)}"
-            raise ViewsError(path, f"line {line}: unknown column '{name}'; {hint}")
-        if names.count(name) > 1:
-            raise ViewsError(path, f"line {line}: column '{name}' appears {names.count(name)} times")
+def _group(path: Path, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the columns that tell where the platform stood."""
     given = [group for group in _GROUPS if set(group) & set(names)]
     if _IMAGE not in names or len(given) != 1 or not set(given[0]) <= set(names):
         groups = " or ".join(",".join(group) for group in _GROUPS)
-        raise ViewsError(path, f"line {line}: give the column {_IMAGE} and one of {groups}")
-    return names
+        raise ViewsError(path, f"give the column {_IMAGE} and one of {groups}")
+    return given[0]
 
 
-def _row(path: Path, line: int, header: list[str], cells: list[str]) -> Row:
-    if len(cells) != len(header):
-        raise ViewsError(path, f"line {line}: {len(cells)} cells for {len(header)} columns; write decimal points")
-    found = dict(zip(header, cells, strict=True))
-    group = next(group for group in _GROUPS if group[0] in found)
-    first, second, third = (_number(path, line, name, found[name]) * _GROUPS[group] for name in group)
-    image = found[_IMAGE]
+def _row(path: Path, line: int, image: str, group: tuple[str, ...], values: Sequence[float]) -> Row:
     if Path(image).suffix.lower() not in PICTURES or Path(image).name != image:
         raise ViewsError(path, f"line {line}: image '{image}'; give a {', '.join(PICTURES)} file of the same folder")
-    values = (first, second, third)
-    return Row(image, line, *((None, values) if group in _JOINTS else (values, None)))
-
-
-def _number(path: Path, line: int, name: str, cell: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ViewsError(path, f"line {line}: {name} is '{cell}', which is no finite number")
-    return value
+    first, second, third = values
+    told = (first, second, third)
+    return Row(image, line, *((None, told) if group in _JOINTS else (told, None)))
 
 
 def _refuse_doubled(path: Path, rows: Sequence[Row]) -> None:

@@ -11,13 +11,13 @@ import numpy as np
 
 from deltacharger_bringup.calibrate.camera_report import MILLIMETRE, Judged, about, as_mapping, as_text
 from deltacharger_bringup.calibrate.camera_views import ViewsError, gather, read_pixels, read_rows
+from deltacharger_bringup.cli.calibration import conclude, geometry_of
 from deltacharger_bringup.cli.files import file_to_write
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell_or_write, wrong_input
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_bringup.cli.types import between, whole
 from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_vision.cameras.camera_info import load_camera_info
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import AprilTag, Board, markers_in, parse_board
@@ -74,7 +74,7 @@ def add_camera(parser: argparse.ArgumentParser) -> None:
 
 def camera(options: argparse.Namespace) -> int:
     """Take views where that is asked for, then fit the mount, judge it, and write it where nothing is doubtful."""
-    try:
+    with wrong_input(VisionError, ViewsError, ParameterError):
         require_opencv()
         for flag in ("out", "print"):
             if getattr(options, flag) is not None:
@@ -88,18 +88,18 @@ def camera(options: argparse.Namespace) -> int:
             return _print(options, board)
         if options.views is None:
             raise CommandError("give --views FOLDER, or --print FILE.svg for a board", WRONG_INPUT)
-        offset, geometry = _offset(options), _geometry(options)
+        offset, geometry = _offset(options), geometry_of(options.geometry)
         if options.take is not None:
             from deltacharger_bringup.cli.take_views import take
 
             take(options, board, offset, geometry)
-        return _tell(options, board, _judge(options, board, offset, geometry))
-    except (VisionError, ViewsError, ParameterError) as error:
-        raise CommandError(str(error), WRONG_INPUT) from error
-    except ModuleNotFoundError as error:
-        if error.name != "cv2":
-            raise
-        raise CommandError(str(error), WRONG_INPUT) from error
+        judged = _judge(options, board, offset, geometry)
+        doubts, remarks = judged.doubts, [*judged.notes, *judged.doubts]
+
+        def save(path: str) -> None:
+            judged.found.mount.save(path, about(options, board, judged))
+
+        return conclude(options, bool(doubts), save, as_text(judged), as_mapping(judged), remarks)
 
 
 def _print(options: argparse.Namespace, board: Board) -> int:
@@ -111,10 +111,8 @@ def _print(options: argparse.Namespace, board: Board) -> int:
     say(
         f"print it at 100 % (no 'fit to page') on matte paper; the black pattern must measure {width:g} × {height:g} mm"
     )
-    if options.json:
-        write_json({"success": True, "written": options.print, "pattern": list(board.pattern)})
-    else:
-        tell(f"wrote {options.print}")
+    told = {"success": True, "written": options.print, "pattern": list(board.pattern)}
+    tell_or_write(options, f"wrote {options.print}", told)
     return DONE
 
 
@@ -130,15 +128,6 @@ def _offset(options: argparse.Namespace) -> Vector:
         )
     x, y, z = (MILLIMETRE * float(value) for value in values.values())
     return x, y, z
-
-
-def _geometry(options: argparse.Namespace) -> DeltaGeometry:
-    if options.geometry is None:
-        return DeltaGeometry()
-    try:
-        return load_geometry(options.geometry)
-    except ValueError as error:
-        raise CommandError(str(error), WRONG_INPUT, file=options.geometry) from error
 
 
 def _judge(options: argparse.Namespace, board: Board, offset: Vector, geometry: DeltaGeometry) -> Judged:
@@ -193,21 +182,3 @@ def _unseen(folder: Path, board: Board, names: list[str]) -> str:
 
 def _few(names: list[str] | tuple[str, ...], most: int = 5) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-def _tell(options: argparse.Namespace, board: Board, judged: Judged) -> int:
-    written = options.out if options.out is not None and (options.force or not judged.doubts) else None
-    if written is not None:
-        judged.found.mount.save(written, about(options, board, judged))
-    success = not judged.doubts or written is not None
-    if options.json:
-        write_json({"success": success, **as_mapping(judged), "written": written})
-    else:
-        tell(as_text(judged))
-    for text in (*judged.notes, *judged.doubts):
-        say(text)
-    if written is not None:
-        say(f"wrote {written}")
-    elif options.out is not None:
-        say(f"{options.out} was not written; --force writes it nevertheless")
-    return DONE if success else FAILED

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_bringup.cli.calibration import conclude, encoder_of, geometry_of, refusing
 from deltacharger_bringup.cli.files import file_to_write
-from deltacharger_bringup.cli.measurements import encoder_of, refusing
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, tell_or_write
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_bringup.cli.types import SEED, between, whole
 from deltacharger_kinematics.calibration.calibrate import GeometryCalibration, calibrate, describe
@@ -23,8 +23,8 @@ from deltacharger_kinematics.calibration.data import Encoder, read_measurements
 from deltacharger_kinematics.calibration.plan import plan, write_plan
 from deltacharger_kinematics.calibration.problem import NAMES, Uncertainty, numbers, rms
 from deltacharger_kinematics.calibration.table import MILLIMETRE
-from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry
-from deltacharger_kinematics.geometry_file import geometry_to_mapping, load_geometry, save_geometry
+from deltacharger_kinematics.geometry import LIMB_COUNT
+from deltacharger_kinematics.geometry_file import geometry_to_mapping, save_geometry
 
 _WORST = 5  # rows to name
 _UNEXPLAINED = 2.0  # scatter; below it the stated uncertainties are near enough
@@ -66,7 +66,7 @@ def kinematics(options: argparse.Namespace) -> int:
             raise CommandError("--measure FILE needs --plan FILE to read, and no DATA.csv", WRONG_INPUT)
         from deltacharger_bringup.cli.measure import measure
 
-        return measure(options, _nominal(options))
+        return measure(options, geometry_of(options.nominal))
     if options.plan is not None:
         if options.data is not None or options.out is not None:
             raise CommandError("--plan FILE writes a plan; it takes neither DATA.csv nor --out", WRONG_INPUT)
@@ -78,33 +78,22 @@ def kinematics(options: argparse.Namespace) -> int:
     return _fit(options)
 
 
-def _nominal(options: argparse.Namespace) -> DeltaGeometry:
-    if options.nominal is None:
-        return DeltaGeometry()
-    try:
-        return load_geometry(options.nominal)
-    except ValueError as error:
-        raise CommandError(str(error), WRONG_INPUT, file=options.nominal) from error
-
-
 def _plan(options: argparse.Namespace) -> int:
-    geometry = _nominal(options)
+    geometry = geometry_of(options.nominal)
     file_to_write("--plan", options.plan, overwrite=options.force)
     poses = plan(geometry, options.seed)
     with refusing(options.plan):
         write_plan(options.plan, poses, geometry, encoder_of(options) or Encoder())
     kept = sum(pose.held_out for pose in poses)
-    if options.json:
-        write_json({"success": True, "written": options.plan, "poses": len(poses), "held_out": kept})
-    else:
-        tell(f"wrote {options.plan}: {len(poses)} poses, {kept} of them to judge the fit by")
+    text = f"wrote {options.plan}: {len(poses)} poses, {kept} of them to judge the fit by"
+    tell_or_write(options, text, {"success": True, "written": options.plan, "poses": len(poses), "held_out": kept})
     return DONE
 
 
 def _fit(options: argparse.Namespace) -> int:
     if options.out is not None:
         file_to_write("--out", options.out, overwrite=options.force)
-    nominal = _nominal(options)
+    nominal = geometry_of(options.nominal)
     uncertainty = Uncertainty(
         options.measurement_mm * MILLIMETRE, options.tolerance_mm * MILLIMETRE, math.radians(options.tolerance_deg)
     )
@@ -113,21 +102,12 @@ def _fit(options: argparse.Namespace) -> int:
         found = calibrate(measurements, nominal, uncertainty, options.held_out, options.seed)
     digest = hashlib.sha256(Path(options.data).read_bytes()).hexdigest()
     doubts = _doubts(found)
-    written = options.out if options.out is not None and (options.force or not doubts) else None
-    if written is not None:
-        save_geometry(found.fit.geometry, written, _header(options, found, digest))
-    success = not doubts or written is not None
-    if options.json:
-        write_json({"success": success, **_as_mapping(found, digest), "doubts": doubts, "written": written})
-    else:
-        tell(_as_text(options, found))
-    for doubt in doubts:
-        say(doubt)
-    if written is not None:
-        say(f"wrote {written}")
-    elif options.out is not None:
-        say(f"{options.out} was not written; --force writes it nevertheless")
-    return DONE if success else FAILED
+
+    def save(path: str) -> None:
+        save_geometry(found.fit.geometry, path, _header(options, found, digest))
+
+    value = {**_as_mapping(found, digest), "doubts": doubts}
+    return conclude(options, bool(doubts), save, _as_text(found), value, doubts)
 
 
 def _doubts(found: GeometryCalibration) -> list[str]:
@@ -211,7 +191,7 @@ def _as_mapping(found: GeometryCalibration, digest: str) -> dict[str, Any]:
     }
 
 
-def _as_text(options: argparse.Namespace, found: GeometryCalibration) -> str:
+def _as_text(found: GeometryCalibration) -> str:
     count, kept = len(found.measurements), int(found.held_out.sum())
     before, after = found.held_out_rms
     values = found.fit.singular_values

@@ -10,22 +10,24 @@ import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from deltacharger_bringup.cli.calibration import conclude
 from deltacharger_bringup.cli.files import file_to_write
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError, wrong_input
 from deltacharger_bringup.cli.types import whole
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from deltacharger_tactile.calibration.faults import KnownDockings, PadFaults, Tares
-    from deltacharger_tactile.calibration.fit import PadFit, Worth
-    from deltacharger_tactile.calibration.rig import TactileCalibration
-    from deltacharger_tactile.dataset import Dataset
-    from deltacharger_tactile.estimator import PoseEstimator
+from deltacharger_tactile import MODEL_PATH
+from deltacharger_tactile.calibration import faults as sensor_faults
+from deltacharger_tactile.calibration import fit as sensor_calibration_fit
+from deltacharger_tactile.calibration.faults import KnownDockings, PadFaults, Tares
+from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT, PadFit, Worth
+from deltacharger_tactile.calibration.rig import AXES, SHIFT_LIMIT, SIDES, TactileCalibration
+from deltacharger_tactile.dataset import Dataset
+from deltacharger_tactile.errors import SensorCalibrationError, TactileError
+from deltacharger_tactile.estimator import PoseEstimator
 
 _FEW = 30  # dockings, fewer of which leave most gains where they were
 _JITTERS = 3.0  # that an error of a well-mounted rig stays below
@@ -53,44 +55,23 @@ class _Found:
 
 def tactile(options: argparse.Namespace) -> int:
     """Calibrate, judge, and write what was found unless it makes estimates worse."""
-    from deltacharger_tactile.errors import TactileError
-
     file_to_write("--out", options.out, overwrite=options.force)
-    try:
+    with wrong_input(TactileError, file=options.data):
         data, model = _read(options)
         found = _calibrate(data, model, options)
-    except TactileError as error:
-        raise CommandError(str(error), WRONG_INPUT, file=options.data) from error
-    worse = bool(found.worth.worse.any())
-    written = options.out if options.force or not worse else None
-    if written is not None:
-        found.fit.calibration.save(written, _header(options, found))
-    if options.json:
-        write_json({"success": written is not None, **_as_mapping(found), "written": written})
-    else:
-        tell(_as_text(found))
-    for doubt in found.doubts:
-        say(doubt)
-    say(f"wrote {written}" if written else f"{options.out} was not written; --force writes it nevertheless")
-    return DONE if written else FAILED
+
+    def save(path: str) -> None:
+        found.fit.calibration.save(path, _header(options, found))
+
+    refused = bool(found.worth.worse.any())
+    return conclude(options, refused, save, _as_text(found), _as_mapping(found), found.doubts)
 
 
 def _read(options: argparse.Namespace) -> tuple[Dataset, PoseEstimator]:
-    from deltacharger_tactile import MODEL_PATH
-    from deltacharger_tactile.dataset import Dataset
-    from deltacharger_tactile.estimator import PoseEstimator
-
-    for flag, path in (("--data", options.data), ("--model", options.model)):
-        if path is not None and not Path(path).is_file():
-            raise CommandError(f"{flag} {path}: there is no such file", WRONG_INPUT)
     return Dataset.load(options.data), PoseEstimator.load(options.model or MODEL_PATH)
 
 
 def _calibrate(data: Dataset, model: PoseEstimator, options: argparse.Namespace) -> _Found:
-    from deltacharger_tactile.calibration import faults as sensor_faults
-    from deltacharger_tactile.calibration import fit as sensor_calibration_fit
-    from deltacharger_tactile.errors import SensorCalibrationError
-
     dockings = sensor_faults.select(data, options.rig)
     faults = sensor_faults.find(dockings)
     tares = sensor_faults.compare_tares(dockings, faults.dead)
@@ -127,9 +108,6 @@ def _doubts_of_pads(faults: PadFaults, tares: Tares, model: PoseEstimator) -> li
 
 
 def _doubts_of_fit(dockings: KnownDockings, fit: PadFit, worth: Worth) -> list[str]:
-    from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT
-    from deltacharger_tactile.calibration.rig import AXES, SHIFT_LIMIT
-
     doubts = []
     if len(dockings) < _FEW:
         doubts.append(f"{len(dockings)} dockings tell little: most gains stay near 1; dock {_FEW} times or more")
@@ -155,8 +133,6 @@ def _doubts_of_fit(dockings: KnownDockings, fit: PadFit, worth: Worth) -> list[s
 
 
 def _places(mask: NDArray[np.bool_], most: int = 6) -> str:
-    from deltacharger_tactile.calibration.rig import SIDES
-
     found = [f"{SIDES[pad]} row {row} column {column}" for pad, row, column in np.argwhere(mask).tolist()]
     more = f" and {len(found) - most} more" if len(found) > most else ""
     return ", ".join(found[:most]) + more if found else "none"
@@ -173,8 +149,6 @@ def _seen(calibration: TactileCalibration) -> NDArray[np.float64]:
 
 def _as_mapping(found: _Found) -> dict[str, Any]:
     """Return everything in SI units."""
-    from deltacharger_tactile.calibration.rig import AXES
-
     fit, worth, made = found.fit, found.worth, found.fit.calibration
     gains = _seen(made)
     return {
@@ -216,8 +190,6 @@ def _largest(drift: NDArray[np.float64]) -> float:
 
 
 def _as_text(found: _Found) -> str:
-    from deltacharger_tactile.calibration.rig import AXES
-
     fit, worth, made = found.fit, found.worth, found.fit.calibration
     gains, drift = _seen(made), _largest(found.tares.drift)
     tare = f"at most {drift:.2f} N apart" if math.isfinite(drift) else "the data do not tell"

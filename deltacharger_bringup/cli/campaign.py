@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +21,20 @@ from deltacharger_bringup.cli.output import (
     CommandError,
     Interrupts,
     say,
-    tell,
-    write_json,
+    tell_or_write,
 )
 from deltacharger_bringup.cli.parser import add_command
+from deltacharger_bringup.cli.scene import refusing_scenes
 from deltacharger_bringup.cli.types import SEED, whole
 from deltacharger_docking.parameters import APPROACHES
+from deltacharger_lab.campaigns import paper
+from deltacharger_lab.campaigns.compare import compare_campaigns, describe
+from deltacharger_lab.campaigns.compare_picture import draw
+from deltacharger_lab.campaigns.runner import run_missing
+from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, CampaignSettings, versions_of
-from deltacharger_scenes.scene import SceneError
+from deltacharger_lab.campaigns.store import Store, read_results
+from deltacharger_lab.campaigns.summary import COLUMNS, summarise
 
 _DEFAULT_COUNT = 100
 _BAR = 30  # characters
@@ -58,15 +65,10 @@ def add_campaign(parser: argparse.ArgumentParser) -> None:
 
 def campaign(options: argparse.Namespace) -> int:
     """Run what is missing of a campaign, and say how its dockings ended."""
-    from deltacharger_lab.campaigns.runner import run_missing
-    from deltacharger_lab.campaigns.store import Store, read_results, require_pyarrow
-    from deltacharger_lab.campaigns.summary import COLUMNS, summarise
-
     folder, settings = _folder(options), _settings(options)
     if options.scheduler and options.workers:
         raise CommandError("--workers is for this computer; a scheduler has workers of its own", WRONG_INPUT)
-    _demand(require_pyarrow)
-    try:
+    with told_campaign_errors():
         with Interrupts() as interrupts, Store(folder, settings) as store:
             progress = CampaignProgress(settings.n, len(store.done))
             run_missing(
@@ -75,15 +77,10 @@ def campaign(options: argparse.Namespace) -> int:
             progress.end()
             complete = not store.missing()
         results = read_results(folder, COLUMNS)
-    except CampaignError as error:
-        raise CommandError(str(error), WRONG_INPUT if isinstance(error, CampaignRefused) else FAILED) from error
     summary = {**summarise(results), "complete": complete, "out": str(folder), "seed": settings.seed, "simulated": True}
     if not complete:
         say(f"{folder}: {len(results['number'])} of {settings.n} dockings are written; the same command goes on")
-    if options.json:
-        write_json({"success": complete, **summary})
-    else:
-        _tell(summary, settings)
+    tell_or_write(options, _described(summary, settings), {"success": complete, **summary})
     if complete:
         return DONE
     return INTERRUPTED if interrupts.number == signal.SIGINT else FAILED
@@ -91,28 +88,23 @@ def campaign(options: argparse.Namespace) -> int:
 
 def compare(options: argparse.Namespace) -> int:
     """Compare two campaigns docking by docking, and draw the differences."""
-    from deltacharger_lab.campaigns.compare import compare_campaigns, describe
-    from deltacharger_lab.campaigns.store import require_pyarrow
-
-    _demand(require_pyarrow)
     picture = picture_to_write(options.picture) if options.picture else None
-    try:
+    with told_campaign_errors():
         found = compare_campaigns(Path(options.a), Path(options.b))
+    if picture is not None:
+        draw(found, picture)
+        say(f"{picture}: written")
+    tell_or_write(options, describe(found), {**found, "picture": str(picture) if picture is not None else None})
+    return DONE
+
+
+@contextlib.contextmanager
+def told_campaign_errors() -> Iterator[None]:
+    """Turn what keeps a campaign from running into an end of the command; exit code 2 where the input is at fault."""
+    try:
+        yield
     except CampaignError as error:
         raise CommandError(str(error), WRONG_INPUT if isinstance(error, CampaignRefused) else FAILED) from error
-    if picture is not None:
-        from deltacharger_lab.campaigns.compare_picture import draw
-
-        try:
-            draw(found, picture)
-        except ModuleNotFoundError as error:
-            raise CommandError(f"{error.name} is not installed; install deltacharger[report]", FAILED) from error
-        say(f"{picture}: written")
-    if options.json:
-        write_json({**found, "picture": str(picture) if picture is not None else None})
-    else:
-        tell(describe(found))
-    return DONE
 
 
 class CampaignProgress:
@@ -173,42 +165,29 @@ def _folder(options: argparse.Namespace) -> Path:
 
 
 def _settings(options: argparse.Namespace) -> CampaignSettings:
-    from deltacharger_lab.campaigns import paper
-    from deltacharger_lab.campaigns.scene import load_campaign_scene
-
-    try:
+    with refusing_scenes():
         scene = load_campaign_scene(options.scenes)
-    except SceneError as error:
-        raise CommandError(str(error), WRONG_INPUT, file=error.file, key=error.key) from error
     count = options.n or len(scene.dockings) or _DEFAULT_COUNT
     if scene.dockings and count > len(scene.dockings):
         raise CommandError(
             f"-n {count}: {scene.file} lists {len(scene.dockings)} dockings; give at most as many", WRONG_INPUT
         )
     if paper.are_wanted(scene.content):
-        try:
-            paper.prepare(_folder(options), say)
-        except ModuleNotFoundError as error:
-            raise CommandError(f"{error.name} is not installed; install deltacharger[train]", FAILED) from error
+        paper.prepare(_folder(options), say)
     versions = versions_of(scene.content)
     return CampaignSettings(count, options.seed, options.approach, options.exact, scene.content, scene.name, versions)
 
 
-def _demand(requirement: Any) -> None:
-    try:
-        requirement()
-    except CampaignError as error:
-        raise CommandError(str(error), FAILED) from error
-
-
-def _tell(summary: dict[str, Any], settings: CampaignSettings) -> None:
+def _described(summary: dict[str, Any], settings: CampaignSettings) -> str:
     low, high = summary["charged_interval"]
-    tell(f"{summary['n']} simulated dockings of '{settings.scene_name}', seed {settings.seed}, {settings.approach}")
-    tell(f"  charged            {100 * summary['charged']:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f})")
-    tell(f"  aligned            {100 * summary['aligned']:.1f} %")
     refused = ", ".join(f"{name} {count}" for name, count in summary["refused"].items())
-    tell(f"  refused            {refused or 'none'}")
-    tell(f"  shorts             {summary['shorts']}; {summary['energised_unsafe']:.3f} s live without clearance")
+    lines = [
+        f"{summary['n']} simulated dockings of '{settings.scene_name}', seed {settings.seed}, {settings.approach}",
+        f"  charged            {100 * summary['charged']:.1f} % (95 %: {100 * low:.1f} to {100 * high:.1f})",
+        f"  aligned            {100 * summary['aligned']:.1f} %",
+        f"  refused            {refused or 'none'}",
+        f"  shorts             {summary['shorts']}; {summary['energised_unsafe']:.3f} s live without clearance",
+    ]
     for name, scale, unit in (
         ("time", 1.0, "s"),
         ("moves", 1.0, ""),
@@ -217,6 +196,7 @@ def _tell(summary: dict[str, Any], settings: CampaignSettings) -> None:
         ("time_above_band", 1.0, "s"),
     ):
         values = ", ".join(f"{key} {scale * value:.2f}" for key, value in summary[name].items())
-        tell(f"  {name:<18} {values} {unit}".rstrip())
+        lines.append(f"  {name:<18} {values} {unit}".rstrip())
     if summary["crashed"]:
-        tell(f"  crashed            {summary['crashed']}; their errors stand in the column error")
+        lines.append(f"  crashed            {summary['crashed']}; their errors stand in the column error")
+    return "\n".join(lines)

@@ -10,12 +10,7 @@ import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from deltacharger_bringup.cli.output import (
-    WRONG_INPUT,
-    CommandError,
-    Interrupts,
-    say,
-)
+from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError, Interrupts, say
 from deltacharger_bringup.cli.parser import DEFAULT_SCENE
 from deltacharger_core import environment, runtime
 
@@ -26,9 +21,7 @@ if TYPE_CHECKING:
     from deltacharger_scenes.scene import Scene
 
 DISCOVERY = 5.0  # s; a charger that runs is found in 0.25…3 s, and starting a second one beside it would be worse
-LOOK = (
-    3.3  # s after which no charger that runs is unknown: one that misses the first announcement waits 3 s for the next
-)
+LOOK = 3.3  # s after which no charger that runs is unknown: who misses its first announcement waits 3 s for the next
 START_UP = 60.0  # s until the actions of a scene's own charger answer
 
 
@@ -46,7 +39,8 @@ def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
     """
     from deltacharger_bringup.cli.scene import load_for_command  # hundreds of ms, for which --help does not wait
 
-    scene = load_for_command(options.scene or DEFAULT_SCENE)
+    given = getattr(options, "scene", None)  # some commands take the scene as it comes
+    scene = load_for_command(given or DEFAULT_SCENE)
     environment.prepare()
     problem = environment.domain_problem()
     if problem:
@@ -54,7 +48,7 @@ def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
     options.discovery, options.must_run = DISCOVERY, False
     if scene.touches_hardware:
         return scene
-    if look_around and options.scene is None and not os.environ.get("ROS_DOMAIN_ID"):
+    if look_around and given is None and not os.environ.get("ROS_DOMAIN_ID"):
         options.discovery = LOOK
         if _answers_by_default(options.namespace):
             say("using the charger that answers in ROS domain 0")

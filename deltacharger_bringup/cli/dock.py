@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -62,9 +63,7 @@ def add_dock(parser: argparse.ArgumentParser) -> None:
 
 def dock(options: argparse.Namespace) -> int:
     """Dock with the running charger, or else with the scene's own in this process."""
-    if (
-        not options.no_picture and options.picture != _DEFAULT_PICTURE
-    ):  # whoever asked for none needs no writable folder
+    if not options.no_picture and options.picture != _DEFAULT_PICTURE:  # who asked for none needs no writable folder
         picture_to_write(options.picture)
     scene = prepare(options, look_around=True)
     require_docking(scene)
@@ -72,7 +71,7 @@ def dock(options: argparse.Namespace) -> int:
     with Interrupts() as interrupts, ros_context() as context, contextlib.ExitStack() as stack:
         from deltacharger_records.replay.recorder import Recorder
         from deltacharger_ros.client import ChargerClient
-        from deltacharger_scenes.with_recorder import recorder_alone, with_recorder
+        from deltacharger_scenes.overrides import recorder_alone, with_recorder
 
         client = stack.enter_context(ChargerClient(options.namespace, context))
         composition: Composition | None = None
@@ -99,11 +98,8 @@ def dock_request(options: argparse.Namespace, scene: Scene) -> DockRequest:
     Raises:
         CommandError: some coordinates are given and nothing supplies the others.
     """
-    flags: dict[str, float] = {}
-    for axis in "xyz":
-        millimetres = getattr(options, f"{axis}_mm")
-        if millimetres is not None:
-            flags[axis] = 1e-3 * millimetres
+    told = {axis: getattr(options, f"{axis}_mm") for axis in "xyz"}
+    flags = {axis: 1e-3 * millimetres for axis, millimetres in told.items() if millimetres is not None}
     if options.roll_deg is not None:
         flags["roll"] = math.radians(options.roll_deg)
     return DockRequest(
@@ -117,14 +113,13 @@ def dock_request(options: argparse.Namespace, scene: Scene) -> DockRequest:
     )
 
 
-def _electrodes(flags: dict[str, float], camera: bool, scene: Scene) -> Pose | None:
+def _electrodes(flags: dict[str, Any], camera: bool, scene: Scene) -> Pose | None:
     if camera:
         if flags:
             raise CommandError("--camera and coordinates exclude each other", WRONG_INPUT)
         return None
     if scene.goal is not None:
-        known = {"x": scene.goal.x, "y": scene.goal.y, "z": scene.goal.z, "roll": scene.goal.roll, **flags}
-        return Pose(known["x"], known["y"], known["z"], known["roll"])
+        return Pose(**{**asdict(scene.goal), **flags})
     if not flags:
         return None
     missing = [f"--{axis}-mm" for axis in "xyz" if axis not in flags]
@@ -132,66 +127,57 @@ def _electrodes(flags: dict[str, float], camera: bool, scene: Scene) -> Pose | N
         raise CommandError(
             f"{', '.join(missing)} missing: scene '{scene.name}' has no goal to take it from", WRONG_INPUT
         )
-    return Pose(flags["x"], flags["y"], flags["z"], flags.get("roll", 0.0))
+    return Pose(**flags)
 
 
+@dataclass
 class _Run:
     """One docking from goal to report."""
 
-    def __init__(
-        self,
-        options: argparse.Namespace,
-        scene: Scene,
-        request: DockRequest,
-        client: ChargerClient,
-        recorder: Recorder,
-        composition: Composition | None,
-        interrupts: Interrupts,
-    ) -> None:
-        self._options = options
-        self._scene = scene
-        self._request = request
-        self._client = client
-        self._recorder = recorder
-        self._composition = composition
-        self._interrupts = interrupts
+    options: argparse.Namespace
+    scene: Scene
+    request: DockRequest
+    client: ChargerClient
+    recorder: Recorder
+    composition: Composition | None
+    interrupts: Interrupts
 
     def carry_out(self) -> int:
         """Dock, undock where this process started the charger, draw and report."""
         say(self._goal_line())
-        whose = "the running charger" if self._composition is None else f"scene '{self._scene.name}'"
-        self._recorder.run.notes["about"] = f"{whose}; {self._goal_line()}"
-        printer = PhasePrinter(self._recorder.force)
+        whose = "the running charger" if self.composition is None else f"scene '{self.scene.name}'"
+        self.recorder.run.notes["about"] = f"{whose}; {self._goal_line()}"
+        printer = PhasePrinter(self.recorder.force)
         outcome = self._dock(printer)
         cure = self._cure(outcome)
-        self._recorder.finish(outcome)
+        self.recorder.finish(outcome)
         more: dict[str, Any] = {
-            "scene": self._scene.name,
-            "charger": "running" if self._composition is None else "started",
+            "scene": self.scene.name,
+            "charger": "running" if self.composition is None else "started",
             "phases": printer.phases,
         }
         unsafe = ""
-        if self._composition is not None:
+        if self.composition is not None:
             if outcome.success:
                 more["undock"] = self._undock()
             unsafe = self._truth(more)
             # Drawing holds the interpreter for seconds, which nodes in this process would take for a broken cable.
-            self._recorder.close()
-            self._composition.close()
+            self.recorder.close()
+            self.composition.close()
         more["picture"] = self._draw()
-        report(outcome, self._options.json, more)
+        report(outcome, self.options.json, more)
         if cure:
             say(cure)
-        if not self._options.json and outcome.success:
+        if not self.options.json and outcome.success:
             say(_summary(outcome))
         if unsafe:
             say(unsafe)
-        if self._interrupts.event.is_set():
+        if self.interrupts.event.is_set():
             return INTERRUPTED
         return DONE if outcome.success and not unsafe else FAILED
 
     def _goal_line(self) -> str:
-        pose = self._request.electrodes
+        pose = self.request.electrodes
         if pose is None:
             return "goal: electrodes where the camera finds them"
         return (
@@ -203,19 +189,19 @@ class _Run:
         from deltacharger_ros.client import ClientError
 
         def on_progress(progress: Any) -> None:
-            self._recorder.on_progress(progress)
+            self.recorder.on_progress(progress)
             printer(progress)
 
         try:
-            return self._client.dock(
-                self._request, on_progress, self._interrupts.event, self._options.deadline_s, self._interrupts.impatient
+            return self.client.dock(
+                self.request, on_progress, self.interrupts.event, self.options.deadline_s, self.interrupts.impatient
             )
         except ClientError as error:
-            raise CommandError(str(error), INTERRUPTED if self._interrupts.event.is_set() else FAILED) from error
+            raise CommandError(str(error), INTERRUPTED if self.interrupts.event.is_set() else FAILED) from error
 
     def _cure(self, outcome: Outcome) -> str:
         """Return what to do where the camera was asked and there is none, or ''."""
-        if outcome.error_name != "ELECTRODES_NOT_FOUND" or self._client.finds_electrodes():
+        if outcome.error_name != "ELECTRODES_NOT_FOUND" or self.client.finds_electrodes():
             return ""
         return (
             "nothing here finds electrodes: give coordinates (--x-mm --y-mm --z-mm), or start a charger whose scene "
@@ -227,7 +213,7 @@ class _Run:
 
         say("undocking, since this command ends the charger that it started")
         try:
-            outcome = self._client.undock(on_progress=PhasePrinter(), deadline=60.0)
+            outcome = self.client.undock(on_progress=PhasePrinter(), deadline=60.0)
         except ClientError as error:
             say(str(error))
             return {"success": False, "error_message": str(error)}
@@ -236,13 +222,13 @@ class _Run:
         return outcome.as_dict()
 
     def _draw(self) -> str | None:
-        if self._options.no_picture:
+        if self.options.no_picture:
             return None
         from deltacharger_records.replay.run_picture import PictureError, draw
 
-        path = Path(self._options.picture)
+        path = Path(self.options.picture)
         try:
-            draw(self._recorder.run, path)
+            draw(self.recorder.run, path)
         except PictureError as error:
             say(f"no picture: {error}")
             return None
@@ -251,10 +237,10 @@ class _Run:
 
     def _truth(self, more: dict[str, Any]) -> str:
         """Add what really happened in an own simulated world; return why it was unsafe, or ''."""
-        assert self._composition is not None
-        if self._composition.charger is None:
+        assert self.composition is not None
+        if self.composition.charger is None:
             return ""
-        record = self._composition.charger.record()
+        record = self.composition.charger.record()
         more["simulation"] = record
         if record.get("energised_shorts") or record.get("energised_unsafe"):
             return "the simulated world saw a short or a lost clearance while energised: this docking has failed"

@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, tell, write_json
+from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, tell, tell_or_write, write_json
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_bringup.cli.types import POSITIVE, between, whole
 from deltacharger_core import environment, runtime
@@ -66,10 +66,8 @@ def _cause(options: argparse.Namespace, wanted: Fault) -> int:
         "amount": wanted.how_much if kind.amount else None,
         "for_s": wanted.last or None,
     }
-    if options.json:
-        write_json({"success": True, **caused, "active": reply["active"]})
-    else:
-        tell(f"{_named(caused)}: {kind.text}{_until(wanted, kind)}")
+    text = f"{_named(caused)}: {kind.text}{_until(wanted, kind)}"
+    tell_or_write(options, text, {"success": True, **caused, "active": reply["active"]})
     return DONE
 
 
@@ -81,10 +79,8 @@ def _until(wanted: Fault, kind: Kind) -> str:
 
 def _clear(options: argparse.Namespace) -> int:
     reply = _ask(options, {"command": "clear"})
-    if options.json:
-        write_json({"success": True, "active": reply["active"]})
-    else:
-        tell("nothing goes wrong any more; errors that a servo or the board has latched stay until they are cleared")
+    text = "nothing goes wrong any more; errors that a servo or the board has latched stay until they are cleared"
+    tell_or_write(options, text, {"success": True, "active": reply["active"]})
     return DONE
 
 

@@ -13,165 +13,81 @@ import signal
 import sys
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
 from types import FrameType
 
 from deltacharger_bringup.cli.output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
 from deltacharger_bringup.cli.parser import Parser, Version, add_command
 
-
-@dataclass(frozen=True)
-class CommandLine:
-    """What a command does, and where: function `name` of `module` carries it out, `add_name` there adds its options."""
-
-    text: str
-    module: str
-    name: str
-
-    def fill(self, parser: argparse.ArgumentParser) -> None:
-        """Import the module, which other commands do not wait for, and add the options."""
-        module = importlib.import_module(f"deltacharger_bringup.cli.{self.module}")
-        add = getattr(module, f"add_{self.name}", None)  # a command may do without options of its own
-        if add is not None:
-            add(parser)
-        parser.set_defaults(run=getattr(module, self.name))
-
-
-@dataclass(frozen=True)
-class Group:
-    """Commands under one name."""
-
-    text: str
-    description: str
-    actions: dict[str, CommandLine]
-
-
-COMMANDS: dict[str, CommandLine | Group] = {
-    "up": CommandLine(
-        "run a charger in this process until it is stopped; says 'ready' when its actions answer", "up", "up"
-    ),
-    "dock": CommandLine("dock and charge, with the running charger or else with one started for it", "dock", "dock"),
-    "undock": CommandLine("stop charging, let go and retract the arm of the running charger", "undock", "undock"),
-    "scene": Group(
-        "list, check or explain scenes",
-        "Inspect scenes.",
-        {
-            "list": CommandLine("name every packaged scene", "scene", "list_scenes"),
-            "check": CommandLine(
-                "say whether scenes are well-formed, and what is wrong; a node checks its parameters when it starts",
-                "scene",
-                "check",
-            ),
-            "explain": CommandLine("show what a scene sets and every key it could set", "scene", "explain"),
-        },
-    ),
-    "simulate": CommandLine(
-        "serve the emulated servos and board of a scene on two ports, without ROS; says 'ready' with their paths",
-        "simulate",
-        "simulate",
-    ),
-    "fault": CommandLine("let something go wrong with the emulated hardware of a charger that runs", "fault", "fault"),
-    "doctor": CommandLine(
-        "say what is wrong with this computer, its ports and what is plugged in, and how to mend it", "doctor", "doctor"
-    ),
-    "calibrate": Group(
-        "fit this one charger's dimensions, camera and pads",
-        "Calibrate.",
-        {
-            "kinematics": CommandLine(
-                "plan and measure poses of the arm, and fit its geometry to them", "calibrate_kinematics", "kinematics"
-            ),
-            "tactile": CommandLine(
-                "find gains, dead taxels and constant errors of one rig's pads from dockings at known poses",
-                "calibrate_tactile",
-                "tactile",
-            ),
-            "camera": CommandLine(
-                "find where the camera sits from images of a board on the platform", "calibrate_camera", "camera"
-            ),
-        },
-    ),
-    "report": Group(
-        "measure a part and write a page",
-        "Measure and report.",
-        {
-            "kinematics": CommandLine(
-                "error against run time of inverse and forward kinematics, extremes, and pictures of the workspace",
-                "report",
-                "kinematics",
-            ),
-            "tactile": CommandLine(
-                "compare the classifiers of misalignment on simulated data: accuracy, run time, splits, shifts, "
-                "confidence",
-                "report",
-                "tactile",
-            ),
-            "vision": CommandLine(
-                "the electrode detector on simulated images: what it finds, errors, run time, false alarms, both "
-                "renderers",
-                "report",
-                "vision",
-            ),
-            "simulation": CommandLine(
-                "error against run time, stability, energy and extremes of the simulated charger's mechanics",
-                "report",
-                "simulation",
-            ),
-            "docking": CommandLine(
-                "thousands of simulated dockings: what is charged, refused and never happens; the same call goes on",
-                "report",
-                "docking",
-            ),
-            "footprint": CommandLine(
-                "what each scene costs a computer: processes, start-up, memory, CPU at rest and docking, libraries "
-                "(Linux)",
-                "report",
-                "footprint",
-            ),
-        },
-    ),
-    "tactile": Group(
+GROUPS = {
+    "scene": ("list, check or explain scenes", "Inspect scenes."),
+    "calibrate": ("fit this one charger's dimensions, camera and pads", "Calibrate."),
+    "report": ("measure a part and write a page", "Measure and report."),
+    "tactile": (
         "simulate tactile data, train and judge classifiers of misalignment",
         "Simulate tactile data, train and judge classifiers of misalignment.",
-        {
-            "generate": CommandLine("write a simulated data set", "tactile", "generate"),
-            "record": CommandLine(
-                "dock the running charger at known offsets and record what the pads feel; the same call goes on",
-                "tactile_record",
-                "record",
-            ),
-            "train": CommandLine("train a classifier", "tactile", "train"),
-            "evaluate": CommandLine("judge a trained classifier", "tactile", "evaluate"),
-            "compare": CommandLine(
-                "compare all models on simulated data, the same as `report tactile`", "report", "tactile"
-            ),
-        },
     ),
-    "vision": Group(
-        "find electrodes in images",
-        "Find electrodes in images.",
-        {
-            "detect": CommandLine(
-                "find a terminal's electrodes in one image, in a folder of images or in a recording", "vision", "detect"
-            )
-        },
+    "vision": ("find electrodes in images", "Find electrodes in images."),
+}
+"""Names under which commands stand together, with what the list of commands and their own page say."""
+
+COMMANDS = {
+    "up": "run a charger in this process until it is stopped; says 'ready' when its actions answer",
+    "dock": "dock and charge, with the running charger or else with one started for it",
+    "undock": "stop charging, let go and retract the arm of the running charger",
+    "scene list": "name every packaged scene",
+    "scene check": "say whether scenes are well-formed, and what is wrong; a node checks its parameters when it starts",
+    "scene explain": "show what a scene sets and every key it could set",
+    "simulate": (
+        "serve the emulated servos and board of a scene on two ports, without ROS; says 'ready' with their paths"
     ),
-    "campaign": CommandLine(
-        "simulate many dockings in a row, faster than real time and without ROS; the same call goes on",
-        "campaign",
-        "campaign",
+    "fault": "let something go wrong with the emulated hardware of a charger that runs",
+    "doctor": "say what is wrong with this computer, its ports and what is plugged in, and how to mend it",
+    "calibrate kinematics": "plan and measure poses of the arm, and fit its geometry to them",
+    "calibrate tactile": "find gains, dead taxels and constant errors of one rig's pads from dockings at known poses",
+    "calibrate camera": "find where the camera sits from images of a board on the platform",
+    "report kinematics": (
+        "error against run time of inverse and forward kinematics, extremes, and pictures of the workspace"
     ),
-    "replay": CommandLine(
-        "say why a recorded docking ended as it did, and draw it; or list the records in a folder", "replay", "replay"
+    "report tactile": (
+        "compare the classifiers of misalignment on simulated data: accuracy, run time, splits, shifts, confidence"
     ),
-    "view": CommandLine(
-        "show a running charger or a recording of one: mechanism, camera, pads, currents, states, decisions",
-        "view",
-        "view",
+    "report vision": (
+        "the electrode detector on simulated images: what it finds, errors, run time, false alarms, both renderers"
     ),
+    "report simulation": "error against run time, stability, energy and extremes of the simulated charger's mechanics",
+    "report docking": (
+        "thousands of simulated dockings: what is charged, refused and never happens; the same call goes on"
+    ),
+    "report footprint": (
+        "what each scene costs a computer: processes, start-up, memory, CPU at rest and docking, libraries (Linux)"
+    ),
+    "tactile generate": "write a simulated data set",
+    "tactile record": "dock the running charger at known offsets and record what the pads feel; the same call goes on",
+    "tactile train": "train a classifier",
+    "tactile evaluate": "judge a trained classifier",
+    "tactile compare": "compare all models on simulated data, the same as `report tactile`",
+    "vision detect": "find a terminal's electrodes in one image, in a folder of images or in a recording",
+    "campaign": "simulate many dockings in a row, faster than real time and without ROS; the same call goes on",
+    "replay": "say why a recorded docking ended as it did, and draw it; or list the records in a folder",
+    "view": "show a running charger or a recording of one: mechanism, camera, pads, currents, states, decisions",
+}
+"""What each command does. It is the function of its name in the module of its name, or of its group's."""
+
+_ELSEWHERE = {
+    "scene list": "scene.list_scenes",
+    "calibrate kinematics": "calibrate_kinematics.kinematics",
+    "calibrate tactile": "calibrate_tactile.tactile",
+    "calibrate camera": "calibrate_camera.camera",
+    "tactile record": "tactile_record.record",
+    "tactile compare": "report.tactile",
 }
 
-_EXTRA_OF = {"scipy": "calibrate", "jinja2": "report", "markdown_it": "report", "psutil": "report"}
+_EXTRA_OF = {
+    "scipy": "calibrate",
+    **dict.fromkeys(("jinja2", "markdown_it", "matplotlib", "mpmath", "psutil"), "report"),
+    **dict.fromkeys(("sklearn", "torch", "xgboost"), "train"),
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -221,31 +137,29 @@ def _run(words: list[str]) -> int:
     except OSError as error:
         failure = CommandError(str(error), FAILED)
     except Exception as error:
-        library, problem = _missing_library(error), _ros_problem(error)
-        if library:
-            failure = CommandError(library, FAILED)
-        elif problem:
-            failure = CommandError(problem, WRONG_INPUT)
-        else:
+        known = _known(error)
+        if known is None:
             raise
+        failure = known
     say(str(failure))
     if options.json:
         write_json({"success": False, "error": str(failure), **failure.details})
     return failure.exit_code
 
 
-def _missing_library(error: Exception) -> str:
-    """Return how to get what is not installed, where that is an extra that only some words of a command need, or ''."""
+def _known(error: Exception) -> CommandError | None:
+    """Return what tells a person which library is missing, or what ROS refuses; None for a defect."""
     name = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
-    return f"{name} is not installed; install deltacharger[{_EXTRA_OF[name]}]" if name in _EXTRA_OF else ""
+    if name == "cv2":  # its message says how to get it; FAILED would say that an image shows no electrodes
+        return CommandError(str(error), WRONG_INPUT)
+    if name in _EXTRA_OF:
+        return CommandError(f"{name} is not installed; install deltacharger[{_EXTRA_OF[name]}]", FAILED)
+    if "rclpy" in sys.modules:  # many commands need no ROS, and must not need it to fail
+        from deltacharger_ros.node_support import ros_problem
 
-
-def _ros_problem(error: Exception) -> str:
-    if "rclpy" not in sys.modules:  # many commands need no ROS, and must not need it to fail
-        return ""
-    from deltacharger_ros.node_support import ros_problem
-
-    return ros_problem(error)
+        problem = ros_problem(error)
+        return CommandError(problem, WRONG_INPUT) if problem else None
+    return None
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -259,12 +173,23 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    for name, command in COMMANDS.items():
-        if isinstance(command, CommandLine):
-            add_command(commands, name, command.text, command.fill)
-            continue
-        group = commands.add_parser(name, help=command.text, description=command.description)
-        actions = group.add_subparsers(title="actions", metavar="ACTION", required=True)
-        for action, one in command.actions.items():
-            add_command(actions, action, one.text, one.fill)
+    groups: dict[str, argparse._SubParsersAction[argparse.ArgumentParser]] = {"": commands}
+    for name, text in COMMANDS.items():
+        group, _, action = name.rpartition(" ")
+        if group not in groups:
+            about, description = GROUPS[group]
+            own = commands.add_parser(group, help=about, description=description)
+            groups[group] = own.add_subparsers(title="actions", metavar="ACTION", required=True)
+        where = _ELSEWHERE.get(name, f"{group or action}.{action}")
+        add_command(groups[group], action, text, partial(_fill, where))
     return parser
+
+
+def _fill(where: str, parser: argparse.ArgumentParser) -> None:
+    """Import a command's module, which other commands do not wait for, and add its options by `add_` and its name."""
+    name, _, function = where.partition(".")
+    module = importlib.import_module(f"deltacharger_bringup.cli.{name}")
+    add = getattr(module, f"add_{function}", None)  # a command may do without options of its own
+    if add is not None:
+        add(parser)
+    parser.set_defaults(run=getattr(module, function))

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deltacharger_bringup.cli.calibration import encoder_of, refusing
 from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
-from deltacharger_bringup.cli.measurements import encoder_of, refusing
 from deltacharger_bringup.cli.output import (
     DONE,
     FAILED,
@@ -71,7 +71,6 @@ def measure(options: argparse.Namespace, geometry: DeltaGeometry) -> int:
     """Measure the poses of a plan with the running charger."""
     with refusing(options.plan):
         poses = read_plan(options.plan)
-    options.scene = None
     prepare(options, look_around=True)
     counts = {"measured": 0, "skipped": 0}
     with Interrupts() as interrupts, ros_context() as context:

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import signal
 import sys
 import threading
+from collections.abc import Iterator
 from types import FrameType
 from typing import Any, TextIO
 
@@ -32,6 +34,24 @@ class CommandError(Exception):
         super().__init__(message)
 
 
+@contextlib.contextmanager
+def wrong_input(*kinds: type[Exception], before: str = "", **details: Any) -> Iterator[None]:
+    """Turn errors that say what is wrong with a given file or value into an end of the command.
+
+    Args:
+        kinds: of the errors.
+        before: begins the message.
+        details: as of `CommandError`.
+
+    Raises:
+        CommandError: instead of one of them; exit code 2.
+    """
+    try:
+        yield
+    except kinds as error:
+        raise CommandError(f"{before}{error}", WRONG_INPUT, **details) from error
+
+
 def say(text: str) -> None:
     """Write a line for people, to stderr."""
     _write(text, sys.stderr)
@@ -40,6 +60,14 @@ def say(text: str) -> None:
 def tell(text: str) -> None:
     """Write lines of a command's answer for people, to stdout."""
     _write(text, sys.stdout)
+
+
+def tell_or_write(options: argparse.Namespace, text: str, value: dict[str, Any]) -> None:
+    """Write a command's answer: `text` for people, or the one JSON object where that is asked for."""
+    if options.json:
+        write_json(value)
+    else:
+        tell(text)
 
 
 def answer(options: argparse.Namespace, value: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 from deltacharger_bringup.cli.output import tell, write_json
 from deltacharger_bringup.cli.types import namespace
+from deltacharger_core.version import package_version
 
 DEFAULT_SCENE = "simulated"
 
@@ -52,13 +53,7 @@ class Version(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
         """Print it and end the process."""
-        from importlib.metadata import PackageNotFoundError, version
-
-        try:
-            text = version("deltacharger")
-        except PackageNotFoundError:  # a colcon workspace
-            text = "unknown, not installed with pip"
-        tell(f"deltacharger {text}")
+        tell(f"deltacharger {package_version()}")
         parser.exit()
 
 

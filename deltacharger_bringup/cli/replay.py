@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from deltacharger_bringup.cli.files import picture_to_write
-from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell, write_json, wrong_input
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import McapFile, RecordingError
@@ -28,12 +28,8 @@ def replay(options: argparse.Namespace) -> int:
     """Tell, and draw where asked, one record; or list those of a folder."""
     environment.prepare()
     path = Path(options.path)
-    if not path.exists():
-        raise CommandError(f"{path}: there is no such file or folder", WRONG_INPUT)
-    try:
+    with wrong_input(RecordingError):
         return _folder(options, path) if path.is_dir() else _file(options, path)
-    except RecordingError as error:
-        raise CommandError(str(error), WRONG_INPUT) from error
 
 
 def _file(options: argparse.Namespace, path: Path) -> int:
@@ -56,8 +52,7 @@ def _file(options: argparse.Namespace, path: Path) -> int:
             raise CommandError(f"no picture: {error}") from error
         say(f"picture: {picture}")
     if options.json:
-        told = {"story": lines, "why": closing, "picture": str(picture) if picture else None}
-        write_json(found.as_dict() | told)
+        write_json({**found.as_dict(), "story": lines, "why": closing, "picture": str(picture) if picture else None})
         return DONE
     outcome = found.outcome()
     tell(f"{_when(found.began)}  {found.request_id or 'no request id'}  {outcome['name']}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import signal
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from deltacharger_bringup.cli.output import (
     say,
     tell,
     write_json,
+    wrong_input,
 )
 from deltacharger_bringup.cli.types import SEED, whole
 
@@ -81,119 +83,95 @@ def kinematics(options: argparse.Namespace) -> int:
     """Write the report of the kinematics into a folder."""
     from deltacharger_lab.reports.kinematics import report
 
-    directory = folder_to_write("--out", options.out)
     count = options.points or (report.QUICK_POINTS if options.quick else report.DEFAULT_POINTS)
     plan = (report.quick_plan if options.quick else report.full_plan)(count, options.seed)
-    command = f"deltacharger report kinematics{' --quick' if options.quick else ''} --points {count} --seed {plan.seed}"
-    try:
-        results = report.build(plan, directory, command, say)
-    except ModuleNotFoundError as error:
-        if error.name != "mpmath":
-            raise
-        raise CommandError("mpmath is not installed; install deltacharger[report]", FAILED) from error
-    for name, reason in results["absent"].items():
-        say(f"{name} is absent: {reason}")
+    command = f"{_command(options, 'kinematics')} --points {count} --seed {plan.seed}"
+    directory = folder_to_write("--out", options.out)
+    results = report.build(plan, directory, command, say)
+    _say_absent(results["absent"])
     return _end(options, results, directory, "kinematics", ("seed", "points"))
 
 
 def tactile(options: argparse.Namespace) -> int:
     """Write the comparison of the classifiers of misalignment, on simulated data, into a folder."""
     from deltacharger_lab.reports.tactile import plan as tactile_plan
-    from deltacharger_lab.reports.tactile import report as tactile_report
+    from deltacharger_lab.reports.tactile import report
 
-    directory = folder_to_write("--out", options.out)
     plan = (tactile_plan.quick_plan if options.quick else tactile_plan.full_plan)(options.seed)
-    command = f"deltacharger report tactile{' --quick' if options.quick else ''} --seed {options.seed}"
-    for name, reason in tactile_plan.absent().items():
-        say(f"{name} is absent: {reason}")
+    _say_absent(tactile_plan.absent())
     if not plan.names:
         raise CommandError("nothing that trains is installed; install deltacharger[train]", FAILED)
-    results = tactile_report.build(plan, directory, command, say)
+    directory = folder_to_write("--out", options.out)
+    results = report.build(plan, directory, f"{_command(options, 'tactile')} --seed {options.seed}", say)
     return _end(options, results, directory, "tactile", ("simulated", "rigs", "seeds"), "simulated data:")
 
 
 def vision(options: argparse.Namespace) -> int:
     """Write what the electrode detector does on simulated images into a folder."""
     from deltacharger_lab.reports.vision import plan as vision_plan
-    from deltacharger_lab.reports.vision import report as vision_report
+    from deltacharger_lab.reports.vision import report
 
-    directory = folder_to_write("--out", options.out)
     plan = vision_plan.plan(options.images, options.seed, options.quick)
-    command = (
-        f"deltacharger report vision{' --quick' if options.quick else ''} --images {plan.images} --seed {plan.seed}"
-    )
-    for name, reason in plan.absent.items():
-        say(f"{name} is absent: {reason}")
+    _say_absent(plan.absent)
     if "opencv" in plan.absent:
         raise CommandError(f"OpenCV is absent: {plan.absent['opencv']}", FAILED)
-    results = vision_report.build(plan, directory, command, say)
+    directory = folder_to_write("--out", options.out)
+    command = f"{_command(options, 'vision')} --images {plan.images} --seed {plan.seed}"
+    results = report.build(plan, directory, command, say)
     return _end(options, results, directory, "vision", ("simulated", "seed", "images"), "simulated images:")
 
 
 def simulation(options: argparse.Namespace) -> int:
     """Write the report of the simulated charger's mechanics into a folder."""
     from deltacharger_lab.reports.simulation import plan as simulation_plan
-    from deltacharger_lab.reports.simulation import report as simulation_report
-    from deltacharger_lab.reports.simulation import stability
+    from deltacharger_lab.reports.simulation import report, stability
 
-    directory = folder_to_write("--out", options.out)
     plan = simulation_plan.QUICK if options.quick else simulation_plan.SimulationPlan()
-    command = f"deltacharger report simulation{' --quick' if options.quick else ''}"
-    for name, reason in simulation_plan.absent().items():
-        say(f"{name} is absent: {reason}")
-    results = simulation_report.build(plan, directory, command, say)
+    _say_absent(simulation_plan.absent())
+    directory = folder_to_write("--out", options.out)
+    results = report.build(plan, directory, _command(options, "simulation"), say)
     return _end(options, results, directory, "simulation", ("models", "quick"), also=(stability.MODULE,))
 
 
 def docking(options: argparse.Namespace) -> int:
     """Run the campaigns of the docking report, or go on with them, and write what they say."""
-    from deltacharger_bringup.cli.campaign import CampaignProgress
-    from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused
+    from deltacharger_bringup.cli.campaign import CampaignProgress, told_campaign_errors
     from deltacharger_lab.reports.docking import plan as docking_plan
     from deltacharger_lab.reports.docking import report as docking_report
 
     directory = folder_to_write("--out", options.out)
-    try:
+    with wrong_input(ValueError, before="--only: "):
         plan = docking_plan.make_plan(options.quick, options.only, options.n, options.seed)
-    except ValueError as error:
-        raise CommandError(f"--only: {error}", WRONG_INPUT) from error
-    command = f"deltacharger report docking{' --quick' if options.quick else ''} --seed {plan.seed}"
+    command = f"{_command(options, 'docking')} --seed {plan.seed}"
 
     def progress(part: docking_plan.CampaignPart, total: int, begun: int) -> CampaignProgress:
         say(f"{part.name}: {part.about}")
         return CampaignProgress(total, begun)
 
-    try:
+    with told_campaign_errors():
         with Interrupts() as interrupts:
             complete = docking_report.run(plan, directory, options.workers, progress, interrupts.event.is_set, say)
         if not complete:
             say(f"{directory}: broken off; the same command goes on")
             return INTERRUPTED if interrupts.number == signal.SIGINT else FAILED
         results = docking_report.build(plan, directory, command, say)
-    except CampaignRefused as error:
-        raise CommandError(str(error), WRONG_INPUT) from error
-    except CampaignError as error:
-        raise CommandError(str(error), FAILED) from error
-    return _end(
-        options, results, directory, "docking", ("simulated", "seed", "quick", "not_run"), "simulated dockings:"
-    )
+    more = ("simulated", "seed", "quick", "not_run")
+    return _end(options, results, directory, "docking", more, "simulated dockings:")
 
 
 def footprint(options: argparse.Namespace) -> int:
     """Write what a charger costs this computer, scene by scene, into a folder."""
     from deltacharger_bringup.cli.charger import ros_context
+    from deltacharger_bringup.cli.scene import refusing_scenes
     from deltacharger_core import environment
     from deltacharger_lab.reports.footprint import plan as footprint_plan
     from deltacharger_lab.reports.footprint import process as footprint_process
-    from deltacharger_scenes.scene import SceneError
 
     unsupported = footprint_process.unsupported()
     if unsupported:
         raise CommandError(unsupported, FAILED)
-    try:
+    with refusing_scenes("--scene: "):
         plan = footprint_plan.make_plan(options.scene, options.quick, options.repeats)
-    except SceneError as error:
-        raise CommandError(f"--scene: {error}", WRONG_INPUT, file=error.file, key=error.key) from error
     for name, reason in plan.left_out.items():
         say(f"{name} is left out: {reason}")
     if not plan.scenes:
@@ -204,13 +182,23 @@ def footprint(options: argparse.Namespace) -> int:
     if problem:
         raise CommandError(problem, WRONG_INPUT)
     environment.isolate()
-    words = [*(f" --scene {name}" for name in options.scene), " --quick" if options.quick else ""]
-    command = f"deltacharger report footprint{''.join(words)} --repeats {plan.repeats}"
+    scenes = "".join(f" --scene {name}" for name in options.scene)
+    command = f"{_command(options, 'footprint', scenes)} --repeats {plan.repeats}"
     with ros_context() as context:
         from deltacharger_lab.reports.footprint import report as footprint_report
 
         results = footprint_report.build(plan, context, directory, command, say)
     return _end(options, results, directory, "footprint", ("rows", "left_out", "quick", "repeats"))
+
+
+def _command(options: argparse.Namespace, subject: str, words: str = "") -> str:
+    """Return how the report is called again."""
+    return f"deltacharger report {subject}{words}{' --quick' if options.quick else ''}"
+
+
+def _say_absent(absent: Mapping[str, str]) -> None:
+    for name, reason in absent.items():
+        say(f"{name} is absent: {reason}")
 
 
 def _end(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import math
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from deltacharger_core.parameters import Declaration, declaration
 from deltacharger_scenes.following import contradictions
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.parameter_check import problems
+from deltacharger_scenes.parts import describe_parts, tell_parts
 from deltacharger_scenes.scene import Scene, SceneError, load_scene, packaged_scenes
 from deltacharger_sim.proven import doubts
 
@@ -30,16 +32,23 @@ def add_explain(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--all", action="store_true", help="also the keys that the scene leaves at their default")
 
 
-def load_for_command(name_or_file: str) -> Scene:
-    """Return the scene.
+@contextlib.contextmanager
+def refusing_scenes(before: str = "") -> Iterator[None]:
+    """Turn a refused scene into exit code 2, its file and its key; `before` begins the message.
 
     Raises:
-        CommandError: the scene is refused; exit code 2.
+        CommandError: instead of SceneError.
     """
     try:
-        return load_scene(name_or_file)
+        yield
     except SceneError as error:
-        raise CommandError(str(error), WRONG_INPUT, file=error.file, key=error.key) from error
+        raise CommandError(f"{before}{error}", WRONG_INPUT, file=error.file, key=error.key) from error
+
+
+def load_for_command(name_or_file: str) -> Scene:
+    """Return the scene; CommandError with exit code 2 where it is refused."""
+    with refusing_scenes():
+        return load_scene(name_or_file)
 
 
 def list_scenes(options: argparse.Namespace) -> int:
@@ -96,8 +105,6 @@ def _warnings(scene: Scene) -> Iterator[str]:
 
 def explain(options: argparse.Namespace) -> int:
     """Show what a scene sets, starts, loads and leaves out; with --all also every key that it could set."""
-    from deltacharger_scenes.parts import describe_parts, tell_parts
-
     scene = load_for_command(options.scene)
     keys = list(describe(scene))
     shown = keys if options.all or options.json else [key for key in keys if key["set"]]

@@ -6,18 +6,33 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from deltacharger_bringup.cli.files import file_to_write
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli.output import (
+    DONE,
+    WRONG_INPUT,
+    CommandError,
+    say,
+    tell,
+    tell_or_write,
+    write_json,
+    wrong_input,
+)
 from deltacharger_bringup.cli.types import SEED, between, whole
-from deltacharger_tactile.classifiers.classifier import NAMES
+from deltacharger_core.machine import CONTACT_FORCE
+from deltacharger_tactile import npz, pose_judgement
+from deltacharger_tactile.classifiers import judgement
+from deltacharger_tactile.classifiers.classifier import NAMES, Classifier
+from deltacharger_tactile.classifiers.labels import examples
+from deltacharger_tactile.classifiers.splits import by_docking
+from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import TactileError
-
-if TYPE_CHECKING:
-    from deltacharger_tactile.dataset import Dataset
+from deltacharger_tactile.estimator import THRESHOLD, PoseEstimator
+from deltacharger_tactile.generator import generate_continuous, generate_paper
+from deltacharger_tactile.training import fit_dataset
 
 _CALIBRATED = 0.8  # share of the dockings that are learnt from; the rest tells when an answer may be acted on
 
@@ -64,10 +79,6 @@ def add_evaluate(parser: argparse.ArgumentParser) -> None:
 
 def generate(options: argparse.Namespace) -> int:
     """Write a simulated data set."""
-    from deltacharger_core.machine import CONTACT_FORCE
-    from deltacharger_tactile.estimator import THRESHOLD
-    from deltacharger_tactile.generator import generate_continuous, generate_paper
-
     out = file_to_write("--out", options.out, ".npz")
     rigs = range(options.first_rig, options.first_rig + options.rigs)
     paper = options.protocol == "paper"
@@ -81,10 +92,8 @@ def generate(options: argparse.Namespace) -> int:
         data = generate_continuous(**common, rows=options.rows, count=options.dockings or 400)
     data.save(out)
     summary = {"out": str(out), "n": len(data), "protocol": options.protocol, "digest": data.meta["digest"]}
-    if options.json:
-        write_json({"success": True, **summary})
-    else:
-        tell(f"{out}: {len(data)} dockings on {options.rigs} simulated rigs, parameters {data.meta['digest']}")
+    text = f"{out}: {len(data)} dockings on {options.rigs} simulated rigs, parameters {data.meta['digest']}"
+    tell_or_write(options, text, {"success": True, **summary})
     return DONE
 
 
@@ -93,28 +102,15 @@ def train(options: argparse.Namespace) -> int:
     if (options.target == "pose") != (options.model == "pose") and options.target == "pose":
         raise CommandError(f"--model {options.model} tells a class; for --target pose give --model pose", WRONG_INPUT)
     out, data = file_to_write("--out", options.out, ".npz"), _load(options.data)
-    try:
+    with wrong_input(TactileError):
         result = _train_pose(options, data, out) if options.target == "pose" else _train_class(options, data, out)
-    except TactileError as error:
-        raise CommandError(str(error), WRONG_INPUT) from error
-    except ModuleNotFoundError as error:
-        raise CommandError(f"{error.name} is not installed; install deltacharger[train]", FAILED) from error
     summary = {"out": str(out), "model": options.model, "target": options.target, **result}
-    if options.json:
-        write_json({"success": True, **summary})
-    else:
-        rows, seconds = result["n"], result["fit_time"]
-        tell(f"{out}: {options.model} for {options.target}, learnt from {rows} rows in {seconds:.2f} s")
+    text = f"{out}: {options.model} for {options.target}, learnt from {result['n']} rows in {result['fit_time']:.2f} s"
+    tell_or_write(options, text, {"success": True, **summary})
     return DONE
 
 
 def _train_class(options: argparse.Namespace, data: Dataset, out: Path) -> dict[str, Any]:
-    from deltacharger_core.machine import CONTACT_FORCE
-    from deltacharger_tactile.classifiers.classifier import Classifier
-    from deltacharger_tactile.classifiers.labels import examples
-    from deltacharger_tactile.classifiers.splits import by_docking
-    from deltacharger_tactile.estimator import THRESHOLD
-
     rows = examples(data, options.target)
     learns, checks = by_docking(rows, options.seed, _CALIBRATED)
     cut = data.threshold
@@ -123,15 +119,13 @@ def _train_class(options: argparse.Namespace, data: Dataset, out: Path) -> dict[
     model.fit(rows.frames[learns], rows.labels[learns], options.seed, _Progress())
     model.calibrate(rows.frames[checks], rows.labels[checks], rows.frames[learns])
     if options.reference is not None:
-        known = examples(_load(options.reference, "--reference"), options.target)
+        known = examples(_load(options.reference), options.target)
         model.refer(known.frames, known.labels)
     model.save(out)
     return {"n": len(learns), "fit_time": model.fit_time}
 
 
 def _train_pose(options: argparse.Namespace, data: Dataset, out: Path) -> dict[str, Any]:
-    from deltacharger_tactile.training import fit_dataset
-
     if options.reference is not None:
         raise CommandError("--reference is for classes; for the pose see `deltacharger calibrate tactile`", WRONG_INPUT)
     started = time.perf_counter()
@@ -141,14 +135,8 @@ def _train_pose(options: argparse.Namespace, data: Dataset, out: Path) -> dict[s
 
 def evaluate(options: argparse.Namespace) -> int:
     """Judge a trained classifier or pose estimator on a data set."""
-    from deltacharger_tactile import npz, pose_judgement
-    from deltacharger_tactile.classifiers import judgement
-    from deltacharger_tactile.classifiers.classifier import Classifier
-    from deltacharger_tactile.classifiers.labels import examples
-    from deltacharger_tactile.estimator import PoseEstimator
-
     data = _load(options.data)
-    try:
+    with wrong_input(TactileError):
         if npz.holds(options.model, "meta"):
             estimator = PoseEstimator.load(options.model)
             name, learnt_from = estimator.name, estimator.about.get("data")
@@ -157,10 +145,6 @@ def evaluate(options: argparse.Namespace) -> int:
             model = Classifier.load(options.model)
             name, learnt_from = model.name, model.about.get("data")
             found = judgement.evaluate(model, examples(data, model.target))
-    except FileNotFoundError as error:
-        raise CommandError(f"--model {options.model}: there is no such file", WRONG_INPUT) from error
-    except TactileError as error:
-        raise CommandError(str(error), WRONG_INPUT) from error
     if "protocol" in data.meta and learnt_from == data.meta:  # files of other programs do not say how they came about
         say(f"warning: {options.model} was trained on {options.data}: these figures flatter it; judge it on other data")
     if options.json:
@@ -185,15 +169,9 @@ def _tell(found: dict[str, Any]) -> None:
         tell("  all of them together look unlike training: calibrate or train anew")
 
 
-def _load(name: str, option: str = "--data") -> Dataset:
-    from deltacharger_tactile.dataset import Dataset
-
-    try:
+def _load(name: str) -> Dataset:
+    with wrong_input(TactileError):
         return Dataset.load(name)
-    except FileNotFoundError as error:
-        raise CommandError(f"{option} {name}: there is no such file", WRONG_INPUT) from error
-    except (TactileError, OSError) as error:
-        raise CommandError(str(error), WRONG_INPUT) from error
 
 
 class _Progress:

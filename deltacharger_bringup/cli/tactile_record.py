@@ -22,6 +22,7 @@ from deltacharger_bringup.cli.output import (
     say,
     tell,
     write_json,
+    wrong_input,
 )
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_bringup.cli.types import MILLIMETRES, SEED, between, whole
@@ -88,14 +89,8 @@ def record(options: argparse.Namespace) -> int:
             call = _Call(journal, options.json)
             if part is None:
                 return call.finish(None)
-            settings = Settings(
-                rig=options.rig,
-                sensor=options.sensor,
-                frames=options.frames,
-                rows=options.rows,
-                threshold=options.threshold,
-                dwell_s=options.dwell_s,
-            )
+            shared = ("rig", "sensor", "frames", "rows", "threshold", "dwell_s")
+            settings = Settings(**{name: getattr(options, name) for name in shared})
             journal.check(part, settings)
             if call.left(part):
                 try:
@@ -236,7 +231,6 @@ def _record(options: argparse.Namespace, call: _Call, part: Part, settings: Sett
     Raises:
         CommandError: it ended early; what was recorded is on the disk.
     """
-    options.scene = None
     prepare(options, look_around=True)
     with Interrupts() as interrupts, ros_context() as context:
         from deltacharger_records.datasets.arm_guest import ArmError
@@ -276,10 +270,8 @@ def _machine(charger: RecordingCharger, part: Part) -> RecordingMachine:
     if not charger.has_docking_node:
         say("docking_node is not running: docking by its default parameters")
     machine = RecordingMachine(*charger.settings())
-    try:
+    with wrong_input(Unreachable):
         machine.check(_commands(part))
-    except Unreachable as error:
-        raise CommandError(str(error), WRONG_INPUT) from error
     return machine
 
 

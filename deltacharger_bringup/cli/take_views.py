@@ -39,7 +39,6 @@ def take(options: argparse.Namespace, board: Board, offset: Vector, geometry: De
         VisionError, ViewsError: the camera's intrinsics, its images or the folder cannot be used.
     """
     mount = Mount.load(options.mount) if options.mount else Mount.default()
-    options.scene = None
     prepare(options, look_around=True)
     folder: ViewsFolder | None = None
     with Interrupts() as interrupts, ros_context() as context:

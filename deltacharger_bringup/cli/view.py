@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 
 from deltacharger_bringup.cli.charger import prepare, ros_context
 from deltacharger_bringup.cli.files import file_to_write
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, say, write_json
+from deltacharger_bringup.cli.output import (
+    DONE,
+    FAILED,
+    WRONG_INPUT,
+    CommandError,
+    Interrupts,
+    say,
+    write_json,
+    wrong_input,
+)
 from deltacharger_bringup.cli.parser import DEFAULT_SCENE, namespace_option
 from deltacharger_bringup.cli.scene import load_for_command
 from deltacharger_bringup.cli.types import POSITIVE
@@ -73,8 +82,6 @@ def _rerun() -> Any:
 
 def _check_places(options: argparse.Namespace) -> None:
     """Refuse, before anything is heard, what could not be read or shown at the end."""
-    if options.recording is not None and not Path(options.recording).is_file():
-        raise CommandError(f"--recording {options.recording}: there is no such file", WRONG_INPUT)
     if options.recording is not None and options.stop_after_s:
         raise CommandError("--stop-after-s is for a running charger, not for --recording", WRONG_INPUT)
     if options.connect is not None and not options.connect.startswith("rerun"):
@@ -149,10 +156,8 @@ def settings_of(scene: Scene) -> Settings:
     from deltacharger_records.node_parameters import docking_settings
 
     given = scene.parameters.get("kinematics_node", {})
-    try:
+    with wrong_input(OSError, ValueError, before=f"{scene.file}: parameters: "):
         return docking_settings({**scene.parameters.get("docking_node", {}), **given})
-    except (OSError, ValueError) as error:
-        raise CommandError(f"{scene.file}: parameters: {error}", WRONG_INPUT) from error
 
 
 def mount_of(scene: Scene) -> NDArray[np.float64]:
@@ -162,19 +167,17 @@ def mount_of(scene: Scene) -> NDArray[np.float64]:
         CommandError: it is refused; exit code 2.
     """
     given = scene.parameters.get("electrode_detector_node", {})
-    try:
+    with wrong_input(OSError, ValueError, before=f"{scene.file}: parameters.electrode_detector_node: "):
         if given.get("mount_file"):
             return Mount.load(Path(given["mount_file"]).expanduser()).pose
         return (Mount.from_numbers(given["mount"]) if "mount" in given else Mount.default()).pose
-    except (OSError, ValueError) as error:
-        raise CommandError(f"{scene.file}: parameters.electrode_detector_node: {error}", WRONG_INPUT) from error
 
 
 def _show_charger(rr: Any, options: argparse.Namespace) -> int:
     scene = prepare(options, look_around=True)
     with Interrupts() as interrupts, ros_context() as context:
         from deltacharger_records.view.feed import COLOR_IMAGE, TOPICS
-        from deltacharger_records.view.listener import Listener
+        from deltacharger_records.view.sources import Listener
 
         recording, feed = _open(rr, options, scene)
         topics = [topic for topic in TOPICS if options.camera or topic.name != COLOR_IMAGE]
@@ -214,10 +217,10 @@ def _show_recording(rr: Any, options: argparse.Namespace) -> int:
     scene = load_for_command(options.scene or DEFAULT_SCENE)
     environment.prepare()
     from deltacharger_core.mcap_file import RecordingError
-    from deltacharger_records.view.recording import ShownRecording
+    from deltacharger_records.view.sources import ShownRecording
 
     began = time.monotonic()
-    try:
+    with wrong_input(RecordingError):
         recorded = ShownRecording(Path(options.recording), options.namespace)
         with Interrupts() as interrupts:
             own = recorded.settings if options.scene is None else None
@@ -226,8 +229,6 @@ def _show_recording(rr: Any, options: argparse.Namespace) -> int:
                 recorded.play(feed, interrupts.event.is_set)
             finally:
                 _close(recording)
-    except RecordingError as error:
-        raise CommandError(str(error), WRONG_INPUT) from error
     _report(options, feed, time.monotonic() - began)
     return interrupts.exit_code(DONE)
 

@@ -14,7 +14,17 @@ import numpy as np
 
 from deltacharger_bringup.calibrate import vision_results
 from deltacharger_bringup.cli.files import file_to_write, folder_to_write
-from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell, write_json
+from deltacharger_bringup.cli.output import (
+    DONE,
+    FAILED,
+    WRONG_INPUT,
+    CommandError,
+    say,
+    tell,
+    tell_or_write,
+    write_json,
+    wrong_input,
+)
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import RecordingError
 from deltacharger_vision.cameras.camera_info import load_camera_info
@@ -91,18 +101,10 @@ class _Images:
 def detect(options: argparse.Namespace) -> int:
     """Find the electrodes in one image or in many."""
     _check_usage(options)
-    try:
+    with wrong_input(VisionError, RecordingError):
         require_opencv().setNumThreads(1)  # an image is too little work for several, which wait for each other
         finder = _Finder(options)
         return _one(options, finder) if options.path is None else _many(options, finder)
-    except ModuleNotFoundError as error:
-        if error.name != "cv2":
-            raise
-        raise CommandError(str(error), WRONG_INPUT) from error  # FAILED would say that there are no electrodes
-    except (VisionError, RecordingError) as error:
-        raise CommandError(str(error), WRONG_INPUT) from error
-    except FileNotFoundError as error:
-        raise CommandError(f"{error.filename}: there is no such file", WRONG_INPUT) from error
 
 
 def _check_usage(options: argparse.Namespace) -> None:
@@ -145,11 +147,8 @@ def _one(options: argparse.Namespace, finder: _Finder) -> int:
     found, fields = finder.find(image)
     if picture is not None:
         write_picture(picture, annotated(image, found))
-    if options.json:
-        write_json(fields)
-    else:
-        for line in ["no electrodes found"] if found is None else vision_results.lines(found, finder.mount):
-            tell(line)
+    lines = ["no electrodes found"] if found is None else vision_results.lines(found, finder.mount)
+    tell_or_write(options, "\n".join(lines), fields)
     return FAILED if found is None else DONE
 
 

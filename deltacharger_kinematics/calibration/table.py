@@ -93,8 +93,14 @@ class Table:
         return value
 
 
-def read_table(path: str | Path) -> Table:
-    """Read a file into cells; arguments and errors as in `read_measurements`."""
+def read_table(path: str | Path, known: Sequence[str] = KNOWN, page: str = "docs/calibration.md") -> Table:
+    """Read a file into cells; errors as in `read_measurements`.
+
+    Args:
+        path: of the file.
+        known: names of columns.
+        page: which tells of them.
+    """
     header: list[str] = []
     rows, lines = [], []
     stated: dict[str, Triple] = {}
@@ -108,7 +114,7 @@ def read_table(path: str | Path) -> Table:
             continue
         if not header:
             delimiter = next((mark for mark in ";\t" if mark in text), ",")
-            header = _header(_cells(text, delimiter, line), line)
+            header = _header(_cells(text, delimiter, line), line, known, page)
             continue
         cells = _cells(text, delimiter, line)
         _drop_empty(cells, len(header))
@@ -124,7 +130,7 @@ def read_table(path: str | Path) -> Table:
     if len(rows) > _MOST_ROWS:
         raise CalibrationError(f"{len(rows)} rows are more than {_MOST_ROWS}: give one row per measured pose")
     if not header:
-        raise CalibrationError("the file is empty: give a header row with x_mm,y_mm,z_mm and ticks_0,ticks_1,ticks_2")
+        raise CalibrationError(f"the file is empty: give a header row, see {page}")
     return Table(tuple(header), tuple(rows), tuple(lines), stated, delimiter != ",")
 
 
@@ -158,12 +164,12 @@ def _drop_empty(cells: list[str], wanted: int) -> None:
         cells.pop()
 
 
-def _header(names: list[str], line: int) -> list[str]:
+def _header(names: list[str], line: int, known: Sequence[str], page: str) -> list[str]:
     _drop_empty(names, 1)
     for name in names:
-        if name not in KNOWN:
-            near = difflib.get_close_matches(name, KNOWN, 1)
-            hint = f"did you mean '{near[0]}'?" if near else "docs/calibration.md lists the columns"
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean '{near[0]}'?" if near else f"{page} lists the columns"
             raise CalibrationError(f"line {line}: unknown column '{name}'; {hint}", [line])
         if names.count(name) > 1:
             raise CalibrationError(f"line {line}: column '{name}' appears {names.count(name)} times", [line])

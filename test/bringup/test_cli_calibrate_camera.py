@@ -257,7 +257,7 @@ def test_too_few_views_and_one_line_are_refused(capsys: pytest.CaptureFixture[st
         (lambda lines: [*lines, "../x.png,0,0,0"], "file of the same folder"),
         (lambda lines: [*lines, "x.txt,0,0,0"], "file of the same folder"),
         (lambda lines: [lines[0], "view_001.png,nan,0,0"], "line 2: angle_0_rad is 'nan'"),
-        (lambda lines: [lines[0], "view_001.png,,0,0"], "line 2: angle_0_rad is ''"),
+        (lambda lines: [lines[0], "view_001.png,,0,0"], "line 2: angle_0_rad is empty"),
         (lambda lines: [lines[0], "view_001.png,inf,0,0"], "line 2: angle_0_rad is 'inf'"),
         (lambda lines: ["image,x_m,y_m,z_m", "view_001.png,0,0,20"], "line 2: the arm cannot have the position"),
         (lambda lines: ["image,x_mm,y_mm,z_mm", "view_001.png,0,0,900"], "line 2: the arm cannot have the position"),
