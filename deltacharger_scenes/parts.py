@@ -37,7 +37,7 @@ def describe_parts(scene: Scene) -> dict[str, Any]:
         "parts": [_part(scene, name, spec) for name, spec in started.items()],
         "imports": [*_EVERYWHERE, *sorted(at_once)],
         "imports_when_used": {name: users for name, users in when_used.items() if name not in at_once},
-        "computes": list(_groups(scene)),
+        "computes": list(_computed(scene)),
         "left_out": [*_left_out_nodes(scene), *_left_out_libraries(started), *_left_out_effects(scene)],
     }
 
@@ -80,17 +80,20 @@ def _why_started(scene: Scene, name: str) -> str:
     return f"listed in 'nodes'; stands in for {double}" if double else "listed in 'nodes'"
 
 
-def _groups(scene: Scene) -> Iterator[Entry]:
-    """Yield the groups of the simulated world's parameters, each with what it models."""
-    if scene.simulation is None:
-        return
-    world = scene.simulation.world
-    for item in dataclasses.fields(world):
-        group = getattr(world, item.name)
-        if dataclasses.is_dataclass(group):
-            about = (type(group).__doc__ or "").strip().splitlines()[0]
-            off = [name for name, _ in _zeros(group, item.name)]
-            yield {"name": f"simulation.world.{item.name}", "doc": about, "off": off}
+def _groups(scene: Scene) -> Iterator[tuple[str, Any]]:
+    """Yield name and values of the groups of the simulated world's parameters."""
+    if scene.simulation is not None:
+        for item in dataclasses.fields(scene.simulation.world):
+            group = getattr(scene.simulation.world, item.name)
+            if dataclasses.is_dataclass(group):
+                yield item.name, group
+
+
+def _computed(scene: Scene) -> Iterator[Entry]:
+    """Yield the groups, each with what it models."""
+    for name, group in _groups(scene):
+        about = (type(group).__doc__ or "").strip().splitlines()[0]
+        yield {"name": f"simulation.world.{name}", "doc": about, "off": [each for each, _ in _zeros(group, name)]}
 
 
 def _zeros(group: Any, name: str) -> Iterator[tuple[str, str]]:
@@ -129,16 +132,12 @@ def _left_out_libraries(started: Mapping[str, NodeSpec]) -> Iterator[Entry]:
 
 
 def _left_out_effects(scene: Scene) -> Iterator[Entry]:
+    for group, values in _groups(scene):
+        for name, doc in _zeros(values, group):
+            yield {"kind": "effect", "name": f"simulation.world.{group}.{name}", "why": f"is 0: {doc}"}
     if scene.simulation is None:
         return
-    world = scene.simulation.world
-    for item in dataclasses.fields(world):
-        group = getattr(world, item.name)
-        if not dataclasses.is_dataclass(group):
-            continue
-        for name, doc in _zeros(group, item.name):
-            yield {"kind": "effect", "name": f"simulation.world.{item.name}.{name}", "why": f"is 0: {doc}"}
-    if not world.target.present:
+    if not scene.simulation.world.target.present:
         yield {"kind": "effect", "name": "simulation.world.target", "why": "present is false: nothing to dock to"}
     if not scene.simulation.faults:
         yield {"kind": "effect", "name": "simulation.faults", "why": "none is listed: the hardware stays healthy"}

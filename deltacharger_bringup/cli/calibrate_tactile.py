@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_bringup.cli.calibration import conclude
-from deltacharger_bringup.cli.files import file_to_write
+from deltacharger_bringup.cli.files import file_to_read, file_to_write
 from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError, wrong_input
 from deltacharger_bringup.cli.types import whole
 from deltacharger_tactile import MODEL_PATH
@@ -68,7 +68,8 @@ def tactile(options: argparse.Namespace) -> int:
 
 
 def _read(options: argparse.Namespace) -> tuple[Dataset, PoseEstimator]:
-    return Dataset.load(options.data), PoseEstimator.load(options.model or MODEL_PATH)
+    model = MODEL_PATH if options.model is None else file_to_read("--model", options.model)
+    return Dataset.load(file_to_read("--data", options.data)), PoseEstimator.load(model)
 
 
 def _calibrate(data: Dataset, model: PoseEstimator, options: argparse.Namespace) -> _Found:

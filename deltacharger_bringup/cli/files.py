@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a command shall write, refused before it does anything that would then be lost."""
+"""What a command shall read, and where it shall write, refused before it does anything that would then be lost."""
 
 from __future__ import annotations
 
@@ -9,6 +9,13 @@ from pathlib import Path
 from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError
 
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
+
+
+def file_to_read(flag: str, name: str) -> Path:
+    """Return the path of a file that is there; CommandError with exit code 2 where it is not."""
+    if not Path(name).is_file():
+        raise CommandError(f"{flag} {name}: there is no such file", WRONG_INPUT)
+    return Path(name)
 
 
 def file_to_write(flag: str, name: str, kind: str = "", overwrite: bool = True) -> Path:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_bringup.cli.files import file_to_write
+from deltacharger_bringup.cli.files import file_to_read, file_to_write
 from deltacharger_bringup.cli.output import (
     DONE,
     WRONG_INPUT,
@@ -119,7 +119,7 @@ def _train_class(options: argparse.Namespace, data: Dataset, out: Path) -> dict[
     model.fit(rows.frames[learns], rows.labels[learns], options.seed, _Progress())
     model.calibrate(rows.frames[checks], rows.labels[checks], rows.frames[learns])
     if options.reference is not None:
-        known = examples(_load(options.reference), options.target)
+        known = examples(_load(options.reference, "--reference"), options.target)
         model.refer(known.frames, known.labels)
     model.save(out)
     return {"n": len(learns), "fit_time": model.fit_time}
@@ -136,6 +136,7 @@ def _train_pose(options: argparse.Namespace, data: Dataset, out: Path) -> dict[s
 def evaluate(options: argparse.Namespace) -> int:
     """Judge a trained classifier or pose estimator on a data set."""
     data = _load(options.data)
+    file_to_read("--model", options.model)
     with wrong_input(TactileError):
         if npz.holds(options.model, "meta"):
             estimator = PoseEstimator.load(options.model)
@@ -169,9 +170,9 @@ def _tell(found: dict[str, Any]) -> None:
         tell("  all of them together look unlike training: calibrate or train anew")
 
 
-def _load(name: str) -> Dataset:
+def _load(name: str, flag: str = "--data") -> Dataset:
     with wrong_input(TactileError):
-        return Dataset.load(name)
+        return Dataset.load(file_to_read(flag, name))
 
 
 class _Progress:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_bringup.cli.charger import prepare, ros_context
-from deltacharger_bringup.cli.files import file_to_write
+from deltacharger_bringup.cli.files import file_to_read, file_to_write
 from deltacharger_bringup.cli.output import (
     DONE,
     FAILED,
@@ -82,6 +82,8 @@ def _rerun() -> Any:
 
 def _check_places(options: argparse.Namespace) -> None:
     """Refuse, before anything is heard, what could not be read or shown at the end."""
+    if options.recording is not None:
+        file_to_read("--recording", options.recording)
     if options.recording is not None and options.stop_after_s:
         raise CommandError("--stop-after-s is for a running charger, not for --recording", WRONG_INPUT)
     if options.connect is not None and not options.connect.startswith("rerun"):

@@ -11,13 +11,12 @@ from deltacharger_docking.codes import Code, DockingError
 from deltacharger_docking.observation import DockGoal, DockingOutcome
 from deltacharger_lab.campaigns import felt as feeling
 from deltacharger_lab.campaigns.draw import Drawn, draw
-from deltacharger_lab.campaigns.effort import Effort
 from deltacharger_lab.campaigns.felt import Felt
 from deltacharger_lab.campaigns.keys import known_keys
 from deltacharger_lab.campaigns.parts import AXES
 from deltacharger_lab.campaigns.quick_charger import QuickCharger
-from deltacharger_lab.campaigns.rest import SECONDS, Rest
 from deltacharger_lab.campaigns.scene import CampaignScene
+from deltacharger_lab.campaigns.servo_load import SECONDS, Effort, Rest
 from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 from deltacharger_tactile.source import ContactSource
 

@@ -102,18 +102,11 @@ class _Campaign:
 
 
 TAKEN = {
-    "world.target.x": "give target.x (seen) and shift.x (unseen)",
-    "world.target.y": "give target.y (seen) and shift.y (unseen)",
-    "world.target.z": "give target.z (seen) and shift.z (unseen)",
-    "world.target.roll": "give target.roll (seen) and shift.roll (unseen)",
-    "world.gravity_x": "give gravity.tilt and gravity.azimuth",
-    "world.gravity_y": "give gravity.tilt and gravity.azimuth",
-    "world.gravity_z": "give gravity.tilt and gravity.azimuth",
+    **{f"world.target.{axis}": f"give target.{axis} (seen) and shift.{axis} (unseen)" for axis in (*"xyz", "roll")},
+    **{f"world.gravity_{axis}": "give gravity.tilt and gravity.azimuth" for axis in "xyz"},
     "world.step": "a campaign steps the world itself",
     "docking.servo_stiffness": "it follows world.servo.stiffness",
-    "docking.gravity_x": "give gravity.tilt and gravity.known",
-    "docking.gravity_y": "give gravity.tilt and gravity.known",
-    "docking.gravity_z": "give gravity.tilt and gravity.known",
+    **{f"docking.gravity_{axis}": "give gravity.tilt and gravity.known" for axis in "xyz"},
     "docking.approach": "give --approach",
 }
 """Keys of the parts that a campaign sets itself, and what to write instead."""

@@ -20,8 +20,8 @@ from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 _COMPUTES = ("core", "kinematics", "sim", "docking", "tactile")  # packages, deltacharger_…
 _ALSO = (
     *("driver/errors.py", "driver/servos/mx64.py"),
-    *(f"lab/campaigns/{name}.py" for name in ("docking", "draw", "effort", "felt", "keys", "paper", "parts")),
-    *(f"lab/campaigns/{name}.py" for name in ("quick_charger", "quick_motion", "rest", "scene", "spread")),
+    *(f"lab/campaigns/{name}.py" for name in ("docking", "draw", "felt", "keys", "paper", "parts")),
+    *(f"lab/campaigns/{name}.py" for name in ("quick_charger", "quick_motion", "scene", "servo_load", "spread")),
     "lab/campaigns/virtual_charger.py",
 )
 

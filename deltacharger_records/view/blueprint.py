@@ -48,14 +48,14 @@ def blueprint(live: bool) -> Any:
     )
     right = rrb.Vertical(
         felt,
-        _plots(
+        rrb.Horizontal(
             _plot("plots/contact", "contact current, 0.4–0.5 A", (-0.2, 0.8)), _plot("plots/servos", "servo currents")
         ),
-        _plots(
+        rrb.Horizontal(
             _plot("plots/misalignment", "misalignment ± σ", (-15.0, 15.0)),
             _plot("plots/angle", "angle ± σ", (-15.0, 15.0)),
         ),
-        _plots(
+        rrb.Horizontal(
             _plot("plots/height", "z"),
             rrb.Tabs(
                 _plot("plots/charge/current", "charge current"),
@@ -73,12 +73,6 @@ def blueprint(live: bool) -> Any:
         rrb.BlueprintPanel(state="hidden"),
         auto_views=False,
     )
-
-
-def _plots(*views: Any) -> Any:
-    import rerun.blueprint as rrb
-
-    return rrb.Horizontal(*views)
 
 
 def _plot(origin: str, name: str, span: tuple[float, float] | None = None) -> Any:

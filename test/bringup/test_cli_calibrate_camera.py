@@ -248,17 +248,13 @@ def test_too_few_views_and_one_line_are_refused(capsys: pytest.CaptureFixture[st
         (lambda lines: [], "is empty"),
         (lambda lines: ["image,x_mm,y_mm", *lines[1:]], "one of x_mm,y_mm,z_mm"),
         (lambda lines: ["picture,angle_0_rad,angle_1_rad,angle_2_rad", *lines[1:]], "unknown column 'picture'"),
-        (lambda lines: ["image,angle_0_rad,angle_1_rad,angle_1_rad", *lines[1:]], "appears 2 times"),
         (lambda lines: ["image,x_mm,y_mm,z_mm,angle_0_rad", *lines[1:]], "one of x_mm,y_mm,z_mm"),
         (lambda lines: [*lines, "view_011.png,1,2"], "line 12: 3 cells for 4 columns"),
         (lambda lines: [*lines, lines[-1].replace("view_010", "view_999")], "line 12: there is no image view_999.png"),
         (lambda lines: [*lines, lines[1]], "line 12: image view_001.png stands in line 2 already"),
-        (lambda lines: [*lines, "x" * 200_000], "line 12: field larger"),
         (lambda lines: [*lines, "../x.png,0,0,0"], "file of the same folder"),
         (lambda lines: [*lines, "x.txt,0,0,0"], "file of the same folder"),
         (lambda lines: [lines[0], "view_001.png,nan,0,0"], "line 2: angle_0_rad is 'nan'"),
-        (lambda lines: [lines[0], "view_001.png,,0,0"], "line 2: angle_0_rad is empty"),
-        (lambda lines: [lines[0], "view_001.png,inf,0,0"], "line 2: angle_0_rad is 'inf'"),
         (lambda lines: ["image,x_m,y_m,z_m", "view_001.png,0,0,20"], "line 2: the arm cannot have the position"),
         (lambda lines: ["image,x_mm,y_mm,z_mm", "view_001.png,0,0,900"], "line 2: the arm cannot have the position"),
     ],
@@ -272,12 +268,6 @@ def test_a_wrong_table_is_refused_with_its_line(
     assert code == WRONG_INPUT
     assert what in err
     assert VIEWS in err
-
-
-def test_spreadsheets_may_mark_and_pad_their_files(capsys: pytest.CaptureFixture[str], rig: Rig, views: Path) -> None:
-    text = "\ufeff" + "\r\n".join(["# a comment", "", *lines_of(views), ",,,", ""])
-    (views / VIEWS).write_text(text, encoding="utf-8", newline="")
-    assert run(capsys, "--views", views, *offset(rig), "--json")[0] == DONE
 
 
 def test_images_and_intrinsics_must_be_of_one_size(capsys: pytest.CaptureFixture[str], rig: Rig, views: Path) -> None:

@@ -16,8 +16,8 @@ from deltacharger_lab.campaigns import paper
 from deltacharger_lab.campaigns.docking import columns, dock_once
 from deltacharger_lab.campaigns.felt import AXES, Felt
 from deltacharger_lab.campaigns.keys import EstimatorErrors
-from deltacharger_lab.campaigns.rest import SECONDS
 from deltacharger_lab.campaigns.scene import parse_campaign_scene
+from deltacharger_lab.campaigns.servo_load import SECONDS
 from deltacharger_lab.campaigns.settings import versions_of
 
 from .campaigns import QUICK
