@@ -15,90 +15,32 @@ from __future__ import annotations
 
 import math
 import time
-from array import array
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from deltacharger.msg import ChargerPower, TactileFrame
 from deltacharger.srv import Probe, SetContactor
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
-from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board.contactor_guard import STALE_FRAME, STALE_POWER
 from deltacharger_driver.board.keeper import BoardKeeper
 from deltacharger_driver.board.port import BoardPort
 from deltacharger_driver.board.protocol import fault_name
 from deltacharger_driver.board.samples import PowerSample, TactileSample
+from deltacharger_driver.board.tactile_node_io import SamplePublishers
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.parameters import TactileNodeParameters
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
-from deltacharger_ros.flat_messages import FlatPublisher, Stamps
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import LATEST
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
-_FRAME = "end_effector"
-_FRAME_FIELDS = ("sequence", "device_time_us", "left", "right", "tared")
-_POWER_FIELDS = (
-    "contactor_closed",
-    "battery_voltage",
-    "target_voltage",
-    "charge_current",
-    "probe_resistance",
-    "probe_age",
-    "fault",
-)
-
-
-class SamplePublishers:
-    """Publishes from one thread, the link's reader.
-
-    Args:
-        node: the publisher.
-        qos: of charger_power.
-        pitch: distance between neighbouring taxels, m.
-    """
-
-    def __init__(self, node: Node, qos: QoSProfile, pitch: float) -> None:
-        stamps = Stamps(node.get_clock())
-        taxels = array("f", bytes(4 * ROWS * COLUMNS))
-        frame = TactileFrame(rows=ROWS, columns=COLUMNS, pitch=pitch, left=taxels, right=taxels)
-        power = ChargerPower()
-        frame.header.frame_id = power.header.frame_id = _FRAME
-        frames = node.create_publisher(TactileFrame, "tactile_frame", qos_profile_sensor_data)
-        powers = node.create_publisher(ChargerPower, "charger_power", qos)
-        self._frames = FlatPublisher(frames, frame, _FRAME_FIELDS, stamps)
-        self._powers = FlatPublisher(powers, power, _POWER_FIELDS, stamps)
-
-    def frame(self, sample: TactileSample) -> None:
-        """Publish a tactile frame."""
-        self._frames.publish(
-            sample.time,
-            array("Q", (sample.sequence,)),
-            array("Q", (sample.device_time_us,)),
-            sample.left.reshape(-1),
-            sample.right.reshape(-1),
-            bytes((sample.tared,)),
-        )
-
-    def power(self, sample: PowerSample, probe_resistance: float, probe_age: float) -> None:
-        """Publish the power stage with the last probe's ohm (NaN = none) and age in s (inf = none that counts)."""
-        power = sample.power
-        measured = (power.battery_voltage, power.target_voltage, power.charge_current, probe_resistance, probe_age)
-        self._powers.publish(
-            sample.time,
-            bytes((power.contactor_closed,)),
-            *(array("f", (value,)) for value in measured),
-            bytes((power.fault,)),
-        )
 
 
 class TactileNode(Node):

@@ -48,6 +48,9 @@ class MockDetectorNode(Node):
             DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=ReentrantCallbackGroup()
         )
 
+    def close(self) -> None:
+        """Nothing to make safe: this node drives nothing."""
+
     def _on_detect(
         self, request: DetectElectrodes.Request, response: DetectElectrodes.Response
     ) -> DetectElectrodes.Response:

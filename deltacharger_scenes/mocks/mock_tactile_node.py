@@ -29,7 +29,6 @@ from typing import Any
 import numpy as np
 from deltacharger.msg import ServoState
 from deltacharger.srv import Probe, SetContactor
-from deltacharger_driver.board.tactile_node_io import SamplePublishers
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
@@ -38,6 +37,7 @@ from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, GRAVITY, PADS, ROW
 from deltacharger_driver.board.contactor_lease import LeaseRefused
 from deltacharger_driver.board.payloads import Power
 from deltacharger_driver.board.samples import PowerSample, TactileSample
+from deltacharger_driver.board.tactile_node_io import SamplePublishers
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.messages import seconds

@@ -246,9 +246,9 @@ def test_too_few_views_and_one_line_are_refused(capsys: pytest.CaptureFixture[st
     ("change", "what"),
     [
         (lambda lines: [], "is empty"),
-        (lambda lines: ["image,x_mm,y_mm", *lines[1:]], "one of x_mm,y_mm,z_mm"),
+        (lambda lines: ["image,x_mm,y_mm"], "one of x_mm,y_mm,z_mm"),
         (lambda lines: ["picture,angle_0_rad,angle_1_rad,angle_2_rad", *lines[1:]], "unknown column 'picture'"),
-        (lambda lines: ["image,x_mm,y_mm,z_mm,angle_0_rad", *lines[1:]], "one of x_mm,y_mm,z_mm"),
+        (lambda lines: ["image,x_mm,y_mm,z_mm,angle_0_rad"], "one of x_mm,y_mm,z_mm"),
         (lambda lines: [*lines, "view_011.png,1,2"], "line 12: 3 cells for 4 columns"),
         (lambda lines: [*lines, lines[-1].replace("view_010", "view_999")], "line 12: there is no image view_999.png"),
         (lambda lines: [*lines, lines[1]], "line 12: image view_001.png stands in line 2 already"),
