@@ -4,15 +4,84 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
-from deltacharger_docking.alignment import AlignmentFilter
 from deltacharger_docking.clearance import FeltPose, Verdict, clearance, clearance_stddev, judge
 from deltacharger_docking.codes import CriticalAngle, EstimateUnsure, Misaligned, NoTactileContact, State, TactileStale
 from deltacharger_docking.contact_script import contact
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.ease_script import ease
 from deltacharger_docking.observation import Service
+from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.release_script import take_off
+
+
+class AlignmentFilter:
+    """Kalman filter of a fixed target position (x, y in charger_base) seen by touch.
+
+    One docking lands beside its commanded place by `docking_jitter` (a standard deviation, m), and an estimate's error
+    grows with its size by `gain_error`, added in quadrature, so a first look from 8 mm away weighs little once the
+    platform stands close.
+    """
+
+    def __init__(self, parameters: DockingParameters) -> None:
+        self._parameters = parameters
+        self._mean = [0.0, 0.0]
+        self._information = [0.0, 0.0]
+        self._innovations = [0.0, 0.0]
+        self._looks = 0
+        self.landing = math.inf
+        """How far (m) the last contact may lie off on its worse axis: |mean| + landing_sigmas σ, at least
+        landing_felt_sigmas σ felt: a landing far out is rare, and rarer where the pads see well."""
+
+    def update(self, platform: tuple[float, float], estimate: FeltPose) -> None:
+        """Take one estimate made with the platform at (x, y) m of charger_base."""
+        readings = (
+            (platform[0] + estimate.horizontal, estimate.horizontal, estimate.horizontal_stddev),
+            (platform[1] + estimate.vertical, estimate.vertical, estimate.vertical_stddev),
+        )
+        parameters = self._parameters
+        self.landing = 0.0
+        self._looks += 1
+        for axis, (place, offset, stddev) in enumerate(readings):
+            felt = stddev**2 + (parameters.gain_error * offset) ** 2
+            variance = parameters.docking_jitter**2 + felt
+            land = self._land(axis, place - offset, offset, max(felt, 1e-12))
+            self.landing = max(self.landing, land, parameters.landing_felt_sigmas * stddev)
+            weight = 1.0 / max(variance, 1e-12)
+            if self._information[axis] > 0.0:
+                expected = variance + 1.0 / self._information[axis]
+                self._innovations[axis] += (place - self._mean[axis]) ** 2 / max(expected, 1e-12)
+            self._information[axis] += weight
+            self._mean[axis] += (place - self._mean[axis]) * weight / self._information[axis]
+
+    @property
+    def contradicts_itself(self) -> bool:
+        """Whether the looks differ by more than their errors allow: the pads do not feel where the arm has gone."""
+        start, each = self._parameters.contradiction_start, self._parameters.contradiction_each
+        return max(self._innovations) > start + each * self._looks
+
+    def _land(self, axis: int, platform: float, offset: float, variance: float) -> float:
+        """Return |mean| + landing_sigmas σ (m) of this contact, from what is felt and where earlier ones saw it."""
+        information = self._information[axis]
+        mean, weight = offset, 1.0 / variance
+        if information > 0.0:
+            known = 1.0 / (self._parameters.docking_jitter**2 + 1.0 / information + 1e-12)
+            mean = (weight * offset + known * (self._mean[axis] - platform)) / (weight + known)
+            weight += known
+        return abs(mean) + self._parameters.landing_sigmas / math.sqrt(weight)
+
+    @property
+    def target(self) -> tuple[float, float]:
+        """Filtered (x, y) m of the target in charger_base; NaN before the first estimate."""
+        if self._information[0] == 0.0:
+            return math.nan, math.nan
+        return self._mean[0], self._mean[1]
+
+    def misalignment(self, platform: tuple[float, float]) -> tuple[float, float]:
+        """Return the filtered (horizontal, vertical) m for the platform at (x, y) m."""
+        x, y = self.target
+        return x - platform[0], y - platform[1]
 
 
 class Alignment:
@@ -96,8 +165,7 @@ class Alignment:
         if not (yield from ease(self._context)):
             return True
         estimate = yield from self._measure()
-        verdict = judge(estimate, self._context.parameters, self.critical_angle) if estimate.usable else None
-        if verdict in (Verdict.SAFE, Verdict.PROBABLY_SAFE):
+        if estimate.usable and judge(estimate, self._context.parameters, self.critical_angle).leaves_clearance:
             return True
         self._passed = 0
         return False
@@ -182,13 +250,10 @@ class Alignment:
         self._angles.append(estimate.angle)
         verdict = judge(estimate, parameters, self.critical_angle)
         self._tell_verdict(estimate, verdict)
-        self._passed = self._passed + 1 if verdict in (Verdict.SAFE, Verdict.PROBABLY_SAFE) else 0
+        self._passed = self._passed + 1 if verdict.leaves_clearance else 0
         if len(self._angles) >= 2:
             mean = sum(self._angles) / len(self._angles)
-            centred = FeltPose(
-                mean, estimate.angle_stddev, 0.0, estimate.vertical_stddev, 0.0, estimate.horizontal_stddev
-            )
-            if judge(centred, parameters, self.critical_angle) is Verdict.CRITICAL:
+            if judge(replace(estimate, angle=mean, vertical=0.0), parameters, self.critical_angle) is Verdict.CRITICAL:
                 raise CriticalAngle(_too_tilted(mean))
         return verdict
 

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-from deltacharger_docking.clearance import Verdict, judge
+from deltacharger_docking.clearance import judge
 from deltacharger_docking.codes import (
     CriticalAngle,
     DockingError,
@@ -144,7 +144,7 @@ def _clearance_checks(context: Context, order: Order) -> Script[None]:
             continue
         blind = 0
         context.status.estimate = estimate
-        lost = judge(estimate, parameters, order.critical_angle) in (Verdict.CRITICAL, Verdict.TOO_CLOSE)
+        lost = not judge(estimate, parameters, order.critical_angle).leaves_clearance
         unsafe = unsafe + 1 if lost else 0
         if lost:
             context.decide(

@@ -31,25 +31,19 @@ class FeltPose:
     in_range: bool = True
 
     @property
+    def stddevs(self) -> tuple[float, float, float]:
+        """Standard deviations of angle (rad), vertical and horizontal (m)."""
+        return self.angle_stddev, self.vertical_stddev, self.horizontal_stddev
+
+    @property
     def usable(self) -> bool:
         """Whether clearance may be judged by it."""
-        stddevs = (self.angle_stddev, self.vertical_stddev, self.horizontal_stddev)
-        return self.contact and self.sure and self.in_range and self.complete and min(stddevs) >= 0.0
+        return self.contact and self.sure and self.in_range and self.complete and min(self.stddevs) >= 0.0
 
     @property
     def complete(self) -> bool:
         """Whether every number is finite."""
-        return all(
-            math.isfinite(value)
-            for value in (
-                self.angle,
-                self.angle_stddev,
-                self.vertical,
-                self.vertical_stddev,
-                self.horizontal,
-                self.horizontal_stddev,
-            )
-        )
+        return all(map(math.isfinite, (self.angle, self.vertical, self.horizontal, *self.stddevs)))
 
 
 class Verdict(Enum):
@@ -59,6 +53,11 @@ class Verdict(Enum):
     PROBABLY_SAFE = "safe at three standard deviations"
     TOO_CLOSE = "the vertical error leaves no clearance"
     CRITICAL = "the angle leaves no clearance even without a vertical error"
+
+    @property
+    def leaves_clearance(self) -> bool:
+        """Whether three standard deviations do."""
+        return self in (Verdict.SAFE, Verdict.PROBABLY_SAFE)
 
 
 def clearance(angle: float, vertical: float, half_gap: float, half_length: float) -> float:

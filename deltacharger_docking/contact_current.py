@@ -18,6 +18,10 @@ class ContactCurrent:
     It is the current that each servo spends on pushing along +z: positive when pushing, negative when the magnets pull
     the servos back. The arm's weight and the friction of free motion are removed; the raw maximum or sum of the servos,
     which contain both, stay selectable for comparison.
+
+    Attributes:
+        position: of the platform, m in charger_base.
+        per_force: contact current for each newton of force, A/N.
     """
 
     def __init__(self, kinematics: ScalarDelta, parameters: DockingParameters) -> None:
@@ -33,7 +37,7 @@ class ContactCurrent:
         self._window: deque[tuple[float, float, Vector]] = deque()
         self._median = math.nan
         self._tare = 0.0
-        self._factor = math.nan
+        self.per_force = math.nan
         self._angles: Vector = NAN3
         self._along_z: Vector = NAN3
         self._weight = math.nan
@@ -48,7 +52,7 @@ class ContactCurrent:
             value = self._constant * (a * currents[0] + b * currents[1] + c * currents[2]) - self._weight
         else:
             raw = max(abs(current) for current in currents) if self._signal == "max" else sum(map(abs, currents))
-            value = raw / self._factor
+            value = raw / self.per_force
         window = self._window
         if math.isfinite(value):
             window.append((time, value, currents))
@@ -65,7 +69,7 @@ class ContactCurrent:
         self._angles = angles
         self.position = x, y, z = self._kinematics.forward(*angles)
         a, b, c, d, e, f, g, h, i = self._kinematics.jacobian(x, y, z)
-        self._factor = (g + h + i) / (3.0 * self._constant)
+        self.per_force = (g + h + i) / (3.0 * self._constant)
         p, q, r = b * f - c * e, c * d - a * f, a * e - b * d
         determinant = g * p + h * q + i * r
         if determinant == 0.0 or not math.isfinite(determinant):  # a limb at its edge, or angles that are none
@@ -113,11 +117,6 @@ class ContactCurrent:
         return a, b, c
 
     @property
-    def per_force(self) -> float:
-        """Contact current for each newton of force, A/N."""
-        return self._factor
-
-    @property
     def value(self) -> float:
         """Contact current (A per servo); NaN without readings."""
-        return self.force * self._factor
+        return self.force * self.per_force

@@ -8,7 +8,7 @@ import math
 from deltacharger_docking.align_script import Alignment
 from deltacharger_docking.arm_script import prepare
 from deltacharger_docking.charge_script import Order, charge
-from deltacharger_docking.clearance import Verdict, judge
+from deltacharger_docking.clearance import judge
 from deltacharger_docking.codes import (
     CriticalAngle,
     DetectionStale,
@@ -21,8 +21,7 @@ from deltacharger_docking.codes import (
 from deltacharger_docking.contact_script import approach, contact, first_push
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.energy_script import de_energise, energise
-from deltacharger_docking.goal_check import check_place
-from deltacharger_docking.goal_desk import GoalDesk
+from deltacharger_docking.goal_desk import GoalDesk, check_place
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Service
 
 _ANSWER = 1.0  # s beyond locate_timeout, so that the phase ends with what the detector says
@@ -54,11 +53,11 @@ class TargetVisit:
         order.goal, order.since = goal, context.time
         if self._alignment is not None:
             desk.aligned = self._alignment.aligned
-        known = context.status.estimate
         if goal.critical_angle and goal.critical_angle < order.critical_angle:
             order.critical_angle = goal.critical_angle
-            charging = context.status.charging and known is not None and known.usable
-            if charging and _is_lost(context, order):
+            known = context.status.estimate if context.status.charging else None
+            lost = known and known.usable and not judge(known, context.parameters, goal.critical_angle).leaves_clearance
+            if lost:
                 return CriticalAngle("the goal's critical_angle is below what was measured on this target")
         if context.status.charging and goal.start_charging:
             if not goal.hold:
@@ -185,10 +184,3 @@ class TargetVisit:
             f"the electrodes are rolled by {math.degrees(roll):.1f}° already in the given pose; "
             "level the target or the charger"
         )
-
-
-def _is_lost(context: Context, order: Order) -> bool:
-    estimate = context.status.estimate
-    if estimate is None:
-        return False
-    return judge(estimate, context.parameters, order.critical_angle) in (Verdict.CRITICAL, Verdict.TOO_CLOSE)

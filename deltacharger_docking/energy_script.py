@@ -65,10 +65,7 @@ def energise(context: Context) -> Script[None]:
         flowing = context.observation.contactor_closed and (
             context.observation.charge_current >= parameters.charge_current_min
         )
-        if not flowing:
-            stable_since = math.inf
-        elif stable_since == math.inf:
-            stable_since = context.time
+        stable_since = min(stable_since, context.time) if flowing else math.inf
         if flowing:
             context.idle_until, context.reads = stable_since + parameters.charge_stable_time, True
         yield

@@ -27,8 +27,7 @@ from deltacharger_docking.codes import (
 )
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.dock_script import TargetVisit
-from deltacharger_docking.goal_check import check_goal
-from deltacharger_docking.goal_desk import GoalDesk
+from deltacharger_docking.goal_desk import GoalDesk, check_goal
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters

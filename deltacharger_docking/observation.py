@@ -6,10 +6,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import TypeVar
 
 from deltacharger_docking.clearance import FeltPose
-from deltacharger_docking.codes import Code, State
+from deltacharger_docking.codes import Code, DockingError, State
 from deltacharger_kinematics.geometry import Vector
+
+T = TypeVar("T", bound="GoalOutcome")
 
 NAN3: Vector = (math.nan, math.nan, math.nan)
 
@@ -138,13 +141,32 @@ class DockGoal:
 
 
 @dataclass(frozen=True)
-class DockingOutcome:
-    """How a goal ended. NaN = not measured; `suggested_base` (m, charger_base) only when unreachable."""
+class GoalOutcome:
+    """How a goal ended, after `elapsed` s."""
 
     success: bool = False
     code: Code = Code.INTERNAL
     message: str = ""
     retriable: bool = False
+    elapsed: float = 0.0
+
+    @property
+    def canceled(self) -> bool:
+        """Whether it ended because its client wished so."""
+        return self.code is Code.CANCELED
+
+    @classmethod
+    def refused(cls: type[T], error: Exception) -> T:
+        """Return how a goal ended that this kept from beginning; a defect where it is none of docking's errors."""
+        if not isinstance(error, DockingError):
+            return cls(message=f"internal error: {error}; see the log")
+        return cls(code=error.code, message=str(error), retriable=error.retriable)
+
+
+@dataclass(frozen=True)
+class DockingOutcome(GoalOutcome):
+    """How a goal of docking ended. NaN = not measured; `suggested_base` (m, charger_base) only when unreachable."""
+
     aligned: bool = False
     alignments: int = 0
     estimate: FeltPose | None = None
@@ -152,13 +174,7 @@ class DockingOutcome:
     contact_force: float = math.nan
     charge_current: float = math.nan
     energy: float = 0.0
-    elapsed: float = 0.0
     suggested_base: Vector | None = None
-
-    @property
-    def canceled(self) -> bool:
-        """Whether it ended because its client wished so."""
-        return self.code is Code.CANCELED
 
 
 @dataclass

@@ -58,8 +58,8 @@ def release(context: Context, travel: float) -> Script[None]:
     context.feed.stop()
     x, y, z = context.position
     lead = parameters.release_current * parameters.torque_constant / parameters.servo_stiffness
-    behind = tuple(max(angle - lead, geometry.joint_min) for angle in context.observation.angles)
-    goal: Vector = (behind[0], behind[1], behind[2])
+    a, b, c = (max(angle - lead, geometry.joint_min) for angle in context.observation.angles)
+    goal = a, b, c
     begun, pushed = context.time, context.contact.value
     yield from _pull(context, goal, parameters.push_current, z - travel, _SETTING_BACK)
     yield from _pull(context, goal, parameters.release_current, z - travel, parameters.release_time)

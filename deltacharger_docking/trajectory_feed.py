@@ -131,8 +131,8 @@ class TrajectoryFeed:
         share = min(max((place - before.time) / span, 0.0), 1.0) if span > 0.0 else 1.0
         velocities: Vector | None = None
         if after.velocities is not None and before.velocities is not None:
-            velocities = (0.0, 0.0, 0.0) if at_rest else _between(before.velocities, after.velocities, share)
-        return Waypoint(offset, _between(before.angles, after.angles, share), after.torque_bound, velocities)
+            velocities = (0.0, 0.0, 0.0) if at_rest else between(before.velocities, after.velocities, share)
+        return Waypoint(offset, between(before.angles, after.angles, share), after.torque_bound, velocities)
 
 
 def pull(goal: Vector, bound: Vector, rest: Vector, rest_bound: Vector) -> Piece:
@@ -148,5 +148,6 @@ def pull(goal: Vector, bound: Vector, rest: Vector, rest_bound: Vector) -> Piece
     return (*pulled, Waypoint(PULL_HORIZON + TURN, rest, rest_bound))
 
 
-def _between(a: Vector, b: Vector, share: float) -> Vector:
+def between(a: Vector, b: Vector, share: float) -> Vector:
+    """Return the point of a straight line that lies `share` of the way from a to b."""
     return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])

@@ -52,14 +52,10 @@ class NavigationFailed(Unreachable):
 
 
 class DockFailed(DockingError):
-    """Docking or undocking ended without success.
-
-    Attributes:
-        reply: what it said, with its own code.
-    """
+    """Docking or undocking ended without success; `code` and `retriable` are what it said."""
 
     def __init__(self, reply: TaskReply) -> None:
-        self.reply = reply
+        self.code, self.retriable = reply.code or Code.INTERNAL, reply.retriable
         super().__init__(reply.message)
 
 
@@ -256,10 +252,3 @@ def _drive_failure(reply: TaskReply, place: Place) -> DockingError:
     if reply.end is End.CANCELED:
         return NavigationFailed(f"somebody else cancelled the drive to {where}{said}")
     return NavigationFailed(f"the navigator did not reach {where}{said}; clear the way or correct the place")
-
-
-def code_of(error: DockingError) -> Code:
-    """Return the code to report: of docking's own error where there is one."""
-    if isinstance(error, DockFailed):
-        return error.reply.code or Code.INTERNAL
-    return error.code

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 from deltacharger_docking.codes import Code, State
+from deltacharger_docking.observation import GoalOutcome
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.places import Place
 
@@ -127,20 +128,10 @@ class MissionCommand:
 
 
 @dataclass(frozen=True)
-class MissionOutcome:
+class MissionOutcome(GoalOutcome):
     """How a mission ended; `returned`: the robot stands at its base and nothing holds it."""
 
-    success: bool = False
-    code: Code = Code.INTERNAL
-    message: str = ""
-    retriable: bool = False
     returned: bool = False
-    elapsed: float = 0.0
-
-    @property
-    def canceled(self) -> bool:
-        """Whether it ended because its client wished so."""
-        return self.code is Code.CANCELED
 
 
 @dataclass

@@ -13,8 +13,9 @@ from collections.abc import Generator
 
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, ElectrodesNotFound, PhaseTimeout, Rejected
+from deltacharger_docking.goal_desk import check_stops
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_mission.context import DockFailed, MissionContext, Script, code_of, dock_failure
+from deltacharger_mission.context import MissionContext, Script, dock_failure
 from deltacharger_mission.dialogue import (
     End,
     MissionCommand,
@@ -68,10 +69,7 @@ class MissionMachine:
         """
         if self.busy:
             raise Busy("another mission is under way; cancel it or wait for its result")
-        for name in ("stop_energy", "stop_after"):
-            value = getattr(goal, name)
-            if not math.isfinite(value) or value < 0.0:
-                raise Rejected(f"{name} is {value}: give a finite number ≥ 0 (0 = none)")
+        check_stops(goal.stop_energy, goal.stop_after)
         if self._home is not None and goal.electrodes is None:
             raise Rejected("the target has no frame_id: give the navigator's, such as map")
         self._context.begin(goal.request_id, observation)
@@ -149,15 +147,14 @@ class MissionMachine:
         self.outcome = self._outcome(first, message, returned)
 
     def _note(self, error: DockingError | None) -> None:
-        self.status.code, self.status.message = (Code.NONE, "") if error is None else (code_of(error), str(error))
+        self.status.code, self.status.message = (Code.NONE, "") if error is None else (error.code, str(error))
 
     def _outcome(self, first: DockingError | None, message: str, returned: bool) -> MissionOutcome:
         elapsed = self._context.time - self._started
         if first is None:
             return MissionOutcome(True, Code.NONE, message, returned=returned, elapsed=elapsed)
-        retriable = first.reply.retriable if isinstance(first, DockFailed) else first.retriable
         # A target that has been charged needs no second mission, whatever became of the charger.
-        return MissionOutcome(False, code_of(first), message, retriable and not self._charged, returned, elapsed)
+        return MissionOutcome(False, first.code, message, first.retriable and not self._charged, elapsed, returned)
 
     def _errand(self, goal: MissionGoal) -> Script[str]:
         """Do what was asked, and return in words how it ended."""

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from deltacharger_core.rotation import rotation
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.parameters import MissionParameters
 
@@ -57,16 +58,10 @@ class BaseMount:
     """
 
     def __init__(self, pose: Sequence[float]) -> None:
-        length = math.sqrt(sum(value * value for value in pose[3:])) if len(pose) == 7 else math.nan
-        if not (all(map(math.isfinite, pose)) and length > 0.0):
+        if len(pose) != 7 or not all(map(math.isfinite, pose)) or not any(pose[3:]):
             raise ValueError("base_pose needs 7 finite numbers: x y z, then a quaternion x y z w that is not zero")
         self._position = (pose[0], pose[1], pose[2])
-        x, y, z, w = (value / length for value in pose[3:])
-        self._rotation = (
-            (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-            (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-            (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-        )
+        self._rotation = rotation(*pose[3:])
         forward = (self._rotation[0][2], self._rotation[1][2])
         if math.hypot(*forward) < _LEVEL:
             raise ValueError("base_pose points charger_base's z axis up or down; the target stands beside the robot")

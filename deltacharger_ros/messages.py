@@ -47,6 +47,18 @@ def seconds(message: Any) -> float:
     return float(message.sec) + 1e-9 * float(message.nanosec)
 
 
+def to_result(kind: Any, outcome: Any, **details: Any) -> Any:
+    """Return the result of an action from how a goal ended, with its further fields."""
+    return kind.Result(
+        success=outcome.success,
+        error_code=int(outcome.code),
+        error_message="" if outcome.success else outcome.message,
+        retriable=outcome.retriable,
+        elapsed=duration(outcome.elapsed),
+        **details,
+    )
+
+
 def to_progress(feedback: Any, elapsed: float) -> Progress:
     """Return a feedback message, heard `elapsed` s after the goal was sent, as plain data."""
     felt = getattr(feedback, "misalignment", None)  # undock's feedback has none of what follows

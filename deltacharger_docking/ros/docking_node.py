@@ -196,7 +196,7 @@ class DockingNode(Node):
         """Publish what was decided and changed, hand a finished goal over, diagnose now and then."""
         status = self._machine.status
         self._reports.decided(command.decisions, status.request_id)
-        self._show(command)
+        self._reports.show(status, command.states)
         self._goals.feed_back(command.states, observation.charge_current)
         self._hand_over()
         if self._reports.diagnose(status, observation, self._slowest_tick):
@@ -205,11 +205,8 @@ class DockingNode(Node):
     def _begun(self) -> None:
         """Tell the goal that the machine has just begun; one that needs nothing to be done has ended already."""
         self._torque_off_at = math.inf
-        self._show(Command())
+        self._reports.show(self._machine.status)
         self._hand_over()
-
-    def _show(self, command: Command) -> None:
-        self._reports.show(self._machine.status, command.states)
 
     def _hand_over(self) -> None:
         outcome, self._machine.outcome = self._machine.outcome, None

@@ -7,6 +7,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from deltacharger.action import Dock, Undock
@@ -14,18 +15,20 @@ from deltacharger.msg import Misalignment
 from rclpy.node import Node
 
 from deltacharger_docking.clearance import FeltPose
-from deltacharger_docking.codes import Busy, Code, DockingError, State
-from deltacharger_docking.goal_check import suggested_base
+from deltacharger_docking.codes import Busy, DockingError, State
+from deltacharger_docking.goal_desk import suggested_base
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.reports import changes
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
-from deltacharger_ros.messages import duration, seconds
+from deltacharger_ros.messages import duration, seconds, to_result
 
 _ANSWER = 1.0  # s to see a goal's callback end when the node closes
 _FEEDBACK = 0.2  # s between feedbacks without a change
+MEASURED = ("aligned", "alignments", "contact_current", "contact_force", "charge_current", "energy")
+"""Fields of a Dock result that are named as those of an outcome."""
 
 
 class ServedGoal(Work):
@@ -83,16 +86,26 @@ class Goals:
         self._refusal = ""
         self._waiting: list[GoalHandle] | None = [] if held else None
         self._servers = [
-            self._serve(Dock, "dock", self._begin_dock, self._dock_result),
-            self._serve(Undock, "undock", self._begin_undock, _undock_result),
+            self._serve(
+                Dock,
+                "dock",
+                lambda request, seen: machine.start_dock(self._dock_goal(request), seen),
+                self._dock_result,
+            ),
+            self._serve(
+                Undock,
+                "undock",
+                lambda request, seen: machine.start_undock(request.request_id, seen),
+                lambda outcome: to_result(Undock, outcome),
+            ),
         ]
 
-    def _serve(self, kind: Any, name: str, begin: Callable[[GoalHandle], ServedGoal], result: Any) -> WorkServer:
+    def _serve(self, kind: Any, name: str, start: Callable[[Any, Observation], None], result: Any) -> WorkServer:
         return WorkServer(
             self._node,
             kind,
             name,
-            begin,
+            lambda handle: self._begin(ServedGoal(handle, kind.Feedback), start),
             lambda goal: goal is self._goal,
             _refused,
             DockingError,
@@ -175,21 +188,7 @@ class Goals:
         """Return whether the goal has not ended: whoever hears an acceptance knows that the arm goes back."""
         return bool(handle.is_active) and handle is not self._ended
 
-    def _begin_dock(self, handle: GoalHandle) -> ServedGoal:
-        request = handle.request
-        return self._begin(
-            ServedGoal(handle, Dock.Feedback),
-            lambda observation: self._machine.start_dock(self._dock_goal(request), observation),
-        )
-
-    def _begin_undock(self, handle: GoalHandle) -> ServedGoal:
-        request = handle.request
-        return self._begin(
-            ServedGoal(handle, Undock.Feedback),
-            lambda observation: self._machine.start_undock(request.request_id, observation),
-        )
-
-    def _begin(self, goal: ServedGoal, start: Callable[[Observation], None]) -> ServedGoal:
+    def _begin(self, goal: ServedGoal, start: Callable[[Any, Observation], None]) -> ServedGoal:
         """Start a goal.
 
         Raises:
@@ -198,7 +197,7 @@ class Goals:
         with self._lock:
             if self._refusal:
                 raise Busy(self._refusal)
-            start(self._observe())
+            start(goal.handle.request, self._observe())
             self._goal = goal
             self._begun()
         return goal
@@ -215,36 +214,14 @@ class Goals:
         )
 
     def _dock_result(self, outcome: DockingOutcome) -> Dock.Result:
-        return Dock.Result(
-            success=outcome.success,
-            error_code=int(outcome.code),
-            error_message="" if outcome.success else outcome.message,
-            retriable=outcome.retriable,
-            aligned=outcome.aligned,
-            alignments=outcome.alignments,
+        return to_result(
+            Dock,
+            outcome,
             misalignment=self._misalignment(outcome.estimate),
-            contact_current=outcome.contact_current,
-            contact_force=outcome.contact_force,
-            charge_current=outcome.charge_current,
-            energy=outcome.energy,
-            elapsed=duration(outcome.elapsed),
             suggested_base_pose=io.pose_stamped(outcome.suggested_base, self._node.get_clock().now().to_msg()),
+            **{name: getattr(outcome, name) for name in MEASURED},
         )
 
 
-def _undock_result(outcome: DockingOutcome) -> Undock.Result:
-    return Undock.Result(
-        success=outcome.success,
-        error_code=int(outcome.code),
-        error_message="" if outcome.success else outcome.message,
-        retriable=outcome.retriable,
-        elapsed=duration(outcome.elapsed),
-    )
-
-
 def _refused(error: Exception) -> DockingOutcome:
-    if not isinstance(error, DockingError):
-        return DockingOutcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log")
-    return DockingOutcome(
-        code=error.code, message=str(error), retriable=error.retriable, suggested_base=suggested_base(error)
-    )
+    return replace(DockingOutcome.refused(error), suggested_base=suggested_base(error))

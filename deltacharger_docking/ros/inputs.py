@@ -30,91 +30,70 @@ class Inputs:
     def __init__(self, node: Node) -> None:
         self._clock = node.get_clock()
         self._lock = threading.Lock()
-        self._servo: ServoState | None = None
-        self._servo_time = -math.inf
-        self._tactile: TactileFrame | None = None
-        self._tactile_time = -math.inf
-        self._power: ChargerPower | None = None
-        self._power_time = -math.inf
         latest = QoSProfile(depth=1)
         sampled = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._servos = LatestMessage(node, ServoState, "servo_state", latest)
-        self._topics = (
-            (self._servos, self._on_servo),
-            (LatestMessage(node, TactileFrame, "tactile_frame", sampled), self._on_tactile),
-            (LatestMessage(node, ChargerPower, "charger_power", latest), self._on_power),
-        )
+        self._topics = {
+            ServoState: LatestMessage(node, ServoState, "servo_state", latest),
+            TactileFrame: LatestMessage(node, TactileFrame, "tactile_frame", sampled),
+            ChargerPower: LatestMessage(node, ChargerPower, "charger_power", latest),
+        }
+        self._heard: dict[type[Any], Any] = {}  # the latest of each
+        self._measured = dict.fromkeys(self._topics, -math.inf)  # and when, s
 
     def wait(self, timeout: float) -> None:
         """Wait for the next servo_state, at most `timeout` s; for the one thread that steps."""
-        self._servos.wait(timeout)
+        self._topics[ServoState].wait(timeout)
 
     def rest(self) -> None:
         """Let servo_state wake nobody until the next `wait`."""
-        self._servos.rest()
-
-    def _age_at_arrival(self, stamp: Any) -> float:
-        """Return how long ago (s) the message was measured, so that a stale one is not fresh because it is new."""
-        return max((self._clock.now() - Time.from_msg(stamp)).nanoseconds * 1e-9, 0.0)
-
-    def _on_servo(self, message: ServoState) -> None:
-        ordered = _in_order(message)
-        if ordered is not None and _is_news(message, self._servo):
-            if all(ordered.valid):
-                self._servo_time = time.monotonic() - self._age_at_arrival(message.header.stamp)
-            self._servo = ordered
-
-    def _on_tactile(self, message: TactileFrame) -> None:
-        if not _is_news(message, self._tactile):
-            return
-        self._tactile_time = time.monotonic() - self._age_at_arrival(message.header.stamp)
-        self._tactile = message
-
-    def _on_power(self, message: ChargerPower) -> None:
-        if not _is_news(message, self._power):
-            return
-        self._power_time = time.monotonic() - self._age_at_arrival(message.header.stamp)
-        self._power = message
+        self._topics[ServoState].rest()
 
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:
         """Return what is known now; from any thread."""
         with self._lock:
-            for topic, receive in self._topics:
+            for kind, topic in self._topics.items():
                 if (message := topic.take()) is not None:
-                    receive(message)
+                    self._hear(kind, message)
             return self._compose(replies, contactor_refusal)
+
+    def _hear(self, kind: type[Any], message: Any) -> None:
+        """Keep what was measured anew, by when that was: stale data are not fresh because they came or came again."""
+        known = self._heard.get(kind)
+        if kind is ServoState:
+            message = _in_order(message)
+        if message is None or (known is not None and message.header.stamp == known.header.stamp):
+            return
+        if kind is not ServoState or all(message.valid):
+            age = (self._clock.now() - Time.from_msg(message.header.stamp)).nanoseconds * 1e-9
+            self._measured[kind] = time.monotonic() - max(age, 0.0)
+        self._heard[kind] = message
 
     def _compose(self, replies: tuple[Reply, ...], contactor_refusal: str) -> Observation:
         now = time.monotonic()
-        servo, tactile, power = self._servo, self._tactile, self._power
+        servo, tactile, power = (self._heard.get(kind) for kind in self._topics)
         values: dict[str, Any] = {"time": now, "replies": replies, "contactor_refusal": contactor_refusal}
+        ages = (now - measured for measured in self._measured.values())
+        values.update(zip(("servo_age", "tactile_age", "power_age"), ages, strict=True))
         if servo is not None:
             reserve = list(servo.thermal_reserve) or [math.inf]
             values.update(
                 angles=tuple(servo.position),
                 currents=tuple(servo.current),
                 servos_valid=all(servo.valid),
-                servo_age=now - self._servo_time,
                 hardware_error=int(np.bitwise_or.reduce(np.array(servo.hardware_error, dtype=np.uint8))),
                 torque_enabled=all(servo.torque_enabled),
                 thermal_reserve=min(reserve),
             )
         if tactile is not None:
-            values.update(tactile_age=now - self._tactile_time, tactile_contact=_touches(tactile), tared=tactile.tared)
+            values.update(tactile_contact=_touches(tactile), tared=tactile.tared)
         if power is not None:
             values.update(
-                power_age=now - self._power_time,
                 contactor_closed=power.contactor_closed,
                 charge_current=power.charge_current,
                 target_voltage=power.target_voltage,
                 power_fault=power.fault,
             )
         return Observation(**values)
-
-
-def _is_news(message: Any, last: Any) -> bool:
-    """Whether a message was measured anew; one that is only repeated must not look fresh, whatever its stamp says."""
-    return last is None or message.header.stamp != last.header.stamp
 
 
 def _in_order(message: ServoState) -> ServoState | None:

@@ -6,14 +6,16 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from deltacharger.msg import Misalignment
-from geometry_msgs.msg import Pose, PoseStamped
+from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
+from deltacharger_core.rotation import rotation
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Rejected
 from deltacharger_docking.observation import ElectrodePose, Waypoint
@@ -27,17 +29,7 @@ _UNIT = (0.9, 1.1)  # norm of a quaternion that somebody meant
 
 def estimate(message: Misalignment) -> FeltPose:
     """Return the plain values of a Misalignment."""
-    return FeltPose(
-        message.angle,
-        message.angle_stddev,
-        message.vertical,
-        message.vertical_stddev,
-        message.horizontal,
-        message.horizontal_stddev,
-        message.contact,
-        message.sure,
-        message.in_range,
-    )
+    return FeltPose(**{item.name: getattr(message, item.name) for item in fields(FeltPose)})
 
 
 def unknown() -> Misalignment:
@@ -87,21 +79,21 @@ def electrodes(message: PoseStamped, mount: DockingNodeParameters) -> ElectrodeP
     if frame not in ("charger_base", mount.base_frame):
         known = f"charger_base, {mount.base_frame}"
         raise Rejected(f"unknown frame '{frame[:_QUOTED]}': give {known}, or '' to use the camera")
-    position, rotation = _matrix(message.pose)
-    if not np.isfinite(position).all() or not np.isfinite(rotation).all():
+    turn, point = message.pose.orientation, message.pose.position
+    position, axes = np.array([point.x, point.y, point.z]), np.array(rotation(turn.x, turn.y, turn.z, turn.w))
+    if not np.isfinite(position).all() or not np.isfinite(axes).all():
         raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
-    turn = message.pose.orientation
     if not _UNIT[0] <= math.hypot(turn.x, turn.y, turn.z, turn.w) <= _UNIT[1]:
         raise Rejected("the electrodes' orientation is no unit quaternion; send one, such as (0, 0, 0, 1)")
     if frame == mount.base_frame:
-        base = _rotation(np.asarray(mount.base_pose[3:], dtype=np.float64))
+        base = np.array(rotation(*mount.base_pose[3:]))
         position = base.T @ (position - np.asarray(mount.base_pose[:3]))
-        rotation = base.T @ rotation
-    if rotation[2, 2] < math.cos(mount.lean_max):
-        lean = math.degrees(math.acos(max(min(float(rotation[2, 2]), 1.0), -1.0)))
+        axes = base.T @ axes
+    if axes[2, 2] < math.cos(mount.lean_max):
+        lean = math.degrees(math.acos(max(min(float(axes[2, 2]), 1.0), -1.0)))
         raise Rejected(f"the electrodes' z axis leans {lean:.0f}° from charger_base's; give the roll about z alone")
-    point: Vector = (float(position[0]), float(position[1]), float(position[2]))
-    return ElectrodePose(point, math.atan2(rotation[1, 0], rotation[0, 0]))
+    x, y, z = position.tolist()
+    return ElectrodePose((x, y, z), math.atan2(axes[1, 0], axes[0, 0]))
 
 
 def pose_stamped(position: Vector | None, stamp: Any) -> PoseStamped:
@@ -112,22 +104,3 @@ def pose_stamped(position: Vector | None, stamp: Any) -> PoseStamped:
         message.header.frame_id = "charger_base"
         message.pose.position.x, message.pose.position.y, message.pose.position.z = position
     return message
-
-
-def _matrix(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
-    quaternion = pose.orientation
-    turn = _rotation(np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w]))
-    return np.array([pose.position.x, pose.position.y, pose.position.z]), turn
-
-
-def _rotation(quaternion: np.ndarray) -> np.ndarray:
-    """Return the rotation matrix of a quaternion (x, y, z, w) of any length; NaN for a zero one."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        x, y, z, w = quaternion / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )

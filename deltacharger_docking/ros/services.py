@@ -154,28 +154,25 @@ class Services:
         except Exception as error:  # a service that fails in its node must not end docking's executor
             self._put(Reply(request.number, False, str(error)))
             return
-        reply = Reply(request.number, answer.success, answer.message)
-        if answer.success and request.service is Service.ESTIMATE:
+        payload = self._payload(request.service, answer) if answer.success else {}
+        self._put(Reply(request.number, answer.success, answer.message, **payload))
+
+    def _payload(self, service: Service, answer: Any) -> dict[str, Any]:
+        """Return what the reply of a service holds besides success and message."""
+        if service is Service.ESTIMATE:
             felt = estimate(answer.misalignment)
             self._felt.append((felt, answer.misalignment))
-            reply = Reply(request.number, True, answer.message, estimate=felt)
-        elif answer.success and request.service is Service.PROBE:
-            reply = Reply(
-                request.number,
-                True,
-                answer.message,
-                resistance=answer.resistance,
-                target_voltage=answer.target_voltage,
-            )
-        elif answer.success and request.service is Service.DETECT:
-            seen = answer.detection
-            point = seen.pose.pose.position
-            variance = float(seen.pose.covariance[35])
-            stddev = math.sqrt(variance) if variance >= 0.0 else math.inf  # also where it is NaN: unknown is not exact
-            age = abs(self._age(seen.header.stamp))  # an image from the future is as wrong as an old one
-            found = ElectrodePose((point.x, point.y, point.z), seen.roll, stddev, age)
-            reply = Reply(request.number, True, answer.message, detection=found)
-        self._put(reply)
+            return {"estimate": felt}
+        if service is Service.PROBE:
+            return {"resistance": answer.resistance, "target_voltage": answer.target_voltage}
+        if service is not Service.DETECT:
+            return {}
+        seen = answer.detection
+        point = seen.pose.pose.position
+        variance = float(seen.pose.covariance[35])
+        stddev = math.sqrt(variance) if variance >= 0.0 else math.inf  # also where it is NaN: unknown is not exact
+        age = abs(self._age(seen.header.stamp))  # an image from the future is as wrong as an old one
+        return {"detection": ElectrodePose((point.x, point.y, point.z), seen.roll, stddev, age)}
 
     def _put(self, reply: Reply) -> None:
         if not reply.number:  # the shell's own requests; numbers of the machine begin with 1 and never come again

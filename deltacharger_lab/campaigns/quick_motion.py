@@ -10,7 +10,7 @@ from itertools import pairwise
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Waypoint
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.trajectory_feed import Piece, TrajectoryFeed
+from deltacharger_docking.trajectory_feed import Piece, TrajectoryFeed, between
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.line import PEAK_SPEED, REFUSED
 from deltacharger_kinematics.scalar import ScalarDelta
@@ -48,7 +48,7 @@ class QuickPlanner(Planner):
     def check_way(self, speed: float, *places: Vector) -> None:
         """Refuse a way as `Planner.check_way` does; one that stays well inside the reach needs a few looks only."""
         for start, goal in pairwise(places):
-            if not all(self._is_good(_between(start, goal, share)) for share in _LOOKS):
+            if not all(self._is_good(between(start, goal, share)) for share in _LOOKS):
                 super().check_way(speed, start, goal)
 
     def _is_good(self, point: Vector) -> bool:
@@ -70,10 +70,10 @@ class QuickPlanner(Planner):
         softness, low, high = 1.0 / parameters.servo_stiffness, geometry.joint_min, geometry.joint_max
         points = []
         for share, way in _ways(math.ceil(duration / _INTERVAL)):
-            solved = self._scalar.solve(*_between(start, goal, way))
+            solved = self._scalar.solve(*between(start, goal, way))
             if solved is None or solved[1] & _REFUSED or solved[2] < _MARGIN:
                 return None
-            held = _between(first, last, way)
+            held = between(first, last, way)
             a, b, c = (
                 min(max(angle + torque * softness, low), high) for angle, torque in zip(solved[0], held, strict=True)
             )
@@ -101,7 +101,3 @@ def _ways(count: int) -> tuple[tuple[float, float], ...]:
     """Return (share of the time, share of the way) of the points of a line but its first."""
     shares = [index / count for index in range(1, count + 1)]
     return tuple((u, u**3 * (10.0 - 15.0 * u + 6.0 * u**2)) for u in shares)
-
-
-def _between(a: Vector, b: Vector, share: float) -> Vector:
-    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])

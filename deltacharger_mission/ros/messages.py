@@ -18,21 +18,14 @@ from deltacharger_mission.places import Place
 from deltacharger_ros.messages import seconds
 
 
-def read_dock(number: int, end: End, result: Any) -> TaskReply:
-    """Return the reply of a docking; `result` is None where docking_node gave none."""
+def read_dock(number: int, end: End, result: Any, heard: Any) -> TaskReply:
+    """Return the reply of a docking or an undocking; `result` is None where docking_node gave none."""
     if result is None:
-        return _unserved(number, end)
-    pose = result.suggested_base_pose
-    place = vector(pose.pose.position) if pose.header.frame_id else None
+        return TaskReply(number, end, Code.REJECTED, "docking_node did not take the goal; look at its log", True)
+    pose = getattr(result, "suggested_base_pose", None)
+    place = vector(pose.pose.position) if pose is not None and pose.header.frame_id else None
     code = _known(result.error_code)
     return TaskReply(number, _ended(end, result), code, result.error_message, result.retriable, suggested=place)
-
-
-def read_undock(number: int, end: End, result: Any, heard: Any) -> TaskReply:
-    """Return the reply of an undocking; `result` is None where docking_node gave none."""
-    if result is None:
-        return _unserved(number, end)
-    return TaskReply(number, _ended(end, result), _known(result.error_code), result.error_message, result.retriable)
 
 
 def read_drive(number: int, end: End, result: Any, heard: Any) -> TaskReply:
@@ -40,11 +33,6 @@ def read_drive(number: int, end: End, result: Any, heard: Any) -> TaskReply:
     code, words = getattr(result, "error_code", 0), getattr(result, "error_msg", "")
     message = " ".join(part for part in (words, f"(error {code} of the navigator)" if code else "") if part)
     return TaskReply(number, end, message=message, place=None if heard is None else place(heard.current_pose))
-
-
-def _unserved(number: int, end: End) -> TaskReply:
-    """Return the reply of docking_node where it gave no result."""
-    return TaskReply(number, end, Code.REJECTED, "docking_node did not take the goal; look at its log", True)
 
 
 def _ended(end: End, result: Any) -> End:

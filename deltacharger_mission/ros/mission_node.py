@@ -18,6 +18,7 @@ from deltacharger.action import ChargeRobot
 from rclpy.node import Node
 
 from deltacharger_docking.codes import Busy, Code, DockingError, Rejected
+from deltacharger_docking.ros.goals import MEASURED
 from deltacharger_mission.dialogue import MissionOutcome, Stage
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
@@ -27,7 +28,7 @@ from deltacharger_mission.ros.others import Others
 from deltacharger_ros import node_support
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
 from deltacharger_ros.diagnostics import OK, WARN, Diagnostics
-from deltacharger_ros.messages import duration
+from deltacharger_ros.messages import duration, to_result
 from deltacharger_ros.parameters import declare_all, reject_unknown
 
 _TICK = 0.05  # s
@@ -99,7 +100,7 @@ class MissionNode(Node):
             "charge_robot",
             self._begin,
             lambda mission: mission is self._mission,
-            _refused,
+            MissionOutcome.refused,
             DockingError,
             lambda outcome, mission: _result(outcome, io.unknown_dock() if mission is None else mission.docked),
         )
@@ -229,30 +230,10 @@ class MissionNode(Node):
             return self._mission
 
 
-def _refused(error: Exception) -> MissionOutcome:
-    if not isinstance(error, DockingError):
-        return MissionOutcome(message=f"internal error: {error}; see the log")
-    return MissionOutcome(code=error.code, message=str(error), retriable=error.retriable)
-
-
 def _result(outcome: MissionOutcome, dock: Any) -> ChargeRobot.Result:
     """Return a mission's result; what concerns the docking is that of the last one."""
-    return ChargeRobot.Result(
-        success=outcome.success,
-        error_code=int(outcome.code),
-        error_message="" if outcome.success else outcome.message,
-        retriable=outcome.retriable,
-        aligned=dock.aligned,
-        alignments=dock.alignments,
-        misalignment=dock.misalignment,
-        contact_current=dock.contact_current,
-        contact_force=dock.contact_force,
-        charge_current=dock.charge_current,
-        energy=dock.energy,
-        elapsed=duration(outcome.elapsed),
-        suggested_base_pose=dock.suggested_base_pose,
-        returned=outcome.returned,
-    )
+    details = {name: getattr(dock, name) for name in (*MEASURED, "misalignment", "suggested_base_pose")}
+    return to_result(ChargeRobot, outcome, returned=outcome.returned, **details)
 
 
 def main(args: Sequence[str] | None = None) -> int:

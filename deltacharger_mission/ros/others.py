@@ -19,7 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_docking.codes import State
 from deltacharger_mission.dialogue import DockingReport, End, MissionObservation, Task, TaskReply, TaskRequest
-from deltacharger_mission.ros.messages import fill_pose, read_dock, read_drive, read_undock, unknown_dock, vector
+from deltacharger_mission.ros.messages import fill_pose, read_dock, read_drive, unknown_dock, vector
 from deltacharger_ros.messages import duration
 
 _ENDS = {
@@ -204,7 +204,7 @@ class Others:
             task: ActionCaller(node, kind, task.value, self._put, read, lost_timeout)
             for task, kind, read in (
                 (Task.DOCK, Dock, self._read_dock),
-                (Task.UNDOCK, Undock, read_undock),
+                (Task.UNDOCK, Undock, read_dock),
                 (Task.DRIVE, navigate_to_pose, read_drive),
             )
             if kind is not None
@@ -273,7 +273,7 @@ class Others:
     def _read_dock(self, number: int, end: End, result: Any, heard: Any) -> TaskReply:
         if result is not None:
             self.dock_result = result
-        return read_dock(number, end, result)
+        return read_dock(number, end, result, heard)
 
 
 def _value(future: Any) -> Any:

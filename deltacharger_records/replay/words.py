@@ -8,8 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from deltacharger_docking.clearance import FeltPose, clearance, clearance_stddev
-from deltacharger_docking.codes import Code
-from deltacharger_docking.remedies import REMEDIES
+from deltacharger_docking.codes import REMEDIES, Code
 from deltacharger_records.quantities import numbers, quantity
 from deltacharger_records.replay.record import Replay
 from deltacharger_records.replay.run_record import Decided, Touch

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from deltacharger_docking.alignment import AlignmentFilter
+from deltacharger_docking.align_script import AlignmentFilter
 from deltacharger_docking.clearance import FeltPose, Verdict, clearance, judge
 from deltacharger_docking.parameters import DockingParameters
 

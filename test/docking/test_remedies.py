@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deltacharger_docking.codes import Code
-from deltacharger_docking.remedies import REMEDIES
+from deltacharger_docking.codes import REMEDIES, Code
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "errors.md"
 ROWS = re.findall(r"^\| (\d+) \| (\w+) \|[^|]*\|[^|]*\| ?([^|]*?) ?\|", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
