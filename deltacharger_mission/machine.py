@@ -47,7 +47,7 @@ class MissionMachine:
         self._home = home
         self._context = MissionContext(parameters)
         self._script: Generator[None, None, None] | None = None
-        self._cancel = self._interruptible = self._charged = False
+        self._cancel = self._interruptible = self._returns = self._charged = False
         self._started = 0.0
         self.outcome: MissionOutcome | None = None
 
@@ -110,7 +110,7 @@ class MissionMachine:
     def _problem(self) -> DockingError | None:
         """Return what must interrupt the script now."""
         time, stage = self._context.time, self.status.stage
-        if self._cancel and (self._interruptible or stage is Stage.RETURN):
+        if self._cancel and (self._interruptible or self._returns):
             self._cancel = False
             return Canceled("cancelled by the client")
         if self._interruptible and time > self._started + self.parameters.mission_timeout:
@@ -138,11 +138,14 @@ class MissionMachine:
             if self._cancel:
                 self._cancel = False
                 first = first or Canceled("cancelled by the client")
+            self._returns = True
             returned = yield from self._return()
         except DockingError as error:
+            self._returns = False  # what is called off is waited for, whoever cancels meanwhile
             message = f"{message}; then {error}"
             first = first or error
             yield from self._context.call_off()
+        self._returns = False
         self._note(first)
         self.outcome = self._outcome(first, message, returned)
 

@@ -16,7 +16,7 @@ from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, Stage
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place, views, wrapped
 
-from .missions import FORWARD, HOME, TARGET, Answer, Truth, World, ends, fails, silent
+from .missions import FORWARD, HOME, TARGET, Answer, Truth, World, drive, ends, fails, silent
 
 QUICK = MissionParameters(
     home_x=HOME.x,
@@ -347,6 +347,16 @@ def test_one_mission_at_a_time_and_no_impossible_ones() -> None:
     with pytest.raises(Busy) as caught:
         world.machine.start(MissionGoal(TARGET), observation)
     assert caught.value.retriable
+
+
+def test_cancels_on_the_way_home_end_it_once() -> None:
+    world = quick({Task.DRIVE: lambda world, request: None if request.place == HOME else drive(world, request)})
+    world.machine.start(MissionGoal(TARGET), world._observe(()))
+    while world.machine.outcome is None:
+        world.step()
+        if world.stages[-1] is Stage.RETURN:
+            world.machine.cancel()
+    assert (world.machine.outcome.code, world.machine.outcome.returned) == (Code.CANCELED, False)
 
 
 def test_a_mission_leaves_no_limit_and_no_wish_to_the_next() -> None:
