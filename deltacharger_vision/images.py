@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from deltacharger_core.arrays import Array
 from deltacharger_vision.errors import CameraInfoError, ImageError
 
+COLOR, DEPTH, INFO = "color", "depth", "info"
+"""What a topic of a camera carries."""
 _CODE = np.arange(256) / 255.0
 LIGHT = np.where(_CODE <= 0.04045, _CODE / 12.92, ((_CODE + 0.055) / 1.055) ** 2.4)
 """Light, 0–1, of each level 0–255 by sRGB (IEC 61966-2-1), which cameras encode by."""

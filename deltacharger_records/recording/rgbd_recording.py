@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
-from deltacharger_vision.cameras.recording import COLOR, DEPTH, INFO, CameraRecording
+from deltacharger_vision.cameras.recording import CameraRecording
 from deltacharger_vision.errors import CameraInfoError
-from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.ros.messages import decoded, intrinsics_of, rgbd_of, stamp_ns
+from deltacharger_vision.images import COLOR, DEPTH, INFO, Intrinsics, RgbdImage
+from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, stamp_ns
+from deltacharger_vision.ros.recorded import decoded
 
 TOLERANCE = 15_000_000
 """ns between the stamps of colour and depth: under half the time between two images at 30 Hz."""

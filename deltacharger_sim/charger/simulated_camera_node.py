@@ -28,9 +28,9 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_sim.charger.parameters import ImageParameters, SimulatedCameraNodeParameters
-from deltacharger_vision.cameras.recording import COLOR, DEPTH
 from deltacharger_vision.errors import VisionError
 from deltacharger_vision.hand_eye.board import Board, parse_board
+from deltacharger_vision.images import COLOR, DEPTH
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.poses import turn
 from deltacharger_vision.rendering.board_drawing import with_board

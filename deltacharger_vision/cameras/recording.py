@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from deltacharger_core.mcap_file import McapFile, RecordingError
+from deltacharger_vision.images import COLOR, DEPTH, INFO
 
-COLOR, DEPTH, INFO = "color", "depth", "info"
-"""What a topic carries."""
 IMAGE, CAMERA_INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 _COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _COLOR_NAME = "color/image_raw"

@@ -10,12 +10,9 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_core.mcap_file import RecordingError
 from deltacharger_vision.cameras.camera_info import from_camera_info
-from deltacharger_vision.cameras.recording import INFO, CameraRecording, Recorded
 from deltacharger_vision.cameras.ros_images import color_array, depth_array
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME
@@ -41,19 +38,6 @@ def rgbd_of(color: Image, depth: Image | None, intrinsics: Intrinsics) -> RgbdIm
     pixels = color_array(color)
     metres = np.full(pixels.shape[:2], np.nan) if depth is None else depth_array(depth)
     return RgbdImage.make(pixels, metres, intrinsics)
-
-
-def decoded(recording: CameraRecording, each: Recorded) -> Any:
-    """Return a recorded message.
-
-    Raises:
-        RecordingError: it is none of its topic's type.
-    """
-    kind = CameraInfo if each.kind == INFO else Image
-    try:
-        return deserialize_message(each.data, kind)
-    except Exception as error:  # rclpy raises its own private kinds
-        raise RecordingError(f"{recording.path}: holds a message that is no {kind.__name__}: {error}") from error
 
 
 def color_message(color: NDArray[np.uint8], stamp: Time, frame: str = CAMERA_FRAME) -> Image:

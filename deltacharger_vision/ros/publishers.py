@@ -12,8 +12,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_vision import parameters as topics
-from deltacharger_vision.cameras.recording import COLOR, DEPTH, INFO
-from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.images import COLOR, DEPTH, INFO, Intrinsics, RgbdImage
 from deltacharger_vision.mount import CAMERA_FRAME
 from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message
 
