@@ -150,6 +150,11 @@ def test_no_heartbeat_while_open_is_no_fault() -> None:
     bench.send(PacketType.HEARTBEAT)
     bench.run(0.5)
     assert bench.power().fault == 0
+    bench.closed()
+    bench.send(PacketType.CONTACTOR, b"\0")
+    bench.beating = False
+    bench.run(0.5)
+    assert bench.power().fault == 0
 
 
 @pytest.mark.parametrize("fault", [1, 2, 4, 5, 6, 7, 9])

@@ -182,31 +182,6 @@ def test_packets_survive_a_cut_at_every_byte(codec: CodecProcess) -> None:
     assert assert_same(codec, [stream[i : i + 1] for i in range(len(stream))]) == sent
 
 
-def test_a_truncated_or_duplicated_packet_costs_only_itself(codec: CodecProcess) -> None:
-    source = random.Random(2)
-    packet, follower = random_packet(source, size=60), Packet(PacketType.PING, b"next", 1)
-    wire, following = encode_packet(packet), encode_packet(follower)
-    for cut in range(len(wire) - 1):
-        assert assert_same(codec, [wire[:cut], following]) == [follower]
-        assert assert_same(codec, [wire[len(wire) - cut :], following]) == [follower]
-    assert assert_same(codec, [wire, wire, following]) == [packet, packet, follower]
-
-
-def test_every_flipped_bit_is_noticed(codec: CodecProcess) -> None:
-    wire = encode_packet(random_packet(random.Random(3), size=40))
-    for bit in range(8, 8 * (len(wire) - 1)):
-        damaged = bytearray(wire)
-        damaged[bit // 8] ^= 1 << bit % 8
-        assert assert_same(codec, [bytes(damaged)]) == []
-
-
-@settings(max_examples=60)
-@given(st.lists(st.binary(max_size=3000), max_size=6))
-def test_garbage_is_taken_alike_and_never_outlasts_the_next_packet(codec: CodecProcess, pieces: list[bytes]) -> None:
-    good = Packet(PacketType.PING, b"hello")
-    assert assert_same(codec, [*pieces, b"\0" + encode_packet(good)])[-1] == good
-
-
 @pytest.mark.parametrize("version", [0, 2, 255])
 def test_another_major_version_is_refused_named_and_counted(codec: CodecProcess, version: int) -> None:
     assert assert_same(codec, [encode_packet(Packet(PacketType.START), version)]) == []

@@ -69,16 +69,6 @@ def test_commands_that_take_time_do_not_hide_a_lost_heartbeat(bench: Bench) -> N
     assert bench.state("fault") == BoardFault.HEARTBEAT_LOST
 
 
-@pytest.mark.parametrize("silence", [80 * MS, 99 * MS])
-def test_a_heartbeat_in_time_keeps_it_closed(bench: Bench, silence: int) -> None:
-    bench.charge()
-    bench.beating = False
-    for _ in range(20):
-        bench.send((PacketType.HEARTBEAT, b""))
-        bench.run(silence)
-    assert bench.state("contactor") == 1
-
-
 def test_a_slow_poll_opens_before_the_limit(new_bench: NewBench) -> None:
     """What a board needs between two polls comes off every deadline, so that 100 ms hold at the pins."""
     bench = new_bench(poll_period=8000)
@@ -98,17 +88,6 @@ def test_a_heartbeat_is_never_answered_and_counts_only_when_empty(bench: Bench, 
     bench.probe()
     assert bench.send((PacketType.HEARTBEAT, payload)) == []
     assert bench.close_contactor() == (AckError.INTERLOCK if payload else AckError.DONE)
-
-
-def test_fault_8_needs_a_closed_contactor(bench: Bench) -> None:
-    bench.send((PacketType.HEARTBEAT, b""))
-    bench.run(1 * S)
-    assert bench.state("fault") == 0
-    bench.charge()
-    bench.open()
-    bench.beating = False
-    bench.run(1 * S)
-    assert bench.state("fault") == 0
 
 
 def test_a_heartbeat_lost_during_precharge_opens_too(bench: Bench) -> None:
@@ -218,26 +197,6 @@ def test_no_probe_begins_before_the_coil_is_off(bench: Bench) -> None:
     assert bench.ask(*PROBE).error == AckError.NOT_NOW
     bench.run(1 * MS)
     assert bench.probe().error == 0
-
-
-def test_a_close_during_a_probe_ends_it_before_the_battery_comes(bench: Bench) -> None:
-    """The old answer still allows the close; probe and battery must never be on the electrodes together."""
-    bench.beating = True
-    bench.run(0)
-    bench.probe()
-    bench.send(PROBE)
-    answers = {ack.type: ack.error for ack in acks(bench.send(CLOSE))}
-    assert answers == {PacketType.CONTACTOR: 0, PacketType.PROBE: AckError.NOT_NOW}
-    assert bench.state("probe") == 0
-    assert acks(bench.run(300 * MS)) == []
-    assert bench.state("contactor") == 1
-
-
-def test_each_probe_gets_its_own_answer_even_within_one_piece_of_bytes(bench: Bench) -> None:
-    bench.send(PROBE)
-    packets = bench.send(OPEN, PROBE)
-    answers = [(ack.type, ack.error, ack.sequence) for ack in acks(packets + bench.run(200 * MS))]
-    assert answers == [(PacketType.CONTACTOR, 0, 2), (PacketType.PROBE, 4, 1), (PacketType.PROBE, 0, 3)]
 
 
 def test_energy_never_depends_on_a_live_host(bench: Bench) -> None:

@@ -223,12 +223,3 @@ def test_no_charge_current_is_no_fault_while_open(bench: Bench) -> None:
     assert bench.close_contactor() == 0
     bench.run(5 * MS)
     assert bench.state("fault") == BoardFault.NO_CHARGE_CURRENT
-
-
-def test_the_first_fault_stays(bench: Bench) -> None:
-    bench.charge()
-    bench.set("detected 6")
-    bench.run(10 * MS)
-    bench.set("detected 2")
-    bench.run(100 * MS)
-    assert bench.state("fault") == BoardFault.REVERSE_CURRENT

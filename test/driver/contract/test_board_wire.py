@@ -95,6 +95,7 @@ def test_an_unknown_command_is_told_to_be_one(wire: Wire) -> None:
         Packet(PacketType.START, b"\1", 5),
         Packet(PacketType.STOP, b"\0", 5),
         Packet(PacketType.HELLO, b"hello", 5),
+        Packet(PacketType.TARE, b"\0", 5),
         Packet(PacketType.PROBE, bytes(8), 5),
         Packet(PacketType.CONTACTOR, b"", 5),
         Packet(PacketType.CONTACTOR, b"\0\0", 5),
