@@ -38,15 +38,6 @@ def until_idle(run: VirtualCharger) -> None:
     run.until(lambda: run.machine.status.state is State.IDLE, 40.0)
 
 
-def test_a_servo_node_that_falls_silent_opens_before_a_third_of_a_second() -> None:
-    run = charging()
-    start = run.now
-    run.distort = lambda observation: replace(observation, servo_age=run.now - start)
-    assert until_open(run) <= 0.3
-    run.run(2.0)
-    assert run.machine.status.code is Code.SERVO_FAULT
-
-
 @pytest.mark.parametrize(
     ("values", "code"),
     [
@@ -185,15 +176,6 @@ def test_a_pull_that_the_servos_forgot_is_repeated() -> None:
 def test_holding_a_goal_is_not_limited_by_the_time_to_dock() -> None:
     run = quick_charger(parameters={"goal_timeout": 30.0})
     assert run.dock(DockGoal(GOAL, hold=True, stop_after=25.0)).success
-
-
-def test_torque_lost_while_pressing_ends_the_goal_at_once() -> None:
-    """Else the command would run on to the arm's limit, and pressing would resume from there."""
-    run = quick_charger()
-    run.begin(DockGoal(GOAL))
-    run.until(lambda: run.machine.status.state is State.CONTACT, 60.0)
-    run.distort = lambda observation: replace(observation, torque_enabled=False)
-    assert run.finish(2.0).code is Code.SERVO_FAULT
 
 
 def test_undocking_with_the_torque_left_on_is_no_success() -> None:

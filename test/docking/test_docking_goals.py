@@ -102,18 +102,6 @@ def test_every_client_that_docks_when_docked_hears_of_it(clients: list[ChargerCl
         assert any(outcome.success for outcome in outcomes)
 
 
-def test_a_goal_that_comes_while_the_charger_ends_is_refused_and_may_be_sent_again(
-    quick_scene: Scene, context: Any
-) -> None:
-    namespace = new_namespace()
-    with Composition(quick_scene, context, namespace) as composition, ChargerClient(namespace, context) as client:
-        assert client.wait_until_ready(DEADLINE)
-        composition.node("docking_node").close()
-        outcome = client.dock(GOAL, deadline=DEADLINE)
-        assert (outcome.error_name, outcome.retriable) == ("REJECTED", True)
-        assert "shutting down" in outcome.error_message
-
-
 def test_a_held_charger_moves_nothing_and_serves_the_goals_that_wait_once_it_is_released(
     quick_scene: Scene, context: Any
 ) -> None:

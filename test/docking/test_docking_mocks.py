@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -20,7 +19,7 @@ from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
 
-from ..chargers import DEADLINE, new_namespace, wait_until
+from ..chargers import DEADLINE, new_namespace
 from ..marks import slow
 
 pytestmark = pytest.mark.ros
@@ -167,21 +166,6 @@ def test_a_bad_detection_is_refused_before_anything_moves(charger: Charger, faul
     assert charger.composition.node("mock_servo_node").position == pytest.approx(before, abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("request_", "name"),
-    [
-        (DockRequest(Pose(float("nan"), 0.0, 0.08)), "REJECTED"),
-        (DockRequest(replace(PLACE, frame_id="the_moon")), "REJECTED"),
-        (DockRequest(PLACE, critical_angle=-1.0), "REJECTED"),
-        (DockRequest(Pose(0.5, 0.0, 0.08)), "UNREACHABLE"),
-        (DockRequest(replace(PLACE, roll=0.3)), "CRITICAL_ANGLE"),
-    ],
-)
-def test_a_goal_that_cannot_be_served_says_why(charger: Charger, request_: DockRequest, name: str) -> None:
-    outcome = charger.dock(request_)
-    assert (outcome.success, outcome.error_name) == (False, name), outcome
-
-
 def test_a_refused_contactor_is_told_in_the_boards_words(charger: Charger) -> None:
     charger.set_fault("mock_tactile_node", "contactor_refusal")
     outcome = charger.dock()
@@ -205,30 +189,6 @@ def test_a_cancelled_docking_ends_as_canceled_with_an_open_contactor(charger: Ch
 def test_a_deadline_cancels(charger: Charger) -> None:
     outcome = charger.client.dock(DockRequest(PLACE), deadline=0.5)
     assert outcome.error_name == "CANCELED", outcome
-
-
-def test_a_second_goal_is_rejected_while_the_first_is_served(charger: Charger) -> None:
-    began = threading.Event()
-    cancel = threading.Event()
-    first: list[Outcome] = []
-    thread = threading.Thread(
-        target=lambda: first.append(charger.dock(on_progress=lambda progress: began.set(), cancel=cancel))
-    )
-    thread.start()
-    try:
-        assert began.wait(DEADLINE)
-        second = charger.dock()
-    finally:
-        cancel.set()
-        thread.join(DEADLINE)
-    assert second.error_name == "REJECTED", second
-    assert first[0].error_name == "CANCELED"
-
-
-def test_a_fault_while_charging_opens_the_contactor_by_itself(charger: Charger) -> None:
-    assert charger.dock().success
-    charger.set_fault("mock_servo_node", "silence")
-    wait_until(lambda: open_contactor(charger), "an open contactor", 2.0)
 
 
 def test_closing_the_charger_opens_the_contactor_and_makes_the_arm_safe(quick_scene: Scene, context: Any) -> None:

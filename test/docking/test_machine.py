@@ -129,11 +129,6 @@ def test_the_raw_sum_of_currents_reads_docked_in_free_air(signal: str, code: Cod
     nothing = WorldParameters(target=TargetParameters(present=False))
     run = VirtualCharger(nothing, DockingParameters(current_signal=signal, current_min=0.3))
     assert run.dock().code is code
-
-
-def test_nothing_there_is_no_contact() -> None:
-    run = VirtualCharger(WorldParameters(target=TargetParameters(present=False)))
-    assert run.dock().code is Code.NO_CONTACT
     assert_safe_at_home(run)
 
 
@@ -208,23 +203,6 @@ def test_docking_when_docked_and_undocking_when_undocked_succeed_at_once() -> No
     assert run.undock().success
     assert run.undock().success
     assert_safe_at_home(run)
-
-
-def test_stop_after_ends_charging_and_keeps_the_contact() -> None:
-    run = charger()
-    outcome = run.dock(DockGoal(GOAL, hold=True, stop_after=3.0))
-    assert outcome.success
-    assert outcome.energy > 0.0
-    truth = run.world.snapshot()
-    assert not truth.contactor_closed
-    assert truth.contact_force > 0.0
-
-
-def test_stop_energy_ends_charging() -> None:
-    run = charger()
-    outcome = run.dock(DockGoal(GOAL, hold=True, stop_energy=500.0))
-    assert outcome.success
-    assert 500.0 <= outcome.energy < 600.0
 
 
 def test_the_camera_is_asked_when_no_pose_is_given() -> None:

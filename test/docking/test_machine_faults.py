@@ -37,17 +37,6 @@ def test_cancel_in_every_phase(state: State) -> None:
     assert run.dock().success, "the next goal is served"
 
 
-def test_cancel_while_holding() -> None:
-    run = quick_charger()
-    run.begin(DockGoal(GOAL, hold=True))
-    run.until(lambda: run.machine.status.charging, 120.0)
-    run.run(2.0)
-    assert run.outcome is None
-    run.machine.cancel()
-    assert run.finish(30.0).code is Code.CANCELED
-    assert_safe_at_home(run)
-
-
 @pytest.mark.parametrize("state", [*PHASES, State.CHARGING])
 @pytest.mark.parametrize(
     ("fault", "code"),
@@ -130,8 +119,10 @@ def test_the_way_back_needs_no_touch() -> None:
     assert_safe_at_home(run)
 
 
-def test_torque_lost_on_the_way_ends_the_goal_at_once() -> None:
-    run = moving_in(State.APPROACH)
+@pytest.mark.parametrize("state", [State.APPROACH, State.CONTACT])
+def test_torque_lost_on_the_way_ends_the_goal_at_once(state: State) -> None:
+    """Else the command would run on to the arm's limit, and pressing would resume from there."""
+    run = moving_in(state)
     run.distort = lambda observation: replace(observation, torque_enabled=False)
     assert run.finish(2.0).code is Code.SERVO_FAULT
 
@@ -199,14 +190,6 @@ def test_what_the_probe_and_the_stage_find_ends_docking(circuit: dict[str, float
     assert_safe_at_home(run)
 
 
-def test_a_welded_contactor_is_told_and_the_arm_stays() -> None:
-    run = quick_charger(circuit=CircuitParameters(welded=True))
-    assert run.dock().success
-    outcome = run.undock()
-    assert outcome.code is Code.CONTACTOR_WELDED
-    assert run.world.snapshot().contact_force > 0.0, "pulling live electrodes apart would draw an arc"
-
-
 @pytest.mark.parametrize(
     ("service", "code"),
     [
@@ -216,10 +199,9 @@ def test_a_welded_contactor_is_told_and_the_arm_stays() -> None:
         (Service.PROBE, Code.POWER_STALE),
     ],
 )
-@pytest.mark.parametrize("silent", [True, False])
-def test_services_that_fail_or_never_answer(service: Service, code: Code, silent: bool) -> None:
+def test_services_that_fail(service: Service, code: Code) -> None:
     run = quick_charger()
-    run.answer[service] = lambda reply: None if silent else Reply(reply.number, False, "out of order")
+    run.answer[service] = lambda reply: Reply(reply.number, False, "out of order")
     outcome = run.dock()
     assert outcome.code is code
     run.until(lambda: run.machine.status.state is State.IDLE, 30.0)
