@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 import pytest
 
@@ -20,35 +19,6 @@ from ..waiting import wait_until
 from .servo_rig import BOUND, OVERLOAD
 
 pytestmark = pytest.mark.realtime
-
-
-def test_torque_goes_on_where_the_arm_is(bus: ServoBus, arm: BenchArm, emulator: ServoBusEmulator) -> None:
-    emulator.servo(1).table.set("goal_position", 3000)
-    bus.enable_torque(BOUND)
-    assert arm.torque_enabled() == [True, True, True]
-    for _ in range(10):
-        snapshot = bus.read()
-    assert snapshot.torque_enabled == (True, True, True)
-    assert arm.angles == pytest.approx((-0.7, -0.5, 0.2), abs=TICK)
-    assert [command[2] for command in arm.commands] == pytest.approx([0.83] * 3, abs=CURRENT_UNIT)
-
-
-def test_goal_and_bound_arrive_together(bus: ServoBus, arm: BenchArm) -> None:
-    bus.enable_torque(BOUND)
-    bus.write_goals((-0.6, -0.4, 0.3), (0.5, 0.6, 0.0))
-    wait_until(lambda: arm.commands[2][1] == pytest.approx(0.3, abs=TICK))
-    assert [command[1] for command in arm.commands] == pytest.approx([-0.6, -0.4, 0.3], abs=TICK)
-    assert [command[2] for command in arm.commands] == pytest.approx([0.5, 0.6, 0.0], abs=CURRENT_UNIT)
-
-
-def test_the_arm_arrives_and_says_so(bus: ServoBus, arm: BenchArm) -> None:
-    bus.enable_torque(BOUND)
-
-    def arrived() -> bool:
-        bus.write_goals((-0.6, -0.6, 0.1), BOUND)
-        return max(abs(a - b) for a, b in zip(bus.read().angle, (-0.6, -0.6, 0.1), strict=True)) < 2 * TICK
-
-    wait_until(arrived)
 
 
 def test_signs_follow_the_mounting(terminal: PseudoTerminal, arm: BenchArm) -> None:
@@ -124,48 +94,6 @@ def test_one_that_refuses_takes_the_torque_of_all(bus: ServoBus, emulator: Servo
     with pytest.raises(DriverError):
         bus.enable_torque(BOUND)
     assert arm.torque_enabled()[:2] == [False, False]
-
-
-def test_a_servo_that_restarted_is_noticed_and_never_taken_for_a_position(
-    bus: ServoBus, emulator: ServoBusEmulator, arm: BenchArm
-) -> None:
-    bus.enable_torque(BOUND)
-    emulator.reboot(2, time.monotonic())
-    snapshot = wait_until(lambda: (s := bus.read()).rebooted[1] and s)
-    assert not snapshot.valid[1]
-    assert math.isnan(snapshot.angle[1])
-    assert not arm.torque_enabled()[1]
-    bus.configure(1)
-    snapshot = wait_until(lambda: (s := bus.read()).complete and s)
-    assert snapshot.torque_enabled[1] is False
-    assert snapshot.rebooted == (False, False, False)
-
-
-def test_a_reboot_clears_what_is_latched(bus: ServoBus, emulator: ServoBusEmulator) -> None:
-    emulator.raise_hardware_error(1, OVERLOAD)
-    bus.read()
-    bus.reboot(0)
-    wait_until(lambda: bus.read().rebooted[0])
-    bus.configure(0)
-    snapshot = wait_until(lambda: (s := bus.read()).complete and s)
-    assert snapshot.hardware_error == (0, 0, 0)
-
-
-def test_the_servos_stop_by_themselves_when_the_host_is_silent(
-    bus: ServoBus, emulator: ServoBusEmulator, arm: BenchArm
-) -> None:
-    bus.enable_torque(BOUND)
-    bus.write_goals((0.0, 0.0, 0.0), (0.2, 0.2, 0.2))
-    wait_until(lambda: emulator.servo(1).table.get("bus_watchdog") == 255)
-    assert bus.read().watchdog_tripped == (True, True, True)
-    where = arm.commands[0][1]
-    bus.write_goals((0.0, 0.0, 0.0), BOUND)
-    bus.read()
-    assert arm.commands[0][1] == where  # goals are locked until the watchdog is cleared
-    bus.restart_watchdogs()
-    bus.write_goals((0.0, 0.0, 0.0), BOUND)
-    assert bus.read().watchdog_tripped == (False, False, False)
-    assert arm.commands[0][1] == 0.0
 
 
 def test_a_pulled_cable_is_told_and_the_bus_opens_again(bus: ServoBus, terminal: PseudoTerminal, arm: BenchArm) -> None:
