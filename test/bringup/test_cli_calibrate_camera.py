@@ -293,15 +293,6 @@ def test_missing_files_are_named(capsys: pytest.CaptureFixture[str], rig: Rig, v
     assert run(capsys, "--views", views, *offset(rig), "--geometry", tmp_path / "no.yaml")[0] == WRONG_INPUT
 
 
-def test_gray_and_sixteen_bit_images_will_do(capsys: pytest.CaptureFixture[str], rig: Rig, views: Path) -> None:
-    first, second = (cv2.imread(str(views / f"view_00{n}.png")) for n in (1, 2))
-    assert cv2.imwrite(str(views / "view_001.png"), cv2.cvtColor(first, cv2.COLOR_BGR2GRAY))
-    assert cv2.imwrite(str(views / "view_002.png"), second.astype(np.uint16) * 257)
-    code, text, _ = run(capsys, "--views", views, *offset(rig), "--json")
-    assert code == DONE
-    assert json.loads(text)["views"] == COUNT
-
-
 def test_an_over_exposed_tag_is_noted(capsys: pytest.CaptureFixture[str], rig: Rig, views: Path) -> None:
     for path in views.glob("*.png"):
         assert cv2.imwrite(str(path), np.clip(cv2.imread(str(path)).astype(float) * 1.7, 0, 255).astype(np.uint8))

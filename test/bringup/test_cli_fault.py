@@ -263,20 +263,6 @@ def test_a_folder_of_somebody_else_is_not_used(tmp_path: Path, fault: Callable[.
         assert silent(charger.servo_port, 2)
 
 
-def test_it_reaches_a_simulator_that_runs_in_another_process(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], tmp_path: Path, fault: Callable[..., Said]
-) -> None:
-    process = start(*deltacharger, "simulate", "--directory", str(tmp_path / "ports"))
-    process.wait_for_line("ready", process.out)
-    assert fault("servo_unplugged", "--for-s", "0.5").code == 0
-    port = tmp_path / "ports" / "servo"
-    assert not port.exists()
-    wait_until(port.exists, "the port to come back")
-    assert answers(str(port), 1)
-    assert process.end(signal.SIGTERM) == 0
-    assert list((tmp_path / "ports").iterdir()) == []
-
-
 def test_what_is_ordered_befalls_the_nodes_of_a_charger_that_is_up(
     start: Callable[..., Process], deltacharger: tuple[str, ...], tmp_path: Path, fault: Callable[..., Said]
 ) -> None:

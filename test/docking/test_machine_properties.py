@@ -420,21 +420,3 @@ def test_whatever_spoils_charging_ends_it_or_leaves_it_watched(seed: int, spoil:
     run.settle()
     assert run.judge.closings >= 1
     assert run.machine.status.charging == run.model.wanted
-
-
-@pytest.mark.parametrize("hold", [True, False])
-@pytest.mark.parametrize("after", [0.05, 0.4, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 12.0])
-def test_a_cancel_at_any_time_ends_in_canceled_with_the_arm_back(after: float, hold: bool) -> None:
-    run = Run(1, (), 0.0, False)
-    run.goal(DockGoal(None, hold=hold))
-    while run.model.now < after and not run.codes:
-        run.step()
-    if run.codes:  # there is nothing left to cancel
-        assert (run.codes, hold) == ([Code.NONE], False), "it succeeded before"
-        return
-    run.machine.cancel()
-    run.finish(20.0)
-    assert run.codes == [Code.CANCELED]
-    assert run.judge.states[-1] is State.IDLE
-    assert not run.model.wanted
-    assert not run.model.torque

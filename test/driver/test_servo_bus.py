@@ -96,22 +96,6 @@ def test_one_that_refuses_takes_the_torque_of_all(bus: ServoBus, emulator: Servo
     assert arm.torque_enabled()[:2] == [False, False]
 
 
-def test_a_pulled_cable_is_told_and_the_bus_opens_again(bus: ServoBus, terminal: PseudoTerminal, arm: BenchArm) -> None:
-    bus.enable_torque(BOUND)
-    terminal.stop()
-    with pytest.raises(PortGone):
-        bus.read()
-    with pytest.raises(PortGone):
-        bus.write_goals((0.0, 0.0, 0.0), BOUND)
-    bus.close()
-    terminal.start()
-    again = ServoBus(BusSettings(terminal.path))
-    again.open()
-    assert again.read().complete
-    assert arm.torque_enabled() == [False, False, False]
-    again.close()
-
-
 def test_torque_off_reaches_the_servos_that_answer(bus: ServoBus, emulator: ServoBusEmulator, arm: BenchArm) -> None:
     bus.enable_torque(BOUND)
     emulator.faults.missing = {1}

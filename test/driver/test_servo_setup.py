@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import pytest
@@ -14,31 +13,9 @@ from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, terminal_s
 from deltacharger_driver.errors import DriverError, HandshakeError
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.control_table import ControlTable
-from deltacharger_driver.servos.mx64 import TICK
 from deltacharger_driver.servos.snapshot import BusSettings
 
 pytestmark = pytest.mark.realtime
-
-
-def test_after_opening_torque_is_off_and_every_register_is_as_it_should(
-    bus: ServoBus, emulator: ServoBusEmulator
-) -> None:
-    for servo in (1, 2, 3):
-        table = emulator.servo(servo).table
-        assert table.get("torque_enable") == 0
-        assert table.get("return_delay") == 0
-        assert table.get("operating_mode") == 5
-        assert table.get("bus_watchdog") == 6
-        assert table.get("homing_offset") == 0
-    snapshot = bus.read()
-    assert snapshot.complete
-    assert snapshot.angle == pytest.approx((-0.7, -0.5, 0.2), abs=TICK)
-    assert snapshot.velocity == (0.0, 0.0, 0.0)
-    assert snapshot.voltage == pytest.approx((12.0, 12.0, 12.0))
-    assert snapshot.temperature == (30.0, 30.0, 30.0)
-    assert snapshot.hardware_error == (0, 0, 0)
-    assert snapshot.torque_enabled == (False, False, False)
-    assert time.monotonic() - snapshot.time < 1.0
 
 
 def test_id_speed_and_offset_are_never_written_and_eeprom_only_once(
@@ -59,15 +36,6 @@ def test_id_speed_and_offset_are_never_written_and_eeprom_only_once(
     written.clear()
     closed.open()
     assert not [address for address in written if address < 64]
-
-
-def test_a_servo_left_with_torque_is_switched_off(closed: ServoBus, emulator: ServoBusEmulator, arm: BenchArm) -> None:
-    table = emulator.servo(2).table
-    table.set("operating_mode", 5)
-    table.set("torque_enable", 1)
-    closed.open()
-    assert arm.torque_enabled() == [False, False, False]
-    assert table.get("torque_enable") == 0
 
 
 def test_all_faults_come_in_one_message(closed: ServoBus, emulator: ServoBusEmulator, terminal: PseudoTerminal) -> None:

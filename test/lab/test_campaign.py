@@ -70,13 +70,6 @@ def test_a_row_has_every_column_and_its_type() -> None:
     assert abs(row["goal_x"] - row["place_x"]) < 0.003
 
 
-def test_another_key_leaves_what_the_others_drew() -> None:
-    more = {**QUICK, "world": {**QUICK["world"], "contact": {"friction": [0.1, 0.5]}}}
-    one, two = draw(scene(), 3, 7, "guarded"), draw(scene(more), 3, 7, "paper")
-    assert {name: two.values[name] for name in one.values} == one.values
-    assert (one.seed, one.rig_seed, one.goal) == (two.seed, two.rig_seed, two.goal)
-
-
 def test_workers_make_no_difference(capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str) -> None:
     common = ("-n", "6", "--seed", "3", "--scenes", quick)
     code, alone, err = run(capsys, *common, "--out", str(tmp_path / "runs" / "one"))

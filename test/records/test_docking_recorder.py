@@ -18,7 +18,6 @@ from .docking_tapes import (
     BEGAN,
     KINDS,
     NAMES,
-    decision,
     docking,
     in_order,
     measured,
@@ -111,18 +110,6 @@ def test_hours_of_charging_take_little_and_their_ends_are_whole(tmp_path: Path) 
     assert times[-1] - times[0] == pytest.approx(3603.0, abs=2.0)
     thinned = found.as_dict()["dropped"]["thinned"]
     assert thinned[NAMES["tactile_frame"]] > 10_000
-
-
-def test_a_routine_decision_while_charging_does_not_keep_everything(tmp_path: Path) -> None:
-    recording = recorder(tmp_path)
-    checks = [decision(3.1 + 2.0 * each, State.CHARGING, "blind", times=1.0) for each in range(300)]
-    tape = docking(state(3.0, State.CHARGING, charging=True, docked=True))
-    now = play(recording, in_order([*tape, *readings(3.0, 603.0, 5.0, rate=10.0), *checks]))
-    recording.close()
-    found = replay(only(tmp_path))
-    assert len(found.run.decisions) == 300 + 2
-    assert found.recording.counts["servo_state"] < 300 + 600 + 2 * 10 * 4
-    assert now > 600.0
 
 
 def test_a_fault_while_charging_names_the_record(tmp_path: Path) -> None:

@@ -182,21 +182,6 @@ def test_a_refused_docking_says_why(cell: Cell, node: str, fault: str, name: str
     assert [each.kind for each in found.run.decisions] == cell.heard()
 
 
-@pytest.mark.slow
-def test_a_cancelled_docking_says_so(cell: Cell) -> None:
-    cancel = threading.Event()
-
-    def on_progress(progress: Progress) -> None:
-        if progress.phase == "contact":
-            cancel.set()
-
-    outcome = cell.client.dock(DockRequest(PLACE, request_id="cancelled"), on_progress, cancel, DEADLINE)
-    assert outcome.error_name == "CANCELED", outcome
-    found = cell.record("cancelled", "CANCELED")
-    assert_same(found, outcome)
-    assert "The client took the goal back in" in why(found)
-
-
 def test_a_folder_that_cannot_be_written_stops_recording_and_not_docking(
     quick_scene: Scene, context: Any, tmp_path: Path
 ) -> None:

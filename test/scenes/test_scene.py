@@ -120,14 +120,6 @@ def test_the_geometry_of_the_simulated_arm_is_checked_with_the_scene(tmp_path: P
         load_scene(write(tmp_path, f"simulation: {{geometry_file: {file}}}"))
 
 
-def test_numbers_are_read_as_people_write_them(tmp_path: Path) -> None:
-    scene = load_scene(write(tmp_path, "simulation: {world: {contact: {stiffness: 1e5}}}\ngoal: {x: 1e-3, z: 8e-2}"))
-    assert scene.simulation is not None
-    assert scene.simulation.world.contact.stiffness == 1e5
-    assert scene.goal is not None
-    assert (scene.goal.x, scene.goal.z) == (1e-3, 8e-2)
-
-
 def test_who_commands_starts_last_and_so_closes_first() -> None:
     doubles = {spec.stands_in_for for spec in NODES.values()}
     players = {name for name, spec in NODES.items() if spec.plays}
