@@ -17,23 +17,15 @@ from typing import Any
 import pytest
 
 from deltacharger_bringup.cli import scene
-from deltacharger_bringup.cli.main import build_parser, main
+from deltacharger_bringup.cli.main import build_parser
 
 from ..chargers import Process
+from .command import run
 
 COMMANDS = (
     *("up", "dock", "undock", "scene", "simulate", "doctor", "tactile", "vision", "calibrate"),
     *("campaign", "report", "view", "replay", "fault"),
 )
-
-
-def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
-    try:
-        code = main(words)
-    except SystemExit as end:  # argparse ends the process itself
-        code = int(end.code or 0)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
 
 
 def one_object(text: str) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deltacharger_bringup.cli.main import main
 from deltacharger_core.parameters import from_mapping
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.calibration.data import TICK, Encoder
@@ -19,20 +18,16 @@ from deltacharger_kinematics.calibration.problem import COUNT, Uncertainty, numb
 from deltacharger_kinematics.calibration.recording import PoseRecording
 from deltacharger_kinematics.geometry_file import load_geometry
 
+from . import command
+
 NOMINAL = DeltaGeometry()
 ARM = with_numbers(
     NOMINAL, numbers(NOMINAL) + np.random.default_rng(1).uniform(-1.0, 1.0, COUNT) * Uncertainty().tolerances
 )
-CALIBRATE = ("calibrate", "kinematics")
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
-    try:
-        code = main([*CALIBRATE, *map(str, words)])
-    except SystemExit as end:
-        code = int(end.code or 0)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
+    return command.run(capsys, "calibrate", "kinematics", *words)
 
 
 def record(path: Path, arm: DeltaGeometry = ARM, wrong: int | None = None) -> Path:

@@ -13,7 +13,6 @@ import pytest
 import yaml
 
 from deltacharger_bringup.calibrate.camera_views import VIEWS, ViewsError, ViewsFolder, read_rows
-from deltacharger_bringup.cli.main import main
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT
 from deltacharger_vision.cameras.camera_info import load_camera_info
 from deltacharger_vision.hand_eye.board import AprilTag
@@ -22,6 +21,7 @@ from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import OAK_D
 
 from ..vision.hand_eye_rig import ARM, Rig, squared
+from . import command
 
 cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
@@ -52,12 +52,7 @@ def offset(rig: Rig) -> list[str]:
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
-    try:
-        code = main(["calibrate", "camera", *map(str, words)])
-    except SystemExit as end:
-        code = int(end.code or 0)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
+    return command.run(capsys, "calibrate", "camera", *words)
 
 
 def rewrite(folder: Path, lines: list[str]) -> None:

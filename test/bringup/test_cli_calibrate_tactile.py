@@ -12,23 +12,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deltacharger_bringup.cli.main import main
 from deltacharger_tactile.calibration.rig import TactileCalibration
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.generator import generate_continuous
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.sensor import Rig
 
+from . import command
+
 NEAR = {"position_limit": 0.008, "angle_limit": math.radians(10.0)}
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
-    try:
-        code = main(["calibrate", "tactile", *map(str, words)])
-    except SystemExit as end:
-        code = int(end.code or 0)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
+    return command.run(capsys, "calibrate", "tactile", *words)
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,6 @@ from typing import Any
 import pytest
 import serial
 
-from deltacharger_bringup.cli.main import main
 from deltacharger_core import runtime
 from deltacharger_scenes.scene import parse_scene
 from deltacharger_sim.charger.fault_channel import ask
@@ -23,6 +22,7 @@ from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
 from ..chargers import Process, wait_until
 from ..sim.test_simulated_charger import answer, ping
+from . import command
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
@@ -77,14 +77,7 @@ class Said:
 
 @pytest.fixture
 def fault(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
-    def run(*words: str) -> Said:
-        try:
-            code = main(("fault", *words))
-        except SystemExit as end:
-            code = int(end.code or 0)
-        return Said(code, *capsys.readouterr())
-
-    return run
+    return lambda *words: Said(*command.run(capsys, "fault", *words))
 
 
 def test_a_servo_goes_missing_for_a_while(charger: SimulatedCharger, fault: Callable[..., Said]) -> None:

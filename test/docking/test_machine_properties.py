@@ -262,7 +262,6 @@ SPOILS: dict[str, Spoil] = {
     "other": _replies(_other),
     "nothing": _replies(_nothing),
 }
-SERVOS = ("torque", "error", "servo age")
 
 
 class Run:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from deltacharger_bringup.cli.main import main
 from deltacharger_kinematics.geometry import DeltaGeometry
 
+from ..bringup.command import run
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
 
 pytestmark = pytest.mark.ros
@@ -111,12 +112,7 @@ def count(file: Path, topic: str) -> int:
 
 
 def view(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
-    try:
-        code = main(["view", *map(str, words)])
-    except SystemExit as end:  # argparse ends the process itself
-        code = int(end.code or 0)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
+    return run(capsys, "view", *words)
 
 
 def test_everything_that_a_docking_has_is_shown(shown: Recording) -> None:

@@ -17,16 +17,14 @@ from deltacharger_bringup.cli.main import main
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 
 from ...emulated_ports import IDS
+from .. import command
 
 pytestmark = pytest.mark.realtime
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, dict[str, Any]]:
-    try:
-        code = main(["doctor", *words, "--json"])
-    except SystemExit as end:  # argparse ends the process itself
-        code = int(end.code or 0)
-    value = json.loads(capsys.readouterr().out)
+    code, out, _ = command.run(capsys, "doctor", *words, "--json")
+    value = json.loads(out)
     assert isinstance(value, dict)
     return code, value
 
