@@ -179,19 +179,6 @@ def test_a_normal_that_is_not_known_is_null(tmp_path: Path, run: Run) -> None:
     assert found["normal"] == [None, None, None]
 
 
-@pytest.mark.parametrize("model", list(LENSES))
-def test_a_lens_that_distorts_changes_nothing(tmp_path: Path, run: Run, model: str) -> None:
-    camera = dataclasses.replace(OAK_D, distortion=LENSES[model])
-    image = view(4, 0.3, 0.1, 0.06, camera=SimulatedCamera(camera))
-    color, depth = write_image(tmp_path / "a.png", image.color), write_image(tmp_path / "d.png", millimetres(image))
-    words = ("--color", color, "--depth", depth, "--camera-info")
-    code, found, _ = run(*words, write_info(tmp_path / "k.yaml", camera, model))
-    assert code == DONE
-    near(found, 0.3, 0.1, 0.06)
-    _, straight, _ = run(*words, write_info(tmp_path / "none.yaml"))
-    assert straight["position"] is None or math.dist(straight["position"], found["position"]) > 0.001
-
-
 def test_a_terminal_of_another_size_needs_its_file(files: Path, tmp_path: Path, run: Run) -> None:
     small = tmp_path / "small.yaml"
     small.write_text("{bar_length: 0.035, bar_height: 0.005, gap: 0.0037, bar_thickness: 0.003}")
