@@ -67,7 +67,8 @@ def test_a_mission_drives_looks_stands_docks_charges_undocks_and_returns() -> No
     offset=st.tuples(*[st.floats(-0.5, 0.5)] * 2, st.floats(0.0, 0.5)),
     facing=angles,
     shift=st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05)),
-    miss=st.tuples(st.floats(-0.02, 0.02), st.floats(-0.02, 0.02), st.floats(-0.05, 0.05)),
+    # 0.01 m each way and 0.03 rad at 0.79 m from the base's centre lie within REACH, each time anew.
+    miss=st.tuples(st.floats(-0.01, 0.01), st.floats(-0.01, 0.01), st.floats(-0.03, 0.03)),
 )
 def test_it_docks_wherever_the_arm_is_mounted_and_the_target_faces(
     heading: float,

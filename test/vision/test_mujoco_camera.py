@@ -21,7 +21,7 @@ from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
 from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
 from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts, cover, draw_scene
-from deltacharger_vision.terminal import Terminal
+from deltacharger_vision.terminal import UPPER, Terminal
 
 from .views import edge_errors, linear, shown, view
 
@@ -137,7 +137,7 @@ def test_a_highlight_moves_with_the_light(camera: MujocoCamera) -> None:
         ideal(RenderedScene(parameters=shining, light=light), view(0.25), camera).color.astype(int)
         for light in ((0.0, 0.0, -1.0), (1.0, 0.0, -0.3))
     )
-    column, row = np.rint(shown(Terminal().corners()[0].mean(axis=0), view(0.25), OAK_D)).astype(int)
+    column, row = np.rint(shown(Terminal().corners()[UPPER].mean(axis=0), view(0.25), OAK_D)).astype(int)
     assert straight[row, column].min() == 255
     assert aside[row, column].max() < 230
 
@@ -199,7 +199,7 @@ def test_edges_are_as_wide_as_asked(camera: MujocoCamera, width: float, sizes: t
     pose = view(0.25, roll=0.02)  # a little askew, so that every part of a pixel is met
     with MujocoCamera(parameters=dataclasses.replace(IDEAL, edge_width=width)) as other:
         light = linear(ideal(FACES, pose, other).color)
-    column, row = np.rint(shown(Terminal().corners()[0].mean(axis=0), pose, OAK_D)).astype(int)
+    column, row = np.rint(shown(Terminal().corners()[UPPER].mean(axis=0), pose, OAK_D)).astype(int)
     # The ramp's width: 1 over its steepest mean slope, as the height of the step is 1.
     spreads = []
     for offset in range(-40, 41):
