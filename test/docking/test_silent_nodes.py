@@ -15,6 +15,7 @@ import pytest
 
 from deltacharger_docking.codes import Code, State
 
+from ..marks import slow
 from .silences import OPEN_WITHIN, Faulty
 
 NONE = Code.NONE
@@ -30,6 +31,7 @@ PHASES = (
 )
 TOUCHING = (State.LOCATE, State.APPROACH, State.CONTACT, State.MEASURE, State.ALIGN)
 NODES = ("servo_node", "tactile_node", "misalignment_node", "electrode_detector_node", "docking_node")
+QUICK = (State.CONTACT, State.ENERGISE, State.CHARGING, State.RETRACT)
 STOPPED = 1.0  # s
 NOTICED = 0.3  # s after which no line goes on
 SETTLING = 0.003  # m by which a loaded arm comes to rest where it was stopped
@@ -110,7 +112,11 @@ def test_a_node_that_is_killed(run: Faulty, node: str, phase: State) -> None:
     run.go_home()
 
 
-@pytest.mark.parametrize(("node", "phase"), cells(), ids=lambda value: getattr(value, "name", value))
+@pytest.mark.parametrize(
+    ("node", "phase"),
+    [cell if cell[1] in QUICK else slow(*cell) for cell in cells()],
+    ids=lambda value: getattr(value, "name", value),
+)
 def test_a_node_that_is_stopped_for_a_second(run: Faulty, node: str, phase: State) -> None:
     """Its late answers come all at once, the trajectories it missed do not; nothing that was opened closes again."""
     run.reach(phase)

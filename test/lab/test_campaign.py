@@ -27,6 +27,7 @@ from deltacharger_lab.campaigns.summary import summarise, wilson
 from deltacharger_lab.campaigns.virtual_charger import TICK, VirtualCharger
 
 from ..chargers import Process, wait_until
+from ..marks import slow
 from .campaigns import QUICK, comparable, scene, settings, stored
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra campaign)")
@@ -120,6 +121,7 @@ def is_alive(process: int) -> bool:
         return False
 
 
+@pytest.mark.slow
 def test_workers_end_with_a_parent_that_is_killed(start: Callable[..., Process], tmp_path: Path, quick: str) -> None:
     out = tmp_path / "killed"
     process = start(*WORDS, "-n", "2000", "--scenes", quick, "--batch", "1", "--workers", "2", "--out", str(out))
@@ -130,6 +132,7 @@ def test_workers_end_with_a_parent_that_is_killed(start: Callable[..., Process],
     wait_until(lambda: not any(is_alive(worker) for worker in workers), "the workers' end")
 
 
+@pytest.mark.slow
 def test_a_worker_process_that_dies_loses_and_doubles_nothing(tmp_path: Path) -> None:
     told: list[str] = []
 
@@ -148,7 +151,7 @@ def test_a_worker_process_that_dies_loses_and_doubles_nothing(tmp_path: Path) ->
     assert stored(tmp_path / "s") == comparable(run_batch(settings(12).to_json(), range(12)))
 
 
-@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("workers", ["1", slow("2")])
 def test_ctrl_c_leaves_a_file_that_goes_on_and_exits_130(
     start: Callable[..., Process], capsys: pytest.CaptureFixture[str], tmp_path: Path, quick: str, workers: str
 ) -> None:
