@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_lab.campaigns.docking import CRASHED
 from deltacharger_lab.campaigns.settings import CampaignRefused
 from deltacharger_lab.campaigns.store import read_results, read_settings
 from deltacharger_lab.campaigns.summary import COLUMNS, NUMBERS, RATES, Results, numbers
-
-Array = NDArray[np.float64]
 
 _RESAMPLES = 4000
 _MANY = 20_000  # pairs from which the mean is normally distributed anyway, and resampling only costs

@@ -10,13 +10,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Limb
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim.mujoco_model import rod_angles
-
-Array = NDArray[np.float64]
 
 ROD_SPACING = 0.040
 """Between the two rods of a limb, m (assumed; the kinematics does not depend on it)."""

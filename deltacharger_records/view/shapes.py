@@ -11,13 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry
 from deltacharger_records.view.mechanism import elbows, feet, motors, rods
 from deltacharger_vision.terminal import Terminal
 
-Array = NDArray[np.float64]
 Color = tuple[int, int, int]
 
 ORANGE: Color = (242, 130, 33)

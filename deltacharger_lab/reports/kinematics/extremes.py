@@ -10,14 +10,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from deltacharger_core.arrays import Array
 from deltacharger_kinematics import Delta, DeltaGeometry, KinematicsError, Status
 from deltacharger_lab.reports.kinematics.measure import KinematicsPlan
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 from deltacharger_lab.reports.kinematics.sets import near_type_2
 
-Array = NDArray[np.float64]
 _ANGLE_BOUND = 1e-15  # rad; what a good answer may miss the exact one by, relative beyond 1 rad
 _LIMBS = Status.LIMB_0 | Status.LIMB_1 | Status.LIMB_2
 _NAN = math.nan

@@ -14,12 +14,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 _NAN3: Vector = (math.nan, math.nan, math.nan)
 # A float or an array of floats; both have the operators used here, and no common type says so.

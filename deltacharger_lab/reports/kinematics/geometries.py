@@ -9,15 +9,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_kinematics import Delta, DeltaGeometry, Status
 from deltacharger_kinematics.geometry import LimbAdjustment
 from deltacharger_lab.reports.kinematics.measure import KinematicsPlan
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 from deltacharger_lab.reports.kinematics.sets import assembled, boundary, outside
 
-Array = NDArray[np.float64]
 _OUTWARD = (-1, -1, -1)
 _FEWEST = 20
 ADJUSTED = (

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_lab.reports.kinematics import sets
 from deltacharger_lab.reports.kinematics.reference import Exact, ExactDelta
@@ -18,7 +18,6 @@ from deltacharger_lab.reports.kinematics.sets import PointSet
 from deltacharger_lab.reports.kinematics.solvers import Solver, calls_reachable
 from deltacharger_lab.reports.kinematics.timing import Stopwatch
 
-Array = NDArray[np.float64]
 _MERGED = 1e-13  # rad; knees closer than this are one
 DECADES = range(-17, -3)
 
@@ -66,7 +65,7 @@ class ErrorSample:
         return ErrorSample(self.points.first(count), self.right.first(count), self.other.first(count))
 
 
-Verdict = tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]
+Verdict = tuple[Array, Mask, Mask]
 """Of each answer (n,): its error, NaN where there is none; whether there is none; whether it is the other one."""
 
 

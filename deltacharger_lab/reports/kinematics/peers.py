@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS
 
-Array = NDArray[np.float64]
 _TIGHT = 1e-16  # residual asked for; below what doubles can hold, so that a solver stops when it gains nothing more
 _STEPS = 50
 _START_POSITION = (0.0, 0.0, 0.055)  # of forward solvers: the middle of the workspace box

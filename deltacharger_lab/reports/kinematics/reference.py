@@ -14,11 +14,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_kinematics import DeltaGeometry
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 DIGITS = 60
 _TWO_PI = (6.283185307179586, 2.4492935982947064e-16)  # 2π as the sum of two doubles

@@ -16,12 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.limb_arrays import LimbArrays
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+Mask = Mask
 _STEPS = np.array(list(itertools.product(range(-4, 5), repeat=3)), dtype=np.float64)  # units in the last place tried
 _CLEAR = 0.02  # of the shorter link; how far inside reach the limbs lie that a set does not aim at
 _DEFAULT_SPAN = 0.28  # m; arm + rod of the default robot, for which distances to the edge are stated

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.limb_arrays import LimbArrays
 from deltacharger_kinematics.scalar import ScalarDelta
@@ -24,7 +24,6 @@ from deltacharger_lab.reports.kinematics.forms import (
 )
 from deltacharger_lab.reports.kinematics.peers import Peer
 
-Array = NDArray[np.float64]
 Family = Literal["ours", "form", "peer"]
 ARRAY, PRECISE, POINT, SCALAR = "Delta.inverse, array", "Delta.inverse, precise", "Delta.inverse, point", "ScalarDelta"
 OURS = (ARRAY, PRECISE, POINT, SCALAR)
@@ -124,7 +123,7 @@ def rod_errors(geometry: DeltaGeometry, points: Array, angles: Array) -> Array:
         return np.asarray(np.abs(np.linalg.norm(points - elbows, axis=-1) - geometry.rod).T)
 
 
-def calls_reachable(solver: Solver, points: Array) -> NDArray[np.bool_]:
+def calls_reachable(solver: Solver, points: Array) -> Mask:
     """Return for which points (n,) a solver has an answer that a user would believe."""
     angles = solver.solve(points)
     if solver.rods is None:

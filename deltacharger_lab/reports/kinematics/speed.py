@@ -7,15 +7,14 @@ import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_lab.reports.kinematics.forms import INVERSE_FORMS, inverse_array
 from deltacharger_lab.reports.kinematics.measure import KinematicsPlan
 from deltacharger_lab.reports.kinematics.solvers import ARRAY, SCALAR, Solver
 
-Array = NDArray[np.float64]
 Call = Callable[[], object]
 BATCH = 10_000
 _SINGLES = 200  # points that one timing of single calls goes through

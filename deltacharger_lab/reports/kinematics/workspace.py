@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_kinematics import Delta, DeltaGeometry, Status
 from deltacharger_lab.reports.kinematics.sets import plain_edge
 from deltacharger_records.plotting import INK, Axes, picture
 
-Array = NDArray[np.float64]
 _LIMITS = Status.JOINT_LIMIT | Status.SWING_LIMIT
 _BEYOND = "#dfe3e8"  # out of reach, or only on the other assembly
 _MARGIN = 0.140  # m around the workspace box

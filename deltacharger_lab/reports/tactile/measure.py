@@ -19,8 +19,6 @@ from deltacharger_tactile.classifiers.labels import Examples
 from deltacharger_tactile.dataset import SUBSET_ANGLE, SUBSET_POSITION, Dataset
 from deltacharger_tactile.generator import generate_paper
 
-Array = NDArray[np.float64]
-
 BINS = 10
 """Of the predicted probability in the reliability diagrams."""
 WINDOWS = (WINDOW, 2 * WINDOW)

@@ -10,14 +10,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.generator import measure
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.sensor import Rig
 
-Array = NDArray[np.float64]
 _OTHER = 100  # added to a rig's seed for another one
 _TILT = math.radians(0.06)
 
@@ -89,7 +88,7 @@ SHIFTS = (
 """Of the table; rig-wide changes keep whatever else the seed of the rig decides."""
 
 
-def dock_again(known: Dataset, shift: Shift, rig: int, seed: int, rows: NDArray[np.bool_]) -> Dataset:
+def dock_again(known: Dataset, shift: Shift, rig: int, seed: int, rows: Mask) -> Dataset:
     """Dock a (changed) rig at the commanded poses of a data set of the same rig.
 
     Args:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_lab.reports.vision.conditions import CONDITIONS, MUJOCO, Condition
 from deltacharger_lab.reports.vision.views import DrawnView
 from deltacharger_vision.detector.detection import Detection
@@ -21,8 +21,6 @@ from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.rendering.camera import SimulatedCamera
 from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
 from deltacharger_vision.rendering.parameters import CameraParameters
-
-Array = NDArray[np.float64]
 
 WRONG_POSITION, WRONG_ROLL = 0.010, math.radians(5.0)
 """A detection that is farther off, m or rad, is wrong."""

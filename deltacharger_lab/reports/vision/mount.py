@@ -7,8 +7,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_lab.reports.vision.measure import one_thread
 from deltacharger_lab.reports.vision.views import about, draw_light
 from deltacharger_vision.detector.detector import ElectrodeDetector
@@ -16,8 +16,6 @@ from deltacharger_vision.mount import Mount
 from deltacharger_vision.poses import turn
 from deltacharger_vision.rendering.camera import SimulatedCamera
 from deltacharger_vision.rendering.scene import RenderedScene
-
-Array = NDArray[np.float64]
 
 LEVELS = {"exact": (0.0, 0.0), "0.5° / 2 mm": (math.radians(0.5), 0.002), "1° / 3 mm": (math.radians(1.0), 0.003)}
 """Standard deviation of the mount about and along each axis, rad and m, by name."""

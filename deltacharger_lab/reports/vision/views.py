@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from deltacharger_core.arrays import Array
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.poses import turn
 from deltacharger_vision.projection import project
@@ -24,7 +24,6 @@ from deltacharger_vision.rendering.scene import Box, RenderedScene
 from deltacharger_vision.rendering.scene_drawing import draw_scene
 from deltacharger_vision.terminal import Terminal
 
-Array = NDArray[np.float64]
 Random = np.random.Generator
 
 MOUNT_PITCH = math.atan2(0.12, 0.20)
