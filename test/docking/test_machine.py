@@ -9,7 +9,7 @@ from itertools import product
 
 import pytest
 
-from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
+from deltacharger_docking.codes import Code, Rejected, State, Unreachable
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
@@ -180,17 +180,6 @@ def test_goals_that_cannot_be_served_move_nothing(goal: DockGoal, error: type[Ex
         run.begin(goal)
     run.run(0.5)
     assert math.dist(run.world.snapshot().position, run.parameters.home) < MILLIMETRE
-
-
-def test_a_second_goal_is_refused_and_leaves_the_first_alone() -> None:
-    run = charger()
-    run.begin(DockGoal(GOAL))
-    run.until(lambda: run.machine.status.state is State.CONTACT, 60.0)
-    with pytest.raises(Busy):
-        run.machine.start_dock(DockGoal(GOAL), run.observe())
-    with pytest.raises(Busy):
-        run.machine.start_undock("", run.observe())
-    assert run.finish(120.0).success
 
 
 def test_docking_when_docked_and_undocking_when_undocked_succeed_at_once() -> None:

@@ -8,9 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 from mpmath import mp, mpf
 
-from deltacharger_kinematics import KNEE_OUT, DeltaGeometry
+from deltacharger_kinematics import KNEE_OUT, DeltaGeometry, LimbAdjustment
 
 mp.dps = 60
+CALIBRATED = DeltaGeometry(
+    limbs=(
+        LimbAdjustment(0.0004, -0.0003, 0.0002, 0.1003, 0.1796, 0.012),
+        LimbAdjustment(-0.0002, 0.0005, -0.0004, 0.0998, None, -0.009),
+        LimbAdjustment(arm=0.1001, rod=0.1802),
+    )
+)
 DIRECTIONS = ((mpf(1), mpf(0)), (mpf(-1) / 2, mp.sqrt(3) / 2), (mpf(-1) / 2, -mp.sqrt(3) / 2))
 Real = float | mpf
 

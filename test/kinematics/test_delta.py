@@ -25,15 +25,10 @@ from deltacharger_kinematics import (
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.status import NO_ANSWER
 
+from .reference import CALIBRATED
+
 DELTA = Delta()
 SCALAR = ScalarDelta()
-CALIBRATED = DeltaGeometry(
-    limbs=(
-        LimbAdjustment(0.0004, -0.0003, 0.0002, 0.1003, 0.1796, 0.012),
-        LimbAdjustment(-0.0002, 0.0005, -0.0004, 0.0998, None, -0.009),
-        LimbAdjustment(arm=0.1001, rod=0.1802),
-    )
-)
 DOCK = (0.0, 0.0, 0.080)
 MILLIMETRE = 1e-3
 

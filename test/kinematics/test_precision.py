@@ -9,20 +9,13 @@ import numpy as np
 import pytest
 from mpmath import mpf
 
-from deltacharger_kinematics import WORKING_MODES, Delta, DeltaGeometry, LimbAdjustment, Status
+from deltacharger_kinematics import WORKING_MODES, Delta, DeltaGeometry, Status
 from deltacharger_kinematics.exact.precise import exact_discriminant
 from deltacharger_kinematics.scalar import ScalarDelta
 
-from .reference import along, angles, discriminants, edge_of_reach, worst_error
+from .reference import CALIBRATED, along, angles, discriminants, edge_of_reach, worst_error
 
 NOMINAL = DeltaGeometry()
-CALIBRATED = DeltaGeometry(
-    limbs=(
-        LimbAdjustment(0.0004, -0.0003, 0.0002, 0.1003, 0.1796, 0.012),
-        LimbAdjustment(-0.0002, 0.0005, -0.0004, 0.0998, None, -0.009),
-        LimbAdjustment(arm=0.1001, rod=0.1802),
-    )
-)
 GEOMETRIES = {
     "nominal": NOMINAL,
     "calibrated": CALIBRATED,

@@ -18,24 +18,15 @@ from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
-from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
+from deltacharger_vision.rendering.parameters import CameraParameters
 from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import charger_parts, cover, draw_scene
 from deltacharger_vision.terminal import UPPER, Terminal
 
-from .views import edge_errors, linear, shown, view
+from .views import EVEN, FACES, VIEWS, edge_errors, linear, shown, view
 
 IDEAL = dataclasses.replace(CameraParameters.ideal(), disparities=1e4)
 """Sees depth however near."""
-EVEN = SceneParameters.even()
-FACES = RenderedScene(parameters=dataclasses.replace(EVEN, ambient=0.0, diffuse=0.9), light=(0.0, 0.0, -1.0))
-VIEWS = [
-    view(0.16),
-    view(0.23, pitch=0.54),
-    view(0.3, pitch=-0.3, yaw=0.4, roll=0.5),
-    view(0.6, 0.2, -0.3, -1.2),
-    view(0.9, x=0.2),
-]
 OTHER = Intrinsics(500, 380, 310.0, 352.0, 221.4, 208.3)
 """Neither square pixels nor a principal point in the middle."""
 

@@ -17,19 +17,9 @@ from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted
 from deltacharger_vision.rendering.scene_drawing import cover
 from deltacharger_vision.terminal import LOWER, UPPER, Terminal
 
-from .views import DISTORTIONS, edge_errors, linear, shown, view
+from .views import DISTORTIONS, EVEN, FACES, VIEWS, edge_errors, linear, shown, view
 
 IDEAL = CameraParameters.ideal()
-EVEN = SceneParameters.even()
-# Light from straight ahead alone leaves the bars' sides black: only the touched faces are bright.
-FACES = RenderedScene(parameters=dataclasses.replace(EVEN, ambient=0.0, diffuse=0.9), light=(0.0, 0.0, -1.0))
-VIEWS = [
-    view(0.16),
-    view(0.23, pitch=0.54),
-    view(0.3, pitch=-0.3, yaw=0.4, roll=0.5),
-    view(0.6, 0.2, -0.3, -1.2),
-    view(0.9, x=0.2),
-]
 
 
 def rendered(scene: RenderedScene, pose: np.ndarray, camera: SimulatedCamera | None = None, seed: int = 0) -> RgbdImage:

@@ -40,7 +40,6 @@ def test_load_keeps_what_is_not_given(tmp_path: Path) -> None:
         ("bar_length: 70", "metres"),
         ("gap: wide", "not a number"),
         ("", "mapping"),
-        ("gap: [", "YAML"),
     ],
 )
 def test_a_bad_file_says_what_to_do(tmp_path: Path, text: str, words: str) -> None:

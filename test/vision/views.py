@@ -3,12 +3,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.lens import distort
+from deltacharger_vision.rendering.parameters import SceneParameters
+from deltacharger_vision.rendering.scene import RenderedScene
 from deltacharger_vision.terminal import Terminal
 
+EVEN = SceneParameters.even()
+# Light from straight ahead alone leaves the bars' sides black: only the touched faces are bright.
+FACES = RenderedScene(parameters=dataclasses.replace(EVEN, ambient=0.0, diffuse=0.9), light=(0.0, 0.0, -1.0))
 DISTORTIONS = ((), (-0.30, 0.12, 0.001, -0.0005, -0.02), (6.5, -3.1, 0.0004, -0.0003, 0.9, 6.7, -2.4, 0.6))
 
 
@@ -25,6 +32,15 @@ def view(distance: float, pitch: float = 0.0, yaw: float = 0.0, roll: float = 0.
     found = found @ np.diag([-1.0, -1.0, 1.0, 1.0])
     found[:3, 3] = x, 0.0, distance
     return found
+
+
+VIEWS = [
+    view(0.16),
+    view(0.23, pitch=0.54),
+    view(0.3, pitch=-0.3, yaw=0.4, roll=0.5),
+    view(0.6, 0.2, -0.3, -1.2),
+    view(0.9, x=0.2),
+]
 
 
 def shown(points: np.ndarray, pose: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
