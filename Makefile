@@ -12,6 +12,8 @@ WHEEL := build/wheel
 # Traffic stays on this machine, in a domain of its own.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export ROS_DOMAIN_ID ?= 87
+# Tests start hundreds of processes; none shall compile what another has.
+unexport PYTHONDONTWRITEBYTECODE
 
 PYTEST := $(BIN)/python -m pytest
 SIDE_BY_SIDE := -n 2 --dist loadfile
