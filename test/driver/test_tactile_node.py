@@ -111,6 +111,7 @@ class Rig:
 
     def reset(self) -> None:
         """Everything as after power-up, whatever the test before left."""
+        self.cable.replug()
         self.plant.press(0.0)
         self.plant.resistance, self.plant.target, self.plant.detected = 2.0, 24.0, 0
         self.board.reboot()
@@ -338,8 +339,7 @@ def test_unplugging_while_charging_opens_and_replugging_recovers(rig: Rig) -> No
     rig.dock()
     rig.charge(0.3)
     rig.cable.unplug()
-    answer = rig.client.contactor(True)
-    assert not answer.success
+    wait_until(lambda: not rig.client.contactor(True).success, "a refusal")
     wait_until(lambda: not rig.board.contactor_commanded)
     assert rig.board.fault == BoardFault.HEARTBEAT_LOST
     rig.client.frames.clear()

@@ -184,6 +184,7 @@ def test_a_scene_that_does_not_run_says_why_and_keeps_no_other_from_it(
     assert "no_such" in messages
 
 
+@pytest.mark.slow
 def test_the_pages_tables_are_tables_and_hold_what_was_measured(quick: tuple[Path, dict[str, Any], str]) -> None:
     folder, answer, _ = quick
     page = (folder / "footprint.md").read_text("utf-8")
