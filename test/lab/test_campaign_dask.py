@@ -43,7 +43,6 @@ def test_a_killed_worker_loses_and_doubles_nothing(tmp_path: Path) -> None:
     assert stored(tmp_path / "d") == comparable(run_batch(settings(16).to_json(), range(16)))
 
 
-@pytest.mark.slow
 def test_stopped_it_keeps_what_is_written_and_goes_on(tmp_path: Path) -> None:
     told: list[int] = []
     with (
