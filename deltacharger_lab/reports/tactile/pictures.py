@@ -98,6 +98,7 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
             axes.margins(x=0.22)
             axes.set(title=target, xlabel="ms, log scale")
             plain_ticks(axes)
+            axes.xaxis.set_minor_formatter("")  # labels between the decades of a short axis would overlap
             _label_points(figure, axes, points)
         panels[0].set_ylabel("wrong class, %, log scale")
         _legend(figure)
