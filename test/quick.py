@@ -24,6 +24,11 @@ STEPS = {
     "landing_limit": 0.006,
 }
 """Parameters of docking_node."""
+SCENE = {
+    "simulation": {"seed": 1, "rig_seed": 1, "world": {"servo": {"damping": DAMPING}}},
+    "parameters": {"docking_node": STEPS},
+}
+"""A whole simulated charger whose target stands where it is told."""
 
 
 def quick_simulation(name: str, steps: Mapping[str, Any] = MappingProxyType({})) -> Scene:

@@ -8,19 +8,22 @@ import math
 import signal
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, Progress
 from deltacharger_scenes.composition import Composition
 
 from ..marks import slow
-from ..quick import quick_simulation
+from ..quick import SCENE, quick_simulation
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
+MOVED = {"alignment_tolerance": 0.001, "landing_limit": 0.0025}  # as by default, so that the arm must move to align
 HERE = Pose(0.0, 0.0, 0.080)
 GOAL = DockRequest(HERE)
 PHASES = [*map(slow, ("approach", "contact", "measure", "align")), "energise"]
@@ -28,7 +31,7 @@ PHASES = [*map(slow, ("approach", "contact", "measure", "align")), "energise"]
 
 @pytest.fixture(scope="module")
 def charger(context: Any) -> Iterator[Composition]:
-    with Composition(quick_simulation("simulated"), context, "simulated_docking") as composition:
+    with Composition(quick_simulation("simulated", MOVED), context, "simulated_docking") as composition:
         yield composition
 
 
@@ -132,9 +135,11 @@ def test_a_second_goal_is_told_that_the_charger_is_busy(charger: Composition, cl
 @pytest.mark.slow
 @pytest.mark.parametrize("phase", ["approach", "energise"])
 def test_sigint_cancels_and_exits_with_130(
-    start: Callable[..., Any], deltacharger: tuple[str, ...], phase: str, namespace: str
+    start: Callable[..., Any], deltacharger: tuple[str, ...], phase: str, namespace: str, tmp_path: Path
 ) -> None:
-    process = start(*deltacharger, "dock", "--json", "--namespace", namespace)
+    scene = tmp_path / "quick.yaml"
+    scene.write_text(yaml.safe_dump({**SCENE, "goal": {"z": HERE.z}}), encoding="utf-8")
+    process = start(*deltacharger, "dock", "--json", "--namespace", namespace, "--scene", str(scene))
     process.wait_for_line(phase, process.err)
     assert process.end(signal.SIGINT) == 130
     answer = json.loads(process.out[-1])

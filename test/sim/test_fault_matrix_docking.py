@@ -30,11 +30,8 @@ from .fault_pulse import Pulse
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
-SCENE = {
-    "simulation": {"seed": 1, "rig_seed": 1, "world": {"servo": {"damping": quick.DAMPING}}},
-    # Touch is taken as aligned after one docking: that is not looked at here.
-    "parameters": {"docking_node": {**quick.STEPS, "alignment_tolerance": 0.01, "landing_limit": 0.02}},
-}
+# Touch is taken as aligned after one docking: that is not looked at here.
+STEPS = {**quick.STEPS, "alignment_tolerance": 0.01, "landing_limit": 0.02}
 BY_ITSELF = ("servo_missing", "servo_overload")  # take a servo's torque at once: no driver opens before them
 BORNE = "NONE"  # the fault is lived with
 
@@ -158,7 +155,7 @@ class Charger:
 @pytest.fixture(scope="module")
 def charger(context: Any) -> Iterator[Charger]:
     namespace = new_namespace()
-    scene = parse_scene(SCENE, "faults")
+    scene = parse_scene({**quick.SCENE, "parameters": {"docking_node": STEPS}}, "faults")
     with Composition(scene, context, namespace) as composition, ChargerClient(namespace) as client:
         assert client.wait_until_ready(20.0)
         charger = Charger(composition, client)
