@@ -48,7 +48,6 @@ SCENE = {
         }
     },
 }
-_ATTEMPTS = 4  # to come to the phase that is asked for; on a loaded machine a goal ends before
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -126,17 +125,21 @@ class Rig:
         self._processes[name].process.wait(DEADLINE)
 
     def begin(self, phase: str) -> None:
-        """Send goals until one has come to a phase; charging and retract begin behind a docking."""
-        for left in reversed(range(_ATTEMPTS)):
+        """Send goals until one has come to a phase; charging and retract begin behind a docking.
+
+        On a loaded machine a goal may end before; and docking may hear a node that was started anew later than we do.
+        """
+        end = time.monotonic() + DEADLINE
+        while True:
             self._dock(phase)
             if phase in ("charging", "retract"):
                 wait_until(lambda: self.outcome or self.error, "the end of docking")
                 reached = self.outcome is not None and self.outcome.success
             else:
-                reached = self.outcome is None
+                reached = not (self.outcome or self.error)
             if reached:
                 break
-            assert left, self.outcome or self.error
+            assert time.monotonic() < end, self.outcome or self.error
             self.go_home()
         if phase == "retract":
             self.outcome, self.phase = None, ""
