@@ -137,9 +137,9 @@ class ContactorGuard:
             with self._lock:
                 now = time.monotonic()
                 renewal = self._lease.is_live(now)
-                self._check_board(holder, now)
+                self._check_board(now)
                 self._lease.check(holder, duration, now)
-                self._check_contact(holder, now)
+                self._check_contact(now)
                 until = self._lease.take(holder, duration, now)
                 openings = self._lease.openings
                 if not renewal:
@@ -152,25 +152,25 @@ class ContactorGuard:
                 if self._lease.openings == openings:
                     return until - now
         self._link.stop_heartbeat()  # an opening came in between; keep_alive must not outlive it
-        raise LeaseRefused(holder, "the contactor was opened meanwhile; probe and ask again")
+        raise LeaseRefused("the contactor was opened meanwhile; probe and ask again")
 
-    def _check_board(self, holder: str, now: float) -> None:
+    def _check_board(self, now: float) -> None:
         power = self._power
         if self._shut:
-            raise LeaseRefused(holder, "the node is shutting down")
+            raise LeaseRefused("the node is shutting down")
         if power is None or now - power.time > STALE_POWER:
-            raise LeaseRefused(holder, "the power stage is silent; check the board")
+            raise LeaseRefused("the power stage is silent; check the board")
         if power.power.fault:
             fault = fault_name(power.power.fault)
-            raise LeaseRefused(holder, f"the board opened and latched a fault: {fault}; open to clear it, then probe")
+            raise LeaseRefused(f"the board opened and latched a fault: {fault}; open to clear it, then probe")
 
-    def _check_contact(self, holder: str, now: float) -> None:
+    def _check_contact(self, now: float) -> None:
         age = now - self._frames[-1].time if self._frames else math.inf
         if age > STALE_FRAME:
             told = "there are none" if math.isinf(age) else f"the last is {age * 1e3:.0f} ms old"
-            raise LeaseRefused(holder, f"tactile frames are stale ({told}); nothing shows that the electrodes touch")
+            raise LeaseRefused(f"tactile frames are stale ({told}); nothing shows that the electrodes touch")
         if not any(_feels(sample) for sample in reversed(self._frames) if now - sample.time <= STALE_FRAME):
-            raise LeaseRefused(holder, f"no contact: no taxel reads {CONTACT_FORCE:g} N on either pad; dock first")
+            raise LeaseRefused(f"no contact: no taxel reads {CONTACT_FORCE:g} N on either pad; dock first")
 
     def _begin(self, until: float) -> None:
         if self._on_lease is not None:
@@ -228,18 +228,18 @@ class ContactorGuard:
             DriverError: the board cannot be reached.
         """
         if not self._probing.acquire(blocking=False):
-            raise LeaseRefused("", "another probe is being made; ask again when it is done")
+            raise LeaseRefused("another probe is being made; ask again when it is done")
         try:
             with self._commands:
                 self._open_if_lapsed()
             with self._lock:
                 if self._lease.is_live(time.monotonic()):
-                    raise LeaseRefused("", f"'{self._lease.holder}' keeps the contactor closed; open it, then probe")
+                    raise LeaseRefused(f"'{self._lease.holder}' keeps the contactor closed; open it, then probe")
                 openings = self._lease.openings
             result = self._link.probe()
             with self._lock:
                 if self._lease.openings != openings:
-                    raise LeaseRefused("", "the contactor was opened meanwhile, which voids the probe; probe again")
+                    raise LeaseRefused("the contactor was opened meanwhile, which voids the probe; probe again")
                 self._lease.probed(result.resistance, result.target_voltage, result.time)
             return result
         finally:

@@ -19,15 +19,8 @@ from deltacharger_driver.errors import DriverError
 class LeaseRefused(DriverError, PermissionError):
     """A close or a renewal is refused. Example: another node holds the contactor.
 
-    Args:
-        holder: who asked.
-        reason: why not, and what to do.
+    Its message says why not, and what to do.
     """
-
-    def __init__(self, holder: str, reason: str) -> None:
-        self.holder = holder
-        self.reason = reason
-        super().__init__(reason)
 
 
 class ContactorLease:
@@ -86,35 +79,25 @@ class ContactorLease:
                 new lease, no probe younger than 2 s that allows a close.
         """
         if not holder:
-            raise LeaseRefused(holder, "the holder has no name; give one, so that others know who holds the contactor")
+            raise LeaseRefused("the holder has no name; give one, so that others know who holds the contactor")
         if not duration > 0.0:  # also NaN
-            raise LeaseRefused(
-                holder, f"a lease of {duration:g} s closes nothing; ask for up to {LONGEST_LEASE} s and renew"
-            )
+            raise LeaseRefused(f"a lease of {duration:g} s closes nothing; ask for up to {LONGEST_LEASE} s and renew")
         if self.has_lapsed(now):
-            raise LeaseRefused(
-                holder,
-                f"the lease of '{self.holder}' lapsed and the contactor is not open yet; ask again",
-            )
+            raise LeaseRefused(f"the lease of '{self.holder}' lapsed and the contactor is not open yet; ask again")
         if self.is_live(now):
             if holder != self.holder:
-                raise LeaseRefused(
-                    holder, f"'{self.holder}' holds the contactor for another {self.remaining(now):.2f} s"
-                )
+                raise LeaseRefused(f"'{self.holder}' holds the contactor for another {self.remaining(now):.2f} s")
             return
-        self._check_probe(holder, now)
+        self._check_probe(now)
 
-    def _check_probe(self, holder: str, now: float) -> None:
+    def _check_probe(self, now: float) -> None:
         age = self.probe_age(now)
         if not age < PROBE_LIFETIME:
             made = "there is none since the last opening" if math.isinf(age) else f"it is {age:.1f} s old"
-            raise LeaseRefused(
-                holder,
-                f"a close needs a probe younger than {PROBE_LIFETIME:g} s, but {made}; call probe",
-            )
+            raise LeaseRefused(f"a close needs a probe younger than {PROBE_LIFETIME:g} s, but {made}; call probe")
         problem = probe_problem(self.resistance, self.target_voltage)
         if problem:
-            raise LeaseRefused(holder, problem)
+            raise LeaseRefused(problem)
 
     def take(self, holder: str, duration: float, now: float) -> float:
         """Grant or renew the lease.

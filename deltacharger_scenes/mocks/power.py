@@ -57,7 +57,7 @@ class MockPower:
             LeaseRefused: the contactor is closed.
         """
         if self.closed:
-            raise LeaseRefused("", "the contactor is closed; open it before probing")
+            raise LeaseRefused("the contactor is closed; open it before probing")
         resistance, voltage = (_RESISTANCE, TARGET) if contact else (math.inf, math.nan)
         if contact:
             resistance = {"short": 0.05, "open_circuit": math.inf}.get(self.misbehaviour, resistance)
@@ -72,9 +72,9 @@ class MockPower:
             LeaseRefused: by the lease, by a latched fault, or because the mock was told to.
         """
         if self.misbehaviour == "contactor_refusal":
-            raise LeaseRefused(holder, "the board's interlock keeps the contactor open")
+            raise LeaseRefused("the board's interlock keeps the contactor open")
         if self.fault:
-            raise LeaseRefused(holder, f"fault {self.fault} is latched; open the contactor to clear it")
+            raise LeaseRefused(f"fault {self.fault} is latched; open the contactor to clear it")
         self.lease.take(holder, duration, now)
         if not self.closed:
             self.closed, self._closed_at = True, now
