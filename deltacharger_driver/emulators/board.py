@@ -259,6 +259,8 @@ class BoardEmulator:
         error: AckError | None
         try:
             check_header(packet)
+            if packet.payload and packet.type not in _WITH_PAYLOAD:
+                raise PacketError(packet.type, f"{len(packet.payload)} bytes instead of none")
             error = command(self, packet, now)
         except PacketError:
             error = AckError.BAD_PAYLOAD
@@ -266,7 +268,6 @@ class BoardEmulator:
             self._acknowledge(packet.type, packet.sequence, error, now)
 
     def _heartbeat(self, packet: Packet, now: float) -> None:
-        _demand_empty(packet)
         self._power.heartbeat(now)
         if self._on_heartbeat is not None:
             self._on_heartbeat(now)
@@ -275,23 +276,19 @@ class BoardEmulator:
         self._queue(PacketType.PING, now, decode_ping(packet.payload))
 
     def _hello(self, packet: Packet, now: float) -> AckError:
-        _demand_empty(packet)
         self._introduce(now)
         return AckError.DONE
 
     def _start(self, packet: Packet, now: float) -> AckError:
-        _demand_empty(packet)
         if self._next_sample == math.inf:
             self._next_sample = now
         return AckError.DONE
 
     def _stop(self, packet: Packet, now: float) -> AckError:
-        _demand_empty(packet)
         self._next_sample = math.inf
         return AckError.DONE
 
     def _tare(self, packet: Packet, now: float) -> AckError | None:
-        _demand_empty(packet)
         error = self._pads.start_tare(now)
         if error is AckError.DONE:
             self._tare_sequence = packet.sequence
@@ -316,7 +313,6 @@ class BoardEmulator:
         return AckError.BAD_PAYLOAD
 
     def _probe(self, packet: Packet, now: float) -> AckError | None:
-        _demand_empty(packet)
         error = self._power.start_probe(now)
         if error is AckError.DONE:
             self._probe_sequence = packet.sequence
@@ -324,12 +320,8 @@ class BoardEmulator:
         return error
 
 
-def _demand_empty(packet: Packet) -> None:
-    if packet.payload:
-        raise PacketError(packet.type, f"{len(packet.payload)} bytes instead of none")
-
-
 _UNACKNOWLEDGED = (PacketType.HEARTBEAT, PacketType.PING)
+_WITH_PAYLOAD = (PacketType.RATE, PacketType.CONTACTOR, PacketType.PING)
 _COMMANDS: dict[int, Callable[[BoardEmulator, Packet, float], AckError | None]] = {
     PacketType.HELLO: BoardEmulator._hello,
     PacketType.START: BoardEmulator._start,
