@@ -24,9 +24,9 @@ from deltacharger_driver.board.protocol import (
     is_from_board,
 )
 from deltacharger_driver.servos.mx64 import MODEL, MODEL_PROTOCOL_1, SPEEDS
-from deltacharger_driver.servos.packets import BROADCAST, HEADER, PING, STATUS
+from deltacharger_driver.servos.packets import BROADCAST, PING
 from deltacharger_driver.servos.port import latency_timer
-from deltacharger_driver.servos.protocol import crc16, instruction_packet
+from deltacharger_driver.servos.protocol import HEADER, STATUS, crc16, instruction_packet
 
 SERVO_SPEEDS = (BAUD_RATE, 57600, *(speed for speed in SPEEDS.values() if speed not in (BAUD_RATE, 57600)))
 """Every speed of a servo, the likely ones first, bit/s."""

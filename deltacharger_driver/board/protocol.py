@@ -160,18 +160,8 @@ def encode_packet(packet: Packet, version: int = VERSION) -> bytes:
     Raises:
         struct.error: a field does not fit.
     """
-    body = (
-        _HEADER.pack(
-            version,
-            packet.type,
-            packet.sequence,
-            packet.device_time_us,
-            packet.flags,
-            packet.format,
-            0,
-        )
-        + packet.payload
-    )
+    header = _HEADER.pack(version, packet.type, packet.sequence, packet.device_time_us, packet.flags, packet.format, 0)
+    body = header + packet.payload
     return b"\0" + cobs.encode(body + _CRC.pack(zlib.crc32(body))) + b"\0"
 
 

@@ -22,7 +22,7 @@ from deltacharger_driver.servos.mx64 import (
     describe_hardware_error,
     ticks_to_angle,
 )
-from deltacharger_driver.servos.protocol import ServoLinkCounters, sync_write_packet
+from deltacharger_driver.servos.protocol import sync_write_packet
 from deltacharger_driver.servos.setup import configure, restart_watchdog, set_up
 from deltacharger_driver.servos.snapshot import (
     READ_ADDRESS,
@@ -51,22 +51,21 @@ class ServoBus:
 
     Args:
         settings: wiring and mounting.
+
+    Attributes:
+        counters: what went wrong on the wire so far.
     """
 
     def __init__(self, settings: BusSettings) -> None:
         self.settings = settings
         self._link = ServoLink(settings.port, settings.baud_rate, settings.reply_margin)
+        self.counters = self._link.counters
         self._count = len(settings.ids)
         self._largest_counts = current_to_counts(settings.current_max)
         self._cycle = 0
         self._goals: tuple[tuple[float, ...], tuple[float, ...]] | None = None
         self._goal_bytes = b""
         self._forget()
-
-    @property
-    def counters(self) -> ServoLinkCounters:
-        """What went wrong on the wire so far."""
-        return self._link.counters
 
     @property
     def is_open(self) -> bool:
@@ -151,8 +150,7 @@ class ServoBus:
             RangeError: a bound above `current_max`, or a value that the registers cannot hold; nothing is sent.
             PortGone: the port vanished.
         """
-        packet = self._goal_packet(angles, currents)
-        self._link.send(packet)
+        self._link.send(self._goal_packet(angles, currents))
 
     def _goal_packet(self, angles: Sequence[float], currents: Sequence[float]) -> bytes:
         """Return the packet that writes goal and bound of every servo; an arm that holds sends the same again."""

@@ -14,7 +14,7 @@ from deltacharger_driver.errors import CorruptReply, DriverError, NoAnswer, Serv
 from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_driver.servos.mx64 import ALERT, REGISTERS, describe_status_error
 from deltacharger_driver.servos.port import PATIENCE, ServoPort
-from deltacharger_driver.servos.protocol import ServoLinkCounters, ServoProtocol, instruction_packet
+from deltacharger_driver.servos.protocol import ServoProtocol, instruction_packet
 
 ATTEMPTS = 3
 """How often a read or write is tried before it fails; reads and writes of registers may be repeated without harm."""
@@ -27,6 +27,9 @@ class ServoLink:
         port: path of the serial port.
         baud_rate: bit/s.
         reply_margin: s, for what is asked in a hurry, see `parameters.REPLY_MARGIN`.
+
+    Attributes:
+        counters: what went wrong on the wire so far.
     """
 
     def __init__(self, port: str, baud_rate: int, reply_margin: float = REPLY_MARGIN) -> None:
@@ -35,13 +38,9 @@ class ServoLink:
         self._margin = reply_margin
         self._handler = ServoPort(port, baud_rate, reply_margin)
         self._protocol = ServoProtocol()
+        self.counters = self._protocol.counters
         self._protocol_1 = Protocol1PacketHandler()
         self._owner: threading.Thread | None = None
-
-    @property
-    def counters(self) -> ServoLinkCounters:
-        """What went wrong on the wire so far."""
-        return self._protocol.counters
 
     @property
     def is_open(self) -> bool:

@@ -5,14 +5,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from deltacharger_driver.servos.protocol import crc16, packet
+from deltacharger_driver.servos.protocol import HEADER, PLAIN, STATUS, crc16, packet
 
-HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 254
-STUFFED, PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
+STUFFED = PLAIN + b"\xfd"
 
 PING, READ, WRITE, REG_WRITE, ACTION, FACTORY_RESET, REBOOT = 1, 2, 3, 4, 5, 6, 8
-STATUS = 0x55
 SYNC_READ, SYNC_WRITE, BULK_READ, BULK_WRITE = 0x82, 0x83, 0x92, 0x93
 
 _LONGEST = 1024  # bytes of a packet; a longer length is noise

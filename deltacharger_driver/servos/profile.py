@@ -33,8 +33,8 @@ class Profile:
         velocity: of the reference, rad/s.
     """
 
-    def __init__(self, position: float = 0.0) -> None:
-        self.position = position
+    def __init__(self) -> None:
+        self.position = 0.0
         self.velocity = 0.0
         self._time = -math.inf
 

@@ -26,9 +26,9 @@ from deltacharger_driver.errors import PortGone
 from deltacharger_driver.servos.port import ServoPort
 
 _ID, _LENGTH, _INSTRUCTION, _ERROR, _PARAMETERS = 4, 5, 7, 8, 9
-_HEADER = b"\xff\xff\xfd\0"
-_STATUS = 0x55  # the instruction byte of a servo's answer
-_TO_STUFF = b"\xff\xff\xfd"  # inside a packet another FD follows it, so that it begins none
+HEADER = b"\xff\xff\xfd\0"
+STATUS = 0x55  # the instruction byte of a servo's answer
+PLAIN = b"\xff\xff\xfd"  # inside a packet another FD follows it, so that it begins none
 _SHORTEST = 11  # bytes of a status packet without parameters
 
 
@@ -75,8 +75,8 @@ def crc16(data: Sequence[int], crc: int = 0) -> int:
 
 def packet(servo: int, body: bytes) -> bytes:
     """Return the packet to or from a servo, its instruction first in `body`, stuffed and with its checksum."""
-    body = body.replace(_TO_STUFF, _TO_STUFF + b"\xfd")
-    head = _HEADER + struct.pack("<BH", servo, len(body) + 2) + body
+    body = body.replace(PLAIN, PLAIN + b"\xfd")
+    head = HEADER + struct.pack("<BH", servo, len(body) + 2) + body
     return head + struct.pack("<H", crc16(head))
 
 
@@ -158,10 +158,10 @@ class ServoProtocol(Protocol2PacketHandler):  # type: ignore[misc]
         """
         data = port.received()
         end = _INSTRUCTION + int.from_bytes(data[_LENGTH:_INSTRUCTION], "little")
-        if len(data) < max(end, _SHORTEST) or not data.startswith(_HEADER) or data[_INSTRUCTION] != _STATUS:
+        if len(data) < max(end, _SHORTEST) or not data.startswith(HEADER) or data[_INSTRUCTION] != STATUS:
             return b""
         packet = bytes(data[:end])
-        if packet.find(_TO_STUFF, _INSTRUCTION) >= 0 or crc16(packet[:-2]) != packet[-2] | packet[-1] << 8:
+        if packet.find(PLAIN, _INSTRUCTION) >= 0 or crc16(packet[:-2]) != packet[-2] | packet[-1] << 8:
             return b""
         port.discard(end)
         return packet

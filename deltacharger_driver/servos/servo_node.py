@@ -159,9 +159,7 @@ class ServoNode(Node):
             if now - diagnosed >= (_REFUSAL_PERIOD if self._refused else _DIAGNOSTICS_PERIOD):
                 diagnosed = now
                 self._publish_diagnostics(report)
-            due += self._period
-            if due < now:
-                due = now  # late: go on from here rather than hurry through what was missed
+            due = max(due + self._period, now)  # late: go on from here rather than hurry through what was missed
             time.sleep(due - now)
 
     def _publish_diagnostics(self, report: ServoReport) -> None:

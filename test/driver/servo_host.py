@@ -9,8 +9,8 @@ from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.servos.control_table import OK
 from deltacharger_driver.servos.mx64 import REGISTERS
-from deltacharger_driver.servos.packets import HEADER, READ, WRITE
-from deltacharger_driver.servos.protocol import crc16
+from deltacharger_driver.servos.packets import READ, WRITE
+from deltacharger_driver.servos.protocol import HEADER, crc16
 
 
 class Host:
