@@ -15,7 +15,7 @@ from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, terminal_speed
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.servos.mx64 import REGISTERS
 
 IDS = (1, 2, 3)
@@ -55,7 +55,7 @@ def servos() -> ServoBusEmulator:
 @pytest.fixture
 def servo_port(servos: ServoBusEmulator) -> Iterator[str]:
     with PseudoTerminal(servos) as terminal:
-        servos.line_speed = lambda: terminal_speed(terminal.path)
+        servos.line_speed = terminal.speed
         yield terminal.path
 
 

@@ -111,9 +111,9 @@ def _pads(frames: list[Any]) -> Iterator[Finding]:
 
     limit = Limits().pad_dead
     tared = bool(frames[-1].tared)
-    for name in ("left", "right"):
+    for side, name in enumerate(("left", "right")):
         part = f"{name} pad"
-        forces = np.stack([getattr(frame, name) for frame in frames])
+        forces = np.stack([frame.pads[side] for frame in frames])
         dead = [(int(row), int(column)) for row, column in np.argwhere(np.isnan(forces).any(axis=0))]
         live = forces[:, ~np.isnan(forces).any(axis=0)]
         if dead:

@@ -29,18 +29,6 @@ class TactileSample(NamedTuple):
     tared: bool
     overrun: bool
 
-    @property
-    def left(self) -> Taxels:
-        """(10, 10) N of the pad at +x."""
-        pads: Taxels = self.pads[0]
-        return pads
-
-    @property
-    def right(self) -> Taxels:
-        """(10, 10) N of the pad at -x."""
-        pads: Taxels = self.pads[1]
-        return pads
-
 
 @dataclass(frozen=True)
 class PowerSample:

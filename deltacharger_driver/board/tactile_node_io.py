@@ -52,8 +52,7 @@ class SamplePublishers:
             sample.time,
             array("Q", (sample.sequence,)),
             array("Q", (sample.device_time_us,)),
-            sample.left.reshape(-1),
-            sample.right.reshape(-1),
+            *sample.pads.reshape(2, -1),
             bytes((sample.tared,)),
         )
 

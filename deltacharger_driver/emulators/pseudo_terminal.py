@@ -21,21 +21,6 @@ _LONGEST_WAIT = 0.5  # s, so that stop() is noticed even where the wake-up pipe 
 _SPEEDS = tuple(SPEEDS.values())
 
 
-def terminal_speed(path: str) -> int:
-    """Return the speed to which a terminal is set, bit/s; 0 where it has none of the servos' speeds.
-
-    A pseudo-terminal carries bytes at any speed but remembers what was asked for.
-
-    Raises:
-        OSError: there is no such terminal.
-    """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
-    try:
-        return _speed_of(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 def _speed_of(descriptor: int) -> int:
     code = termios.tcgetattr(descriptor)[5]
     return next((speed for speed in _SPEEDS if getattr(termios, f"B{speed}", None) == code), 0)

@@ -14,8 +14,7 @@ import threading
 from collections.abc import Callable, Sequence
 
 from deltacharger_core.machine import SERVO_IDS
-from deltacharger_driver.emulators.pseudo_terminal import terminal_speed
-from deltacharger_driver.emulators.servo_faults import FAULTS, ServoFaults, collide
+from deltacharger_driver.emulators.servo_faults import ServoFaults, collide
 from deltacharger_driver.emulators.servo_firmware import ServoFirmware, ServoPlant
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.servos.control_table import CHECKSUM, INSTRUCTION, LENGTH, OK
@@ -37,8 +36,6 @@ from deltacharger_driver.servos.packets import (
     status,
     status_1,
 )
-
-__all__ = ["FAULTS", "ServoBusEmulator", "ServoFaults", "ServoPlant", "terminal_speed"]
 
 
 class ServoBusEmulator:

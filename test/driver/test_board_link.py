@@ -93,9 +93,9 @@ def test_frames_are_sampled_now_and_never_lost(rig: Rig, link: BoardLink) -> Non
     wait_until(lambda: len(rig.frames) >= 60)
     link.stop()
     frame = rig.frames[-1]
-    assert frame.left.shape == frame.right.shape == (10, 10)
-    assert frame.left.dtype == np.float32
-    assert frame.left.sum() == pytest.approx(8.0, abs=2.0)
+    assert frame.pads.shape == (2, 10, 10)
+    assert frame.pads.dtype == np.float32
+    assert frame.pads[0].sum() == pytest.approx(8.0, abs=2.0)
     assert frame.tared
     assert not frame.overrun
     assert [f.sequence for f in rig.frames] == list(range(len(rig.frames)))

@@ -31,7 +31,7 @@ from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, terminal_speed
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK
 from deltacharger_driver.servos.servo_node import ServoNode
 from deltacharger_ros.executor import Spinner
@@ -409,7 +409,7 @@ def test_two_chargers_by_namespace(context, terminal):
     ],
 )
 def test_it_does_not_start_with_a_wrong_configuration_and_says_why(context, terminal, emulator, parameters, told):
-    emulator.line_speed = lambda: terminal_speed(terminal.path)
+    emulator.line_speed = terminal.speed
     with pytest.raises(StartupError, match=told):
         build(context, **{"port": terminal.path, **parameters})
 

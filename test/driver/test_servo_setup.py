@@ -9,7 +9,7 @@ import pytest
 
 from deltacharger_driver.emulators.bench_arm import BenchArm
 from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
-from deltacharger_driver.emulators.servo_bus import ServoBusEmulator, terminal_speed
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import DriverError, HandshakeError
 from deltacharger_driver.servos.bus import ServoBus
 from deltacharger_driver.servos.control_table import ControlTable
@@ -39,7 +39,7 @@ def test_id_speed_and_offset_are_never_written_and_eeprom_only_once(
 
 
 def test_all_faults_come_in_one_message(closed: ServoBus, emulator: ServoBusEmulator, terminal: PseudoTerminal) -> None:
-    emulator.line_speed = lambda: terminal_speed(terminal.path)
+    emulator.line_speed = terminal.speed
     emulator.set_speed(1, 1)
     emulator.faults.missing = {2}
     emulator.use_protocol_1(3)
@@ -60,7 +60,7 @@ def test_all_faults_come_in_one_message(closed: ServoBus, emulator: ServoBusEmul
 def test_old_firmware_at_the_factory_speed_is_found_too(
     closed: ServoBus, emulator: ServoBusEmulator, terminal: PseudoTerminal
 ) -> None:
-    emulator.line_speed = lambda: terminal_speed(terminal.path)
+    emulator.line_speed = terminal.speed
     for servo in (1, 2, 3):
         emulator.set_speed(servo, 1)
         emulator.use_protocol_1(servo)

@@ -82,7 +82,7 @@ def test_the_driver_from_hello_to_a_lost_heartbeat(program: Program) -> None:
         link.set_rate(200.0)
         link.start()
         assert program.command("press 8") == "ok"
-        wait_until(lambda: len(program.frames) > 50 and program.frames[-1].left.sum() > 5.0)
+        wait_until(lambda: len(program.frames) > 50 and program.frames[-1].pads[0].sum() > 5.0)
         assert program.frames[-1].tared
         result = link.probe()
         assert (result.resistance, result.target_voltage) == (2.0, 24.0)

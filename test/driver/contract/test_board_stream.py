@@ -149,7 +149,7 @@ def test_the_numbers_go_on_over_stop_and_start(host: BoardHost, board_site: Boar
 
 
 def test_a_taxel_is_dead_always_or_never_and_a_dead_one_has_no_force(host: BoardHost, board_site: BoardSite) -> None:
-    forces = np.array([(frame.left, frame.right) for frame in host.stream(STRETCH // 2)])
+    forces = np.array([frame.pads for frame in host.stream(STRETCH // 2)])
     dead = np.isnan(forces)
     assert (dead.all(axis=0) == dead.any(axis=0)).all()
     alive = ~dead[0]
