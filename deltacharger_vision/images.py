@@ -135,7 +135,7 @@ class RgbdImage:
             ImageError: an array has another shape or type, both differ in size, their aspect is not the camera's, or
                 the depth is negative or float millimetres.
         """
-        rgb, metres = _color(np.asarray(color)), _depth(np.asarray(depth))
+        rgb, metres = rgb8(np.asarray(color)), _depth(np.asarray(depth))
         if rgb.shape[:2] != metres.shape:
             raise ImageError(
                 "depth",
@@ -160,8 +160,12 @@ def _size(array: NDArray[Any]) -> str:
     return f"{array.shape[1]} × {array.shape[0]}"
 
 
-def _color(array: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return (H, W, 3) uint8."""
+def rgb8(array: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return (H, W, 3) of (H, W) or (H, W, 1) gray, (H, W, 3) RGB or (H, W, 4) RGBA, uint8 or uint16.
+
+    Raises:
+        ImageError: it has another shape or type.
+    """
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
     if not array.size or not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (3, 4))):

@@ -14,6 +14,7 @@ import numpy as np
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import DOCK_DISTANCE
+from deltacharger_core.rotation import rotation
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.errors import MountError
@@ -220,10 +221,7 @@ def _rotation(q: Array) -> Array:
     length = float(np.linalg.norm(q))
     if not abs(length - 1.0) <= _UNIT:
         raise MountError("orientation", f"a quaternion of length {length:.4g}; its length must be 1")
-    (x, y, z), w = q[:3] / length, q[3] / length
-    vector = np.array([x, y, z])
-    skew = cross_matrix(vector)
-    return np.asarray(np.eye(3) + 2.0 * w * skew + 2.0 * skew @ skew)
+    return np.array(rotation(*q))
 
 
 def _independent(position: float, rotation: float) -> Array:

@@ -17,7 +17,7 @@ from deltacharger_ros import qos
 from deltacharger_ros.guest import Guest
 from deltacharger_vision.cameras.ros_images import color_array
 from deltacharger_vision.errors import CameraInfoError
-from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.images import Intrinsics, rgb8
 from deltacharger_vision.ros.messages import intrinsics_of
 
 _SAME_CLOCK = 10.0  # s between stamp and arrival; beyond it the camera's clock is another one
@@ -90,10 +90,7 @@ class CameraClient(Guest):
 
         if not self.wait(lambda: fresh() is not None, timeout, check):
             raise CameraError(f"no image comes on {self._topic}: look at the camera's node and its cable")
-        message = fresh()
-        pixels = color_array(message)
-        eight = (pixels >> 8).astype(np.uint8) if pixels.dtype == np.uint16 else pixels
-        return np.ascontiguousarray(eight if eight.ndim == 3 else np.repeat(eight[:, :, None], 3, axis=2))
+        return rgb8(color_array(fresh()))
 
     def _now(self) -> float:
         return float(self._clock.now().nanoseconds) * 1e-9

@@ -28,7 +28,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_vision.hand_eye.board import Board
 from deltacharger_vision.hand_eye.views import View
 from deltacharger_vision.image_files import CAMERA_INFO, PICTURES, read_color, write_picture
-from deltacharger_vision.images import Intrinsics
+from deltacharger_vision.images import Intrinsics, rgb8
 
 VIEWS = "views.csv"
 MOST = 2000
@@ -125,10 +125,8 @@ def gather(
 
 
 def read_pixels(path: Path) -> NDArray[np.uint8]:
-    """Return an image as (H, W) gray or (H, W, 3) RGB, uint8; errors as of `read_color`."""
-    pixels = read_color(path)
-    eight = (pixels >> 8).astype(np.uint8) if pixels.dtype == np.uint16 else pixels
-    return np.asarray(eight if eight.ndim == 2 else np.ascontiguousarray(eight[:, :, :3]), dtype=np.uint8)
+    """Return an image as (H, W, 3) RGB, uint8; errors as of `read_color`."""
+    return rgb8(read_color(path))
 
 
 class ViewsFolder:
@@ -156,13 +154,13 @@ class ViewsFolder:
         if any(path.name != CAMERA_INFO for path in folder.iterdir()):
             raise ViewsError(folder, f"holds other files and no {VIEWS}; name a new folder")
         write_yaml(folder / CAMERA_INFO, camera_info(intrinsics))
-        self._write(f"{_IMAGE},{','.join(RADIANS)}\n")
+        append_text(self._folder / VIEWS, f"{_IMAGE},{','.join(RADIANS)}\n")
 
     def add(self, image: NDArray[np.uint8], angles: Vector) -> str:
         """Add an image (H, W, 3) and the arm's angles (rad) at it; return its name once both are on the disk."""
         name = f"view_{len(self.angles) + 1:03}.png"
         write_picture(self._folder / name, image)
-        self._write(",".join([name, *(f"{angle:.7f}" for angle in angles)]) + "\n")
+        append_text(self._folder / VIEWS, ",".join([name, *(f"{angle:.7f}" for angle in angles)]) + "\n")
         self.angles.append(angles)
         return name
 
@@ -176,9 +174,6 @@ class ViewsFolder:
         if load_camera_info(self._folder / CAMERA_INFO) != intrinsics:
             raise ViewsError(self._folder, "was taken with other intrinsics than the camera has now; name a new folder")
         self.angles = [row.angles for row in rows if row.angles is not None]
-
-    def _write(self, text: str) -> None:
-        append_text(self._folder / VIEWS, text)
 
 
 def camera_info(intrinsics: Intrinsics) -> dict[str, Any]:

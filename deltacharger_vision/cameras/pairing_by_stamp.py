@@ -6,16 +6,12 @@ from __future__ import annotations
 import bisect
 from typing import Generic, TypeVar
 
-from deltacharger_core.parameters import ParameterError
-
 Color = TypeVar("Color")
 Depth = TypeVar("Depth")
 Item = TypeVar("Item")
 
 _JUMP = 1_000_000_000
 """ns; no network mixes up the order of messages over so long: the clock was set back, or a recording began again."""
-_LARGEST_TOLERANCE = 1_000_000_000
-_LARGEST_DEPTH = 1000
 
 
 class StampMatcher(Generic[Color, Depth]):
@@ -30,18 +26,9 @@ class StampMatcher(Generic[Color, Depth]):
         tolerance_ns: largest difference of stamps, 0 to 1 s; under half the time between two images, no nearer one
             can arrive later.
         depth: how many items of each kind wait at most; the oldest gives way.
-
-    Raises:
-        ParameterError: an argument is out of bounds.
     """
 
     def __init__(self, tolerance_ns: int, depth: int = 8) -> None:
-        for name, value, low, high, unit in (
-            ("tolerance_ns", tolerance_ns, 0, _LARGEST_TOLERANCE, "ns"),
-            ("depth", depth, 1, _LARGEST_DEPTH, "items"),
-        ):
-            if not low <= value <= high:
-                raise ParameterError(name, value, f"{value!r} is outside {low} to {high} {unit}")
         self._tolerance = tolerance_ns
         self._colors: _Waiting[Color] = _Waiting(depth)
         self._depths: _Waiting[Depth] = _Waiting(depth)

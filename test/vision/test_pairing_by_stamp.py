@@ -6,11 +6,9 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deltacharger_core.parameters import ParameterError
 from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
 
 PERIOD = 33_333_333  # ns, of 30 images a second
@@ -148,9 +146,3 @@ def test_cleared_it_takes_what_is_older() -> None:
     assert matcher.add_depth(9, "depth") is None
     assert matcher.add_color(3, "color") is None
     assert matcher.add_depth(3, "depth") == (3, "color", "depth")
-
-
-@pytest.mark.parametrize(("tolerance", "depth"), [(-1, 8), (SECOND + 1, 8), (0, 0), (0, 1001)])
-def test_bounds(tolerance: int, depth: int) -> None:
-    with pytest.raises(ParameterError):
-        StampMatcher(tolerance, depth)
