@@ -118,7 +118,7 @@ def _meta(dockings: Sequence[Docking], parts: Mapping[str, Part], settings: Sett
         "to": _date(max(times)),
         "parts": [
             {
-                **part.as_dict(),
+                **asdict(part),
                 "name": name,
                 "recorded": counts[name],
                 "of": len(part.poses()),

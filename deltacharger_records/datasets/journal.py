@@ -116,7 +116,7 @@ class Journal:
         content = {
             "version": _JOURNAL_VERSION,
             "settings": asdict(settings),
-            "parts": [each.as_dict() for each in self.parts.values()],
+            "parts": [asdict(each) for each in self.parts.values()],
         }
         write_text(self.folder / _HEADER, json.dumps(content, indent=1))
 

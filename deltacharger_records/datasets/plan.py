@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -70,13 +70,9 @@ class Part:
         """Where the target's electrodes stand, m, charger_base."""
         return 1e-3 * self.x_mm, 1e-3 * self.y_mm, 1e-3 * self.z_mm
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields as JSON has them."""
-        return {**asdict(self), "offsets_mm": list(self.offsets_mm)}
-
     @staticmethod
     def from_dict(values: Mapping[str, Any]) -> Part:
-        """Return what `as_dict` gave; TypeError or KeyError where it did not."""
+        """Return a part by its fields as JSON has them; TypeError or KeyError where one is wrong."""
         return Part(**{**values, "offsets_mm": tuple(values["offsets_mm"])})
 
     def poses(self) -> list[CommandedPose]:

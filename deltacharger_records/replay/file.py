@@ -59,10 +59,6 @@ class Recording:
             why = self.unreadable.get(STATE) or self.damage or "there is no message of it"
             raise RecordingError(f"{path} tells no docking_state: {why}")
 
-    def told(self, name: str) -> list[dict[str, str]]:
-        """Return the metadata of one name."""
-        return self.file.told(name)
-
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
         """Yield each message, undecoded, in the order of the file, up to its damage: relative topic, ns, CDR."""
         try:

@@ -67,7 +67,7 @@ class Replay:
 
     def result_of(self, action: str) -> Outcome | None:
         """Return the first result of "dock" or "undock"."""
-        for values in self.recording.told(RESULT):
+        for values in self.recording.file.told(RESULT):
             if values.get("action") == action:
                 return _outcome(json.loads(values["json"]))
         return None
@@ -75,7 +75,7 @@ class Replay:
     @property
     def about(self) -> dict[str, str]:
         """What recorded it: version, scene, namespace, request_id, began (ns since 1970)."""
-        return (self.recording.told(ABOUT) or [{}])[0]
+        return (self.recording.file.told(ABOUT) or [{}])[0]
 
     @property
     def last_phase(self) -> str:
@@ -85,7 +85,7 @@ class Replay:
     @property
     def is_complete(self) -> bool:
         """Whether the file goes to the end of the docking."""
-        return not self.recording.damage and (bool(self.recording.told(END)) or self.last_phase == "idle")
+        return not self.recording.damage and (bool(self.recording.file.told(END)) or self.last_phase == "idle")
 
     def outcome(self) -> dict[str, Any]:
         """Return success (None = unknown), code, name and message of the docking."""
@@ -121,7 +121,7 @@ class Replay:
             "dropped": {
                 "damage": self.recording.damage,
                 "missing": self.recording.missing(),
-                "thinned": json.loads((self.recording.told(END) or [{}])[-1].get("dropped", "{}")),
+                "thinned": json.loads((self.recording.file.told(END) or [{}])[-1].get("dropped", "{}")),
             },
         }
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -208,7 +209,7 @@ def test_nothing_moves_toward_what_is_out_of_reach_or_while_a_session_runs() -> 
 @pytest.mark.parametrize("kind", SETS)
 def test_a_plan_is_the_same_for_the_same_arguments_and_only_for_them(kind: str) -> None:
     part = part_of(kind)
-    assert part.poses() == part.poses() == Part.from_dict(part.as_dict()).poses()
+    assert part.poses() == part.poses() == Part.from_dict(asdict(part)).poses()
     angle = math.radians(part.angle_deg)
     assert all(pose.angle == angle for pose in part.poses())
     if kind != "reference":
