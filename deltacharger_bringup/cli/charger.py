@@ -42,9 +42,7 @@ def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
     given = getattr(options, "scene", None)  # some commands take the scene as it comes
     scene = load_for_command(given or DEFAULT_SCENE)
     environment.prepare()
-    problem = environment.domain_problem()
-    if problem:
-        raise CommandError(problem, WRONG_INPUT)
+    require_domain()
     options.discovery, options.must_run = DISCOVERY, False
     if scene.touches_hardware:
         return scene
@@ -57,6 +55,17 @@ def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
             return dataclasses.replace(scene, goal=None)  # a simulated target's place is no real one's
     environment.isolate()
     return scene
+
+
+def require_domain() -> None:
+    """Refuse a ROS_DOMAIN_ID that cannot be used.
+
+    Raises:
+        CommandError: exit code 2.
+    """
+    problem = environment.domain_problem()
+    if problem:
+        raise CommandError(problem, WRONG_INPUT)
 
 
 def _answers_by_default(namespace: str) -> bool:

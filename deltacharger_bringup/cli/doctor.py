@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -89,10 +89,9 @@ def _set_baud(options: argparse.Namespace) -> int:
     if options.scene or options.board_port:
         raise CommandError("--set-baud looks at --servo-port alone; leave --scene and --board-port out", WRONG_INPUT)
     port = options.servo_port
-    found = checked("servo port", lambda: examine_port("servo port", port))
-    if not _any_wrong(found):
-        say(f"looking for servos on {port} ...")
-        found += checked("servos", lambda: set_baud(port, options.set_baud, options.ids))
+    found = _examine(
+        "servos", port, f"looking for servos on {port} ...", lambda: set_baud(port, options.set_baud, options.ids)
+    )
     return _report(options, found, _Hardware(servo_port=port))
 
 
@@ -163,23 +162,23 @@ def _examine_ports(hardware: _Hardware) -> list[Finding]:
     if servo and board and same_device(servo, board):
         return [wrong("ports", f"{servo} and {board} are one device", "give each its own port")]
     if servo:
-        opened = checked("servo port", lambda: examine_port("servo port", servo))
-        found += opened
-        if not _any_wrong(opened):
-            say(f"looking at the servos on {servo} ...")
-            speed, ids, current = hardware.servo_speed, hardware.ids, hardware.current_max
-            found += checked("servos", lambda: examine_servos(servo, speed, ids, current))
+        speed, ids, current = hardware.servo_speed, hardware.ids, hardware.current_max
+        saying = f"looking at the servos on {servo} ..."
+        found += _examine("servos", servo, saying, lambda: examine_servos(servo, speed, ids, current))
     if board:
-        opened = checked("board port", lambda: examine_port("board port", board))
-        found += opened
-        if not _any_wrong(opened):
-            say(f"looking at the board on {board} ...")
-            found += checked("board", lambda: examine_board(board, hardware.board_speed))
+        saying = f"looking at the board on {board} ..."
+        found += _examine("board", board, saying, lambda: examine_board(board, hardware.board_speed))
     return found
 
 
-def _any_wrong(found: list[Finding]) -> bool:
-    return any(finding.level == "wrong" for finding in found)
+def _examine(device: str, path: str, saying: str, check: Callable[[], Iterable[Finding]]) -> list[Finding]:
+    """Return what is found of a port and, where it opens, of the device behind it."""
+    part = f"{device.removesuffix('s')} port"
+    found = checked(part, lambda: examine_port(part, path))
+    if not any(finding.level == "wrong" for finding in found):
+        say(saying)
+        found += checked(device, check)
+    return found
 
 
 def _report(options: argparse.Namespace, found: list[Finding], hardware: _Hardware) -> int:

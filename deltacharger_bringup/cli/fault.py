@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from deltacharger_bringup.cli.charger import require_domain
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, tell, tell_or_write, write_json
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_bringup.cli.types import POSITIVE, between, whole
@@ -36,9 +37,7 @@ def fault(options: argparse.Namespace) -> int:
     """Cause one fault, end all, or list."""
     if (options.kind is not None) + options.list + options.clear != 1:
         raise CommandError("give a KIND, --list or --clear, and one of them only", WRONG_INPUT)
-    problem = environment.domain_problem()
-    if problem:
-        raise CommandError(problem, WRONG_INPUT)
+    require_domain()
     if options.kind is not None:
         return _cause(options, _checked(options))
     if options.amount is not None or options.servo or options.for_s:

@@ -14,7 +14,6 @@ from deltacharger_bringup.cli.output import (
     DONE,
     FAILED,
     INTERRUPTED,
-    WRONG_INPUT,
     CommandError,
     Interrupts,
     say,
@@ -161,7 +160,7 @@ def docking(options: argparse.Namespace) -> int:
 
 def footprint(options: argparse.Namespace) -> int:
     """Write what a charger costs this computer, scene by scene, into a folder."""
-    from deltacharger_bringup.cli.charger import ros_context
+    from deltacharger_bringup.cli.charger import require_domain, ros_context
     from deltacharger_bringup.cli.scene import refusing_scenes
     from deltacharger_core import environment
     from deltacharger_lab.reports.footprint import plan as footprint_plan
@@ -178,9 +177,7 @@ def footprint(options: argparse.Namespace) -> int:
         raise CommandError(f"nothing to measure: {'; '.join(f'{name}: {why}' for name, why in plan.left_out.items())}")
     directory = folder_to_write("--out", options.out)
     environment.prepare()
-    problem = environment.domain_problem()
-    if problem:
-        raise CommandError(problem, WRONG_INPUT)
+    require_domain()
     environment.isolate()
     scenes = "".join(f" --scene {name}" for name in options.scene)
     command = f"{_command(options, 'footprint', scenes)} --repeats {plan.repeats}"
