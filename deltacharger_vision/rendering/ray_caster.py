@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.images import Intrinsics
-from deltacharger_vision.lens import undistort
+from deltacharger_vision.projection import undistort
 
 Plane = NDArray[np.float32]
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from deltacharger_vision.errors import CameraInfoError
-from deltacharger_vision.lens import distort, undistort
+from deltacharger_vision.projection import distort, undistort
 
 from .views import DISTORTIONS
 

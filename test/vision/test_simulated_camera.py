@@ -10,7 +10,7 @@ import pytest
 
 from deltacharger_vision.errors import RenderingError
 from deltacharger_vision.images import RgbdImage
-from deltacharger_vision.lens import undistort
+from deltacharger_vision.projection import undistort
 from deltacharger_vision.rendering.camera import OAK_D, SimulatedCamera
 from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
 from deltacharger_vision.rendering.scene import Box, RenderedScene, shifted

@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 
 from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.lens import distort
+from deltacharger_vision.projection import distort
 from deltacharger_vision.rendering.parameters import SceneParameters
 from deltacharger_vision.rendering.scene import RenderedScene
 from deltacharger_vision.terminal import Terminal
