@@ -66,9 +66,9 @@ def test_stopped_it_keeps_what_is_written_and_goes_on(tmp_path: Path) -> None:
 def test_a_scheduler_that_is_not_there_or_has_no_workers_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from deltacharger_lab.campaigns import dask_runner
+    from deltacharger_lab.campaigns import runner
 
-    monkeypatch.setattr(dask_runner, "_CONNECT", 0.5)
+    monkeypatch.setattr(runner, "_CONNECT", 0.5)
     with Store(tmp_path / "d", settings(1)) as store:
         with pytest.raises(CampaignError, match="no Dask scheduler answers"):
             run_missing(store, 1, "tcp://127.0.0.1:9", 0, lambda rows: None, lambda: False, print)
