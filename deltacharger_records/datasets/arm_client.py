@@ -116,9 +116,8 @@ class ArmClient(ArmGuest):
             raise ArmError(str(error)) from error
         self._publish(waypoints)
         self._commanded = goal
-        moving_until = time.monotonic() + waypoints[-1].time
-        self._wait(lambda: time.monotonic() >= moving_until, math.inf, self.check)
-        self._wait(lambda: time.monotonic() >= moving_until + _WINDOW, math.inf, self.check)
+        over = time.monotonic() + waypoints[-1].time + _WINDOW
+        self._wait(lambda: time.monotonic() >= over, math.inf, self.check)
         self.rest()
 
     def rest(self) -> None:

@@ -50,12 +50,13 @@ class RecordingCharger(ArmGuest):
     Attributes:
         tape: on which all topics of `names` come.
         names: full name of each topic by its relative one.
+        is_driving: whether the torque may be on by this program's doing.
     """
 
     def __init__(self, context: Context, namespace: str = "", stop: threading.Event | None = None) -> None:
         super().__init__("recording", context, namespace, stop)
         self._machine: RecordingMachine | None = None
-        self._driving = False
+        self.is_driving = False
         self.names = {topic.name: self.node.resolve_topic_name(topic.name) for topic in TOPICS}
         self.tape = Tape(self.names["docking_state"])
         self._inputs = Inputs(self.node)
@@ -68,11 +69,6 @@ class RecordingCharger(ArmGuest):
     def name(self) -> str:
         """Name of the node that drives the arm."""
         return str(self.node.get_name())
-
-    @property
-    def is_driving(self) -> bool:
-        """Whether the torque may be on by this program's doing."""
-        return self._driving
 
     @property
     def has_docking_node(self) -> bool:
@@ -163,7 +159,7 @@ class RecordingCharger(ArmGuest):
             return False
         if not previous:
             raise ArmError("the torque is on already, so another program moves the arm: end it")
-        self._driving = True
+        self.is_driving = True
         return True
 
     def run(self, machine: RecordingMachine, start: Callable[[Observation], None]) -> DockingOutcome:
@@ -186,14 +182,14 @@ class RecordingCharger(ArmGuest):
             self._inputs.wait(_TICK)
             if self._is_taken():
                 machine.emergency()  # its command is not carried out: the arm is docking_node's
-                self._machine, self._driving = None, False
+                self._machine, self.is_driving = None, False
                 self._check_free()
             if self._stop.is_set():
                 machine.cancel()
             observation = self._observe()
             self._carry_out(machine.step(observation), observation)
         outcome, machine.outcome = machine.outcome, None
-        self._driving = not self._wait_for_torque_off()
+        self.is_driving = not self._wait_for_torque_off()
         return outcome
 
     def _observe(self) -> Observation:
@@ -206,19 +202,19 @@ class RecordingCharger(ArmGuest):
             now = self.node.get_clock().now() - Duration(seconds=time.monotonic() - observation.time)
             self._publisher.publish(io.trajectory(command.trajectory, now.to_msg()))
         for request in command.requests:
-            self._driving = self._driving or request.service is Service.TORQUE_ON
+            self.is_driving = self.is_driving or request.service is Service.TORQUE_ON
             self._calls.call(request)
 
     def _let_go(self) -> None:
         """Stop the arm where it is and switch its torque off, unless electrodes are live: that would draw an arc."""
-        if not self._driving:
+        if not self.is_driving:
             return
         observation = self._observe()
         if self._machine is not None:
             self._carry_out(self._machine.emergency(), observation)
         if not observation.contactor_closed:
             self._calls.call(Request(0, Service.TORQUE_OFF))
-            self._driving = not self._wait_for_torque_off()
+            self.is_driving = not self._wait_for_torque_off()
 
     def _wait_for_torque_off(self) -> bool:
         return self._wait(lambda: not self._observe().torque_enabled, _ANSWER, patient=True)

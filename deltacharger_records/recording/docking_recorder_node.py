@@ -44,7 +44,6 @@ class DockingRecorderNode(Node):
     """Records dockings; docs/records.md says what is in a file."""
 
     def __init__(self, **kwargs: Any) -> None:
-        self._closed = True
         super().__init__("docking_recorder_node", **kwargs)
         given = declare_all(self, DockingRecorderNodeParameters)
         reject_unknown(self)
@@ -77,22 +76,13 @@ class DockingRecorderNode(Node):
         self._docking_parameters = ParameterReader(self, "docking_node")
         self._diagnostics = Diagnostics(self)
         self._topics = PolledTopics(self, TOPICS)
-        self._closed = False
         self._thread = threading.Thread(target=self._loop, name="docking recorder", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Write what has come, and complete the record under way. Safe to call twice."""
-        if self._closed:
-            return
-        self._closed = True
         self._stopping.set()
         self._thread.join(10.0)
-
-    def destroy_node(self) -> None:
-        """Close, then release the ROS side."""
-        self.close()
-        super().destroy_node()
 
     def _take(self, message: Raw) -> None:
         self._recorder.take(time.monotonic() - (time.time_ns() - message.received) * 1e-9, message)

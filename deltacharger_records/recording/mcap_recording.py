@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
@@ -95,24 +94,20 @@ class McapWriter(McapStream):
     """
 
     def __init__(self, path: Path, kinds: Mapping[str, Any]) -> None:
-        self._exit = ExitStack()
         with ExitStack() as undo:
             super().__init__(undo.enter_context(undo.enter_context(whole(path)).open("wb")), kinds, live=False)
+            undo.push(self._complete)
             self._exit = undo.pop_all()
 
     def __enter__(self) -> McapWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                self.finish()
-        except BaseException as problem:
-            self._exit.__exit__(type(problem), problem, problem.__traceback__)
-            raise
-        self._exit.__exit__(kind, error, trace)
+    def __exit__(self, *exception: Any) -> None:
+        self._exit.__exit__(*exception)
+
+    def _complete(self, kind: object, *_: object) -> None:
+        if kind is None:
+            self.finish()
 
 
 def pack(path: Path, kinds: Mapping[str, Any]) -> None:

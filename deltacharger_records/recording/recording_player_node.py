@@ -49,7 +49,6 @@ class RecordingPlayerNode(Node):
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        self._closed = True
         super().__init__("recording_player_node", **kwargs)
         self._given = declare_all(self, RecordingPlayerNodeParameters)
         reject_unknown(self)
@@ -67,22 +66,14 @@ class RecordingPlayerNode(Node):
         self._diagnostics = Diagnostics(self)
         self._say_what_is_there()
         self._stopping = threading.Event()
-        self._closed = False
         self._thread = threading.Thread(target=self._run, name="recording player", daemon=True)
         self.create_timer(_DIAGNOSTICS, self._diagnose)
         self._thread.start()
 
     def close(self) -> None:
         """Stop playing. Safe to call twice."""
-        if not self._closed:
-            self._closed = True
-            self._stopping.set()
-            self._thread.join(5.0)
-
-    def destroy_node(self) -> None:
-        """Close, then release the ROS side."""
-        self.close()
-        super().destroy_node()
+        self._stopping.set()
+        self._thread.join(5.0)
 
     def _say_what_is_there(self) -> None:
         recording = self._recording

@@ -60,13 +60,8 @@ class Replay:
     began: int = 0
     end: float = 0.0
 
-    @property
-    def result(self) -> Outcome | None:
-        """How the docking ended as its client was told; None where that was not recorded."""
-        return self.result_of("dock")
-
     def result_of(self, action: str) -> Outcome | None:
-        """Return the first result of "dock" or "undock"."""
+        """Return how "dock" or "undock" first ended as its client was told; None where that was not recorded."""
         for values in self.recording.file.told(RESULT):
             if values.get("action") == action:
                 return _outcome(json.loads(values["json"]))
@@ -89,7 +84,7 @@ class Replay:
 
     def outcome(self) -> dict[str, Any]:
         """Return success (None = unknown), code, name and message of the docking."""
-        result = self.result or self.result_of("undock")
+        result = self.result_of("dock") or self.result_of("undock")
         if result is not None:
             return _named(result.success, result.error_code, result.error_message)
         if self.code:

@@ -69,7 +69,7 @@ def _unknown(replay: Replay) -> str:
 
 
 def _charged(replay: Replay) -> str:
-    result, touches = replay.result, replay.run.touches
+    result, touches = replay.result_of("dock"), replay.run.touches
     details = result.details if result is not None else {}
     took = f" in {quantity(result.elapsed, 's', 1)}" if result is not None else ""
     charging = not math.isnan(replay.charged)

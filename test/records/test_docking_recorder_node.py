@@ -123,8 +123,9 @@ def quiet(request: pytest.FixtureRequest) -> Iterator[None]:
 
 def assert_same(found: Replay, outcome: Outcome) -> None:
     """What the record tells is what the client was told."""
-    assert found.result is not None
-    assert found.result.as_dict() == outcome.as_dict()
+    told = found.result_of("dock")
+    assert told is not None
+    assert told.as_dict() == outcome.as_dict()
     assert found.outcome()["code"] == outcome.error_code
     assert found.outcome()["message"] == outcome.error_message
 

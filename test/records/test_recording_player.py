@@ -247,6 +247,7 @@ def test_what_cannot_be_played_is_refused_at_the_start(
 
 def test_one_charger_of_several_is_played_by_its_name(context: Any, tmp_path: Path) -> None:
     player = alone(of_two(tmp_path), context, charger="b")
+    player.close()
     player.destroy_node()
     with pytest.raises(StartupError, match=r"no docking_state of /c; there is /a, /b"):
         alone(of_two(tmp_path), context, charger="c")
