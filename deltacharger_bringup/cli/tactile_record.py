@@ -113,10 +113,8 @@ def _refusing() -> Iterator[None]:
         raise CommandError(f"{error.name} is missing: install the package or source its workspace") from error
     try:
         yield
-    except Mismatch as error:
-        raise CommandError(str(error), WRONG_INPUT) from error
     except RecordingError as error:
-        raise CommandError(str(error), FAILED) from error
+        raise CommandError(str(error), WRONG_INPUT if isinstance(error, Mismatch) else FAILED) from error
 
 
 def _part(options: argparse.Namespace) -> Part:

@@ -92,16 +92,13 @@ def _check_places(options: argparse.Namespace) -> None:
         )
     if options.save is not None:
         file_to_write("--save", options.save, ".rrd")
-    elif options.connect is None and sys.platform == "linux" and not _has_screen():
+    has_screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if options.save is None and options.connect is None and not has_screen:
         raise CommandError(
             "there is no screen here: give --save FILE.rrd and open the file elsewhere with `rerun FILE.rrd`, "
             "or --connect to a viewer that runs on another computer",
             WRONG_INPUT,
         )
-
-
-def _has_screen() -> bool:
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def _open(rr: Any, options: argparse.Namespace, scene: Scene, settings: Settings | None = None) -> tuple[Any, ViewFeed]:

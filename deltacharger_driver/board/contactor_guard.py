@@ -16,7 +16,6 @@ from collections.abc import Callable
 
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefused
-from deltacharger_driver.board.errors import CommandRefused
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import fault_name
 from deltacharger_driver.board.samples import PowerSample, ProbeResult, TactileSample
@@ -178,16 +177,11 @@ class ContactorGuard:
         try:
             self._link.keep_alive(until)
             self._link.contactor(True)
-        except CommandRefused:
-            self._end_lease()  # nothing was closed; an open would clear a fault that somebody should see
-            raise
-        except NoAnswer:
+        except DriverError as error:
             self._end_lease()
-            with contextlib.suppress(DriverError):
-                self._link.contactor(False)  # the close may have been carried out
-            raise
-        except DriverError:
-            self._end_lease()
+            if isinstance(error, NoAnswer):  # after a refusal an open would clear a fault that somebody should see
+                with contextlib.suppress(DriverError):
+                    self._link.contactor(False)  # the close may have been carried out
             raise
 
     def _end_lease(self) -> None:

@@ -167,9 +167,7 @@ def result(charger: VirtualCharger, outcome: DockingOutcome, above: float) -> di
         "final_angle": angle,
         "final_misalignment": math.hypot(x, y) if outcome.success else math.nan,
         "clearance": truth.clearance,
-        "felt_horizontal": felt.horizontal if felt is not None else math.nan,
-        "felt_vertical": felt.vertical if felt is not None else math.nan,
-        "felt_angle": felt.angle if felt is not None else math.nan,
+        **{f"felt_{axis}": math.nan if felt is None else getattr(felt, axis) for axis in feeling.AXES},
         **_record(charger),
     }
 

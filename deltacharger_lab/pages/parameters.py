@@ -63,6 +63,7 @@ def _allowed(descriptor: Any) -> str:
 @contextmanager
 def every_node(context: Context, namespace: str) -> Iterator[list[Node]]:
     """Run the nodes of a robot, those of its simulation and those that show it, each once, and return them."""
+    from deltacharger_records.view.passive_joints_node import PassiveJointsNode
     from deltacharger_scenes.composition import Composition
     from deltacharger_scenes.scene import STANDARD_NODES, parse_scene
 
@@ -72,7 +73,8 @@ def every_node(context: Context, namespace: str) -> Iterator[list[Node]]:
     scene = parse_scene({"nodes": names, "simulation": {}, "parameters": defaults}, "parameters")
     with Composition(scene, context, namespace) as composition, ExitStack() as stack:
         nodes: list[Any] = [running.node for running in composition.nodes]
-        for node in (_camera(context, namespace), _passive_joints(context, namespace), _player(context, namespace)):
+        joints = PassiveJointsNode(context=context, namespace=namespace, use_global_arguments=False)
+        for node in (_camera(context, namespace), joints, _player(context, namespace)):
             stack.callback(node.destroy_node)
             stack.callback(getattr(node, "close", lambda: None))
             nodes.append(node)
@@ -87,12 +89,6 @@ def _camera(context: Context, namespace: str) -> Any:
         raise CameraUnavailable("its parameters alone are looked at")
 
     return CameraNode(no_camera, context=context, namespace=namespace, use_global_arguments=False)
-
-
-def _passive_joints(context: Context, namespace: str) -> Any:
-    from deltacharger_records.view.passive_joints_node import PassiveJointsNode
-
-    return PassiveJointsNode(context=context, namespace=namespace, use_global_arguments=False)
 
 
 def _player(context: Context, namespace: str) -> Any:
