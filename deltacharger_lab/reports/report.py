@@ -18,6 +18,9 @@ from typing import Any
 from deltacharger_lab.reports.page import render, write_html
 from deltacharger_ros.outcomes import json_ready
 
+Picture = Callable[[dict[str, Any], Path], None]
+"""Draws results into a file."""
+
 
 class Report:
     """A report on its way: `results` takes what is measured; then `draw`, the targets, and `write`.
@@ -45,23 +48,24 @@ class Report:
         }
 
     def draw(
-        self, jobs: Mapping[str, Callable[[Path], None]], directory: Path, missing: Mapping[str, str] | None = None
+        self, pictures: Mapping[str, Picture], directory: Path, missing: Mapping[str, str] | None = None, **more: Any
     ) -> None:
         """Write every picture that can be written; note those that are missing, with the reason, and the time it took.
 
         Args:
-            jobs: by name of the file.
+            pictures: by name of the file.
             directory: of the report.
             missing: pictures that there cannot be, and why.
+            more: what pictures show besides the results, and no file keeps.
         """
         reasons = dict(missing or {})
-        for name, job in jobs.items():
+        for name, draw in pictures.items():
             if name not in reasons:
                 try:
-                    job(directory / name)
+                    draw({**self.results, **more}, directory / name)
                 except ImportError as error:
                     reasons[name] = f"{error}; install deltacharger[report]"
-        self.results["pictures"] = [name for name in jobs if name not in reasons]
+        self.results["pictures"] = [name for name in pictures if name not in reasons]
         self.results["missing_pictures"] = reasons
         self.results["elapsed_s"] = time.monotonic() - self._started
 

@@ -33,7 +33,7 @@ def quick_report(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPa
     assert {Path(name) for name in answer["files"]} == set(folder.iterdir())
     assert answer["targets"] == figures["targets"]
     assert answer.get("simulated", True) is True
-    assert figures["pictures"] == list(importlib.import_module(f"deltacharger_lab.reports.{subject}.pictures").NAMES)
+    assert figures["pictures"] == list(importlib.import_module(f"deltacharger_lab.reports.{subject}.pictures").PICTURES)
     page = (folder / f"{subject}.md").read_text("utf-8")
     assert f"`{figures['command']}`" in " ".join(page.split())
     assert sorted(re.findall(r"!\[[^]]+\]\(([^)]+)\)", page)) == sorted(figures["pictures"])

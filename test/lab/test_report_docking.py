@@ -16,7 +16,7 @@ from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.summary import upper_bound
 from deltacharger_lab.reports.docking import report as docking_report
 from deltacharger_lab.reports.docking import summary as docking_summary
-from deltacharger_lab.reports.docking.pictures import NAMES
+from deltacharger_lab.reports.docking.pictures import PICTURES
 from deltacharger_lab.reports.docking.plan import PARTS, QUICK, make_plan
 from deltacharger_lab.reports.docking.summary import Columns
 
@@ -128,7 +128,7 @@ def test_a_report_runs_what_is_missing_and_tells_what_it_has(
     assert {Path(name).name for name in answer["files"]} == {
         "docking.md",
         "docking.json",
-        *(name for name in NAMES if name != "docking-clearance.png"),
+        *(name for name in PICTURES if name != "docking-clearance.png"),
     }
     figures = json.loads((tmp_path / "docking.json").read_text("utf-8"))
     assert {name: each["n"] for name, each in figures["parts"].items()} == {"random": 3, "upright": 3}

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -49,14 +50,19 @@ def test_a_template_that_asks_for_what_is_not_there_is_an_error() -> None:
 def test_pictures_that_cannot_be_drawn_are_told_with_the_reason(tmp_path: Path) -> None:
     pytest.importorskip("jinja2", reason="writes with deltacharger[report]")
 
-    def absent(path: Path) -> None:
+    def written(results: dict[str, Any], path: Path) -> None:
+        path.write_text(results["shown"], "utf-8")
+
+    def absent(results: dict[str, Any], path: Path) -> None:
         raise ModuleNotFoundError("No module named 'matplotlib'")
 
     report = Report("docking", "deltacharger report docking", ("numpy",))
-    report.draw({"a.png": Path.touch, "b.png": absent, "c.png": Path.touch}, tmp_path, {"c.png": "not run"})
+    report.draw({"a.png": written, "b.png": absent, "c.png": written}, tmp_path, {"c.png": "not run"}, shown="all")
+    assert "shown" not in report.results
     assert report.results["pictures"] == ["a.png"]
     assert report.results["missing_pictures"] == {
         "c.png": "not run",
         "b.png": "No module named 'matplotlib'; install deltacharger[report]",
     }
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
+    assert (tmp_path / "a.png").read_text("utf-8") == "all"

@@ -16,7 +16,7 @@ from deltacharger_kinematics import DeltaGeometry
 from deltacharger_lab.reports.kinematics import sets
 from deltacharger_lab.reports.kinematics.forms import INVERSE_FORMS, inverse_array, inverse_one
 from deltacharger_lab.reports.kinematics.geometries import ADJUSTED
-from deltacharger_lab.reports.kinematics.pictures import NAMES
+from deltacharger_lab.reports.kinematics.pictures import PICTURES
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 from deltacharger_lab.reports.kinematics.solvers import OURS, PRECISE
 
@@ -89,7 +89,7 @@ def test_without_peers_and_matplotlib_the_tables_stay_and_say_what_is_missing(
     printed = capsys.readouterr()
     answer = json.loads(printed.out)
     assert set(answer["absent"]) == {"casadi", "pinocchio"}
-    assert set(answer["missing_pictures"]) == set(NAMES)
+    assert set(answer["missing_pictures"]) == set(PICTURES)
     page = (folder / "kinematics.md").read_text("utf-8")
     assert "deltacharger[peers]" in page
     assert "deltacharger[report]" in page

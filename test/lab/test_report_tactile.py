@@ -13,7 +13,7 @@ from deltacharger_lab.reports.page import write_html
 from deltacharger_lab.reports.pool import ReportTask, work
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import splits as tactile_splits
-from deltacharger_lab.reports.tactile.pictures import NAMES
+from deltacharger_lab.reports.tactile.pictures import PICTURES
 from deltacharger_lab.reports.tactile.shifts import SHIFTS
 from deltacharger_lab.reports.tactile.summary import FIRES, HOLDS, NEITHER, accuracies, shifts
 
@@ -58,7 +58,7 @@ def test_every_table_and_picture_says_that_the_data_are_simulated(quick_report: 
     assert all("simulated" in head for head in heads), heads
     assert all("simulated" in each for each in re.findall(r"!\[(.*?)\]", page))
     whole = (folder / "tactile.html").read_text("utf-8")
-    assert whole.count("data:image/png;base64,") == len(NAMES)
+    assert whole.count("data:image/png;base64,") == len(PICTURES)
     assert 'src="tactile' not in whole
     assert whole.count("<table>") == len(heads)
 

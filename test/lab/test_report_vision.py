@@ -27,7 +27,7 @@ from deltacharger_lab.reports.vision.conditions import (
 )
 from deltacharger_lab.reports.vision.gallery import worst
 from deltacharger_lab.reports.vision.measure import FIELDS, Photographer, errors
-from deltacharger_lab.reports.vision.pictures import NAMES
+from deltacharger_lab.reports.vision.pictures import PICTURES
 from deltacharger_lab.reports.vision.summary import row, targets
 from deltacharger_vision.detector.detection import Detection
 
@@ -94,10 +94,10 @@ def test_without_mujoco_and_pictures_the_page_says_why(quick_report: Quick) -> N
     figures = json.loads((quick_report[0] / "vision.json").read_text("utf-8"))
     figures["rows"] = {name: each for name, each in figures["rows"].items() if MUJOCO not in name}
     figures |= {"absent": {"mujoco": "its rows are left out: none here"}, "pictures": []}
-    figures["missing_pictures"] = dict.fromkeys(NAMES, "no matplotlib")
+    figures["missing_pictures"] = dict.fromkeys(PICTURES, "no matplotlib")
     page = render("vision", figures, view=vision_conditions, upper_bound=upper_bound)
     assert "- mujoco: its rows are left out: none here" in page
-    assert f"(No picture {NAMES[0]}: no matplotlib)" in page
+    assert f"(No picture {next(iter(PICTURES))}: no matplotlib)" in page
     assert ", MuJoCo |" not in page.split("## Two renderers")[1]
 
 

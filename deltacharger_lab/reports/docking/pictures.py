@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +11,6 @@ import numpy as np
 from deltacharger_lab.reports.docking import summary
 from deltacharger_records.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, Axes, picture, top_legend
 
-Rows = dict[str, summary.Columns]
-
-NAMES = (
-    "docking-angle.png",
-    "docking-clearance.png",
-    "docking-load.png",
-    "docking-alignment.png",
-    "docking-errors.png",
-)
 FORMS = {
     "random": ("guarded, our estimate", BLUE),
     "paper": ("paper's steps, our estimate", GREEN),
@@ -41,19 +30,8 @@ _LEGEND: Any = {"frameon": True, "facecolor": "white", "edgecolor": "none", "fra
 _LARGEST = 6000  # dots of a cloud
 
 
-def jobs(results: dict[str, Any], rows: Rows) -> dict[str, Callable[[Path], None]]:
-    """Return what draws each picture."""
-    draw = (_angle, _clearance, _load, _alignment, _errors)
-    return {name: partial(each, results, rows) for name, each in zip(NAMES, draw, strict=True)}
-
-
-def without(rows: Rows) -> dict[str, str]:
-    """Return the pictures whose campaign is not there, with the reason."""
-    needs = zip(NAMES, ("random", "edge", "random", "random", "random"), strict=True)
-    return {name: f"the campaign {needed} was not run" for name, needed in needs if needed not in rows}
-
-
-def _angle(results: dict[str, Any], rows: Rows, path: Path) -> None:
+def _angle(results: dict[str, Any], path: Path) -> None:
+    rows = results["rows"]
     about = (
         "simulated dockings of `random` by the target's roll; left with 95 % intervals, right guarded with our estimate"
     )
@@ -95,7 +73,8 @@ def _stack(axes: Axes, rows: summary.Columns) -> None:
     axes.legend(**_LEGEND, loc="lower right")
 
 
-def _clearance(results: dict[str, Any], rows: Rows, path: Path) -> None:
+def _clearance(results: dict[str, Any], path: Path) -> None:
+    rows = results["rows"]
     about = "each dot one simulated docking at its last estimate; true clearance is judged by exact rectangles"
     with picture(path, 11.0, 5.2, "Near zero clearance", about) as figure:
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -134,8 +113,9 @@ def _cloud(axes: Axes, every: summary.Columns | None, title: str) -> None:
         axes.legend(**_LEGEND, loc="upper left")
 
 
-def _load(results: dict[str, Any], rows: Rows, path: Path) -> None:
-    charged = rows["random"]["charged"]
+def _load(results: dict[str, Any], path: Path) -> None:
+    rows = results["rows"]["random"]
+    charged = rows["charged"]
     panels = (
         ("rest_current", 1.0, "contact current at rest, A", charged, summary.BAND),
         ("servo_current_hottest", 1.0, "hottest servo while charging, A", charged, (summary.HOTTEST_MOST,)),
@@ -144,7 +124,7 @@ def _load(results: dict[str, Any], rows: Rows, path: Path) -> None:
     about = "simulated dockings of `random`, gravity from anywhere; red: the targets"
     with picture(path, 11.0, 3.9, "Load on servos and target", about) as figure:
         for axes, (name, scale, text, chosen, limits) in zip(figure.subplots(1, 3), panels, strict=True):
-            values = scale * rows["random"][name][chosen].astype(float)
+            values = scale * rows[name][chosen].astype(float)
             values = values[np.isfinite(values)]
             low, high = min(*values, *limits) if len(values) else 0.0, max(*values, *limits) if len(values) else 1.0
             margin = 0.04 * (high - low)
@@ -155,7 +135,8 @@ def _load(results: dict[str, Any], rows: Rows, path: Path) -> None:
         figure.axes[0].set_ylabel("dockings")
 
 
-def _alignment(results: dict[str, Any], rows: Rows, path: Path) -> None:
+def _alignment(results: dict[str, Any], path: Path) -> None:
+    rows = results["rows"]
     about = "charged simulated dockings of `random`; the other forms on the same seeds"
     names = [name for name in FORMS if name in rows]
     with picture(path, 11.0, 4.2, "Moves, time, and where the electrodes rest", about) as figure:
@@ -182,7 +163,8 @@ def _share_below(axes: Axes, values: summary.Array, colour: str) -> None:
     axes.set_ylim(0.0, 101.0)
 
 
-def _errors(results: dict[str, Any], rows: Rows, path: Path) -> None:
+def _errors(results: dict[str, Any], path: Path) -> None:
+    rows = results["rows"]["random"]
     about = (
         "(estimate − truth) / σ of simulated dockings of `random`; outside of ±5 at the ends; black: what σ promises"
     )
@@ -192,7 +174,7 @@ def _errors(results: dict[str, Any], rows: Rows, path: Path) -> None:
         normal = np.exp(-0.5 * middle**2) / np.sqrt(2.0 * np.pi)
         for axes, axis in zip(figure.subplots(1, 3, sharey=True), summary.AXES, strict=True):
             for which, colour in (("first", ORANGE), ("last", BLUE)):
-                z = rows["random"][f"{which}_{axis}_error"] / rows["random"][f"{which}_{axis}_stddev"]
+                z = rows[f"{which}_{axis}_error"] / rows[f"{which}_{axis}_stddev"]
                 z = np.clip(z[np.isfinite(z)], -4.999, 4.999)
                 rms = results["calibration"]["random"][f"{which}_{axis}"]["rms"]
                 label = f"{which} estimate, rms {rms:.2f}"
@@ -200,3 +182,18 @@ def _errors(results: dict[str, Any], rows: Rows, path: Path) -> None:
             axes.plot(middle, normal, color=INK, linewidth=1.0)
             axes.set(yscale="log", ylim=(1e-4, 12.0), xlabel=f"{axis} error / σ")
             axes.legend(fontsize=8, loc="upper right")
+
+
+PICTURES = {
+    "docking-angle.png": _angle,
+    "docking-clearance.png": _clearance,
+    "docking-load.png": _load,
+    "docking-alignment.png": _alignment,
+    "docking-errors.png": _errors,
+}
+
+
+def without(rows: dict[str, summary.Columns]) -> dict[str, str]:
+    """Return the pictures whose campaign is not there, with the reason."""
+    needs = {name: "edge" if draw is _clearance else "random" for name, draw in PICTURES.items()}
+    return {name: f"the campaign {needed} was not run" for name, needed in needs.items() if needed not in rows}

@@ -17,7 +17,7 @@ from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.settings import CampaignSettings, scene_of, versions_of
 from deltacharger_lab.campaigns.store import Store, read_results, read_settings
 from deltacharger_lab.reports.docking import summary
-from deltacharger_lab.reports.docking.pictures import FORMS, jobs, without
+from deltacharger_lab.reports.docking.pictures import FORMS, PICTURES, without
 from deltacharger_lab.reports.docking.plan import CampaignPart, DockingPlan
 from deltacharger_lab.reports.report import Report
 
@@ -119,7 +119,7 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Callable[[
     }
     results["targets"] = summary.targets(results["parts"], results["upright"])
     progress("pictures")
-    report.draw(jobs(results, rows), directory, without(rows))
+    report.draw(PICTURES, directory, without(rows), rows=rows)
     return report.write(directory, view=summary, forms={name: forms[name] for name in forms if name in rows})
 
 

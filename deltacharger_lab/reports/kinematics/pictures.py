@@ -4,34 +4,18 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from deltacharger_lab.reports.kinematics.workspace import Slices, draw_condition, draw_force
+from deltacharger_lab.reports.kinematics.workspace import draw_condition, draw_force
 from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, Axes, note, picture
 
-ERROR_TIME, EDGE, SPEED = "kinematics-error-time.png", "kinematics-edge.png", "kinematics-speed.png"
-CONDITION, FORCE = "kinematics-condition.png", "kinematics-force.png"
-NAMES = (ERROR_TIME, EDGE, SPEED, CONDITION, FORCE)
 _COLOURS = {"ours": BLUE, "form": ORANGE, "peer": PURPLE}
 _MARKERS = {"ours": "oD^*", "form": "vPXs<>", "peer": "hpds^"}
 _FLOOR = 1e-17  # rad; an error of zero is drawn here
 _PANELS = {"interior": "workspace box", "boundary": "edge of reach", "fold": "one limb folded"}
-
-
-def jobs(results: dict[str, Any], slices: Slices) -> dict[str, Callable[[Path], None]]:
-    """Return what draws each picture."""
-    return {
-        ERROR_TIME: partial(_error_time, results),
-        EDGE: partial(_edge, results),
-        SPEED: partial(_speed, results),
-        CONDITION: partial(draw_condition, slices),
-        FORCE: partial(draw_force, slices),
-    }
 
 
 def _error_time(results: dict[str, Any], path: Path) -> None:
@@ -117,3 +101,12 @@ def _speed(results: dict[str, Any], path: Path) -> None:
         note(axes, "wanted: 3 million", (1.0, 3e6), (2, 3), ha="left")
         axes.set(xscale="log", yscale="log", xlabel="points in one call", ylabel="poses per second")
         figure.legend(loc="outside right center", labelspacing=0.9)
+
+
+PICTURES = {
+    "kinematics-error-time.png": _error_time,
+    "kinematics-edge.png": _edge,
+    "kinematics-speed.png": _speed,
+    "kinematics-condition.png": draw_condition,
+    "kinematics-force.png": draw_force,
+}

@@ -14,7 +14,7 @@ from deltacharger_lab.reports.kinematics.extremes import run_cases
 from deltacharger_lab.reports.kinematics.geometries import measure_robots
 from deltacharger_lab.reports.kinematics.measure import ErrorSample, KinematicsPlan
 from deltacharger_lab.reports.kinematics.peers import load
-from deltacharger_lab.reports.kinematics.pictures import jobs
+from deltacharger_lab.reports.kinematics.pictures import PICTURES
 from deltacharger_lab.reports.kinematics.reference import DIGITS, ExactDelta
 from deltacharger_lab.reports.kinematics.sets import interior
 from deltacharger_lab.reports.kinematics.solvers import OURS, PRECISE, SCALAR, Solver, forward_solvers, inverse_solvers
@@ -66,10 +66,9 @@ def build(plan: KinematicsPlan, directory: Path, command: str, progress: Callabl
     progress("extreme inputs and robots")
     results["extremes"], results["robots"] = run_cases(plan), measure_robots(plan)
     progress("pictures")
-    slices = slice_workspace(geometry, plan.grid)
-    results["workspace"] = slices.box
+    results["workspace"], planes = slice_workspace(geometry, plan.grid)
     results["targets"] = targets(results)
-    report.draw(jobs(results, slices), directory)
+    report.draw(PICTURES, directory, planes=planes)
     return report.write(directory, view=page)
 
 

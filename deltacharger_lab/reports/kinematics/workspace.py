@@ -47,16 +47,8 @@ class Slice:
     box: tuple[float, float, float, float]
 
 
-@dataclass(frozen=True)
-class Slices:
-    """The planes of both pictures and what the workspace box holds in numbers."""
-
-    planes: list[Slice]
-    box: dict[str, float]
-
-
-def slice_workspace(geometry: DeltaGeometry, pixels: int) -> Slices:
-    """Return x–z at y = 0 and x–y at the lower, middle and upper z of the workspace box."""
+def slice_workspace(geometry: DeltaGeometry, pixels: int) -> tuple[dict[str, float], list[Slice]]:
+    """Return the workspace box in numbers; x–z at y = 0 and x–y at its lower, middle and upper z."""
     delta = Delta(geometry)
     low, high = np.array(geometry.workspace_min), np.array(geometry.workspace_max)
     levels = (low[2], 0.5 * (low[2] + high[2]), high[2])
@@ -72,7 +64,7 @@ def slice_workspace(geometry: DeltaGeometry, pixels: int) -> Slices:
         "force_max": float(force.max()),
         "reachable": float(np.isfinite(condition).mean()),
     }
-    return Slices(planes, figures)
+    return figures, planes
 
 
 def _slice(delta: Delta, fixed: int, value: float, pixels: int) -> Slice:
@@ -108,35 +100,35 @@ def _force(delta: Delta, points: Array) -> Array:
         return np.asarray(TORQUE_CONSTANT / np.abs(torque).max(-1))
 
 
-def draw_condition(slices: Slices, path: Path) -> None:
+def draw_condition(results: dict[str, Any], path: Path) -> None:
     """Draw the condition number of the Jacobian."""
-    box = slices.box
+    box = results["workspace"]
     about = f"in the workspace box (white) median {box['condition_median']:.2f}, largest {box['condition_max']:.2f}"
     levels = [1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0]
     with picture(path, 13.0, 4.6, "Condition number of the Jacobian", about) as figure:
-        _draw(figure, slices, [plane.condition for plane in slices.planes], levels, "condition number", "viridis_r")
+        _draw(figure, results["planes"], "condition", levels, "condition number", "viridis_r")
 
 
-def draw_force(slices: Slices, path: Path) -> None:
+def draw_force(results: dict[str, Any], path: Path) -> None:
     """Draw the force along z per ampere of the most loaded servo."""
-    box = slices.box
+    box = results["workspace"]
     about = (
         "newtons along +z per ampere of the most loaded servo, without friction and weight; in the workspace box "
         f"(white) {box['force_min']:.1f} to {box['force_max']:.1f}, median {box['force_median']:.1f} N/A"
     )
     levels = [5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 50.0, 60.0, 80.0, 100.0]
     with picture(path, 13.0, 4.6, "Force along z", about) as figure:
-        _draw(figure, slices, [plane.force for plane in slices.planes], levels, "N per A", "viridis")
+        _draw(figure, results["planes"], "force", levels, "N per A", "viridis")
 
 
-def _draw(figure: Any, slices: Slices, fields: list[Array], levels: list[float], label: str, colours: str) -> None:
+def _draw(figure: Any, planes: list[Slice], field: str, levels: list[float], label: str, colours: str) -> None:
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import BoundaryNorm
 
     norm = BoundaryNorm(levels, 256, extend="max" if levels[0] == 1.0 else "both")  # no condition number is below 1
-    panels = figure.subplots(1, len(slices.planes))
-    for axes, plane, field in zip(panels, slices.planes, fields, strict=True):
-        _panel(axes, plane, field, norm, colours)
+    panels = figure.subplots(1, len(planes))
+    for axes, plane in zip(panels, planes, strict=True):
+        _panel(axes, plane, getattr(plane, field), norm, colours)
     bar = figure.colorbar(ScalarMappable(norm, colours), ax=panels, ticks=levels, aspect=32.0, pad=0.01)
     bar.outline.set_visible(False)
     bar.ax.tick_params(length=2, labelsize=8)

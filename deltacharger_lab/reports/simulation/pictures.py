@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +15,9 @@ from deltacharger_lab.reports.simulation.scenes import LIGHT
 from deltacharger_lab.reports.simulation.stability import DIVERGED
 from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, Axes, note, picture
 
-NAMES = ("simulation-error-time.png", "simulation-map.png", "simulation-energy.png", "simulation-docking.png")
 _COLOURS = {LIGHT: BLUE, MUJOCO: ORANGE, MUJOCO_FAST: GREEN}
 _FLOOR = 1e-7  # % of force error, drawn for what is smaller
 _DIVERGED_AT = 30.0  # mm, where a diverged run is drawn
-
-
-def jobs(results: dict[str, Any]) -> dict[str, Callable[[Path], None]]:
-    """Return what draws each picture."""
-    draw = (_error_time, _map, _energy, _docking)
-    return {name: partial(each, results) for name, each in zip(NAMES, draw, strict=True)}
 
 
 def _error_time(results: dict[str, Any], path: Path) -> None:
@@ -128,3 +119,11 @@ def _docking(results: dict[str, Any], path: Path) -> None:
         top.set_ylabel("z, mm")
         bottom.set(ylabel="contact force, N", xlabel="time, s")
         top.legend(fontsize=8, loc="lower right")
+
+
+PICTURES = {
+    "simulation-error-time.png": _error_time,
+    "simulation-map.png": _map,
+    "simulation-energy.png": _energy,
+    "simulation-docking.png": _docking,
+}

@@ -11,7 +11,7 @@ from typing import Any
 from deltacharger_lab.reports.pool import ReportTask, joined, work
 from deltacharger_lab.reports.report import Report
 from deltacharger_lab.reports.simulation import energy, extremes, models, parts, stability, summary
-from deltacharger_lab.reports.simulation.pictures import jobs
+from deltacharger_lab.reports.simulation.pictures import PICTURES
 from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan, absent, models_here
 from deltacharger_lab.reports.simulation.scenes import LIGHT, rms
 
@@ -38,12 +38,10 @@ def build(plan: SimulationPlan, directory: Path, command: str, progress: Callabl
     results["times"] = models.times(plan, names)
     results["costs"] = parts.costs(plan)
     results["imports"] = parts.imports()
-    _measure(results, plan, names, progress)
+    traces = _measure(results, plan, names, progress)
     progress("pictures")
-    report.draw(jobs(results), directory)
+    report.draw(PICTURES, directory, traces=traces)
     results["targets"] = summary.targets(results)
-    for bulky in ("reference", "traces"):
-        del results[bulky]
     light = [point for point in results["map"] if point["model"] == LIGHT]
     (directory / stability.MODULE).write_text(stability.source(light, plan, command), "utf-8")
     return report.write(directory, view=summary, stability=stability, light=LIGHT, energy_parts=energy.PARTS)
@@ -51,19 +49,20 @@ def build(plan: SimulationPlan, directory: Path, command: str, progress: Callabl
 
 def _measure(
     results: dict[str, Any], plan: SimulationPlan, names: tuple[str, ...], progress: Callable[[str], None]
-) -> None:
+) -> list[dict[str, Any]]:
+    """Put what is measured into `results`, and return the courses that are only drawn."""
     known = MUJOCO if MUJOCO in names else LIGHT
     first = [ReportTask("reference", models.both, (name, plan.reference_step)) for name in names[:2]]
     references = work(first, progress)["reference"]
     exact = next(each for each in references if each["name"] == known)
     found = work(tasks(plan, names, exact), progress)
-    results["reference"] = exact
     results["references_apart_mm"] = _apart(references)
-    for name in ("errors", "extremes", "energy", "dockings", "traces"):
+    for name in ("errors", "extremes", "energy", "dockings"):
         results[name] = found[name]
     for name in ("map", "parts"):
         results[name] = joined(found[name])
     results["convergence"] = found["convergence"][0]
+    return found["traces"]
 
 
 def _apart(references: list[dict[str, Any]]) -> float | None:

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +12,9 @@ from deltacharger_lab.reports.tactile.measure import BINS
 from deltacharger_lab.reports.tactile.plan import KINDS, TARGETS, kind, title
 from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, Axes, note, picture, plain_ticks, top_legend
 
-ANGLE, POSITION = "tactile-angle.png", "tactile-position.png"
-ERROR_TIME, RELIABILITY, CONFUSION = "tactile-error-time.png", "tactile-reliability.png", "tactile-confusion.png"
-SHIFTS = "tactile-shifts.png"
-NAMES = (ANGLE, POSITION, ERROR_TIME, SHIFTS, RELIABILITY, CONFUSION)
 COLOURS = {"shallow": ORANGE, "deep": BLUE, "physical": GREEN}
 _PAPER = {"angle": ("cnn", 95.46), "vertical": ("cnn", 98.2), "horizontal": ("nn", 87.9)}
 _ABOUT = "simulated data; "
-
-
-def jobs(results: dict[str, Any]) -> dict[str, Callable[[Path], None]]:
-    """Return what draws each picture."""
-    draw = (_angle, _position, _error_time, _shifts, _reliability, _confusion)
-    return {name: partial(each, results) for name, each in zip(NAMES, draw, strict=True)}
 
 
 def _angle(results: dict[str, Any], path: Path) -> None:
@@ -206,3 +194,13 @@ def _confusion(results: dict[str, Any], path: Path) -> None:
                 axes.set_title(f"{title(name)}, {target}, {'°' if target == 'angle' else 'mm'}", fontsize=9.5)
                 axes.tick_params(length=0)
                 axes.grid(visible=False)
+
+
+PICTURES = {
+    "tactile-angle.png": _angle,
+    "tactile-position.png": _position,
+    "tactile-error-time.png": _error_time,
+    "tactile-shifts.png": _shifts,
+    "tactile-reliability.png": _reliability,
+    "tactile-confusion.png": _confusion,
+}

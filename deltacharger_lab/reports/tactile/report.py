@@ -14,7 +14,7 @@ from deltacharger_lab.reports.report import Report
 from deltacharger_lab.reports.tactile import splits, summary
 from deltacharger_lab.reports.tactile.ceiling import CEILING, ROWS
 from deltacharger_lab.reports.tactile.measure import WINDOWS, judge_rig
-from deltacharger_lab.reports.tactile.pictures import jobs
+from deltacharger_lab.reports.tactile.pictures import PICTURES
 from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, TactilePlan, absent, default
 from deltacharger_lab.reports.tactile.timing import timing
 from deltacharger_tactile.parameters import TactileParameters
@@ -49,7 +49,7 @@ def build(plan: TactilePlan, directory: Path, command: str, progress: Callable[[
     }
     _measure(results, plan, progress)
     progress("pictures")
-    report.draw(jobs(results), directory)
+    report.draw(PICTURES, directory)
     results["targets"] = summary.targets(results, plan)
     return report.write(directory, view=summary, ways=splits, ceiling_name=CEILING)
 

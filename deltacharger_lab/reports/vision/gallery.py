@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,6 @@ from deltacharger_lab.reports.vision.conditions import (
     RENDERERS,
 )
 from deltacharger_lab.reports.vision.measure import Photographer, Sample, errors
-from deltacharger_lab.reports.vision.plan import VisionPlan
 from deltacharger_records.plotting import BLUE, INK, RED, Axes, picture
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector
@@ -45,10 +45,10 @@ _AROUND = 2.4  # what is shown, in lengths of the bars
 _ASPECT = 1.6
 
 
-def renderers(plan: VisionPlan, path: Path) -> None:
+def renderers(results: dict[str, Any], path: Path) -> None:
     """Write one scene as each renderer that works here draws it, with the detection."""
     names = (f"{RENDERERS}: drawn room, decoys, {renderer}" for renderer in (RAYS, MUJOCO))
-    shown = [CONDITIONS[name] for name in names if CONDITIONS[name] in plan.conditions()]
+    shown = [CONDITIONS[name] for name in names if name in results["rows"]]
     width, height = 0.3 + 5.6 * len(shown), 1.2 + 3.5
     about = "simulated images; the same scene and the same defects; green: what was detected"
     title = "Both renderers" if len(shown) > 1 else shown[0].renderer
@@ -56,14 +56,15 @@ def renderers(plan: VisionPlan, path: Path) -> None:
     with closing as photographer, picture(path, width, height, title, about) as figure:
         panels = figure.subplots(1, len(shown), squeeze=False)[0]
         for axes, condition in zip(panels, shown, strict=True):
-            sample = photographer.take(condition, plan.first_seed)
+            sample = photographer.take(condition, results["first_seed"])
             axes.imshow(annotated(sample.image, detector.detect(sample.image)), interpolation="antialiased")
             axes.set_title(condition.renderer)
             axes.axis("off")
 
 
-def hard(images: dict[str, list[list[float]]], path: Path) -> None:
-    """Write the worst of the measured images (N, FIELDS) of many kinds, the part around the terminal."""
+def hard(results: dict[str, Any], path: Path) -> None:
+    """Write the worst of the measured images of many kinds, the part around the terminal."""
+    images = results["raw"]["images"]
     names = [name for name in _HARD if name in images]
     lines = -(-len(names) // _COLUMNS)
     width, height = 12.4, 0.95 + 2.15 * lines

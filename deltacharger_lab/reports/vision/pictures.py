@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +10,8 @@ import numpy as np
 
 from deltacharger_lab.reports.vision import gallery
 from deltacharger_lab.reports.vision.conditions import BAND, BY_RANGE, DEFECTS, HIDDEN, SIZE, key, members
-from deltacharger_lab.reports.vision.plan import VisionPlan
 from deltacharger_records.plotting import BLUE, FAINT, ORANGE, RED, note, picture, plain_ticks, top_legend
 
-RANGE, FOUND, ERROR_TIME = "vision-range.png", "vision-found.png", "vision-error-time.png"
-RENDERERS, GALLERY = "vision-renderers.png", "vision-gallery.png"
-NAMES = (RANGE, FOUND, ERROR_TIME, RENDERERS, GALLERY)
 _ABOUT = "simulated images; "
 _ERRORS = {
     "xy_mm": ("across the line of sight", "mm", 1.0),
@@ -25,17 +19,6 @@ _ERRORS = {
     "roll_deg": ("roll", "°", 1.0),
 }
 """Title, unit and target of the 95 % error of each."""
-
-
-def jobs(results: dict[str, Any], plan: VisionPlan) -> dict[str, Callable[[Path], None]]:
-    """Return what draws each picture."""
-    return {
-        RANGE: partial(_range, results),
-        FOUND: partial(_found, results),
-        ERROR_TIME: partial(_error_time, results),
-        RENDERERS: partial(gallery.renderers, plan),
-        GALLERY: partial(gallery.hard, results["raw"]["images"]),
-    }
 
 
 def _range(results: dict[str, Any], path: Path) -> None:
@@ -95,3 +78,12 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
             axes.xaxis.minorticks_off()
             axes.set(title=f"{title}, {unit}", xlabel="ms a frame, log scale")
         top_legend(figure, panels[0].get_legend_handles_labels()[0][-3:])
+
+
+PICTURES = {
+    "vision-range.png": _range,
+    "vision-found.png": _found,
+    "vision-error-time.png": _error_time,
+    "vision-renderers.png": gallery.renderers,
+    "vision-gallery.png": gallery.hard,
+}

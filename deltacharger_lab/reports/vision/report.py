@@ -12,7 +12,7 @@ from deltacharger_lab.reports.pool import work
 from deltacharger_lab.reports.report import Report
 from deltacharger_lab.reports.vision import conditions, mount, summary
 from deltacharger_lab.reports.vision.measure import FIELDS
-from deltacharger_lab.reports.vision.pictures import jobs
+from deltacharger_lab.reports.vision.pictures import PICTURES
 from deltacharger_lab.reports.vision.plan import VisionPlan
 
 _LIBRARIES = ("numpy", "opencv-python-headless", "opencv-python", "mujoco", "matplotlib")
@@ -40,7 +40,7 @@ def build(plan: VisionPlan, directory: Path, command: str, progress: Callable[[s
     }
     _measure(results, plan, progress)
     progress("pictures")
-    report.draw(jobs(results, plan), directory)
+    report.draw(PICTURES, directory)
     results["targets"] = summary.targets(results)
     return report.write(directory, None, view=conditions, upper_bound=upper_bound)
 
