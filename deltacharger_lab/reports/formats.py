@@ -45,6 +45,12 @@ def percent(share: float | None, digits: int = 1) -> str:
     return scaled(share, 100.0, digits)
 
 
+def share(value: float) -> str:
+    """Return a share with its sign, %, small ones with two digits that count."""
+    percent = 100.0 * value
+    return f"{percent:.0f} %" if percent >= 10.0 or percent == 0.0 else f"{percent:.2g} %"
+
+
 def verdict(met: bool | None) -> str:
     """Return whether a target is met."""
     return "not measured" if met is None else "met" if met else "**NOT MET**"

@@ -18,6 +18,8 @@ from typing import Any
 from deltacharger_lab.reports.page import render, write_html
 from deltacharger_ros.outcomes import json_ready
 
+Progress = Callable[[str], None]
+"""Told what is done next."""
 Picture = Callable[[dict[str, Any], Path], None]
 """Draws results into a file."""
 

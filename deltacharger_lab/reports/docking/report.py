@@ -19,7 +19,7 @@ from deltacharger_lab.campaigns.store import Store, read_results, read_settings
 from deltacharger_lab.reports.docking import summary
 from deltacharger_lab.reports.docking.pictures import FORMS, PICTURES, without
 from deltacharger_lab.reports.docking.plan import CampaignPart, DockingPlan
-from deltacharger_lab.reports.report import Report
+from deltacharger_lab.reports.report import Progress, Report
 
 CAMPAIGNS = "campaigns"
 _PAIRS = (("random", "paper"), ("random", "classes"), ("random", "published"), ("exact", "random"))
@@ -34,7 +34,7 @@ def run(
     workers: int,
     progress: Callable[[CampaignPart, int, int], Told],
     stop: Callable[[], bool],
-    tell: Callable[[str], None],
+    tell: Progress,
 ) -> bool:
     """Run what is missing of the chosen campaigns, and return whether they are complete but for what cannot be run.
 
@@ -83,7 +83,7 @@ def _settings(part: CampaignPart, seed: int, folder: Path) -> CampaignSettings:
     )
 
 
-def build(plan: DockingPlan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
+def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
     """Write page, figures and pictures of all campaigns that are there, complete or not, and return the figures.
 
     Raises:

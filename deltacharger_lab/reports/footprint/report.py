@@ -8,7 +8,6 @@ import math
 import os
 import statistics
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +17,14 @@ from deltacharger_lab.reports.footprint.measure import measure
 from deltacharger_lab.reports.footprint.plan import FootprintPlan
 from deltacharger_lab.reports.footprint.process import LIBRARIES
 from deltacharger_lab.reports.footprint.start import ONE, CannotRun
-from deltacharger_lab.reports.report import Report
+from deltacharger_lab.reports.report import Progress, Report
 from deltacharger_lab.reports.targets import at_least, at_most, none
 
 BENCH = "bench"
 NEVER = ("torch", "sklearn", "cv2", "depthai", "mujoco", "matplotlib")  # in the bench scene
 
 
-def build(
-    plan: FootprintPlan, context: Context, directory: Path, command: str, progress: Callable[[str], None]
-) -> dict[str, Any]:
+def build(plan: FootprintPlan, context: Context, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
     """Measure, write page and figures into `directory`, and return the figures.
 
     Raises:
@@ -51,7 +48,7 @@ def build(
 
 
 def _measure(
-    plan: FootprintPlan, context: Context, left_out: dict[str, str], progress: Callable[[str], None]
+    plan: FootprintPlan, context: Context, left_out: dict[str, str], progress: Progress
 ) -> list[dict[str, Any]]:
     """Return one row for each scene and way; what does not run is added to `left_out`."""
     runs: dict[tuple[str, str], list[dict[str, Any]]] = {(name, way): [] for name in plan.scenes for way in plan.ways}

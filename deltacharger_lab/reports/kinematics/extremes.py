@@ -7,13 +7,14 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from deltacharger_core.arrays import Array
-from deltacharger_kinematics import Delta, DeltaGeometry, KinematicsError, Status
+from deltacharger_kinematics import Delta, DeltaGeometry, Status
 from deltacharger_lab.reports.kinematics.measure import KinematicsPlan
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 from deltacharger_lab.reports.kinematics.sets import near_type_2
@@ -109,8 +110,7 @@ def forward_cases() -> list[Case]:
 def run_cases(plan: KinematicsPlan) -> list[dict[str, Any]]:
     """Return for each case what came back, its error, and whether it is what must come back."""
     cases = inverse_cases(plan) + [replace(case, forward=True) for case in forward_cases()]
-    laws = [_bad_row_in_batch(), _strict_row(), _empty_row(), _shape_row(), _geometry_row()]
-    return [_guarded(case) for case in cases] + laws
+    return [_guarded(case) for case in cases] + _laws()
 
 
 def _guarded(case: Case) -> dict[str, Any]:
@@ -171,49 +171,33 @@ def _quietly(call: Callable[[], Any]) -> tuple[Any, bool]:
     return result, bool(caught)
 
 
-def _bad_row_in_batch() -> dict[str, Any]:
-    delta = Delta()
-    good = np.array([[0.0, 0.0, 0.05], [0.01, 0.02, 0.06]])
-    bad = np.array([[_NAN, 0.0, 0.0], [1e308, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    mixed, warned = _quietly(lambda: delta.inverse(np.concatenate([good[:1], bad, good[1:]])))
-    same = np.array_equal(mixed.angles[[0, 4]], delta.inverse(good).angles)
-    fits = same and bool((mixed.status[1:4] != 0).all()) and bool((mixed.status[[0, 4]] == 0).all())
-    return _law("three bad rows among two good ones", "the good rows as if alone", fits and not warned)
+def _laws() -> list[dict[str, Any]]:
+    """Return what holds of calls as a whole."""
+    good, strict = [[0.0, 0.0, 0.05], [0.01, 0.02, 0.06]], [[0.0, 0.0, 0.05], [_NAN, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    bad = [[_NAN, 0.0, 0.0], [1e308, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    mixed, warned = _quietly(lambda: Delta().inverse([good[0], *bad, good[1]]))
+    same = np.array_equal(mixed.angles[[0, 4]], Delta().inverse(good).angles)
+    kept = same and bool((mixed.status[1:4] != 0).all()) and bool((mixed.status[[0, 4]] == 0).all())
+    indices = getattr(_error_of(lambda: Delta().inverse(strict, strict=True)), "indices", None)
+    shape = Delta().inverse(np.empty((0, 3))).angles.shape
+    short = _error_of(lambda: Delta().inverse([[1.0, 2.0]]))
+    errors = [_error_of(partial(DeltaGeometry, arm=value)) for value in (0.0, -0.1, _NAN, math.inf)]
+    refused = sum(isinstance(error, ValueError) for error in errors)
+    return [
+        _law("three bad rows among two good ones", "the good rows as if alone", kept and not warned),
+        _law("strict=True with rows 1 and 2 bad", f"KinematicsError, indices {indices}", indices == [1, 2]),
+        _law("empty array (0, 3)", f"angles of shape {shape}", shape == (0, 3)),
+        _law("two coordinates instead of three", f"ValueError: {short}", isinstance(short, ValueError)),
+        _law("arm of 0, −0.1, NaN or inf m", f"ValueError for {refused} of {len(errors)}", refused == len(errors)),
+    ]
 
 
-def _strict_row() -> dict[str, Any]:
-    points = [[0.0, 0.0, 0.05], [_NAN, 0.0, 0.0], [0.0, 0.0, 1.0]]
+def _error_of(call: Callable[[], object]) -> Exception | None:
     try:
-        Delta().inverse(points, strict=True)
-        answer, holds = "no error", False
-    except KinematicsError as error:
-        answer, holds = f"KinematicsError, indices {error.indices}", error.indices == [1, 2]
-    return _law("strict=True with rows 1 and 2 bad", answer, holds)
-
-
-def _empty_row() -> dict[str, Any]:
-    solved = Delta().inverse(np.empty((0, 3)))
-    return _law("empty array (0, 3)", f"angles of shape {solved.angles.shape}", solved.angles.shape == (0, 3))
-
-
-def _shape_row() -> dict[str, Any]:
-    try:
-        Delta().inverse([[1.0, 2.0]])
-        answer, holds = "no error", False
-    except ValueError as error:
-        answer, holds = f"ValueError: {error}", True
-    return _law("two coordinates instead of three", answer, holds)
-
-
-def _geometry_row() -> dict[str, Any]:
-    refused = 0
-    values = (0.0, -0.1, _NAN, math.inf)
-    for value in values:
-        try:
-            DeltaGeometry(arm=value)
-        except ValueError:
-            refused += 1
-    return _law("arm of 0, −0.1, NaN or inf m", f"ValueError for {refused} of {len(values)}", refused == len(values))
+        call()
+    except Exception as error:  # which one it is belongs into the table
+        return error
+    return None
 
 
 def _law(name: str, answer: str, holds: bool) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,11 +12,11 @@ import numpy as np
 from deltacharger_core.arrays import Array
 from deltacharger_kinematics import Delta, DeltaGeometry, Status
 from deltacharger_kinematics.geometry import LimbAdjustment
+from deltacharger_kinematics.modes import KNEE_OUT, WORKING_MODES, WorkingMode
 from deltacharger_lab.reports.kinematics.measure import KinematicsPlan
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 from deltacharger_lab.reports.kinematics.sets import assembled, boundary, outside
 
-_OUTWARD = (-1, -1, -1)
 _FEWEST = 20
 ADJUSTED = (
     LimbAdjustment(0.0010, 0.0020, 0.0030, 0.1010, 0.1810, 0.010),
@@ -32,7 +31,7 @@ class Robot:
 
     name: str
     geometry: DeltaGeometry
-    working_mode: tuple[int, int, int] = _OUTWARD
+    working_mode: WorkingMode = KNEE_OUT
     assembly: int = 1
 
 
@@ -45,10 +44,12 @@ def _scaled(factor: float) -> DeltaGeometry:
 def robots() -> list[Robot]:
     """Return the robots of the table."""
     plain = DeltaGeometry()
-    found = [Robot("default", plain)]
-    for ratio in (1.001, 1.01, 1.1, 10.0, 100.0, 1000.0):
-        found.append(Robot(f"rod/arm {ratio:g}", replace(plain, rod=ratio * plain.arm)))
-    found += [
+    return [
+        Robot("default", plain),
+        *(
+            Robot(f"rod/arm {ratio:g}", replace(plain, rod=ratio * plain.arm))
+            for ratio in (1.001, 1.01, 1.1, 10.0, 100.0, 1000.0)
+        ),
         Robot("arm longer than rod, 180 and 100 mm", replace(plain, arm=0.18, rod=0.10)),
         Robot("arm = rod = 100 mm", replace(plain, rod=0.1)),
         Robot("D = 0", replace(plain, platform_radius=plain.base_radius)),
@@ -57,14 +58,10 @@ def robots() -> list[Robot]:
         *(Robot(f"all lengths × {factor:g}", _scaled(factor)) for factor in (1e-3, 1e3, 1e6)),
         Robot("z_offset 1 km", replace(plain, z_offset=1e3)),
         Robot("every limb adjusted, 18 parameters", replace(plain, limbs=ADJUSTED)),
+        *(Robot(f"knees {_signs(mode)}", plain, mode) for mode in WORKING_MODES if mode != KNEE_OUT),
+        Robot("mirror assembly", plain, assembly=-1),
+        Robot("mirror assembly, adjusted, knees + + +", replace(plain, limbs=ADJUSTED), (1, 1, 1), -1),
     ]
-    for first, second, third in itertools.product((-1, 1), repeat=3):
-        mode = (first, second, third)
-        if mode != _OUTWARD:
-            found.append(Robot(f"knees {_signs(mode)}", plain, mode))
-    found.append(Robot("mirror assembly", plain, _OUTWARD, -1))
-    found.append(Robot("mirror assembly, adjusted, knees + + +", replace(plain, limbs=ADJUSTED), (1, 1, 1), -1))
-    return found
 
 
 def _signs(mode: tuple[int, ...]) -> str:

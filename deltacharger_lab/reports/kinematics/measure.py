@@ -82,14 +82,14 @@ def inverse_samples(exact: ExactDelta, plan: KinematicsPlan) -> list[ErrorSample
     return [ErrorSample(each, *exact.inverse(each.points)) for each in drawn]
 
 
-def describe(samples: Sequence[PointSet], plan: KinematicsPlan, peer_points: int) -> list[dict[str, Any]]:
+def describe(samples: Sequence[PointSet], plan: KinematicsPlan) -> list[dict[str, Any]]:
     """Return name, origin, counts and seed of sets."""
     return [
         {
             "name": each.name,
             "about": each.about,
             "count": len(each.points),
-            "peer_count": min(len(each.points), peer_points),
+            "peer_count": min(len(each.points), plan.peer_points),
             "seed": plan.seed,
         }
         for each in samples

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from deltacharger_kinematics import DeltaGeometry
-from deltacharger_lab.reports.kinematics import measure, page, speed
+from deltacharger_lab.reports.kinematics import measure, speed
 from deltacharger_lab.reports.kinematics.extremes import run_cases
 from deltacharger_lab.reports.kinematics.geometries import measure_robots
 from deltacharger_lab.reports.kinematics.measure import ErrorSample, KinematicsPlan
@@ -20,11 +20,13 @@ from deltacharger_lab.reports.kinematics.sets import interior
 from deltacharger_lab.reports.kinematics.solvers import OURS, PRECISE, SCALAR, Solver, forward_solvers, inverse_solvers
 from deltacharger_lab.reports.kinematics.timing import Stopwatch
 from deltacharger_lab.reports.kinematics.workspace import slice_workspace
-from deltacharger_lab.reports.report import Report
+from deltacharger_lab.reports.report import Progress, Report
 from deltacharger_lab.reports.targets import at_least, at_most
 
 _LIBRARIES = ("numpy", "mpmath", "scipy", "casadi", "pin", "matplotlib")
 DEFAULT_POINTS, QUICK_POINTS = 5_000, 200
+Solvers = tuple[Sequence[Solver], Sequence[Solver]]
+"""Of inverse and of forward kinematics."""
 
 
 def full_plan(points: int, seed: int) -> KinematicsPlan:
@@ -38,7 +40,7 @@ def quick_plan(points: int, seed: int) -> KinematicsPlan:
     return KinematicsPlan(points, min(points, 60), 10_000, seed, (1, 100, 10_000), Stopwatch(3, 0.004), 60)
 
 
-def build(plan: KinematicsPlan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
+def build(plan: KinematicsPlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
     """Measure, write page, figures and pictures into `directory` and return the figures.
 
     Raises:
@@ -48,7 +50,7 @@ def build(plan: KinematicsPlan, directory: Path, command: str, progress: Callabl
     geometry = DeltaGeometry()
     exact = ExactDelta(geometry)  # first, so that a missing mpmath is told before anything takes time
     peers, absent = load(geometry)
-    inverse, forward = inverse_solvers(geometry, peers), forward_solvers(geometry, peers)
+    solvers = inverse_solvers(geometry, peers), forward_solvers(geometry, peers)
     report = Report("kinematics", command, _LIBRARIES)
     results = report.results
     results |= {
@@ -60,53 +62,43 @@ def build(plan: KinematicsPlan, directory: Path, command: str, progress: Callabl
     }
     progress("drawing the sets, solving them to 60 digits")
     samples = measure.inverse_samples(exact, plan)
-    results["sets"] = measure.describe([each.points for each in samples], plan, plan.peer_points)
-    _measure_errors(results, inverse, forward, samples, exact, plan, progress)
-    _measure_speed(results, inverse, forward, samples, geometry, plan, progress)
+    results["sets"] = measure.describe([each.points for each in samples], plan)
+    results |= _measure_errors(solvers, samples, exact, plan, progress)
+    progress("run times")
+    _measure_speed(results, solvers, samples, exact, plan)
     progress("extreme inputs and robots")
     results["extremes"], results["robots"] = run_cases(plan), measure_robots(plan)
     progress("pictures")
     results["workspace"], planes = slice_workspace(geometry, plan.grid)
     results["targets"] = targets(results)
     report.draw(PICTURES, directory, planes=planes)
-    return report.write(directory, view=page)
+    return report.write(directory, view=speed)
 
 
 def _measure_errors(
-    results: dict[str, Any],
-    inverse: Sequence[Solver],
-    forward: Sequence[Solver],
-    samples: Sequence[ErrorSample],
-    exact: ExactDelta,
-    plan: KinematicsPlan,
-    progress: Callable[[str], None],
-) -> None:
+    solvers: Solvers, samples: Sequence[ErrorSample], exact: ExactDelta, plan: KinematicsPlan, progress: Progress
+) -> dict[str, Any]:
+    inverse, forward = solvers
     by_name = {sample.points.name: sample for sample in samples}
     progress("errors of inverse kinematics")
-    results["inverse"] = measure.accuracy(inverse, samples, plan, measure.inverse_errors, "wrong")
+    found: dict[str, Any] = {"inverse": measure.accuracy(inverse, samples, plan, measure.inverse_errors, "wrong")}
     curves = measure.edge_curve(inverse, by_name["boundary"], plan)
-    results["edge"] = {"decades": [10.0**each for each in measure.DECADES], "curves": curves}
+    found["edge"] = {"decades": [10.0**each for each in measure.DECADES], "curves": curves}
     progress("decisions at the edge of reach")
     drawn, decisions = measure.reach_decisions(inverse, exact, by_name["boundary"], plan)
-    results["reach"] = {"sets": measure.describe(drawn, plan, plan.peer_points), "solvers": decisions}
+    found["reach"] = {"sets": measure.describe(drawn, plan), "solvers": decisions}
     progress("errors of forward kinematics")
     there = measure.forward_samples(exact, [by_name[name] for name in ("interior", "wide", "near type 2")])
-    results["forward"] = measure.accuracy(forward, there, plan, measure.forward_errors, "mirrored")
-    results["round_trip"] = measure.round_trips(exact.geometry, plan)
+    found["forward"] = measure.accuracy(forward, there, plan, measure.forward_errors, "mirrored")
+    return {**found, "round_trip": measure.round_trips(exact.geometry, plan)}
 
 
 def _measure_speed(
-    results: dict[str, Any],
-    inverse: Sequence[Solver],
-    forward: Sequence[Solver],
-    samples: Sequence[ErrorSample],
-    geometry: DeltaGeometry,
-    plan: KinematicsPlan,
-    progress: Callable[[str], None],
+    results: dict[str, Any], solvers: Solvers, samples: Sequence[ErrorSample], exact: ExactDelta, plan: KinematicsPlan
 ) -> None:
-    progress("run times")
+    inverse, forward = solvers
     box, edge, fold = samples[:3]
-    triples = interior(geometry, plan.generator(10), speed.BATCH).points
+    triples = interior(exact.geometry, plan.generator(10), speed.BATCH).points
     timed = {box.points.name: triples}
     timed |= {each.points.name: each.points.points for each in (edge, fold)}  # other paths of the solve, or more steps
     costs = {name: speed.solver_costs(inverse, points, plan) for name, points in timed.items()}
@@ -117,8 +109,8 @@ def _measure_speed(
     for row in results["forward"]:
         row |= times[row["name"]]
     results["ratios"] = speed.ratios(inverse, triples, plan)
-    results["speed"] = speed.throughput(geometry, triples, edge.points.points, plan)
-    results["functions"] = speed.function_costs(geometry, triples, plan)
+    results["speed"] = speed.throughput(exact.geometry, triples, edge.points.points, plan)
+    results["functions"] = speed.function_costs(exact.geometry, triples, plan)
 
 
 def targets(results: dict[str, Any]) -> list[dict[str, Any]]:

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.limb_arrays import LimbArrays
+from deltacharger_kinematics.modes import KNEE_OUT
 from deltacharger_lab.reports.kinematics.reference import ExactDelta
 
-Mask = Mask
 _STEPS = np.array(list(itertools.product(range(-4, 5), repeat=3)), dtype=np.float64)  # units in the last place tried
 _CLEAR = 0.02  # of the shorter link; how far inside reach the limbs lie that a set does not aim at
 _DEFAULT_SPAN = 0.28  # m; arm + rod of the default robot, for which distances to the edge are stated
@@ -62,7 +62,7 @@ def plain_edge(geometry: DeltaGeometry, points: Array) -> Array:
 
 
 def _limbs(geometry: DeltaGeometry) -> LimbArrays:
-    return LimbArrays(geometry, (-1, -1, -1))
+    return LimbArrays(geometry, KNEE_OUT)
 
 
 def interior(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -> PointSet:

@@ -4,12 +4,11 @@ map."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from deltacharger_lab.reports.pool import ReportTask, joined, work
-from deltacharger_lab.reports.report import Report
+from deltacharger_lab.reports.report import Progress, Report
 from deltacharger_lab.reports.simulation import energy, extremes, models, parts, stability, summary
 from deltacharger_lab.reports.simulation.pictures import PICTURES
 from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan, absent, models_here
@@ -18,7 +17,7 @@ from deltacharger_lab.reports.simulation.scenes import LIGHT, rms
 ENERGY_STEPS = (0.0001, 0.001, 0.005, 0.01, 0.05)
 
 
-def build(plan: SimulationPlan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
+def build(plan: SimulationPlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
     """Measure, write page, figures, pictures and the module with the map into `directory`, and return the figures.
 
     Raises:
@@ -48,7 +47,7 @@ def build(plan: SimulationPlan, directory: Path, command: str, progress: Callabl
 
 
 def _measure(
-    results: dict[str, Any], plan: SimulationPlan, names: tuple[str, ...], progress: Callable[[str], None]
+    results: dict[str, Any], plan: SimulationPlan, names: tuple[str, ...], progress: Progress
 ) -> list[dict[str, Any]]:
     """Put what is measured into `results`, and return the courses that are only drawn."""
     known = MUJOCO if MUJOCO in names else LIGHT

@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from deltacharger_lab.reports.formats import grouped
 from deltacharger_lab.reports.pool import ReportTask, joined, work
-from deltacharger_lab.reports.report import Report
+from deltacharger_lab.reports.report import Progress, Report
 from deltacharger_lab.reports.tactile import splits, summary
 from deltacharger_lab.reports.tactile.ceiling import CEILING, ROWS
 from deltacharger_lab.reports.tactile.measure import WINDOWS, judge_rig
@@ -23,7 +22,7 @@ _SPLIT_MODELS = ("knn", "forest", "lda", "pose")
 _LIBRARIES = ("numpy", "scikit-learn", "xgboost", "xgboost-cpu", "torch", "matplotlib")
 
 
-def build(plan: TactilePlan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
+def build(plan: TactilePlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
     """Measure, write page, HTML, figures and pictures into `directory` and return the figures.
 
     Raises:
@@ -54,7 +53,7 @@ def build(plan: TactilePlan, directory: Path, command: str, progress: Callable[[
     return report.write(directory, view=summary, ways=splits, ceiling_name=CEILING)
 
 
-def _measure(results: dict[str, Any], plan: TactilePlan, progress: Callable[[str], None]) -> None:
+def _measure(results: dict[str, Any], plan: TactilePlan, progress: Progress) -> None:
     with tempfile.TemporaryDirectory() as kept:
         found = work(tasks(plan, kept), progress)
         progress("run times, alone")

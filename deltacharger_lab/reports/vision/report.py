@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from deltacharger_lab.campaigns.summary import upper_bound
 from deltacharger_lab.reports.pool import work
-from deltacharger_lab.reports.report import Report
+from deltacharger_lab.reports.report import Progress, Report
 from deltacharger_lab.reports.vision import conditions, mount, summary
 from deltacharger_lab.reports.vision.measure import FIELDS
 from deltacharger_lab.reports.vision.pictures import PICTURES
@@ -18,7 +17,7 @@ from deltacharger_lab.reports.vision.plan import VisionPlan
 _LIBRARIES = ("numpy", "opencv-python-headless", "opencv-python", "mujoco", "matplotlib")
 
 
-def build(plan: VisionPlan, directory: Path, command: str, progress: Callable[[str], None]) -> dict[str, Any]:
+def build(plan: VisionPlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
     """Measure, write page, HTML, figures and pictures into `directory` and return the figures.
 
     Raises:
@@ -45,7 +44,7 @@ def build(plan: VisionPlan, directory: Path, command: str, progress: Callable[[s
     return report.write(directory, None, view=conditions, upper_bound=upper_bound)
 
 
-def _measure(results: dict[str, Any], plan: VisionPlan, progress: Callable[[str], None]) -> None:
+def _measure(results: dict[str, Any], plan: VisionPlan, progress: Progress) -> None:
     found = work(plan.tasks(), progress)
     progress("run times, alone")
     results["times"] = work([plan.timing()], progress)["run times"][0]
