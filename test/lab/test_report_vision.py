@@ -28,7 +28,7 @@ from deltacharger_lab.reports.vision.conditions import (
 from deltacharger_lab.reports.vision.gallery import worst
 from deltacharger_lab.reports.vision.measure import FIELDS, Photographer, errors
 from deltacharger_lab.reports.vision.pictures import PICTURES
-from deltacharger_lab.reports.vision.summary import row, targets
+from deltacharger_lab.reports.vision.report import row, targets
 from deltacharger_vision.detector.detection import Detection
 
 from .conftest import Quick

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from deltacharger_core.machine import GRAVITY, MAGNET_FORCE, STALL_CURRENT, TORQUE_CONSTANT
+from deltacharger_core.machine import GRAVITY, MAGNET_FORCE, TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.reports.simulation.scenes import DELTA, Arm, model_world, world
 from deltacharger_sim.parameters import (
@@ -54,10 +54,8 @@ def judge(index: int, name: str, step: float) -> dict[str, Any]:
     scene = SCENES[index]
     arm = Arm(model_world(name, scene.parameters, min(step, 0.001) if name != "light" else step), step)
     ok, about = scene.play(arm)
-    mechanics = arm.world.mechanics
-    numbers = (*mechanics.position, *mechanics.velocity, *mechanics.torques, mechanics.contact_force)
-    finite = all(map(math.isfinite, numbers)) and max(map(abs, mechanics.position)) < 0.3
-    return {"scene": scene.name, "law": scene.law, "model": name, "step": step, "ok": ok and finite, "about": about}
+    ok = ok and arm.is_bounded()
+    return {"scene": scene.name, "law": scene.law, "model": name, "step": step, "ok": ok, "about": about}
 
 
 def _carries(point: Vector, lead: bool = True) -> Callable[[Arm], Verdict]:
@@ -90,13 +88,10 @@ def _impact(arm: Arm) -> Verdict:
     for _ in range(max(1, round(2.0 / arm.step))):
         arm.run(arm.step)
         peak = max(peak, arm.world.mechanics.contact_force)
-    speed = max(map(abs, arm.world.mechanics.velocity))
     most = 3.0 * arm.world.parameters.servo.stall_torque / LEVER + MAGNET_FORCE
     settled = arm.world.mechanics.contact_force
-    return (
-        speed < _CALM and 60.0 < settled < most,
-        f"peak {peak:.0f} N, settles at {settled:.1f} N, {speed:.0e} m/s left",
-    )
+    about = f"peak {peak:.0f} N, settles at {settled:.1f} N, {arm.speed:.0e} m/s left"
+    return arm.speed < _CALM and 60.0 < settled < most, about
 
 
 def _slides(lowest: float, highest: float) -> Callable[[Arm], Verdict]:
@@ -107,8 +102,10 @@ def _slides(lowest: float, highest: float) -> Callable[[Arm], Verdict]:
         arm.go((0.0, 0.0, 0.0865), 1.0)
         arm.go((0.02, 0.0, 0.0865), 2.0)
         moved = arm.world.mechanics.position[0] / 0.02
-        speed = max(map(abs, arm.world.mechanics.velocity))
-        return lowest <= moved <= highest and speed < _CALM, f"{100.0 * moved:.2f} % of the way, {speed:.0e} m/s left"
+        return (
+            lowest <= moved <= highest and arm.speed < _CALM,
+            f"{100.0 * moved:.2f} % of the way, {arm.speed:.0e} m/s left",
+        )
 
     return play
 
@@ -120,10 +117,8 @@ def _no_side(arm: Arm) -> Verdict:
     arm.go((0.02, 0.0, 0.0865), 2.5)
     mechanics = arm.world.mechanics
     side = math.hypot(*DELTA.force(*mechanics.position, mechanics.torques)[:2])
-    return (
-        side < 1e-2 and mechanics.contact_force > 0.0,
-        f"{side:.0e} N sideways at x = {1e3 * mechanics.position[0]:.2f} mm",
-    )
+    about = f"{side:.0e} N sideways at x = {1e3 * mechanics.position[0]:.2f} mm"
+    return side < 1e-2 and mechanics.contact_force > 0.0, about
 
 
 def _corner(arm: Arm) -> Verdict:
@@ -141,8 +136,7 @@ def _edges(arm: Arm) -> Verdict:
     geometry = arm.world.geometry
     low, high, nearest = geometry.joint_min, geometry.joint_max, 1.0
     for goals in ((3.0, 3.0, 3.0), (low, high, high), (-3.0, -3.0, 3.0), (high, low, low), (low, low, low)):
-        for index, goal in enumerate(goals):
-            arm.world.command(index, True, goal, STALL_CURRENT)
+        arm.turn(goals)
         for _ in range(max(1, round(1.0 / max(arm.step, 0.01)))):
             arm.run(max(arm.step, 0.01))
             solved = DELTA.solve_forward(*arm.world.mechanics.angles)
@@ -158,22 +152,16 @@ def _one_limp(arm: Arm) -> Verdict:
     arm.world.command(1, False, 0.0, 0.0)
     arm.run(2.0)
     mechanics = arm.world.mechanics
-    speed = max(map(abs, mechanics.velocity))
-    ok = mechanics.torques[1] == 0.0 or abs(mechanics.torques[1]) < 1e-9
-    return (
-        ok and speed < _CALM and mechanics.contact_force > 0.0,
-        f"{mechanics.contact_force:.1f} N, {speed:.0e} m/s left",
-    )
+    ok = abs(mechanics.torques[1]) < 1e-9 and arm.speed < _CALM and mechanics.contact_force > 0.0
+    return ok, f"{mechanics.contact_force:.1f} N, {arm.speed:.0e} m/s left"
 
 
 def _not_a_number(arm: Arm) -> Verdict:
     arm.go((0.0, 0.0, 0.05), 2.0)
     before = arm.world.mechanics.position
-    for index in range(3):
-        arm.world.command(index, True, math.nan, STALL_CURRENT)
+    arm.turn([math.nan] * 3)
     arm.run(0.5)
-    for index in range(3):
-        arm.world.command(index, True, math.inf, STALL_CURRENT)
+    arm.turn([math.inf] * 3)
     arm.run(0.5)
     moved = math.dist(before, arm.world.mechanics.position)
     return moved < 1e-5, f"moves by {moved:.1e} m"
@@ -181,8 +169,7 @@ def _not_a_number(arm: Arm) -> Verdict:
 
 def _no_bound(arm: Arm) -> Verdict:
     arm.go((0.0, 0.0, 0.05), 1.0)
-    for index in range(3):
-        arm.world.command(index, True, 0.3, math.nan)
+    arm.turn([0.3] * 3, math.nan)
     arm.run(0.5)
     torque = max(map(abs, arm.world.mechanics.torques)) / TORQUE_CONSTANT
     return torque < 1e-9, f"{torque:.1e} A"
@@ -192,9 +179,8 @@ def _snaps(arm: Arm) -> Verdict:
     arm.go((0.0, 0.0, 0.079), 2.0)
     arm.go((0.0, 0.0, 0.081), 2.0)
     mechanics = arm.world.mechanics
-    speed = max(map(abs, mechanics.velocity))
-    ok = mechanics.contact_force > 250.0 and speed < _CALM
-    return ok, f"{mechanics.contact_force:.1f} N, {speed:.0e} m/s left"
+    ok = mechanics.contact_force > 250.0 and arm.speed < _CALM
+    return ok, f"{mechanics.contact_force:.1f} N, {arm.speed:.0e} m/s left"
 
 
 _SLIPPERY = ServoParameters(friction=0.0)

@@ -4,16 +4,21 @@ map."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from deltacharger_lab.reports.formats import fixed
+from deltacharger_lab.reports.page import rendered
 from deltacharger_lab.reports.pool import ReportTask, joined, work
 from deltacharger_lab.reports.report import Progress, Report
-from deltacharger_lab.reports.simulation import energy, extremes, models, parts, stability, summary
+from deltacharger_lab.reports.simulation import energy, extremes, models, parts, stability
 from deltacharger_lab.reports.simulation.pictures import PICTURES
 from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan, absent, models_here
 from deltacharger_lab.reports.simulation.scenes import LIGHT, rms
+from deltacharger_lab.reports.targets import at_least, at_most, none
 
+TARGET_STEP = 0.01  # s
 ENERGY_STEPS = (0.0001, 0.001, 0.005, 0.01, 0.05)
 
 
@@ -40,10 +45,19 @@ def build(plan: SimulationPlan, directory: Path, command: str, progress: Progres
     traces = _measure(results, plan, names, progress)
     progress("pictures")
     report.draw(PICTURES, directory, traces=traces)
-    results["targets"] = summary.targets(results)
+    results["targets"] = targets(results)
     light = [point for point in results["map"] if point["model"] == LIGHT]
-    (directory / stability.MODULE).write_text(stability.source(light, plan, command), "utf-8")
-    return report.write(directory, view=summary, stability=stability, light=LIGHT, energy_parts=energy.PARTS)
+    shown = {"command": command, "plan": plan, "stability": stability, "rows": stability.cells(light, plan)}
+    (directory / stability.MODULE).write_text(rendered(f"{stability.MODULE}.j2", shown), "utf-8")
+    return report.write(
+        directory,
+        is_calm=is_calm,
+        settled=settled,
+        ends=ends,
+        stability=stability,
+        light=LIGHT,
+        energy_parts=energy.PARTS,
+    )
 
 
 def _measure(
@@ -98,3 +112,50 @@ def tasks(plan: SimulationPlan, names: tuple[str, ...], exact: dict[str, Any]) -
     if MUJOCO in names:
         found.append(ReportTask("traces", models.trace, (MUJOCO, 0.001), 0.5))
     return found
+
+
+def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return name, what is wanted, what was measured, its unit and whether it is met, of every target."""
+    light = [point for point in results["map"] if point["model"] == LIGHT]
+    at = [
+        point
+        for point in light
+        if point["step"] == TARGET_STEP and 1e3 <= point["contact"] <= 1e7 and point["servo"] == 15.0
+    ]
+    error = next(row for row in results["errors"] if row["model"] == LIGHT and row["step"] == TARGET_STEP)
+    speed = next(row for row in results["times"] if row["model"] == LIGHT and row["step"] == TARGET_STEP)
+    diverged = sum(point["cell"] == stability.DIVERGED for point in light)
+    broken = [row for row in results["extremes"] if row["model"] == LIGHT and not row["ok"]]
+    gain = max(100.0 * row["gain"] / row["released"] for row in results["energy"])
+    forces = max(point["force_percent"] for point in at)
+    kept = f"of {sum(row['model'] == LIGHT for row in results['extremes'])}"
+    order = results["convergence"]["swing in free air"]["order"]
+    return [
+        at_least("light model at 10 ms, in motion", speed["moving"], 500.0, "× real"),
+        at_most("light model at 10 ms, position", error["rms_mm"], 0.15, "mm rms"),
+        at_most("settled force at 10 ms, 1e3–1e7 N/m, worst", forces, 0.5, "%"),
+        none("light model, diverged points of the map", diverged, f"of {len(light)}"),
+        none("light model, extremes whose law is broken", len(broken), kept),
+        at_most("passive charger's energy, largest gain", gain, 1.0, "%"),
+        at_least("order of convergence, free motion", order, 1.0, ""),
+        at_most("whole report", results["elapsed_s"] / 60.0, 10.0, "min"),
+    ]
+
+
+def is_calm(row: dict[str, Any]) -> bool:
+    """Return whether a run neither diverged nor moves at its end."""
+    return row["rms_mm"] is not None and row["speed"] is not None and row["speed"] < 1e-3
+
+
+def settled(errors: Iterable[dict[str, Any]]) -> list[float]:
+    """Return the forces (N) at which runs with friction came to rest, at steps up to 10 ms."""
+    return [row["force_rubbing"] for row in errors if is_calm(row) and row["step"] <= 0.01 if row["force_rubbing"] > 0]
+
+
+def ends(runs: Sequence[dict[str, Any]]) -> list[str]:
+    """Return codes, and means over the dockings that charged: time (s), contact current (A), misalignment (mm)."""
+    codes = ", ".join("charged" if run["code"] == "NONE" else run["code"] for run in runs)
+    charged = [run for run in runs if run["code"] == "NONE"]
+    columns = (("elapsed", 1), ("current", 3), ("rest_mm", 2))
+    means = (sum(run[key] for run in charged) / len(charged) if charged else None for key, _ in columns)
+    return [codes, *(fixed(mean, digits) for mean, (_, digits) in zip(means, columns, strict=True))]

@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from deltacharger_core.machine import SERVO_STIFFNESS, STALL_CURRENT, TORQUE_CONSTANT
@@ -21,6 +21,7 @@ LIGHT = "light"
 TICK = 0.1  # s between commands of the docking; every step of the report divides it
 SAMPLE = 0.01  # s between places that are compared, where the step allows
 TRAVEL, PUSH = 0.060, 0.086  # m of command along z before and at the end of the docking
+_FAR = 0.3  # m from the origin that no arm reaches
 PATH_TICKS, HOLD = 12, 1.0  # of the compared path; s of rest after it, until the force is read
 
 
@@ -50,8 +51,13 @@ class Arm:
         """Command all servos toward `point` (m, charger_base) with at most `bound` A each."""
         held = DELTA.holding_torque(*point, self.gravity) if lead else (0.0, 0.0, 0.0)
         stiffness = self.world.parameters.servo.stiffness
-        for index, (angle, torque) in enumerate(zip(DELTA.inverse(*point), held, strict=True)):
-            self.world.command(index, True, angle + torque / stiffness, bound)
+        goals = (angle + torque / stiffness for angle, torque in zip(DELTA.inverse(*point), held, strict=True))
+        self.turn(goals, bound)
+
+    def turn(self, goals: Iterable[float], bound: float = STALL_CURRENT) -> None:
+        """Command the servos to angles (rad) with at most `bound` A each."""
+        for index, goal in enumerate(goals):
+            self.world.command(index, True, goal, bound)
 
     def release(self) -> None:
         """Take all torque off."""
@@ -72,6 +78,17 @@ class Arm:
         """Aim and wait."""
         self.aim(point, bound, lead)
         self.run(seconds)
+
+    @property
+    def speed(self) -> float:
+        """The fastest of the platform's velocities along the axes, m/s."""
+        return max(map(abs, self.world.mechanics.velocity))
+
+    def is_bounded(self) -> bool:
+        """Return whether every number is finite and the platform within reach of any arm."""
+        mechanics = self.world.mechanics
+        numbers = (*mechanics.position, *mechanics.velocity, *mechanics.torques, mechanics.contact_force)
+        return all(map(math.isfinite, numbers)) and max(map(abs, mechanics.position)) < _FAR
 
     def contact_current(self) -> float:
         """Per-servo current that pushes along +z (A), as docking computes it but without noise."""
@@ -106,7 +123,7 @@ def docking(model: str, parameters: WorldParameters, step: float) -> dict[str, A
         "trace": trace,
         "force": mechanics.contact_force,
         "current": arm.contact_current(),
-        "speed": max(map(abs, mechanics.velocity)),
+        "speed": arm.speed,
         "moving": PATH_TICKS * TICK / max(moved, 1e-6),
         "all": (PATH_TICKS * TICK + hold) / max(arm.used, 1e-6),
     }

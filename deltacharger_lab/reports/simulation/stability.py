@@ -6,15 +6,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from deltacharger_lab.reports.formats import tens
-from deltacharger_lab.reports.page import rendered
 from deltacharger_lab.reports.simulation.plan import SimulationPlan
 from deltacharger_lab.reports.simulation.scenes import Arm, docking, model_world, rms, settled_exactly, world
 
 DIVERGED, FORCE_OFF, PATH_OFF, PROVEN = "d", "f", "p", "+"
 FORCE_LIMIT, PATH_LIMIT = 0.5, 0.3  # % and mm rms that a proven point may be off
 MODULE = "stability_map.py"
-_FAR = 0.3  # m from the origin that no arm reaches
 
 
 def column(name: str, servo: float, contact: float, steps: tuple[float, ...], finest: float) -> list[dict[str, Any]]:
@@ -49,7 +46,6 @@ def roughly(name: str, servo: float, contact: float, step: float) -> dict[str, A
         bounded (whether every number stayed finite and near), imbalance (N at worst).
     """
     arm = Arm(model_world(name, world(contact, servo), step), step)
-    mechanics = arm.world.mechanics
     bounded, imbalance = True, 0.0
     stages: tuple[tuple[tuple[float, float, float] | None, float], ...] = (
         ((0.0, 0.0, 0.05), 0.5),
@@ -65,28 +61,17 @@ def roughly(name: str, servo: float, contact: float, step: float) -> dict[str, A
             arm.aim(point)
         for _ in range(max(1, round(seconds / max(step, 0.005)))):
             arm.run(max(step, 0.005))
-            numbers = (*mechanics.position, *mechanics.velocity, *mechanics.torques, mechanics.contact_force)
-            bounded = bounded and all(map(math.isfinite, numbers)) and max(map(abs, mechanics.position)) < _FAR
-            imbalance = max(imbalance, mechanics.imbalance)
+            bounded = bounded and arm.is_bounded()
+            imbalance = max(imbalance, arm.world.mechanics.imbalance)
         if not bounded:
             break
     return {"bounded": bounded, "imbalance": imbalance}
 
 
-def source(points: list[dict[str, Any]], plan: SimulationPlan, command: str) -> str:
-    """Return the text of `deltacharger_sim/stability_map.py` for the light model's points."""
-    cells = {(point["servo"], point["contact"], point["step"]): point["cell"] for point in points}
-    rows = [
-        ["".join(cells[servo, contact, step] for step in plan.map_steps) for contact in plan.map_contacts]
+def cells(points: list[dict[str, Any]], plan: SimulationPlan) -> list[list[str]]:
+    """Return for each servo stiffness, for each contact stiffness, a character for each step."""
+    found = {(point["servo"], point["contact"], point["step"]): point["cell"] for point in points}
+    return [
+        ["".join(found[servo, contact, step] for step in plan.map_steps) for contact in plan.map_contacts]
         for servo in plan.map_servos
     ]
-    axes = {"steps": plan.map_steps, "contacts": plan.map_contacts, "servos": plan.map_servos}
-    judged = {"proven": PROVEN, "path_off": PATH_OFF, "force_off": FORCE_OFF, "diverged": DIVERGED}
-    limits = {"force_limit": FORCE_LIMIT, "path_limit": PATH_LIMIT}
-    written = {name: _numbers(each) for name, each in axes.items()}
-    return rendered(f"{MODULE}.j2", {"command": command, "rows": rows, **written, **judged, **limits})
-
-
-def _numbers(values: tuple[float, ...]) -> str:
-    texts = [tens(value) if value >= 1e3 else f"{float(value)!r}" for value in values]
-    return "(" + ", ".join(texts) + ")"

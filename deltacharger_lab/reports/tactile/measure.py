@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trains and judges every model on one rig: accuracy, learning time, shifts, reliability, confusion."""
+"""Trains, judges and times every model on one rig: accuracy, shifts, reliability, confusion, what a prediction takes."""
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_lab.reports.tactile.plan import SETS, TactilePlan, threshold
+from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, TactilePlan, threshold
 from deltacharger_lab.reports.tactile.shifts import NONE, SHIFTS, dock_again
 from deltacharger_tactile.classifiers import labels, reliability, splits
 from deltacharger_tactile.classifiers.classifier import Classifier
@@ -23,6 +24,7 @@ BINS = 10
 """Of the predicted probability in the reliability diagrams."""
 WINDOWS = (WINDOW, 2 * WINDOW)
 """Dockings that the drift check judges together."""
+_WARM_UP = 20  # predictions that do not count
 
 
 def paper_set(rig: int, seed: int, rows: int = 1) -> Dataset:
@@ -135,3 +137,36 @@ def _one_thread() -> None:
     except ImportError:
         return
     torch.set_num_threads(1)
+
+
+def predictions(plan: TactilePlan, kept: str) -> list[dict[str, Any]]:
+    """Return median and 99th percentile of single predictions, ms, of the models in a folder."""
+    data = paper_set(plan.rigs[0], plan.seeds[0] + 1)
+    found = []
+    for target in TARGETS:
+        frames = labels.examples(data, target).frames
+        for name in plan.names:
+            model = Classifier.load(Path(kept) / f"{name}-{target}.npz")
+            times = np.array([_once(model, frames[index % len(frames)]) for index in range(plan.repeats + _WARM_UP)])
+            median, slow = np.quantile(times[_WARM_UP:], (0.5, 0.99))
+            found.append({"model": name, "target": target, "median_ms": float(median), "p99_ms": float(slow)})
+    return found
+
+
+def generation() -> float:
+    """Return the s that a paper-size data set of one rig takes."""
+    started = time.perf_counter()
+    paper_set(0, 0)
+    return time.perf_counter() - started
+
+
+def timing(plan: TactilePlan, kept: str) -> dict[str, Any]:
+    """Return every run time; the only work of this moment, in a process with one thread."""
+    generation()  # what is loaded and allocated for the first time does not count
+    return {"predictions": predictions(plan, kept), "generation_s": min(generation() for _ in range(3))}
+
+
+def _once(model: Classifier, frame: Any) -> float:
+    started = time.perf_counter()
+    model.predict_proba(frame)
+    return 1e3 * (time.perf_counter() - started)

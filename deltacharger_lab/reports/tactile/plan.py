@@ -15,19 +15,7 @@ SETS = {"angle": ("angle",), "position": ("vertical", "horizontal")}
 """The paper's two data sets, and what is learnt from each."""
 KINDS = {"shallow": "shallow", "deep": "deep", "physical": "physical features"}
 """Kinds of model, as pictures tell them apart."""
-_TITLES = {
-    "logistic": "LR",
-    "svm": "SVM",
-    "knn": "KNN",
-    "tree": "DT",
-    "gbdt": "GBDT",
-    "forest": "RF",
-    "xgboost": "XGBoost",
-    "nn": "NN",
-    "cnn": "CNN",
-    "lda": "LDA",
-    "pose": "pose",
-}
+_TITLES = {"logistic": "LR", "tree": "DT", "forest": "RF", "xgboost": "XGBoost", "pose": "pose"}  # no mere capitals
 _LIBRARIES = {"xgboost": "xgboost", "nn": "torch", "cnn": "torch"}  # scikit-learn trains the others
 
 
@@ -83,7 +71,7 @@ def default(plan: TactilePlan) -> str:
 
 def title(name: str) -> str:
     """Return how pictures and tables call a model."""
-    return _TITLES.get(name, name)
+    return _TITLES.get(name, name.upper())
 
 
 def kind(name: str) -> str:

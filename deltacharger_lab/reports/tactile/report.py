@@ -12,10 +12,9 @@ from deltacharger_lab.reports.pool import ReportTask, joined, work
 from deltacharger_lab.reports.report import Progress, Report
 from deltacharger_lab.reports.tactile import splits, summary
 from deltacharger_lab.reports.tactile.ceiling import CEILING, ROWS
-from deltacharger_lab.reports.tactile.measure import WINDOWS, judge_rig
+from deltacharger_lab.reports.tactile.measure import WINDOWS, judge_rig, timing
 from deltacharger_lab.reports.tactile.pictures import PICTURES
 from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, TactilePlan, absent, default
-from deltacharger_lab.reports.tactile.timing import timing
 from deltacharger_tactile.parameters import TactileParameters
 
 _SPLIT_MODELS = ("knn", "forest", "lda", "pose")

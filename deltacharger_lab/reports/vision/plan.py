@@ -15,7 +15,6 @@ from deltacharger_lab.reports.vision.mount import judge as judge_mount
 
 FULL, QUICK = 150, 15
 """Images of a usual row."""
-FEWEST, MOST = 2, 1000
 FIRST_SEED = 20_000
 """Tuning saw seeds below 1000."""
 _SEEDS_APART = 10_000

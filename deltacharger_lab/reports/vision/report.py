@@ -3,13 +3,19 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from deltacharger_lab.campaigns.summary import upper_bound
+import numpy as np
+
+from deltacharger_lab.campaigns.summary import quantiles, upper_bound
 from deltacharger_lab.reports.pool import work
 from deltacharger_lab.reports.report import Progress, Report
-from deltacharger_lab.reports.vision import conditions, mount, summary
+from deltacharger_lab.reports.targets import at_least, at_most
+from deltacharger_lab.reports.vision import conditions, mount
+from deltacharger_lab.reports.vision.conditions import ALARMS, BAND, BY_RANGE, HIDDEN, members
 from deltacharger_lab.reports.vision.measure import FIELDS
 from deltacharger_lab.reports.vision.pictures import PICTURES
 from deltacharger_lab.reports.vision.plan import VisionPlan
@@ -40,7 +46,7 @@ def build(plan: VisionPlan, directory: Path, command: str, progress: Progress) -
     _measure(results, plan, progress)
     progress("pictures")
     report.draw(PICTURES, directory)
-    results["targets"] = summary.targets(results)
+    results["targets"] = targets(results)
     return report.write(directory, None, view=conditions, upper_bound=upper_bound)
 
 
@@ -48,9 +54,59 @@ def _measure(results: dict[str, Any], plan: VisionPlan, progress: Progress) -> N
     found = work(plan.tasks(), progress)
     progress("run times, alone")
     results["times"] = work([plan.timing()], progress)["run times"][0]
-    images = summary.gathered(found["images"])
-    mounts = summary.gathered(found["mount"])
-    results["rows"] = {name: summary.row(each) for name, each in images.items()}
-    results["band"] = summary.row(summary.band(images))
-    results["mount"] = {name: summary.row(each, mount.FIELDS) for name, each in mounts.items()}
+    images = gathered(found["images"])
+    mounts = gathered(found["mount"])
+    results["rows"] = {name: row(each) for name, each in images.items()}
+    results["band"] = row(band(images))
+    results["mount"] = {name: row(each, mount.FIELDS) for name, each in mounts.items()}
     results["raw"] = {"fields": FIELDS, "images": images, "mount_fields": mount.FIELDS, "mount": mounts}
+
+
+def gathered(parts: Iterable[tuple[str, list[list[float]]]]) -> dict[str, list[list[float]]]:
+    """Return the images of each row together."""
+    found: dict[str, list[list[float]]] = {}
+    for name, rows in parts:
+        found.setdefault(name, []).extend(rows)
+    return found
+
+
+def row(images: Sequence[Sequence[float]], fields: Sequence[str] = FIELDS) -> dict[str, Any]:
+    """Return what images (N, fields) of one kind come to; found are the detections that are right."""
+    table = np.array(images, dtype=float).reshape(-1, len(fields))
+    column = dict(zip(fields, table.T, strict=True))
+    right = column["found"] > 0.0
+    found: dict[str, Any] = {"images": len(table)}
+    if "wrong" in column:
+        right &= column["wrong"] == 0.0
+        found["wrong"] = int(column["wrong"].sum())
+    found["found"] = int(right.sum())
+    for name in (each for each in fields if each.endswith(("_mm", "_deg"))):
+        found[f"{name}_p50"], found[f"{name}_p95"] = quantiles(column[name][right], 0.5, 0.95)
+    return {**found, "nees": float(np.mean(column["nees"][right])) if right.any() else math.nan}
+
+
+def band(images: dict[str, list[list[float]]]) -> list[list[float]]:
+    """Return the images at all ranges that the targets speak of."""
+    return [image for name in _near() for image in images[name]]
+
+
+def _near() -> list[str]:
+    return [conditions.key(each) for each in members(BY_RANGE) if BAND[0] <= each.away <= BAND[1]]
+
+
+def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return what the detector should reach beside what it does."""
+    whole, rows = results["band"], results["rows"]
+    half, alarms = rows[f"{HIDDEN}: {conditions.HALF_HIDDEN}"], rows[f"{ALARMS}: {conditions.CLUTTER}"]
+    slowest = max(results["times"][name]["median_ms"] for name in _near())
+    where = f"{BAND[0]:g}–{BAND[1]:g} m"
+    return [
+        at_least(f"{where}, electrodes found", 100.0 * whole["found"] / whole["images"], 99.0, "%"),
+        at_most(f"{where}, wrong", 100.0 * whole["wrong"] / whole["images"], 0.2, "%"),
+        at_most(f"{where}, error across, 95 %", whole["xy_mm_p95"], 1.0, "mm"),
+        at_most(f"{where}, error of range, 95 %", whole["z_mm_p95"], 2.0, "mm"),
+        at_most(f"{where}, error of roll, 95 %", whole["roll_deg_p95"], 1.0, "°"),
+        at_least("half of one bar hidden, found", 100.0 * half["found"] / half["images"], 85.0, "%"),
+        at_most("one frame on one core, slowest range, median", slowest, 15.0, "ms"),
+        at_most("false alarms in clutter, with depth", alarms["wrong"], 0.0, f"of {alarms['images']}"),
+    ]
