@@ -14,8 +14,8 @@ from deltacharger_lab.reports.pool import ReportTask, work
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import splits as tactile_splits
 from deltacharger_lab.reports.tactile.pictures import PICTURES
+from deltacharger_lab.reports.tactile.report import FIRES, HOLDS, NEITHER, accuracies, shifts
 from deltacharger_lab.reports.tactile.shifts import SHIFTS
-from deltacharger_lab.reports.tactile.summary import FIRES, HOLDS, NEITHER, accuracies, shifts
 
 from .conftest import Quick
 

@@ -91,8 +91,3 @@ def mapped(roots: Iterable[int]) -> set[str]:
         with contextlib.suppress(psutil.NoSuchProcess):
             text += "\n".join(each.path for each in process.memory_maps())
     return {name for name in LIBRARIES if re.search(rf"/{name}[/._]", text)}
-
-
-def imported(modules: Iterable[str]) -> set[str]:
-    """Return those of `LIBRARIES` that stand among the names of a process's modules."""
-    return {module.partition(".")[0] for module in modules} & set(LIBRARIES)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from deltacharger_lab.reports.footprint.process import imported
+from deltacharger_lab.reports.footprint.process import LIBRARIES
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Scene
 
@@ -91,7 +91,7 @@ class Started:
     @property
     def libraries(self) -> set[str]:
         """Heavy libraries among the modules."""
-        return imported(self.modules)
+        return {module.partition(".")[0] for module in self.modules} & set(LIBRARIES)
 
     def _lines(self, name: str) -> list[str]:
         text = (self.folder / f"{name}.log").read_text("utf-8", "replace")

@@ -16,7 +16,7 @@ from deltacharger_lab.reports.kinematics import sets
 from deltacharger_lab.reports.kinematics.reference import Exact, ExactDelta
 from deltacharger_lab.reports.kinematics.sets import PointSet
 from deltacharger_lab.reports.kinematics.solvers import Solver, calls_reachable
-from deltacharger_lab.reports.kinematics.timing import Stopwatch
+from deltacharger_lab.reports.kinematics.speed import Stopwatch
 
 _MERGED = 1e-13  # rad; knees closer than this are one
 DECADES = range(-17, -3)

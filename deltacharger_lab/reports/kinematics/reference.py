@@ -147,47 +147,30 @@ class ExactDelta:
         farthest = self._mp.sqrt((across + limb["arm"]) ** 2 + v * v)
         return min(limb["rod"] - nearest, farthest - limb["rod"])
 
-    def _assemble(self, arms: Sequence[float]) -> tuple[Any, Any, Any] | None:
-        """Return where the spheres about the elbows meet, by elimination: p = c0 + o + h·n."""
+    def _assemble(self, arms: Sequence[float]) -> Any:
+        """Return where (3,) the spheres about the elbows meet, by elimination: p = c0 + o + h·n; None for nowhere."""
         elbows = [self._elbow(index, angle) for index, angle in enumerate(arms)]
-        rods = [limb["rod"] for limb in self._limbs]
-        first = elbows[0]
-        a, b = ([q - p for p, q in zip(first, elbow, strict=True)] for elbow in elbows[1:])
-        n = _cross(a, b)
-        square = _dot(n, n)
+        first, *others = [limb["rod"] ** 2 for limb in self._limbs]
+        a, b = elbows[1] - elbows[0], elbows[2] - elbows[0]
+        n = np.cross(a, b)
+        square = n @ n
         if square == 0:
             return None
         # The centre o obeys 2 a·o = |a|² + L0² − L1², 2 b·o = |b|² + L0² − L2² and n·o = 0.
-        p = (_dot(a, a) + rods[0] ** 2 - rods[1] ** 2) / (2 * square)
-        q = (_dot(b, b) + rods[0] ** 2 - rods[2] ** 2) / (2 * square)
-        o = [p * s + q * t for s, t in zip(_cross(b, n), _cross(n, a), strict=True)]
-        height = (rods[0] ** 2 - _dot(o, o)) / square
-        if height < 0:
-            return None
-        along = self.assembly * self._mp.sqrt(height)
-        x, y, z = (c + d + along * e for c, d, e in zip(first, o, n, strict=True))
-        return x, y, z
+        p, q = ((side @ side + first - other) / (2 * square) for side, other in zip((a, b), others, strict=True))
+        o = p * np.cross(b, n) + q * np.cross(n, a)
+        height = (first - o @ o) / square
+        return None if height < 0 else elbows[0] + o + self.assembly * self._mp.sqrt(height) * n
 
-    def _elbow(self, index: int, angle: float) -> tuple[Any, Any, Any]:
-        """Return an elbow in charger_base, shifted inward by the platform's radius."""
+    def _elbow(self, index: int, angle: float) -> Any:
+        """Return an elbow (3,) in charger_base, shifted inward by the platform's radius."""
         limb, (cosine, sine) = self._limbs[index], self._directions[index]
         true = self._mp.mpf(angle) + limb["angle"]
         radius = limb["difference"] + limb["arm"] * self._mp.cos(true)
         side = limb["tangential"]
-        return (
-            radius * cosine - side * sine,
-            radius * sine + side * cosine,
-            limb["arm"] * self._mp.sin(true) - limb["height"],
-        )
+        height = limb["arm"] * self._mp.sin(true) - limb["height"]
+        return np.array([radius * cosine - side * sine, radius * sine + side * cosine, height])
 
     def _split(self, value: Any) -> tuple[float, float]:
         high = float(value)
         return high, float(value - self._mp.mpf(high))
-
-
-def _cross(a: Sequence[Any], b: Sequence[Any]) -> list[Any]:
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-
-
-def _dot(a: Sequence[Any], b: Sequence[Any]) -> Any:
-    return sum(p * q for p, q in zip(a, b, strict=True))

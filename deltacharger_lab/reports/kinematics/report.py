@@ -18,7 +18,6 @@ from deltacharger_lab.reports.kinematics.pictures import PICTURES
 from deltacharger_lab.reports.kinematics.reference import DIGITS, ExactDelta
 from deltacharger_lab.reports.kinematics.sets import interior
 from deltacharger_lab.reports.kinematics.solvers import OURS, PRECISE, SCALAR, Solver, forward_solvers, inverse_solvers
-from deltacharger_lab.reports.kinematics.timing import Stopwatch
 from deltacharger_lab.reports.kinematics.workspace import slice_workspace
 from deltacharger_lab.reports.report import Progress, Report
 from deltacharger_lab.reports.targets import at_least, at_most
@@ -32,12 +31,12 @@ Solvers = tuple[Sequence[Solver], Sequence[Solver]]
 def full_plan(points: int, seed: int) -> KinematicsPlan:
     """Return what the report measures by default."""
     sizes = (1, 10, 100, 1_000, 10_000, 100_000, 1_000_000)
-    return KinematicsPlan(points, min(points, 1_000), 100_000, seed, sizes, Stopwatch(), 400)
+    return KinematicsPlan(points, min(points, 1_000), 100_000, seed, sizes, speed.Stopwatch(), 400)
 
 
 def quick_plan(points: int, seed: int) -> KinematicsPlan:
     """Return what a quick look and the tests measure."""
-    return KinematicsPlan(points, min(points, 60), 10_000, seed, (1, 100, 10_000), Stopwatch(3, 0.004), 60)
+    return KinematicsPlan(points, min(points, 60), 10_000, seed, (1, 100, 10_000), speed.Stopwatch(3, 0.004), 60)
 
 
 def build(plan: KinematicsPlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
@@ -101,16 +100,16 @@ def _measure_speed(
     triples = interior(exact.geometry, plan.generator(10), speed.BATCH).points
     timed = {box.points.name: triples}
     timed |= {each.points.name: each.points.points for each in (edge, fold)}  # other paths of the solve, or more steps
-    costs = {name: speed.solver_costs(inverse, points, plan) for name, points in timed.items()}
+    costs = {name: speed.solver_costs(inverse, points, plan.stopwatch) for name, points in timed.items()}
     for row in results["inverse"]:
         row["times"] = {name: each[row["name"]] for name, each in costs.items()}
         row |= row["times"][box.points.name]
-    times = speed.solver_costs(forward, box.right.high, plan)
+    times = speed.solver_costs(forward, box.right.high, plan.stopwatch)
     for row in results["forward"]:
         row |= times[row["name"]]
-    results["ratios"] = speed.ratios(inverse, triples, plan)
-    results["speed"] = speed.throughput(exact.geometry, triples, edge.points.points, plan)
-    results["functions"] = speed.function_costs(exact.geometry, triples, plan)
+    results["ratios"] = speed.ratios(inverse, triples, plan.stopwatch)
+    results["speed"] = speed.throughput(exact.geometry, triples, edge.points.points, plan.stopwatch, plan.sizes)
+    results["functions"] = speed.function_costs(exact.geometry, triples, plan.stopwatch)
 
 
 def targets(results: dict[str, Any]) -> list[dict[str, Any]]:

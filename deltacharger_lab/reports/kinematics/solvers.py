@@ -13,15 +13,9 @@ import numpy as np
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_kinematics import Delta, DeltaGeometry
 from deltacharger_kinematics.limb_arrays import LimbArrays
+from deltacharger_kinematics.modes import KNEE_OUT
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_lab.reports.kinematics.forms import (
-    FORWARD_FORMS,
-    INVERSE_FORMS,
-    forward_array,
-    forward_one,
-    inverse_array,
-    inverse_one,
-)
+from deltacharger_lab.reports.kinematics import forms
 from deltacharger_lab.reports.kinematics.peers import Peer
 
 Family = Literal["ours", "form", "peer"]
@@ -85,7 +79,7 @@ def inverse_solvers(geometry: DeltaGeometry, peers: Sequence[Peer]) -> list[Solv
         Solver(PRECISE, "ours", precise, precise, "tuple"),
         Solver(POINT, "ours", None, lambda point: delta.inverse(point).angles, "tuple"),
         Solver(SCALAR, "ours", None, scalar.inverse),
-        *_closed(INVERSE_FORMS, inverse_array, inverse_one, geometry),
+        *_closed(forms.INVERSE_FORMS, forms.inverse_array, forms.inverse_one, geometry),
         *(
             Solver(peer.name, "peer", peer.inverse_array, peer.inverse, "array", geometry)
             for peer in peers
@@ -101,24 +95,24 @@ def forward_solvers(geometry: DeltaGeometry, peers: Sequence[Peer]) -> list[Solv
         Solver("Delta.forward, array", "ours", lambda angles: delta.forward(angles).position),
         Solver("Delta.forward, point", "ours", None, lambda angles: delta.forward(angles).position, "tuple"),
         Solver(SCALAR, "ours", None, scalar.forward),
-        *_closed(FORWARD_FORMS, forward_array, forward_one, geometry),
+        *_closed(forms.FORWARD_FORMS, forms.forward_array, forms.forward_one, geometry),
         *(Solver(peer.name, "peer", None, peer.forward, "array") for peer in peers if peer.forward),
     ]
 
 
 def _closed(
-    forms: Mapping[str, Any], array: Callable[..., Array], one: Callable[..., Any], geometry: DeltaGeometry
+    solved: Mapping[str, Any], array: Callable[..., Array], one: Callable[..., Any], geometry: DeltaGeometry
 ) -> list[Solver]:
     return [
         Solver(name, "form", functools.partial(array, form, geometry), functools.partial(one, form, geometry))
-        for name, form in forms.items()
+        for name, form in solved.items()
     ]
 
 
 def rod_errors(geometry: DeltaGeometry, points: Array, angles: Array) -> Array:
     """Return by how much each rod (n, 3) misses its length, m, in plain doubles."""
     with np.errstate(invalid="ignore"):
-        x, y, z = LimbArrays(geometry, (-1, -1, -1)).elbows(np.cos(angles.T), np.sin(angles.T))
+        x, y, z = LimbArrays(geometry, KNEE_OUT).elbows(np.cos(angles.T), np.sin(angles.T))
         elbows = np.stack([x, y, z - geometry.z_offset], axis=-1)
         return np.asarray(np.abs(np.linalg.norm(points - elbows, axis=-1) - geometry.rod).T)
 

@@ -49,15 +49,7 @@ def build(plan: SimulationPlan, directory: Path, command: str, progress: Progres
     light = [point for point in results["map"] if point["model"] == LIGHT]
     shown = {"command": command, "plan": plan, "stability": stability, "rows": stability.cells(light, plan)}
     (directory / stability.MODULE).write_text(rendered(f"{stability.MODULE}.j2", shown), "utf-8")
-    return report.write(
-        directory,
-        is_calm=is_calm,
-        settled=settled,
-        ends=ends,
-        stability=stability,
-        light=LIGHT,
-        energy_parts=energy.PARTS,
-    )
+    return report.write(directory, is_calm=is_calm, settled=settled, ends=ends, stability=stability)
 
 
 def _measure(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trains, judges and times every model on one rig: accuracy, shifts, reliability, confusion, what a prediction takes."""
+"""Trains, judges and times every model on one rig: accuracy, shifts, reliability, confusion, run time."""
 
 from __future__ import annotations
 

@@ -9,17 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_lab.reports.vision.conditions import (
-    ALARMS,
-    BY_RANGE,
-    CLUTTER,
-    CONDITIONS,
-    DEFECTS,
-    HIDDEN,
-    MUJOCO,
-    RAYS,
-    RENDERERS,
-)
+from deltacharger_lab.reports.vision.conditions import CONDITIONS, MUJOCO, RAYS, RENDERERS
 from deltacharger_lab.reports.vision.measure import Photographer, Sample, errors
 from deltacharger_records.plotting import BLUE, INK, RED, Axes, picture
 from deltacharger_vision.detector.annotate import annotated
@@ -27,18 +17,18 @@ from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.projection import project
 
 _HARD = (
-    f"{BY_RANGE}: 0.15 m",
-    f"{BY_RANGE}: 1.00 m",
-    f"{DEFECTS}: exposure × 0.1",
-    f"{DEFECTS}: exposure × 4",
-    f"{DEFECTS}: highlight 8",
-    f"{DEFECTS}: holes: 90 % of metal, 50 % else",
-    f"{DEFECTS}: defocus 2.5 px",
-    f"{DEFECTS}: motion 8 px",
-    f"{HIDDEN}: 75 % of one bar hidden",
-    f"{HIDDEN}: 15 % of both bars hidden",
-    f"{DEFECTS}: drawn room, decoys",
-    f"{ALARMS}: {CLUTTER}",
+    "range: 0.15 m",
+    "range: 1.00 m",
+    "defects: exposure × 0.1",
+    "defects: exposure × 4",
+    "defects: highlight 8",
+    "defects: holes: 90 % of metal, 50 % else",
+    "defects: defocus 2.5 px",
+    "defects: motion 8 px",
+    "hidden: 75 % of one bar hidden",
+    "hidden: 15 % of both bars hidden",
+    "defects: drawn room, decoys",
+    "alarms: clutter, no electrodes",
 )
 _COLUMNS = 4
 _AROUND = 2.4  # what is shown, in lengths of the bars
