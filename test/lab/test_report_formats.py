@@ -12,8 +12,7 @@ import pytest
 
 from deltacharger_lab.reports import formats
 from deltacharger_lab.reports.page import render
-from deltacharger_lab.reports.report import Report
-from deltacharger_lab.reports.targets import at_least, at_most, none
+from deltacharger_lab.reports.report import Report, at_least, at_most, none
 
 NUMBERS = (formats.fixed, formats.short, formats.number, formats.power, formats.percent, formats.plain)
 

@@ -12,7 +12,6 @@ import pytest
 from deltacharger_lab.campaigns.summary import upper_bound
 from deltacharger_lab.reports.page import render
 from deltacharger_lab.reports.vision import conditions as vision_conditions
-from deltacharger_lab.reports.vision import mount as vision_mount
 from deltacharger_lab.reports.vision import plan as vision_plan
 from deltacharger_lab.reports.vision import views as vision_views
 from deltacharger_lab.reports.vision.conditions import (
@@ -26,7 +25,7 @@ from deltacharger_lab.reports.vision.conditions import (
     members,
 )
 from deltacharger_lab.reports.vision.gallery import worst
-from deltacharger_lab.reports.vision.measure import FIELDS, Photographer, errors
+from deltacharger_lab.reports.vision.measure import FIELDS, LEVELS, Photographer, errors
 from deltacharger_lab.reports.vision.pictures import PICTURES
 from deltacharger_lab.reports.vision.report import row, targets
 from deltacharger_vision.detector.detection import Detection
@@ -47,7 +46,7 @@ def test_every_row_was_measured_with_its_number_of_images(quick_report: Quick) -
         seeds = [image[0] for image in figures["raw"]["images"][key(each)]]
         assert seeds == [20_000 + number for number in range(plan.count(each.weight))]
         assert figures["rows"][key(each)]["images"] == len(seeds)
-    assert set(figures["mount"]) == set(vision_mount.LEVELS)
+    assert set(figures["mount"]) == set(LEVELS)
     assert any(each.renderer == MUJOCO for each in plan.conditions()) != ("mujoco" in figures["absent"])
 
 
@@ -70,7 +69,7 @@ def test_what_is_near_and_plain_is_found_and_right(quick_report: Quick) -> None:
 
 
 def test_the_mount_decides(quick_report: Quick) -> None:
-    exact, half, whole = (quick_report[2]["mount"][name] for name in vision_mount.LEVELS)
+    exact, half, whole = (quick_report[2]["mount"][name] for name in LEVELS)
     assert exact["base_mm_p50"] == pytest.approx(exact["camera_mm_p50"], rel=1e-6)
     assert 10.0 * exact["base_mm_p50"] < half["base_mm_p50"] < whole["base_mm_p50"]
 

@@ -100,15 +100,8 @@ def _cloud(axes: Axes, every: summary.Columns | None, title: str) -> None:
         index = np.flatnonzero(chosen & np.isfinite(x) & np.isfinite(y))
         shown = index[:: max(1, len(index) // _LARGEST)]
         axes.plot(x[shown], y[shown], ".", markersize=2.2, color=colour, alpha=0.5, label=f"{label}, {len(index)}")
-    axes.plot(
-        x[unsafe],
-        y[unsafe],
-        "X",
-        markersize=8,
-        color=RED,
-        markeredgecolor="white",
-        label=f"live without clearance, {int(unsafe.sum())}",
-    )
+    label = f"live without clearance, {int(unsafe.sum())}"
+    axes.plot(x[unsafe], y[unsafe], "X", markersize=8, color=RED, markeredgecolor="white", label=label)
     if unsafe.any():
         axes.legend(**_LEGEND, loc="upper left")
 
@@ -117,14 +110,14 @@ def _load(results: dict[str, Any], path: Path) -> None:
     rows = results["rows"]["random"]
     charged = rows["charged"]
     panels = (
-        ("rest_current", 1.0, "contact current at rest, A", charged, summary.BAND),
-        ("servo_current_hottest", 1.0, "hottest servo while charging, A", charged, (summary.HOTTEST_MOST,)),
-        ("servo_push", 1.0, "largest push of the servos, N", np.full(len(charged), True), (summary.PUSH_MOST,)),
+        ("rest_current", "contact current at rest, A", charged, summary.BAND),
+        ("servo_current_hottest", "hottest servo while charging, A", charged, (summary.HOTTEST_MOST,)),
+        ("servo_push", "largest push of the servos, N", np.full(len(charged), True), (summary.PUSH_MOST,)),
     )
     about = "simulated dockings of `random`, gravity from anywhere; red: the targets"
     with picture(path, 11.0, 3.9, "Load on servos and target", about) as figure:
-        for axes, (name, scale, text, chosen, limits) in zip(figure.subplots(1, 3), panels, strict=True):
-            values = scale * rows[name][chosen].astype(float)
+        for axes, (name, text, chosen, limits) in zip(figure.subplots(1, 3), panels, strict=True):
+            values = rows[name][chosen].astype(float)
             values = values[np.isfinite(values)]
             low, high = min(*values, *limits) if len(values) else 0.0, max(*values, *limits) if len(values) else 1.0
             margin = 0.04 * (high - low)

@@ -16,7 +16,7 @@ from deltacharger_core.machine import GRAVITY_STRENGTH
 from deltacharger_lab.campaigns.docking import CRASHED
 from deltacharger_lab.campaigns.summary import quantiles as finite_quantiles
 from deltacharger_lab.campaigns.summary import upper_bound, wilson
-from deltacharger_lab.reports.targets import at_least, at_most, none
+from deltacharger_lab.reports.report import at_least, at_most, none
 
 Array = NDArray[Any]
 Columns = dict[str, Array]

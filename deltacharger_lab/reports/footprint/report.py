@@ -17,8 +17,7 @@ from deltacharger_lab.reports.footprint.measure import measure
 from deltacharger_lab.reports.footprint.plan import FootprintPlan
 from deltacharger_lab.reports.footprint.process import LIBRARIES
 from deltacharger_lab.reports.footprint.start import ONE, CannotRun
-from deltacharger_lab.reports.report import Progress, Report
-from deltacharger_lab.reports.targets import at_least, at_most, none
+from deltacharger_lab.reports.report import Progress, Report, at_least, at_most, none
 
 BENCH = "bench"
 NEVER = ("torch", "sklearn", "cv2", "depthai", "mujoco", "matplotlib")  # in the bench scene

@@ -134,7 +134,8 @@ def _case_row(case: Case) -> dict[str, Any]:
     notes = ((not fits, _WRONG), (not agree, "single call and array differ"), (warned, "numpy warned"))
     remark = "; ".join(note for is_so, note in notes if is_so)
     shown, unit = (_show(numbers, 1e3, "mm"), "m") if case.forward else (_show(numbers, 1.0, "rad"), "rad")
-    return _row(case.name, shown, remark, name_status(status), margin, error, unit, trip)
+    figures = {"margin": margin, "error": error, "round_trip": trip}
+    return _row(case.name, shown, remark, name_status(status), unit, **figures)
 
 
 def _errors(case: Case, status: Status, answers: Array) -> tuple[float, float]:
@@ -148,19 +149,18 @@ def _errors(case: Case, status: Status, answers: Array) -> tuple[float, float]:
     return float(exact.inverse(given).angles.angle_error(answers).max()), trip
 
 
-def _row(
-    name: str,
-    answer: str,
-    remark: str,
-    status: str = "",
-    margin: float = _NAN,
-    error: float = _NAN,
-    unit: str = "",
-    round_trip: float = _NAN,
-) -> dict[str, Any]:
+def _row(name: str, answer: str, remark: str, status: str = "", unit: str = "", **figures: float) -> dict[str, Any]:
     """Return a row of the table; what is as wanted has no remark."""
-    figures = {"margin": margin, "error": error, "unit": unit, "round_trip": round_trip}
-    return {"name": name, "status": status, "answer": answer, **figures, "ok": not remark, "remark": remark}
+    figures = {"margin": _NAN, "error": _NAN, "round_trip": _NAN, **figures}
+    return {
+        "name": name,
+        "status": status,
+        "answer": answer,
+        "unit": unit,
+        **figures,
+        "ok": not remark,
+        "remark": remark,
+    }
 
 
 def _quietly(call: Callable[[], Any]) -> tuple[Any, bool]:

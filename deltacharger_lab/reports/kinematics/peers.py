@@ -67,20 +67,16 @@ def _casadi(geometry: DeltaGeometry) -> list[Peer]:
         gaps.append(casadi.sumsqr(rod) - geometry.rod**2)
     closure = casadi.vertcat(*gaps)
     options = {"abstol": _TIGHT, "abstolStep": _TIGHT, "max_iter": _STEPS, "error_on_fail": False}
-    setup = f"abstol and abstolStep {_TIGHT:g}, at most {_STEPS} steps"
+    setup = (
+        f"rootfinder on the three closure equations, abstol and abstolStep {_TIGHT:g}, at most {_STEPS} steps; "
+        "arrays by Function.map"
+    )
     peers = []
     for plugin in ("newton", "fast_newton"):
         inverse = casadi.rootfinder("inverse", plugin, {"x": angles, "p": position, "g": closure}, options)
         forward = casadi.rootfinder("forward", plugin, {"x": position, "p": angles, "g": closure}, options)
-        peers.append(
-            Peer(
-                f"casadi {plugin}",
-                f"rootfinder on the three closure equations, {setup}; arrays by Function.map",
-                _casadi_one(inverse, 0.0),
-                _casadi_array(inverse),
-                _casadi_one(forward, _START_POSITION),
-            )
-        )
+        one, back = _casadi_one(inverse, 0.0), _casadi_one(forward, _START_POSITION)
+        peers.append(Peer(f"casadi {plugin}", setup, one, _casadi_array(inverse), back))
     buffered = "the same through Function.buffer, which spares the conversion of arguments and results"
     peers.append(Peer("casadi fast_newton, buffers", buffered, _casadi_buffered(inverse, np.zeros(3))))
     return peers

@@ -40,16 +40,13 @@ def _scatter(axes: Axes, rows: list[dict[str, Any]], name: str) -> None:
         marker, colour = markers[row["name"]], _COLOURS[row["family"]]
         level = max(error, _FLOOR)
         cost = row["times"][name]
-        times = [(cost["array_us"], colour), (cost["one_us"], "white")]
-        known = [time for time, _ in times if time is not None]
-        axes.plot(known, [level] * len(known), color=colour, linewidth=0.8, alpha=0.5, zorder=2)
-        for time, face in times:
-            if time is not None:
-                size = 11 if marker == "*" else 7
-                axes.plot(
-                    time, level, marker=marker, markersize=size, color=colour, markerfacecolor=face, alpha=0.9,
-                    linestyle="none", zorder=4 if row["family"] == "ours" else 3,
-                )  # fmt: skip
+        times = {face: cost[key] for face, key in ((colour, "array_us"), ("white", "one_us")) if cost[key] is not None}
+        axes.plot(list(times.values()), [level] * len(times), color=colour, linewidth=0.8, alpha=0.5, zorder=2)
+        for face, time in times.items():
+            axes.plot(
+                time, level, marker=marker, markersize=11 if marker == "*" else 7, color=colour, markerfacecolor=face,
+                alpha=0.9, linestyle="none", zorder=4 if row["family"] == "ours" else 3,
+            )  # fmt: skip
 
 
 def _markers(rows: list[dict[str, Any]]) -> dict[str, str]:
@@ -77,13 +74,8 @@ def _edge(results: dict[str, Any], path: Path) -> None:
                 decades, curve, marker=markers[row["name"]], markersize=5, linewidth=1.3, color=_COLOURS[row["family"]],
                 alpha=0.85, label=row["name"], zorder=4 if row["family"] == "ours" else 3,
             )  # fmt: skip
-        axes.set(
-            xscale="log",
-            yscale="log",
-            ylim=(1e-17, 1e-3),
-            xlabel="distance to the edge of reach, m (lower end of the decade)",
-            ylabel="largest error, rad",
-        )
+        axes.set(xscale="log", yscale="log", ylim=(1e-17, 1e-3), ylabel="largest error, rad")
+        axes.set_xlabel("distance to the edge of reach, m (lower end of the decade)")
         figure.legend(loc="outside right center", labelspacing=0.75)
 
 

@@ -19,8 +19,7 @@ from deltacharger_lab.reports.kinematics.reference import DIGITS, ExactDelta
 from deltacharger_lab.reports.kinematics.sets import interior
 from deltacharger_lab.reports.kinematics.solvers import OURS, PRECISE, SCALAR, Solver, forward_solvers, inverse_solvers
 from deltacharger_lab.reports.kinematics.workspace import slice_workspace
-from deltacharger_lab.reports.report import Progress, Report
-from deltacharger_lab.reports.targets import at_least, at_most
+from deltacharger_lab.reports.report import Progress, Report, at_least, at_most
 
 _LIBRARIES = ("numpy", "mpmath", "scipy", "casadi", "pin", "matplotlib")
 DEFAULT_POINTS, QUICK_POINTS = 5_000, 200

@@ -11,12 +11,11 @@ from typing import Any
 from deltacharger_lab.reports.formats import fixed
 from deltacharger_lab.reports.page import rendered
 from deltacharger_lab.reports.pool import ReportTask, joined, work
-from deltacharger_lab.reports.report import Progress, Report
+from deltacharger_lab.reports.report import Progress, Report, at_least, at_most, none
 from deltacharger_lab.reports.simulation import energy, extremes, models, parts, stability
 from deltacharger_lab.reports.simulation.pictures import PICTURES
 from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan, absent, models_here
 from deltacharger_lab.reports.simulation.scenes import LIGHT, rms
-from deltacharger_lab.reports.targets import at_least, at_most, none
 
 TARGET_STEP = 0.01  # s
 ENERGY_STEPS = (0.0001, 0.001, 0.005, 0.01, 0.05)

@@ -54,8 +54,7 @@ def judge_rig(rig: int, seed: int, part: str, plan: TactilePlan, keep: str) -> d
     """
     _one_thread()
     known = paper_set(rig, seed)
-    found: dict[str, list[dict[str, Any]]] = {"accuracy": [], "shifts": [], "diagrams": []}
-    models = {}
+    found, models = [], {}
     for target in SETS[part]:
         rows = labels.examples(known, target)
         turns = splits.thirds(rows, seed)[: 1 if plan.quick else 3]
@@ -64,7 +63,7 @@ def judge_rig(rig: int, seed: int, part: str, plan: TactilePlan, keep: str) -> d
             for turn, (learns, checks) in enumerate(turns):
                 model = fitted(name, target, rows.part(learns), seed)
                 right = accuracy(model, rows.part(checks))
-                found["accuracy"].append({**where, "accuracy": right, "n": len(checks), "fit_s": model.fit_time})
+                found.append({**where, "accuracy": right, "n": len(checks), "fit_s": model.fit_time})
                 if turn:
                     continue
                 if keep:
@@ -72,8 +71,7 @@ def judge_rig(rig: int, seed: int, part: str, plan: TactilePlan, keep: str) -> d
                 if name in plan.judged:
                     _calibrate(model, rows, learns, checks)
                     models[name, target] = model
-    _judge_shifts(found, models, known, part, (rig, seed), plan)
-    return found
+    return {"accuracy": found, **_judge_shifts(models, known, part, (rig, seed), plan)}
 
 
 def _calibrate(model: Classifier, rows: Examples, learns: NDArray[np.int64], checks: NDArray[np.int64]) -> None:
@@ -84,13 +82,9 @@ def _calibrate(model: Classifier, rows: Examples, learns: NDArray[np.int64], che
 
 
 def _judge_shifts(
-    found: dict[str, list[dict[str, Any]]],
-    models: dict[tuple[str, str], Classifier],
-    known: Dataset,
-    part: str,
-    device: tuple[int, int],
-    plan: TactilePlan,
-) -> None:
+    models: dict[tuple[str, str], Classifier], known: Dataset, part: str, device: tuple[int, int], plan: TactilePlan
+) -> dict[str, list[dict[str, Any]]]:
+    found: dict[str, list[dict[str, Any]]] = {"shifts": [], "diagrams": []}
     subset = known.subset == (SUBSET_ANGLE if part == "angle" else SUBSET_POSITION)
     for shift in SHIFTS:
         fresh = dock_again(known, shift, *device, subset)
@@ -104,6 +98,7 @@ def _judge_shifts(
             found["shifts"].append({**where, "shift": shift.name, **told, "windows": windows[model.threshold]})
             if shift is NONE:
                 found["diagrams"].append({**where, **_diagram(model, rows)})
+    return found
 
 
 def _windows(model: Classifier, rows: Examples, size: int, count: int) -> float:

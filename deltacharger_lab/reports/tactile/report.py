@@ -14,14 +14,13 @@ import numpy as np
 
 from deltacharger_lab.reports.formats import grouped
 from deltacharger_lab.reports.pool import ReportTask, joined, work
-from deltacharger_lab.reports.report import Progress, Report
+from deltacharger_lab.reports.report import Progress, Report, at_least, at_most
 from deltacharger_lab.reports.tactile import splits
 from deltacharger_lab.reports.tactile.ceiling import CEILING, ROWS
 from deltacharger_lab.reports.tactile.measure import WINDOWS, judge_rig, timing
 from deltacharger_lab.reports.tactile.pictures import PICTURES
 from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, TactilePlan, absent, default, kind, title
 from deltacharger_lab.reports.tactile.shifts import NONE
-from deltacharger_lab.reports.targets import at_least, at_most
 from deltacharger_tactile.classifiers.reliability import NOMINAL
 from deltacharger_tactile.parameters import TactileParameters
 

@@ -13,13 +13,8 @@ from deltacharger_tactile.generator import generate_paper
 
 ROWS = 3
 """Rows of each docking in this comparison; the paper has one."""
-BY_DOCKING, BY_FRAME, RIG_OUT, SESSION_OUT = (
-    "by docking",
-    "random by frame",
-    "leave one rig out",
-    "leave one session out",
-)
-SPLITS = (BY_DOCKING, BY_FRAME, RIG_OUT, SESSION_OUT)
+SPLITS = ("by docking", "random by frame", "leave one rig out", "leave one session out")
+BY_DOCKING, BY_FRAME, RIG_OUT, SESSION_OUT = SPLITS
 _SHARE = 0.67
 _DOCKINGS = 0.34  # of the dockings of a rig, so that all splits together end in time
 

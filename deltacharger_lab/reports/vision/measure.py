@@ -14,13 +14,16 @@ import numpy as np
 
 from deltacharger_core.arrays import Array
 from deltacharger_lab.reports.vision.conditions import CONDITIONS, MUJOCO, Condition
-from deltacharger_lab.reports.vision.views import DrawnView
+from deltacharger_lab.reports.vision.views import DrawnView, about, draw_light
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.mount import Mount
+from deltacharger_vision.poses import turn
 from deltacharger_vision.rendering.camera import SimulatedCamera
 from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
 from deltacharger_vision.rendering.parameters import CameraParameters
+from deltacharger_vision.rendering.scene import RenderedScene
 
 WRONG_POSITION, WRONG_ROLL = 0.010, math.radians(5.0)
 """A detection that is farther off, m or rad, is wrong."""
@@ -28,6 +31,13 @@ FIELDS = ("seed", "found", "wrong", "xy_mm", "z_mm", "roll_deg", "nees", "tilt_d
 """Of one image: found and wrong are 0 or 1, errors NaN where nothing right was found, the tilt where it is not told."""
 _WARM_UP = 5
 _RUNS = 3  # of one detection; other work of the machine only ever adds to the least
+
+LEVELS = {"exact": (0.0, 0.0), "0.5° / 2 mm": (math.radians(0.5), 0.002), "1° / 3 mm": (math.radians(1.0), 0.003)}
+"""Standard deviation of the mount about and along each axis, rad and m, by name."""
+MOUNT_FIELDS = ("seed", "found", "camera_mm", "base_mm", "xy_mm", "z_mm", "roll_deg", "nees")
+"""Of one image: error of the position in the camera's frame and in charger_base, there also across and along z."""
+_ASIDE, _AWAY = 0.010, (0.070, 0.090)  # m, of the target in charger_base
+_ROLL, _LEAN = math.radians(6.0), math.radians(2.0)
 
 
 @dataclass(frozen=True)
@@ -85,15 +95,63 @@ def errors(found: Detection | None, pose: Array, real: bool = True) -> list[floa
     nothing = [math.nan] * 5
     if found is None:
         return [0.0, 0.0, *nothing]
-    error = found.position - pose[:3, 3]
-    roll = math.remainder(found.roll - math.atan2(pose[1, 0], pose[0, 0]), math.pi)
+    error, roll = _off(found, pose)
     if not real or np.linalg.norm(error) > WRONG_POSITION or abs(roll) > WRONG_ROLL:
         return [1.0, 1.0, *nothing]
-    nees = float(error @ np.linalg.solve(found.covariance[:3, :3], error))
     told = bool(np.all(np.isfinite(found.normal)))
     tilt = math.acos(min(1.0, float(-found.normal @ pose[:3, 2]))) if told else math.nan
     across, away, turned = 1e3 * float(np.hypot(*error[:2])), 1e3 * abs(float(error[2])), math.degrees(abs(roll))
-    return [1.0, 0.0, across, away, turned, nees, math.degrees(tilt)]
+    return [1.0, 0.0, across, away, turned, _nees(error, found), math.degrees(tilt)]
+
+
+def _off(found: Any, pose: Array) -> tuple[Array, float]:
+    """Return the error (3,) m and that of roll, rad, of a detection where the terminal is at (4, 4) `pose`."""
+    return found.position - pose[:3, 3], math.remainder(found.roll - math.atan2(pose[1, 0], pose[0, 0]), math.pi)
+
+
+def _nees(error: Array, found: Any) -> float:
+    return float(error @ np.linalg.solve(found.covariance[:3, :3], error))
+
+
+def judge_mount(level: str, seeds: Sequence[int]) -> tuple[str, list[list[float]]]:
+    """Return the level's name and a row of MOUNT_FIELDS for each seed.
+
+    The camera sits where the mount's error has put it; what it detects is told by the nominal mount.
+    """
+    one_thread()
+    nominal = Mount.default().pose
+    rotation, translation = LEVELS[level]
+    mount = Mount(nominal, np.diag([translation**2] * 3 + [rotation**2] * 3))
+    camera, detector, rows = SimulatedCamera(), ElectrodeDetector(), []
+    for seed in seeds:
+        random = np.random.default_rng(seed)  # the levels compare: same targets, same directions of the error
+        scene, target = RenderedScene(light=draw_light(random)), draw_target(random)
+        true = nominal.copy()
+        true[:3, :3] = turn(rotation * random.standard_normal(3)) @ nominal[:3, :3]
+        true[:3, 3] += translation * random.standard_normal(3)
+        pose = np.linalg.inv(true) @ target
+        found = detector.detect(camera.render(scene, pose, random))
+        if found is None:
+            rows.append([float(seed), 0.0, *[math.nan] * 6])
+            continue
+        placed = mount.place(found)
+        error, roll = _off(placed, target)
+        seen = float(np.linalg.norm(found.position - pose[:3, 3]))
+        sizes = (seen, float(np.linalg.norm(error)), float(np.hypot(*error[:2])), abs(float(error[2])))
+        rows.append([float(seed), 1.0, *(1e3 * each for each in sizes), math.degrees(abs(roll)), _nees(error, placed)])
+    return level, rows
+
+
+def draw_target(random: np.random.Generator) -> Array:
+    """Return (4, 4) charger_base_T_terminal of a robot that has come to be charged."""
+    pose = np.eye(4)
+    pose[:3, :3] = (
+        about(0, random.normal(0.0, _LEAN))
+        @ about(1, random.normal(0.0, _LEAN))
+        @ about(2, random.uniform(-_ROLL, _ROLL))
+    )
+    pose[:3, 3] = random.uniform(-_ASIDE, _ASIDE), random.uniform(-_ASIDE, _ASIDE), random.uniform(*_AWAY)
+    return pose
 
 
 def times(names: Sequence[str], seeds: Sequence[int]) -> dict[str, dict[str, float]]:

@@ -9,9 +9,7 @@ from importlib.util import find_spec
 from deltacharger_lab.reports.pool import ReportTask
 from deltacharger_lab.reports.vision import conditions
 from deltacharger_lab.reports.vision.conditions import CONDITIONS, Condition, key
-from deltacharger_lab.reports.vision.measure import judge, times
-from deltacharger_lab.reports.vision.mount import LEVELS
-from deltacharger_lab.reports.vision.mount import judge as judge_mount
+from deltacharger_lab.reports.vision.measure import LEVELS, judge, judge_mount, times
 
 FULL, QUICK = 150, 15
 """Images of a usual row."""

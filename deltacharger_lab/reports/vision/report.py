@@ -12,11 +12,10 @@ import numpy as np
 
 from deltacharger_lab.campaigns.summary import quantiles, upper_bound
 from deltacharger_lab.reports.pool import work
-from deltacharger_lab.reports.report import Progress, Report
-from deltacharger_lab.reports.targets import at_least, at_most
-from deltacharger_lab.reports.vision import conditions, mount
+from deltacharger_lab.reports.report import Progress, Report, at_least, at_most
+from deltacharger_lab.reports.vision import conditions
 from deltacharger_lab.reports.vision.conditions import ALARMS, BAND, BY_RANGE, HIDDEN, members
-from deltacharger_lab.reports.vision.measure import FIELDS
+from deltacharger_lab.reports.vision.measure import FIELDS, MOUNT_FIELDS
 from deltacharger_lab.reports.vision.pictures import PICTURES
 from deltacharger_lab.reports.vision.plan import VisionPlan
 
@@ -58,8 +57,8 @@ def _measure(results: dict[str, Any], plan: VisionPlan, progress: Progress) -> N
     mounts = gathered(found["mount"])
     results["rows"] = {name: row(each) for name, each in images.items()}
     results["band"] = row(band(images))
-    results["mount"] = {name: row(each, mount.FIELDS) for name, each in mounts.items()}
-    results["raw"] = {"fields": FIELDS, "images": images, "mount_fields": mount.FIELDS, "mount": mounts}
+    results["mount"] = {name: row(each, MOUNT_FIELDS) for name, each in mounts.items()}
+    results["raw"] = {"fields": FIELDS, "images": images, "mount_fields": MOUNT_FIELDS, "mount": mounts}
 
 
 def gathered(parts: Iterable[tuple[str, list[list[float]]]]) -> dict[str, list[list[float]]]:
