@@ -18,7 +18,7 @@ from deltacharger_lab.reports.vision.views import DrawnView, about, draw_light
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.mount import Mount
+from deltacharger_vision.mount import Mount, Placed
 from deltacharger_vision.poses import turn
 from deltacharger_vision.rendering.camera import SimulatedCamera
 from deltacharger_vision.rendering.mujoco_camera import MujocoCamera
@@ -104,12 +104,12 @@ def errors(found: Detection | None, pose: Array, real: bool = True) -> list[floa
     return [1.0, 0.0, across, away, turned, _nees(error, found), math.degrees(tilt)]
 
 
-def _off(found: Any, pose: Array) -> tuple[Array, float]:
+def _off(found: Detection | Placed, pose: Array) -> tuple[Array, float]:
     """Return the error (3,) m and that of roll, rad, of a detection where the terminal is at (4, 4) `pose`."""
     return found.position - pose[:3, 3], math.remainder(found.roll - math.atan2(pose[1, 0], pose[0, 0]), math.pi)
 
 
-def _nees(error: Array, found: Any) -> float:
+def _nees(error: Array, found: Detection | Placed) -> float:
     return float(error @ np.linalg.solve(found.covariance[:3, :3], error))
 
 
