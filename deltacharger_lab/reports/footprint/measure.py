@@ -6,6 +6,8 @@ from __future__ import annotations
 import contextlib
 import math
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,19 +47,16 @@ def measure(scene: Scene, way: str, plan: FootprintPlan, context: Context, folde
         with charger(scene, way, ports, folder / "charger") as started:
             found: dict[str, Any] = _wait_until_ready(watcher, scene, started, way)
             time.sleep(plan.settle_s)
-            found |= _rest(watcher, started, plan.rest_s)
-            found |= _docking(watcher, scene, started, plan) if scene_docks(scene) else _no_docking("")
+            _, at_rest, rest = _meanwhile("rest", watcher, started, partial(time.sleep, plan.rest_s))
+            del rest["rest_s"]  # the plan's
+            found |= {"processes": at_rest.processes, "threads": at_rest.threads, **rest}
+            found |= _docking(watcher, scene, started, plan)
             after = _use(started)
             found["pss_mb"], found["rss_mb"] = after.pss / _MEGA, after.rss / _MEGA
             libraries = process.mapped(started.pids)
         found["libraries"] = sorted(libraries | started.libraries)
         found["modules"] = len(started.modules)
         return found
-
-
-def scene_docks(scene: Scene) -> bool:
-    """Return whether a scene takes a Dock goal."""
-    return "docking_node" in scene.nodes
 
 
 def _wait_until_ready(watcher: Watcher, scene: Scene, started: Started, way: str) -> dict[str, float]:
@@ -77,45 +76,31 @@ def _wait_until_ready(watcher: Watcher, scene: Scene, started: Started, way: str
     return seen
 
 
-def _rest(watcher: Watcher, started: Started, seconds: float) -> dict[str, Any]:
+def _meanwhile(
+    when: str, watcher: Watcher, started: Started, act: Callable[[], Any]
+) -> tuple[Any, process.Usage, dict[str, float]]:
+    """Return what a call returns, what is used after it, and the time, CPU and rates of messages while it runs."""
     before, begin, counting = _use(started), time.monotonic(), watcher.count()
-    time.sleep(seconds)
-    after = _use(started)
-    return {
-        "processes": after.processes,
-        "threads": after.threads,
-        "rest_percent": 100.0 * (after.cpu - before.cpu) / (time.monotonic() - begin),
-        **_named("rest", counting()),
-    }
+    result = act()
+    after, elapsed = _use(started), time.monotonic() - begin
+    found = {f"{when}_percent": 100.0 * (after.cpu - before.cpu) / elapsed, f"{when}_s": elapsed}
+    return result, after, found | {f"{when}_{name}_hz": value for name, value in counting().items()}
 
 
 def _docking(watcher: Watcher, scene: Scene, started: Started, plan: FootprintPlan) -> dict[str, Any]:
-    before, begin, counting = _use(started), time.monotonic(), watcher.count()
-    outcome = watcher.dock(electrodes(scene), plan.docking_limit_s)
-    if not isinstance(outcome, Outcome):
-        return _no_docking(outcome)
-    if not outcome.success:
-        return _no_docking(f"{outcome.error_name}: {outcome.error_message}")
-    after, elapsed = _use(started), time.monotonic() - begin
-    return {
-        "docking_percent": 100.0 * (after.cpu - before.cpu) / elapsed,
-        "docking_s": elapsed,
-        "docking_problem": "",
-        **_named("docking", counting()),
-    }
-
-
-def _no_docking(problem: str) -> dict[str, Any]:
-    return {
-        "docking_percent": math.nan,
-        "docking_s": math.nan,
-        "docking_problem": problem,
-        **_named("docking", dict.fromkeys(TOPICS, math.nan)),
-    }
-
-
-def _named(when: str, rates: dict[str, float]) -> dict[str, float]:
-    return {f"{when}_{name}_hz": value for name, value in rates.items()}
+    """Return what a docking costs, NaN where none succeeds, and its problem."""
+    keys = ("docking_percent", "docking_s", *(f"docking_{name}_hz" for name in TOPICS))
+    found, problem = dict.fromkeys(keys, math.nan), ""
+    if "docking_node" in scene.nodes:
+        dock = partial(watcher.dock, electrodes(scene), plan.docking_limit_s)
+        outcome, _, meanwhile = _meanwhile("docking", watcher, started, dock)
+        if not isinstance(outcome, Outcome):
+            problem = outcome
+        elif not outcome.success:
+            problem = f"{outcome.error_name}: {outcome.error_message}"
+        else:
+            found = meanwhile
+    return {**found, "docking_problem": problem}
 
 
 def _use(started: Started) -> process.Usage:
