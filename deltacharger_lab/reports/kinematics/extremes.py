@@ -151,16 +151,9 @@ def _errors(case: Case, status: Status, answers: Array) -> tuple[float, float]:
 
 def _row(name: str, answer: str, remark: str, status: str = "", unit: str = "", **figures: float) -> dict[str, Any]:
     """Return a row of the table; what is as wanted has no remark."""
-    figures = {"margin": _NAN, "error": _NAN, "round_trip": _NAN, **figures}
-    return {
-        "name": name,
-        "status": status,
-        "answer": answer,
-        "unit": unit,
-        **figures,
-        "ok": not remark,
-        "remark": remark,
-    }
+    unknown = {"margin": _NAN, "error": _NAN, "unit": unit, "round_trip": _NAN}
+    told = {"ok": not remark, "remark": remark}
+    return {"name": name, "status": status, "answer": answer, **unknown, **figures, **told}
 
 
 def _quietly(call: Callable[[], Any]) -> tuple[Any, bool]:
