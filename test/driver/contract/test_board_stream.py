@@ -164,8 +164,8 @@ def test_a_tare_brings_untouched_pads_to_zero_and_every_frame_says_so(host: Boar
     host.link.tare()
     frames = host.stream(STRETCH // 2)
     assert all(frame.tared for frame in frames)
-    for side in ("left", "right"):
-        forces = np.array([getattr(frame, side) for frame in frames])
+    for pad, side in enumerate(("left", "right")):
+        forces = np.array([frame.pads[pad] for frame in frames])
         assert np.nanmedian(forces) < RESTING, f"{side} pad"
         assert np.nanmax(forces) < CONTACT_FORCE, f"{side} pad"
 
