@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array
+from deltacharger_core.arrays import Array, Array32
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.rendering.image_defects import blurred, developed, slow_field
 from deltacharger_vision.rendering.materials import brushed
@@ -14,8 +13,6 @@ from deltacharger_vision.rendering.parameters import CameraParameters
 from deltacharger_vision.rendering.ray_caster import Piece, Rays
 from deltacharger_vision.rendering.scene import Box, RenderedScene, check_pose
 from deltacharger_vision.rendering.stereo_depth import measured
-
-Plane = NDArray[np.float32]
 
 OAK_D = Intrinsics(640, 400, 441.0, 441.0, 319.5, 199.5)
 """An OAK-D's colour image at 640 × 400 px, without its lens's distortion."""
@@ -26,8 +23,8 @@ _LARGEST_KEPT = 31 << 20
 
 
 def taken(
-    light: Plane,
-    depth: tuple[Plane, Plane] | None,
+    light: Array32,
+    depth: tuple[Array32, Array32] | None,
     intrinsics: Intrinsics,
     parameters: CameraParameters,
     unevenness: float,
@@ -90,7 +87,9 @@ class SimulatedCamera:
         depth = None if color_only else (inverse, holes)
         return taken(color, depth, self.intrinsics, self.parameters, scene.parameters.unevenness, random)
 
-    def _painted(self, scene: RenderedScene, pose: Array, random: np.random.Generator) -> tuple[Plane, Plane, Plane]:
+    def _painted(
+        self, scene: RenderedScene, pose: Array, random: np.random.Generator
+    ) -> tuple[Array32, Array32, Array32]:
         """Return light (3, H, W), 1/z (H, W) 1/m and the share of holes (H, W)."""
         s, p = scene.parameters, self.parameters
         light = pose[:3, :3] @ (np.asarray(scene.light) / np.linalg.norm(scene.light))
@@ -114,16 +113,16 @@ class SimulatedCamera:
         piece: Piece,
         light: Array,
         random: np.random.Generator,
-        color: Plane,
-        inverse: Plane,
-        holes: Plane,
+        color: Array32,
+        inverse: Array32,
+        holes: Array32,
     ) -> None:
         s, p = scene.parameters, self.parameters
         before = piece.inverse * np.float32(1.0 + 1e-4) >= inverse[piece.window]
         covered = piece.covered * before
         lambert = np.maximum(piece.normals @ light, 0.0)
         face_light = (s.ambient + s.diffuse * lambert).astype(np.float32)
-        gray: Plane | np.float32 = np.sum(
+        gray: Array32 | np.float32 = np.sum(
             [share * lit for share, lit in zip(piece.shares, face_light, strict=True)], axis=0, dtype=np.float32
         )
         solid = covered >= 0.5
@@ -137,7 +136,7 @@ class SimulatedCamera:
                 shade = shade + glare
             target += (shade - target) * covered
         np.copyto(inverse[piece.window], piece.inverse, where=solid)
-        share: Plane | np.float32 = np.float32(p.hole_matte)
+        share: Array32 | np.float32 = np.float32(p.hole_matte)
         if box.metal:
             share = np.full(covered.shape, p.hole_metal, dtype=np.float32)
             if glare is not None and s.highlight:

@@ -9,14 +9,14 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-Plane = NDArray[np.float32]
+from deltacharger_core.arrays import Array32
 
 _LEVELS = 4096
 _KNOTS = (6, 9)
 
 
 def developed(
-    light: Plane, exposure: float, shot_noise: float, read_noise: float, random: np.random.Generator
+    light: Array32, exposure: float, shot_noise: float, read_noise: float, random: np.random.Generator
 ) -> NDArray[np.uint8]:
     """Return (H, W, 3) uint8 of light (3, H, W), which is changed: exposed, with noise, saturated at 1, as sRGB.
 
@@ -50,7 +50,7 @@ def _encoding() -> NDArray[np.uint8]:
     return np.asarray(np.rint(255 * encoded), dtype=np.uint8)
 
 
-def blurred(light: Plane, defocus: float, motion_x: float, motion_y: float) -> Plane:
+def blurred(light: Array32, defocus: float, motion_x: float, motion_y: float) -> Array32:
     """Return light (3, H, W) blurred by a Gaussian of `defocus` px and a straight movement (px); both 0: unchanged."""
     if not defocus and not motion_x and not motion_y:
         return light
@@ -65,14 +65,14 @@ def blurred(light: Plane, defocus: float, motion_x: float, motion_y: float) -> P
     return np.maximum(found[:, margin:-margin, margin:-margin], 0.0).astype(np.float32)
 
 
-def white(shape: tuple[int, ...], random: np.random.Generator) -> Plane:
+def white(shape: tuple[int, ...], random: np.random.Generator) -> Array32:
     """Return noise (shape) of mean 0 and variance 1, each value on its own.
 
     Four uniform numbers each: normal up to 3.4 standard deviations, in less than half the time of normal ones.
     """
     count = math.prod(shape)
     words = random.integers(0, 2**64, size=count, dtype=np.uint64).view(np.uint16).reshape(4, count)
-    found: Plane = words[0].astype(np.float32)
+    found: Array32 = words[0].astype(np.float32)
     for part in words[1:]:
         found += part
     found -= np.float32(4 * 32767.5)
@@ -80,14 +80,14 @@ def white(shape: tuple[int, ...], random: np.random.Generator) -> Plane:
     return np.asarray(found.reshape(shape))
 
 
-def slow_field(shape: tuple[int, int], spread: float, random: np.random.Generator) -> Plane:
+def slow_field(shape: tuple[int, int], spread: float, random: np.random.Generator) -> Array32:
     """Return (H, W) factors 1 ± spread that change slowly over an image."""
     knots = random.uniform(1.0 - spread, 1.0 + spread, _KNOTS)
     down, across = (_hats(count, size) for count, size in zip(_KNOTS, shape, strict=True))
     return np.asarray(down @ knots.astype(np.float32) @ across.T, dtype=np.float32)
 
 
-def _hats(count: int, size: int) -> Plane:
+def _hats(count: int, size: int) -> Array32:
     """Return (size, count) weights of straight lines between `count` knots."""
     place = np.linspace(0.0, count - 1.0, size)[:, None]
     return np.maximum(0.0, 1.0 - np.abs(place - np.arange(count))).astype(np.float32)

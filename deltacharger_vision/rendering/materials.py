@@ -4,14 +4,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array
+from deltacharger_core.arrays import Array, Array32
 from deltacharger_vision.rendering.parameters import SceneParameters
 from deltacharger_vision.rendering.ray_caster import Piece, Rays
 from deltacharger_vision.rendering.scene import Box
-
-Plane = NDArray[np.float32]
 
 _STREAKS = 48
 _BLOTCHES = 12
@@ -22,11 +19,11 @@ def brushed(
     box: Box,
     pose: Array,
     piece: Piece,
-    gray: Plane | np.float32,
+    gray: Array32 | np.float32,
     light: Array,
     parameters: SceneParameters,
     random: np.random.Generator,
-) -> tuple[Plane | np.float32, Plane | None]:
+) -> tuple[Array32 | np.float32, Array32 | None]:
     """Return the diffuse light (h, w) of metal brushed along the box's x, with streaks, and the highlight (h, w).
 
     The highlight is Ward's exp(−((h·x/a)² + (h·y/b)²)/(h·n)²) with h between light and eye, x along and y across
@@ -67,11 +64,11 @@ def brushed(
 def streaks(
     box: Box,
     pose: Array,
-    inverse: Plane,
-    along: tuple[Plane, ...],
+    inverse: Array32,
+    along: tuple[Array32, ...],
     parameters: SceneParameters,
     random: np.random.Generator,
-) -> Plane:
+) -> Array32:
     """Return (h, w) factors about 1 on the light of metal: lines along its x, and slow changes from end to end.
 
     Args:

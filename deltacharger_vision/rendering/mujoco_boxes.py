@@ -19,11 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array
+from deltacharger_core.arrays import Array, Array32
 from deltacharger_vision.errors import RendererError
 from deltacharger_vision.images import Intrinsics
-
-Plane = NDArray[np.float32]
 
 NEAR, FAR = 0.01, 500.0
 """Distance of the clipping planes, m; what is nearer to the camera's plane is cut away."""
@@ -102,7 +100,9 @@ class BoxRasteriser:
         """Release OpenGL's memory; a second call does nothing."""
         self._finalizer()
 
-    def draw(self, solids: Sequence[Solid], lamp: Lamp, edge_width: float) -> tuple[Plane, Plane, NDArray[np.int32]]:
+    def draw(
+        self, solids: Sequence[Solid], lamp: Lamp, edge_width: float
+    ) -> tuple[Array32, Array32, NDArray[np.int32]]:
         """Return light (3, H, W) in 0…1, 1/z (H, W) 1/m and the number of the box (H, W), NONE where there is none.
 
         Args:
@@ -193,7 +193,7 @@ class BoxRasteriser:
             camera.frustum_top, camera.frustum_bottom = top, bottom
             camera.frustum_center, camera.frustum_width = (left + right) / 2, (right - left) / 2
 
-    def _read(self, buffer: Any, larger: int, numbers: bool) -> tuple[NDArray[np.uint8], Plane]:
+    def _read(self, buffer: Any, larger: int, numbers: bool) -> tuple[NDArray[np.uint8], Array32]:
         """Draw into a buffer and return colours (h, w, 3), or numbers of the boxes in them, and depth (h, w)."""
         mujoco, flag = self._mujoco, self._mujoco.mjtRndFlag
         height, width = larger * self._shape[0], larger * self._shape[1]
@@ -227,7 +227,7 @@ def _release(gl: Any, buffer: Any) -> None:
         buffer.free()
 
 
-def _averaged(large: NDArray[np.uint8], edge_width: float) -> Plane:
+def _averaged(large: NDArray[np.uint8], edge_width: float) -> Array32:
     """Return (3, H, W) in 0…1 of colours (2H, 2W, 3): four pixels in a row, the outer ones weighing what widens edges.
 
     Halves of a pixel at ±1/4 and, weighing `outer` each, at ±3/4 px spread an edge by a variance of 1/12 + outer px²;
@@ -241,5 +241,5 @@ def _averaged(large: NDArray[np.uint8], edge_width: float) -> Plane:
         size, kind = halved.shape[axis], np.uint16 if halved.dtype == np.uint8 else np.float32
         part = [wide[(slice(None),) * axis + (slice(start, start + size - 1, 2),)] for start in range(4)]
         halved = inner * np.add(part[1], part[2], dtype=kind) + outer * np.add(part[0], part[3], dtype=kind)
-    planes: Plane = np.multiply(np.moveaxis(halved, 2, 0), np.float32(1.0 / 255.0), order="C")
+    planes: Array32 = np.multiply(np.moveaxis(halved, 2, 0), np.float32(1.0 / 255.0), order="C")
     return planes

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array, Mask
+from deltacharger_core.arrays import Array, Array32, Mask
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.rendering.camera import OAK_D, taken
 from deltacharger_vision.rendering.materials import streaks
@@ -18,8 +18,6 @@ from deltacharger_vision.rendering.mujoco_boxes import WIDEST, BoxRasteriser, La
 from deltacharger_vision.rendering.parameters import CameraParameters, SceneParameters
 from deltacharger_vision.rendering.ray_caster import Rays
 from deltacharger_vision.rendering.scene import Box, RenderedScene, check_pose, shifted
-
-Plane = NDArray[np.float32]
 
 _WALL_SIDE, _WALL_THICKNESS = 100.0, 0.01
 _BRIGHTEST = 2.0
@@ -95,7 +93,7 @@ class MujocoCamera:
 
     def _drawn(
         self, scene: RenderedScene, pose: Array, boxes: list[tuple[Box, Array]]
-    ) -> tuple[Plane, Plane, NDArray[np.int32]]:
+    ) -> tuple[Array32, Array32, NDArray[np.int32]]:
         """Return light (3, H, W), 1/z (H, W) 1/m and numbers of boxes (H, W)."""
         s = scene.parameters
         full = max(_LEAST_SCALE, min(_brightest(s, (box for box, _ in boxes)), _BRIGHTEST / self.parameters.exposure))
@@ -116,9 +114,9 @@ class MujocoCamera:
         parameters: SceneParameters,
         box: Box,
         pose: Array,
-        light: Plane,
-        inverse: Plane,
-        holes: Plane,
+        light: Array32,
+        inverse: Array32,
+        holes: Array32,
         whole: Mask,
         window: tuple[slice, slice],
         random: np.random.Generator,

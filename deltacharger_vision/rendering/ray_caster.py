@@ -13,13 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array, Mask
+from deltacharger_core.arrays import Array, Array32, Mask
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.projection import undistort
-
-Plane = NDArray[np.float32]
 
 _SIGN = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 _FACES = [(axis, sign) for axis in range(3) for sign in (-1, 1)]
@@ -47,9 +44,9 @@ class Piece:
     """
 
     window: tuple[slice, slice]
-    covered: Plane
-    inverse: Plane
-    shares: tuple[Plane | float, ...]
+    covered: Array32
+    inverse: Array32
+    shares: tuple[Array32 | float, ...]
     faces: tuple[int, ...]
     normals: Array
 
@@ -73,7 +70,7 @@ class Rays:
         self._columns = (self._u.min(axis=0) - margin / self.focal[0], self._u.max(axis=0) + margin / self.focal[0])
         self._rows = (self._v.min(axis=1) - margin / self.focal[1], self._v.max(axis=1) + margin / self.focal[1])
 
-    def linear(self, vector: Array, window: tuple[slice, slice] = (slice(None), slice(None))) -> Plane:
+    def linear(self, vector: Array, window: tuple[slice, slice] = (slice(None), slice(None))) -> Array32:
         """Return (h, w) vector·(u, v, 1) over a window."""
         rows, columns = window
         if self._u.shape[0] > 1:
@@ -138,14 +135,14 @@ class Rays:
         seen: Mask,
         window: tuple[slice, slice],
         edge_width: float,
-    ) -> Plane | None:
+    ) -> Array32 | None:
         first, second = _EDGE_FACES.T
         outline = np.flatnonzero(seen[first] != seen[second])
         first, second = first[outline], second[outline]
         towards = (_FACE_SIGN * half[_FACE_AXIS])[:, None] * axes[_FACE_AXIS]
         planes = np.cross(centre + towards[first] + towards[second], axes[_EDGE_AXIS[outline]])
         planes *= np.where(planes @ centre < 0, -1.0, 1.0)[:, None]
-        covered: Plane | None = None
+        covered: Array32 | None = None
         for plane in planes:
             distance = self.linear(plane / (edge_width * self.per_pixel(plane)), window)
             if covered is None:
@@ -158,22 +155,22 @@ class Rays:
         np.clip(covered, 0.0, 1.0, out=covered)
         return covered
 
-    def _shares(self, planes: Array, inverses: list[Plane], edge_width: float) -> tuple[Plane | float, ...]:
+    def _shares(self, planes: Array, inverses: list[Array32], edge_width: float) -> tuple[Array32 | float, ...]:
         """Return how much of a covered pixel each seen face fills: the one with the smallest 1/z, edges blended."""
         if len(planes) == 1:
             return (1.0,)
-        found: list[Plane] = []
+        found: list[Array32] = []
         for i, plane in enumerate(planes):
-            share: Plane = np.full(inverses[i].shape, 1.0, dtype=np.float32)
+            share: Array32 = np.full(inverses[i].shape, 1.0, dtype=np.float32)
             for j, other in enumerate(planes):
                 if j == i:
                     continue
-                ahead: Plane = inverses[j] - inverses[i]
+                ahead: Array32 = inverses[j] - inverses[i]
                 ahead *= np.float32(1.0 / (edge_width * self.per_pixel(other - plane)))
                 ahead += np.float32(0.5)
                 np.minimum(share, ahead, out=share)
             np.maximum(share, np.float32(0.0), out=share)
             found.append(share)
-        total: Plane = np.asarray(np.sum(found, axis=0, dtype=np.float32))
+        total: Array32 = np.asarray(np.sum(found, axis=0, dtype=np.float32))
         np.maximum(total, np.float32(1e-6), out=total)
         return tuple(share / total for share in found)

@@ -4,13 +4,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Mask
+from deltacharger_core.arrays import Array32, Mask
 from deltacharger_vision.rendering.image_defects import white
 from deltacharger_vision.rendering.parameters import CameraParameters
-
-Plane = NDArray[np.float32]
 
 _LOGISTIC = 1.702
 """1 / (1 + exp(−1.702 x)) is the normal distribution within 0.01."""
@@ -19,8 +16,8 @@ _TOLERANCE = 0.5
 
 
 def measured(
-    inverse: Plane, holes: Plane, focal: float, parameters: CameraParameters, random: np.random.Generator
-) -> Plane:
+    inverse: Array32, holes: Array32, focal: float, parameters: CameraParameters, random: np.random.Generator
+) -> Array32:
     """Return depth (H, W) m, NaN = unknown.
 
     Args:
@@ -55,7 +52,7 @@ def measured(
     return depth
 
 
-def blotches(shape: tuple[int, ...], width: int, random: np.random.Generator) -> Plane:
+def blotches(shape: tuple[int, ...], width: int, random: np.random.Generator) -> Array32:
     """Return normal noise (H, W) of variance 1 that is alike over `width` px: white noise averaged over squares."""
     rows, columns = shape
     single = white((rows + width - 1, columns + width - 1), random)
@@ -69,7 +66,7 @@ def blotches(shape: tuple[int, ...], width: int, random: np.random.Generator) ->
     return found
 
 
-def _hidden(inverse: Plane, per_inverse: float) -> Mask:
+def _hidden(inverse: Array32, per_inverse: float) -> Mask:
     """Return what one of the two cameras, half a baseline to either side of this image, cannot see.
 
     A camera to the right sees column x at x − d/2. Something to the right of x hides it when it falls to the left of
@@ -85,7 +82,7 @@ def _hidden(inverse: Plane, per_inverse: float) -> Mask:
     return np.asarray(hidden | (right < -_TOLERANCE) | (left > last + _TOLERANCE))
 
 
-def _fattened(disparity: Plane, reach: int, step: float) -> Plane:
+def _fattened(disparity: Array32, reach: int, step: float) -> Array32:
     """Return disparity with what is near spread by `reach` px over what is farther by more than `step` px."""
     largest = disparity
     for axis in (0, 1):
@@ -98,7 +95,7 @@ def _fattened(disparity: Plane, reach: int, step: float) -> Plane:
     return np.where(largest - disparity > np.float32(step), largest, disparity)
 
 
-def _holes(share: Plane, width: int, random: np.random.Generator) -> Mask:
+def _holes(share: Array32, width: int, random: np.random.Generator) -> Mask:
     """Return blobs of about `width` px that make up the given share (H, W), drawn at half the resolution."""
     rows, columns = share.shape
     coarse = blotches(((rows + 1) // 2, (columns + 1) // 2), max(1, width // 2), random)
