@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_vision.errors import ImageError
-from deltacharger_vision.images import Intrinsics, RgbdImage
+from deltacharger_vision.images import COLOR, DEPTH, Intrinsics, RgbdImage
 
 CAMERA_INFO = "camera_info.yaml"
 """Name of the intrinsics' file beside the images of a folder."""
 PICTURES = (".png", ".jpg", ".jpeg")
 _DEPTHS = (".png", ".npy")
-_COLOR, _DEPTH = "color", "depth"
 
 
 @dataclass(frozen=True)
@@ -145,11 +144,11 @@ def images_in(folder: Path) -> list[ImageFiles]:
         OSError: the folder cannot be read.
         ImageError: it holds no such files, or one name twice.
     """
-    if (folder / _COLOR).is_dir():
-        colors = _named(folder / _COLOR, "", PICTURES)
-        depths = _named(folder / _DEPTH, "", _DEPTHS) if (folder / _DEPTH).is_dir() else {}
+    if (folder / COLOR).is_dir():
+        colors = _named(folder / COLOR, "", PICTURES)
+        depths = _named(folder / DEPTH, "", _DEPTHS) if (folder / DEPTH).is_dir() else {}
     else:
-        colors, depths = _named(folder, f".{_COLOR}", PICTURES), _named(folder, f".{_DEPTH}", _DEPTHS)
+        colors, depths = _named(folder, f".{COLOR}", PICTURES), _named(folder, f".{DEPTH}", _DEPTHS)
     if not colors and not depths:
         raise ImageError(
             str(folder),

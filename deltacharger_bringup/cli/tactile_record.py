@@ -96,7 +96,7 @@ def record(options: argparse.Namespace) -> int:
                 try:
                     _record(options, call, part, settings)
                 except CommandError as error:
-                    call.compose()
+                    journal.compose()
                     error.details.update(call.summary(part))
                     kept = f"; {out} holds the {call.count} dockings of this call" if call.count else ""
                     raise CommandError(f"{error}{kept}", error.exit_code, **error.details) from error
@@ -190,11 +190,6 @@ class _Call:
 
         return say_so
 
-    def compose(self) -> int:
-        """Write the data set and return the number of its rows."""
-        data = self.journal.compose()
-        return 0 if data is None else len(data)
-
     def summary(self, part: Part | None) -> dict[str, Any]:
         """Return what the JSON object says of the files."""
         settings = self.journal.settings
@@ -208,16 +203,16 @@ class _Call:
 
     def finish(self, part: Part | None) -> int:
         """Compose, and say what there is."""
-        rows = self.compose()
         out, journal = self.journal.out, self.journal
-        if not rows:
+        data = journal.compose()
+        if data is None:
             raise CommandError(f"{journal.folder} holds no dockings: record some with --set", WRONG_INPUT)
         if self._json:
-            write_json({"success": True, **self.summary(part), "n": rows})
+            write_json({"success": True, **self.summary(part), "n": len(data)})
             return DONE
         assert journal.settings is not None
         kind = "simulated " if journal.settings.simulated else ""
-        tell(f"{out}: {rows} rows of {len(journal.dockings)} {kind}dockings")
+        tell(f"{out}: {len(data)} rows of {len(journal.dockings)} {kind}dockings")
         for name, each in journal.parts.items():
             tell(f"  {name:<12} {len(journal.done(each))} of {len(each.poses())}")
         return DONE

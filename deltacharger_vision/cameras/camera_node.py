@@ -124,17 +124,13 @@ class CameraNode(Node):
     def __init__(self, open_camera: OpenOak | None = None, **kwargs: Any) -> None:
         super().__init__("camera_node", **kwargs)
         self._settings = declare_all(self, OakSettings)
-        replayed = declare_all(self, ReplayParameters)
-        path, loop = replayed.replay, replayed.replay_loop
+        self._given = declare_all(self, ReplayParameters)
         reject_unknown(self)
-        self._path = path
         self._images = CameraPublishers(self)
         self._diagnostics = Diagnostics(self)
-        self._source: CameraKeeper | RecordingPlayer
-        if path:
-            self._source = self._replay(Path(path), loop)
-        else:
-            self._source = self._keeper(open_camera)
+        self._source: CameraKeeper | RecordingPlayer = (
+            self._replay(Path(self._given.replay)) if self._given.replay else self._keeper(open_camera)
+        )
         self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose)
         self._source.start()
 
@@ -151,12 +147,12 @@ class CameraNode(Node):
         opener = open_camera or OakCamera
         return CameraKeeper(lambda: opener(self._settings, self._images.wanted, self._publish), self._tell)
 
-    def _replay(self, path: Path, loop: bool) -> RecordingPlayer:
+    def _replay(self, path: Path) -> RecordingPlayer:
         try:
             recording = CameraRecording(path)
             if not recording.images:
                 raise node_support.StartupError(f"camera_node: {path}: {recording.topics.color} holds no images")
-            return RecordingPlayer(recording, self._images, loop, self._tell)
+            return RecordingPlayer(recording, self._images, self._given.replay_loop, self._tell)
         except FileNotFoundError as error:
             raise node_support.StartupError(f"camera_node: replay: {path}: there is no such file") from error
         except (OSError, VisionError, RecordingError) as error:
@@ -175,7 +171,7 @@ class CameraNode(Node):
         self._diagnose()
 
     def _hardware(self) -> str:
-        return self._path or getattr(self._source, "name", "") or self._settings.device_id
+        return self._given.replay or getattr(self._source, "name", "") or self._settings.device_id
 
     def _diagnose(self) -> None:
         if not self.context.ok():

@@ -22,13 +22,12 @@ from deltacharger_core.parameters import Bounded, ParameterError, number, words
 from deltacharger_vision.cameras.camera_info import from_camera_info
 from deltacharger_vision.cameras.keeper import CameraUnavailable
 from deltacharger_vision.errors import VisionError
-from deltacharger_vision.images import RgbdImage
+from deltacharger_vision.images import COLOR, DEPTH, RgbdImage
 
 _STEREO = (640, 400)
 """px of each stereo image: with extended disparity, depth begins at 0.174 m there."""
 _SILENCE, _FIRST_IMAGE = 2.0, 10.0
 """s without an image before it counts as gone: while it runs, and after it was opened."""
-_COLOR, _DEPTH = "color", "depth"
 
 Take = Callable[[Any, Any], None]
 """Takes a colour and a depth frame (depthai.ImgFrame) of one instant."""
@@ -176,12 +175,12 @@ def attach(pipeline: Any, color: Any, depth: Any, rate: float, take: Take) -> No
         """Hands groups of frames to `take`."""
 
         def process(self, group):  # type: ignore[no-untyped-def]  # depthai reads annotations, and not as text
-            take(group[_COLOR], group[_DEPTH])
+            take(group[COLOR], group[DEPTH])
 
     sync = pipeline.create(depthai.node.Sync)
     sync.setRunOnHost(True)
     sync.setSyncThreshold(timedelta(seconds=0.5 / rate))
-    for output, name in ((color, _COLOR), (depth, _DEPTH)):
+    for output, name in ((color, COLOR), (depth, DEPTH)):
         output.link(sync.inputs[name])
         sync.inputs[name].setBlocking(False)
         sync.inputs[name].setMaxSize(4)
