@@ -118,5 +118,4 @@ def _solve(delta: Delta, exact: ExactDelta, points: Array) -> dict[str, Any]:
 
 
 def _largest(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.max()) if len(known) else 0.0
+    return float(np.max(values[np.isfinite(values)], initial=0.0))

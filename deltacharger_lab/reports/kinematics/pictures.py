@@ -27,8 +27,10 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
             axes.set(title=title, xlabel="µs per pose", xscale="log", yscale="log")
         panels[0].set(ylabel="largest error, rad", ylim=(1e-17, 10.0))
         markers = _markers(results["inverse"])
-        handles = [_handle(row, markers[row["name"]]) for row in results["inverse"]]
-        figure.legend(handles=handles, loc="outside right center", labelspacing=0.75)
+        for row in results["inverse"]:
+            marker, colour = markers[row["name"]], _COLOURS[row["family"]]
+            panels[0].plot([], [], marker, color=colour, markersize=7, label=row["name"])
+        figure.legend(loc="outside right center", labelspacing=0.75)
 
 
 def _scatter(axes: Axes, rows: list[dict[str, Any]], name: str) -> None:
@@ -53,14 +55,6 @@ def _markers(rows: list[dict[str, Any]]) -> dict[str, str]:
     """Return the marker of each row's name: the next one of its family."""
     left = {family: itertools.cycle(markers) for family, markers in _MARKERS.items()}
     return {row["name"]: next(left[row["family"]]) for row in rows}
-
-
-def _handle(row: dict[str, Any], marker: str) -> Any:
-    from matplotlib.lines import Line2D
-
-    return Line2D(
-        [], [], marker=marker, color=_COLOURS[row["family"]], linestyle="none", markersize=7, label=row["name"]
-    )
 
 
 def _edge(results: dict[str, Any], path: Path) -> None:

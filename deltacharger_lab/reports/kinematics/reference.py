@@ -18,7 +18,6 @@ import numpy as np
 from deltacharger_core.arrays import Array
 from deltacharger_kinematics import DeltaGeometry
 
-Vector = tuple[float, float, float]
 DIGITS = 60
 _TWO_PI = (6.283185307179586, 2.4492935982947064e-16)  # 2π as the sum of two doubles
 

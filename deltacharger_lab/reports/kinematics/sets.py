@@ -79,7 +79,7 @@ def wide(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -> Point
     def draw(size: int) -> Array:
         points = rng.uniform(low, high, (size, 3))
         inside: Mask = plain_edge(geometry, points).min(-1) > 1e-9
-        return np.asarray(points[inside], dtype=np.float64)
+        return points[inside]
 
     return PointSet("wide", "evenly over all that the three limbs reach, in front and behind", _collect(draw, count))
 
@@ -92,7 +92,7 @@ def assembled(geometry: DeltaGeometry, rng: np.random.Generator, count: int, del
         found = solver.forward(rng.uniform(-math.pi, math.pi, (size, 3))).position
         found = found[np.isfinite(found).all(-1)]
         inside: Mask = plain_edge(geometry, found).min(-1) > 0.0
-        return np.asarray(found[inside], dtype=np.float64)
+        return found[inside]
 
     return PointSet("assembled", "where random arm angles lead", _collect(draw, count))
 
@@ -116,7 +116,7 @@ def near_type_2(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -
         points = start + low[:, None] * (end - start)
         value = np.abs(delta.jacobian(points).determinant)
         near: Mask = (value < 0.02) & (plain_edge(geometry, points).min(-1) > 1e-6)
-        return np.asarray(points[near], dtype=np.float64)
+        return points[near]
 
     return PointSet(
         "near type 2", "rods nearly in a plane, determinant of their directions 1e-12 to 1e-2", _collect(draw, count)

@@ -60,21 +60,14 @@ def _measure(
     references = work(first, progress)["reference"]
     exact = next(each for each in references if each["name"] == known)
     found = work(tasks(plan, names, exact), progress)
-    results["references_apart_mm"] = _apart(references)
+    paths = [each["rubbing"]["trace"] for each in references]
+    results["references_apart_mm"] = 1000.0 * rms(*paths) if len(paths) == 2 else None
     for name in ("errors", "extremes", "energy", "dockings"):
         results[name] = found[name]
     for name in ("map", "parts"):
         results[name] = joined(found[name])
     results["convergence"] = found["convergence"][0]
     return found["traces"]
-
-
-def _apart(references: list[dict[str, Any]]) -> float | None:
-    """Return how far the tiny-step paths of the two models are apart (mm rms); None where there is one model."""
-    if len(references) < 2:
-        return None
-    first, second = (each["rubbing"]["trace"] for each in references)
-    return 1000.0 * rms(first, second)
 
 
 def tasks(plan: SimulationPlan, names: tuple[str, ...], exact: dict[str, Any]) -> list[ReportTask]:

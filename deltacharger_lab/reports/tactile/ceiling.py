@@ -13,7 +13,7 @@ import numpy as np
 
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_lab.reports.tactile.measure import accuracy, fitted, paper_set
-from deltacharger_lab.reports.tactile.plan import TARGETS, TactilePlan, default, threshold, title
+from deltacharger_lab.reports.tactile.plan import TARGETS, TactilePlan, default, title
 from deltacharger_lab.reports.tactile.shifts import changed
 from deltacharger_tactile.classifiers import fusion, labels, splits
 from deltacharger_tactile.classifiers.classifier import Classifier
@@ -55,7 +55,7 @@ def several_dockings(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
         {"name": f"{count} docking{'s' if count > 1 else ''}, {title(name)}", "about": "fused"} for count in FUSED
     ]
     for target in TARGETS:
-        model = _learnt(name, target, known, seed, threshold(name))
+        model = _learnt(name, target, known, seed)
         for row, count in zip(rows, FUSED, strict=True):
             row[target] = float(np.mean([_fused(model, labels.examples(data, target), count, seed) for data in fresh]))
     return rows
@@ -79,8 +79,7 @@ def hole(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
         )
         for name in ("lda", "cnn"):
             if name in plan.names:
-                cut = threshold(name)
-                found.append(_row(f"{title(name)}, {text}", name, known, fresh, seed, cut))
+                found.append(_row(f"{title(name)}, {text}", name, known, fresh, seed))
     return found
 
 
@@ -88,17 +87,16 @@ ROWS: tuple[Callable[[int, int, TactilePlan], list[Row]], ...] = (ceiling, sever
 """What the section is made of."""
 
 
-def _row(text: str, name: str, known: Dataset, fresh: Dataset, seed: int, cut: float) -> Row:
+def _row(text: str, name: str, known: Dataset, fresh: Dataset, seed: int, cut: float | None = None) -> Row:
     row: Row = {"name": text, "about": ""}
     for target in TARGETS:
         row[target] = accuracy(_learnt(name, target, known, seed, cut), labels.examples(fresh, target))
     return row
 
 
-def _learnt(name: str, target: str, known: Dataset, seed: int, cut: float) -> Classifier:
+def _learnt(name: str, target: str, known: Dataset, seed: int, cut: float | None = None) -> Classifier:
     rows = labels.examples(known, target)
-    learns, _ = splits.by_docking(rows, seed)
-    return Classifier(name, target, cut).fit(rows.frames[learns], rows.labels[learns], seed)
+    return fitted(name, target, rows.part(splits.by_docking(rows, seed)[0]), seed, cut)
 
 
 def _fused(model: Classifier, rows: Examples, count: int, seed: int) -> float:

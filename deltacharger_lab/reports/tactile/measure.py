@@ -32,9 +32,9 @@ def paper_set(rig: int, seed: int, rows: int = 1) -> Dataset:
     return generate_paper(rigs=(rig,), seed=seed, threshold=0.0, rows=rows)
 
 
-def fitted(name: str, target: str, rows: Examples, seed: int) -> Classifier:
-    """Return a model that has learnt from examples."""
-    return Classifier(name, target, threshold(name)).fit(rows.frames, rows.labels, seed)
+def fitted(name: str, target: str, rows: Examples, seed: int, cut: float | None = None) -> Classifier:
+    """Return a model that has learnt from examples, with its usual threshold or another (N)."""
+    return Classifier(name, target, threshold(name) if cut is None else cut).fit(rows.frames, rows.labels, seed)
 
 
 def accuracy(model: Classifier, rows: Examples) -> float:

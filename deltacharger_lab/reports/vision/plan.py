@@ -70,8 +70,7 @@ class VisionPlan:
 
     def timing(self) -> ReportTask:
         """Return the measurement of run times."""
-        timed = (conditions.BY_RANGE, conditions.SIZE, conditions.HIDDEN)
-        names = [key(each) for each in self.conditions() if each.group in timed]
+        names = conditions.keys(conditions.BY_RANGE, conditions.HIDDEN, conditions.SIZE)
         names += [f"{conditions.DEFECTS}: {conditions.ALONE}"]
         names += [f"{conditions.ALARMS}: {name}" for name in (conditions.CLUTTER, conditions.CLUTTER_FLAT)]
         names += [
