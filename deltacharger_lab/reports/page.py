@@ -7,7 +7,6 @@ Templates leave out the line under the head of a table: a block of rows is a tab
 from __future__ import annotations
 
 import base64
-import html
 import inspect
 import re
 import textwrap
@@ -21,14 +20,6 @@ _TEMPLATES = Path(__file__).parent / "templates"
 _FILTERS = dict(inspect.getmembers(formats, inspect.isfunction))
 _WIDTH = 125
 _NO_PROSE = ("#", "- ", "![")  # blocks that keep their lines
-_STYLE = """
-body { max-width: 960px; margin: 2em auto; padding: 0 1em; font: 15px/1.5 system-ui, sans-serif; color: #22303c; }
-img { max-width: 100%; }
-table { border-collapse: collapse; font-size: 13px; display: block; overflow-x: auto; }
-td, th { padding: 3px 9px; border-bottom: 1px solid #dbe1e7; text-align: left; }
-th { background: #f6f7f8; }
-code { background: #f0f2f4; padding: 0 3px; }
-"""
 
 
 def render(subject: str, figures: Mapping[str, Any], **more: Any) -> str:
@@ -72,7 +63,7 @@ def write_html(page: Path, path: Path) -> None:
     """Write a Markdown page as one file with its pictures inside.
 
     Raises:
-        ModuleNotFoundError: markdown-it-py is missing.
+        ModuleNotFoundError: jinja2 or markdown-it-py is missing.
         OSError: a file cannot be read or written.
     """
     from markdown_it import MarkdownIt
@@ -84,10 +75,8 @@ def write_html(page: Path, path: Path) -> None:
         if token.type == "image":
             inside = base64.b64encode((page.parent / str(token.attrs["src"])).read_bytes()).decode()
             token.attrs["src"] = f"data:image/png;base64,{inside}"
-    title = html.escape(text.partition("\n")[0].lstrip("# "))
-    path.write_text(
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        f"<style>{_STYLE}</style></head>\n<body>\n"
-        f"{markdown.renderer.render(tokens, markdown.options, {})}</body></html>\n",
-        "utf-8",
-    )
+    shown = {
+        "title": text.partition("\n")[0].lstrip("# "),
+        "body": markdown.renderer.render(tokens, markdown.options, {}),
+    }
+    path.write_text(rendered("page.html.j2", shown), "utf-8")

@@ -14,7 +14,7 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 from deltacharger_ros.client import ChargerClient, ClientError
 from deltacharger_ros.messages import seconds
-from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
+from deltacharger_ros.outcomes import DockRequest, Pose
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Scene
 
@@ -63,12 +63,13 @@ class Watcher:
             time.sleep(_POLL)
         return True
 
-    def dock(self, electrodes: Pose | None, deadline: float) -> Outcome | str:
-        """Dock and return the outcome, or why there is none."""
+    def dock(self, electrodes: Pose | None, deadline: float) -> str:
+        """Dock and return why that failed; '' where the robot charges."""
         try:
-            return self._client.dock(DockRequest(electrodes), deadline=deadline)
+            outcome = self._client.dock(DockRequest(electrodes), deadline=deadline)
         except ClientError as error:
             return str(error)
+        return "" if outcome.success else f"{outcome.error_name}: {outcome.error_message}"
 
 
 def _keep(stamps: list[float], message: Any) -> None:

@@ -18,7 +18,6 @@ from deltacharger_lab.reports.footprint.client import TOPICS, Watcher
 from deltacharger_lab.reports.footprint.plan import FootprintPlan, electrodes
 from deltacharger_lab.reports.footprint.start import COMMAND, ONE, CannotRun, Started, charger, hardware
 from deltacharger_ros.client import ChargerClient
-from deltacharger_ros.outcomes import Outcome
 from deltacharger_scenes.scene import Scene
 
 _READY_WITHIN = 60.0  # s
@@ -93,13 +92,8 @@ def _docking(watcher: Watcher, scene: Scene, started: Started, plan: FootprintPl
     found, problem = dict.fromkeys(keys, math.nan), ""
     if "docking_node" in scene.nodes:
         dock = partial(watcher.dock, electrodes(scene), plan.docking_limit_s)
-        outcome, _, meanwhile = _meanwhile("docking", watcher, started, dock)
-        if not isinstance(outcome, Outcome):
-            problem = outcome
-        elif not outcome.success:
-            problem = f"{outcome.error_name}: {outcome.error_message}"
-        else:
-            found = meanwhile
+        problem, _, meanwhile = _meanwhile("docking", watcher, started, dock)
+        found = found if problem else meanwhile
     return {**found, "docking_problem": problem}
 
 

@@ -53,16 +53,12 @@ class PointSet:
 
 def plain_edge(geometry: DeltaGeometry, points: Array) -> Array:
     """Return how far inside reach points (n, 3) lie for each limb (n, 3), m, in plain doubles."""
-    limbs = _limbs(geometry)
+    limbs = LimbArrays(geometry, KNEE_OUT)
     x, y, z = points.T
     across = np.hypot(x * limbs.cosine + y * limbs.sine - limbs.difference, z + limbs.motor_height)
     side = y * limbs.cosine - x * limbs.sine - limbs.tangential
     nearest, farthest = np.hypot(across - limbs.arm, side), np.hypot(across + limbs.arm, side)
     return np.asarray(np.minimum(limbs.rod - nearest, farthest - limbs.rod).T)
-
-
-def _limbs(geometry: DeltaGeometry) -> LimbArrays:
-    return LimbArrays(geometry, KNEE_OUT)
 
 
 def interior(geometry: DeltaGeometry, rng: np.random.Generator, count: int) -> PointSet:
@@ -200,7 +196,7 @@ def _near_edge(
     """Return points (n, 3) and their exact signed distance (n,) to the edge of reach."""
     geometry = exact.geometry
     low, high = (10.0**decade * (geometry.arm + geometry.rod) / _DEFAULT_SPAN for decade in decades)
-    arrays = _limbs(geometry)
+    arrays = LimbArrays(geometry, KNEE_OUT)
     arms, rods = arrays.arm[:, 0], arrays.rod[:, 0]
     clear = _CLEAR * min(arms.min(), rods.min())
     points, edges = [np.empty((0, 3))], [np.empty(0)]

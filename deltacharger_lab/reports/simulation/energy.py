@@ -6,6 +6,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, Vector
 from deltacharger_lab.reports.simulation.scenes import Arm, world
 from deltacharger_sim.mechanics import END_STOP, GEAR_BRISTLE, Mechanics
@@ -45,14 +47,12 @@ def scene(name: str, step: float) -> dict[str, Any]:
     goals = None if not commands else arm.world._reference
     course, lost = [energy(arm.world, goals)], dict.fromkeys(PARTS, 0.0)
     for _ in range(round(1.5 / step)):
-        before = _state(arm.world)
+        now = _light(arm.world)
+        before = now.position, now.angles, now.gear, now.rub
         arm.world.step(step)
         _dissipated(arm.world, before, step, lost)
         course.append(energy(arm.world, goals))
-    lowest, gain = course[0], 0.0
-    for value in course:
-        gain = max(gain, value - lowest)
-        lowest = min(lowest, value)
+    gain = float(np.max(course - np.minimum.accumulate(course)))
     lost["the step itself"] = course[0] - course[-1] - sum(lost.values())
     released = course[0] - min(course)
     every = max(1, len(course) // 150)
@@ -63,11 +63,6 @@ def scene(name: str, step: float) -> dict[str, Any]:
 def _light(arm: World) -> Mechanics:
     assert isinstance(arm.mechanics, Mechanics)  # the only one that tells its friction
     return arm.mechanics
-
-
-def _state(arm: World) -> tuple[Vector, Vector, Vector, tuple[float, float]]:
-    mechanics = _light(arm)
-    return mechanics.position, mechanics.angles, mechanics.gear, mechanics.rub
 
 
 def _dissipated(arm: World, before: Any, step: float, lost: dict[str, float]) -> None:

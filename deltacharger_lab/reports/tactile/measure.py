@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from pathlib import Path
 from typing import Any
@@ -52,7 +53,10 @@ def judge_rig(rig: int, seed: int, part: str, plan: TactilePlan, keep: str) -> d
         plan: what is measured.
         keep: folder for the models; '' = keep none.
     """
-    _one_thread()
+    with contextlib.suppress(ImportError):
+        import torch
+
+        torch.set_num_threads(1)
     known = paper_set(rig, seed)
     found, models = [], {}
     for target in SETS[part]:
@@ -124,14 +128,6 @@ def _diagram(model: Classifier, rows: Examples) -> dict[str, Any]:
         "right": np.bincount(bins, winner == rows.labels, BINS).tolist(),
         "matrix": matrix.tolist(),
     }
-
-
-def _one_thread() -> None:
-    try:
-        import torch
-    except ImportError:
-        return
-    torch.set_num_threads(1)
 
 
 def predictions(plan: TactilePlan, kept: str) -> list[dict[str, Any]]:
