@@ -107,9 +107,7 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) 
         "plan": [vars(part) | {"run": len(rows[part.name]["number"])} for part in plan.parts if part.name in rows],
         "not_run": [part.name for part in plan.parts if part.name not in rows],
         "parts": {name: summary.summarise(each) for name, each in rows.items()},
-        "calibration": {
-            name: summary.calibration(rows[name]) for name in ("random", "edge", "soft", "tilted") if name in rows
-        },
+        "calibration": {name: summary.calibration(rows[name]) for name in summary.CALIBRATED if name in rows},
         "upright": summary.summarise(upright) if upright is not None else None,
         "uncharged": _uncharged(upright) if upright is not None else [],
         "drawn": summary.by_drawn(upright) if upright is not None else [],

@@ -29,6 +29,8 @@ BAND = (0.4, 0.5)  # A
 PUSH_MOST, HOTTEST_MOST, MOVES_MOST = 25.0, 0.6, 3
 AXES = {"horizontal": (1000.0, " mm"), "vertical": (1000.0, " mm"), "angle": (math.degrees(1.0), "°")}
 """Of an estimate: scale and unit that its error is told in."""
+CALIBRATED = ("random", "edge", "soft", "tilted")
+"""Campaigns of the table on the errors of estimates."""
 SAFE = (
     *("random", "upright", "edge", "zero", "soft", "seen", "tilted", "gaussian", "tails", "understated", "biased"),
     *("paper", "classes", "published"),

@@ -105,10 +105,8 @@ def _solve(delta: Delta, exact: ExactDelta, points: Array) -> dict[str, Any]:
     singles = [delta.inverse(tuple(point)) for point in points.tolist()]
     ways = {"array": delta.inverse(points), "precise": delta.inverse(points, precise=True)}
     answers = {name: (way.angles, way.margin) for name, way in ways.items()}
-    answers["point"] = (
-        np.array([each.angles for each in singles]).reshape(-1, 3),
-        np.array([each.margin for each in singles]),
-    )
+    one_by_one = np.array([each.angles for each in singles]).reshape(-1, 3)
+    answers["point"] = one_by_one, np.array([each.margin for each in singles])
     found: dict[str, Any] = {"wrong_decisions": 0}
     for name, (angles, margin) in answers.items():
         found[name] = _largest(truth.angle_error(angles))

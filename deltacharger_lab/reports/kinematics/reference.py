@@ -119,11 +119,8 @@ class ExactDelta:
         """Return u, v and w of one limb: the platform joint seen from the motor axis."""
         limb, (cosine, sine) = self._limbs[index], self._directions[index]
         x, y, z = (self._mp.mpf(value) for value in point)
-        return (
-            x * cosine + y * sine - limb["difference"],
-            y * cosine - x * sine - limb["tangential"],
-            z + limb["height"],
-        )
+        u, v = x * cosine + y * sine - limb["difference"], y * cosine - x * sine - limb["tangential"]
+        return u, v, z + limb["height"]
 
     def _solve(self, index: int, point: Sequence[float]) -> tuple[float, float, float, float] | None:
         limb = self._limbs[index]

@@ -38,9 +38,8 @@ def ceiling(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
     row: Row = {"name": CEILING, "about": f"the same rig, {plan.ceiling_sets} times the paper's data, best model"}
     for target in TARGETS:
         parts = [labels.examples(data, target) for data in many]
-        rows = Examples(
-            *(np.concatenate([getattr(each, name) for each in parts]) for name in Examples.__dataclass_fields__)
-        )
+        columns = ([getattr(each, name) for each in parts] for name in Examples.__dataclass_fields__)
+        rows = Examples(*map(np.concatenate, columns))
         judged = labels.examples(fresh, target)
         names = [name for name in ("lda", "pose", "forest") if name in plan.names]
         row[target] = max(accuracy(fitted(name, target, rows, seed), judged) for name in names)

@@ -109,24 +109,19 @@ def _defects() -> list[Condition]:
     ]  # fmt: skip
 
 
-def _hidden() -> list[Condition]:
-    return [
-        Condition("25 % of one bar hidden", HIDDEN, partial(views.covered, share=0.25)),
-        Condition(HALF_HIDDEN, HIDDEN, partial(views.covered, share=0.5), 2.0),
-        Condition("75 % of one bar hidden", HIDDEN, partial(views.covered, share=0.75)),
-        Condition("15 % of both bars hidden", HIDDEN, partial(views.covered, share=0.15, both=True)),
-        Condition("30 % of both bars hidden", HIDDEN, partial(views.covered, share=0.3, both=True)),
-    ]
-
-
-def _alarms() -> list[Condition]:
-    thousand = 20 / 3
-    return [
-        Condition(CLUTTER, ALARMS, views.without, thousand, real=False),
-        Condition(CLUTTER_FLAT, ALARMS, views.without, thousand, real=False, color_only=True),
-        Condition("drawn rooms, decoys alone", ALARMS, views.decoys, 2.0, real=False),
-        Condition("bars 0.75 and 1.3 times the size", ALARMS, views.other_size, real=False),
-    ]
+_THOUSAND = 20 / 3
+_FIXED = (
+    Condition("25 % of one bar hidden", HIDDEN, partial(views.covered, share=0.25)),
+    Condition(HALF_HIDDEN, HIDDEN, partial(views.covered, share=0.5), 2.0),
+    Condition("75 % of one bar hidden", HIDDEN, partial(views.covered, share=0.75)),
+    Condition("15 % of both bars hidden", HIDDEN, partial(views.covered, share=0.15, both=True)),
+    Condition("30 % of both bars hidden", HIDDEN, partial(views.covered, share=0.3, both=True)),
+    Condition(CLUTTER, ALARMS, views.without, _THOUSAND, real=False),
+    Condition(CLUTTER_FLAT, ALARMS, views.without, _THOUSAND, real=False, color_only=True),
+    Condition("drawn rooms, decoys alone", ALARMS, views.decoys, 2.0, real=False),
+    Condition("bars 0.75 and 1.3 times the size", ALARMS, views.other_size, real=False),
+)
+"""Rows of hidden bars and of false alarms."""
 
 
 def _intrinsics() -> list[Condition]:
@@ -188,8 +183,8 @@ def key(condition: Condition) -> str:
 
 CONDITIONS: dict[str, Condition] = {
     key(condition): condition
-    for part in (_by_range, _defects, _hidden, _alarms, _intrinsics, _lenses, _sizes, _renderers)
-    for condition in part()
+    for part in (_by_range(), _defects(), _FIXED, _intrinsics(), _lenses(), _sizes(), _renderers())
+    for condition in part
 }
 """By group and name."""
 

@@ -53,8 +53,7 @@ def _measure(results: dict[str, Any], plan: VisionPlan, progress: Progress) -> N
     found = work(plan.tasks(), progress)
     progress("run times, alone")
     results["times"] = work([plan.timing()], progress)["run times"][0]
-    images = gathered(found["images"])
-    mounts = gathered(found["mount"])
+    images, mounts = gathered(found["images"]), gathered(found["mount"])
     results["rows"] = {name: row(each) for name, each in images.items()}
     results["band"] = row(band(images))
     results["mount"] = {name: row(each, MOUNT_FIELDS) for name, each in mounts.items()}
