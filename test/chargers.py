@@ -26,6 +26,7 @@ environment.prepare()
 
 ENDS = 100.0  # s that a program may take to its end: the pictures of a command take a loaded machine more than a minute
 _numbers = itertools.count()
+Spin = Callable[[Any], Any]
 
 
 def hear_hangups() -> None:
@@ -134,3 +135,19 @@ def context() -> Iterator[Any]:
     rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
     yield context
     rclpy.try_shutdown(context=context)
+
+
+@pytest.fixture
+def spin() -> Iterator[Spin]:
+    """Serve nodes, each of which is returned, until the test ends; the last is closed first."""
+    from deltacharger_ros.executor import Spinner
+
+    running: list[Spinner] = []
+
+    def serve(node: Any) -> Any:
+        running.append(Spinner(node))
+        return node
+
+    yield serve
+    for spinner in reversed(running):
+        spinner.close()

@@ -7,7 +7,7 @@ import argparse
 
 import pytest
 
-from .chargers import context, deltacharger, namespace, quick_file, quick_scene, start  # noqa: F401
+from .chargers import context, deltacharger, namespace, quick_file, quick_scene, spin, start  # noqa: F401
 from .stalls import StallWatch
 
 DEVICES = ("servo", "board")

@@ -32,6 +32,7 @@ from deltacharger_vision.rendering.camera import OAK_D
 from deltacharger_vision.ros.messages import camera_info_message, color_message
 
 from ..chargers import DEADLINE, Process, wait_until
+from ..nodes import options
 from ..vision.hand_eye_rig import ARM, Rig, squared
 from .running import Charger, running
 
@@ -180,7 +181,7 @@ class Driver:
     """A camera whose images the test publishes, with stamps of its choice (s before or after now)."""
 
     def __init__(self, context: Any, namespace: str) -> None:
-        node = Node("driver", context=context, namespace=namespace, use_global_arguments=False)
+        node = Node("driver", **options(context, namespace))
         self._image = node.create_publisher(Image, "color/image_raw", qos.SENSOR)
         self._info = node.create_publisher(CameraInfo, "color/camera_info", qos.SENSOR)
         self._clock = node.get_clock()

@@ -16,19 +16,30 @@ from ..chargers import Process, wait_until
 pytestmark = pytest.mark.ros
 
 
-def up(start: Callable[..., Process], deltacharger: tuple[str, ...], scene: Path, namespace: str) -> Process:
-    process = start(*deltacharger, "up", "--scene", str(scene), "--namespace", namespace)
-    process.wait_for_line("ready", process.err)
-    return process
+Run = Callable[..., Process]
 
 
-def test_up_is_ready_then_dock_and_undock_use_it_and_sigterm_ends_it_with_0(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str, tmp_path: Path
-) -> None:
-    charger = up(start, deltacharger, quick_file, namespace)
-    options = ("--scene", str(quick_file), "--namespace", namespace, "--json")
+@pytest.fixture
+def run(start: Run, deltacharger: tuple[str, ...], quick_file: Path, namespace: str) -> Run:
+    """Start a command on the quick scene in the namespace of the test."""
+    where = ("--scene", str(quick_file), "--namespace", namespace)
+    return lambda command, *words: start(*deltacharger, command, *where, *words)
+
+
+@pytest.fixture
+def up(run: Run) -> Run:
+    def ready() -> Process:
+        charger = run("up")
+        charger.wait_for_line("ready", charger.err)
+        return charger
+
+    return ready
+
+
+def test_up_is_ready_then_dock_and_undock_use_it_and_sigterm_ends_it_with_0(up: Run, run: Run, tmp_path: Path) -> None:
+    charger = up()
     picture = tmp_path / "run.png"
-    dock = start(*deltacharger, "dock", *options, "--picture", str(picture), "--request-id", "r1")
+    dock = run("dock", "--json", "--picture", str(picture), "--request-id", "r1")
     assert dock.end() == 0, dock.err
     result = json.loads("\n".join(dock.out))
     assert (result["success"], result["charger"], result["error_name"]) == (True, "running", "NONE")
@@ -36,7 +47,7 @@ def test_up_is_ready_then_dock_and_undock_use_it_and_sigterm_ends_it_with_0(
     assert result["picture"] is None or picture.is_file()
     assert any("contact" in line for line in dock.err)
     assert any("the charger that runs already; of scene 'quick' only the goal" in line for line in dock.err)
-    undock = start(*deltacharger, "undock", *options)
+    undock = run("undock", "--json")
     assert undock.end() == 0, undock.err
     assert json.loads("\n".join(undock.out))["success"] is True
     assert charger.end(signal.SIGTERM) == 0
@@ -44,9 +55,9 @@ def test_up_is_ready_then_dock_and_undock_use_it_and_sigterm_ends_it_with_0(
 
 
 def test_up_ends_with_130_on_sigint_and_with_2_where_a_node_refuses_its_parameters(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str, tmp_path: Path
+    up: Run, start: Run, deltacharger: tuple[str, ...], quick_file: Path, namespace: str, tmp_path: Path
 ) -> None:
-    assert up(start, deltacharger, quick_file, namespace).end(signal.SIGINT) == 130
+    assert up().end(signal.SIGINT) == 130
     bad = tmp_path / "bad.yaml"
     bad.write_text(quick_file.read_text(encoding="utf-8").replace("standoff", "standof"), encoding="utf-8")
     refused = start(*deltacharger, "up", "--scene", str(bad), "--namespace", namespace)
@@ -55,20 +66,17 @@ def test_up_ends_with_130_on_sigint_and_with_2_where_a_node_refuses_its_paramete
 
 
 def test_a_closed_terminal_ends_up_in_order_and_a_second_charger_beside_it_is_refused_at_once(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str
+    up: Run, run: Run
 ) -> None:
-    charger = up(start, deltacharger, quick_file, namespace)
-    second = start(*deltacharger, "up", "--scene", str(quick_file), "--namespace", namespace)
+    charger = up()
+    second = run("up")
     assert second.end() == 2
     assert [line for line in second.err if "already answers" in line and f"process {charger.process.pid}" in line]
     assert charger.end(signal.SIGHUP) == 0
 
 
-def test_of_two_chargers_that_start_at_the_same_instant_exactly_one_runs(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str
-) -> None:
-    words = (*deltacharger, "up", "--scene", str(quick_file), "--namespace", namespace)
-    both = [start(*words), start(*words)]
+def test_of_two_chargers_that_start_at_the_same_instant_exactly_one_runs(run: Run) -> None:
+    both = [run("up"), run("up")]
     wait_until(lambda: any(each.process.poll() is not None for each in both), "the end of one")
     refused, runs = sorted(both, key=lambda each: each.process.poll() is None)
     assert refused.end() == 2
@@ -77,31 +85,21 @@ def test_of_two_chargers_that_start_at_the_same_instant_exactly_one_runs(
 
 
 def test_a_charger_that_the_lock_does_not_know_is_found_over_ros_and_not_disturbed(
-    start: Callable[..., Process],
-    deltacharger: tuple[str, ...],
-    quick_file: Path,
-    namespace: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    up: Run, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first = up(start, deltacharger, quick_file, namespace)
-    options = ("--scene", str(quick_file), "--namespace", namespace, "--json")
-    assert start(*deltacharger, "dock", *options, "--no-picture").end() == 0
+    first = up()
+    assert run("dock", "--json", "--no-picture").end() == 0
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # as another user, or another computer, has
-    second = start(*deltacharger, "up", "--scene", str(quick_file), "--namespace", namespace)
+    second = run("up")
     assert second.end() == 1
     assert any("already answers in ROS domain" in line for line in second.err)
-    undock = start(*deltacharger, "undock", *options)
+    undock = run("undock", "--json")
     assert undock.end() == 0, undock.err
     assert first.end(signal.SIGTERM) == 0
 
 
-def test_dock_starts_a_charger_of_its_own_and_two_quick_ctrl_c_end_it_with_130_and_one_object(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str
-) -> None:
-    dock = start(
-        *(*deltacharger, "dock", "--scene", str(quick_file), "--namespace", namespace, "--json", "--no-picture")
-    )
+def test_dock_starts_a_charger_of_its_own_and_two_quick_ctrl_c_end_it_with_130_and_one_object(run: Run) -> None:
+    dock = run("dock", "--json", "--no-picture")
     dock.wait_for_line("contact", dock.err)
     dock.process.send_signal(signal.SIGINT)
     assert dock.end(signal.SIGINT) == 130
@@ -110,11 +108,8 @@ def test_dock_starts_a_charger_of_its_own_and_two_quick_ctrl_c_end_it_with_130_a
     assert (result["charger"], result["success"], result["error_name"]) == ("started", False, "CANCELED")
 
 
-def test_a_refused_docking_is_1_with_its_code(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], quick_file: Path, namespace: str
-) -> None:
-    options = ("--scene", str(quick_file), "--namespace", namespace, "--json", "--no-picture")
-    dock = start(*deltacharger, "dock", "--x-mm", "200", *options)
+def test_a_refused_docking_is_1_with_its_code(run: Run) -> None:
+    dock = run("dock", "--x-mm", "200", "--json", "--no-picture")
     assert dock.end() == 1
     result = json.loads("\n".join(dock.out))
     assert (result["error_name"], result["success"]) == ("UNREACHABLE", False)
@@ -122,7 +117,7 @@ def test_a_refused_docking_is_1_with_its_code(
 
 
 def test_undock_without_scene_domain_and_charger_is_1_and_names_both_domains(
-    start: Callable[..., Process], deltacharger: tuple[str, ...], namespace: str, monkeypatch: pytest.MonkeyPatch
+    start: Run, deltacharger: tuple[str, ...], namespace: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
     undock = start(*deltacharger, "undock", "--namespace", namespace)
@@ -132,14 +127,10 @@ def test_undock_without_scene_domain_and_charger_is_1_and_names_both_domains(
 
 
 def test_without_scene_and_domain_a_charger_in_the_default_domain_is_used(
-    start: Callable[..., Process],
-    deltacharger: tuple[str, ...],
-    quick_file: Path,
-    namespace: str,
-    monkeypatch: pytest.MonkeyPatch,
+    up: Run, start: Run, deltacharger: tuple[str, ...], namespace: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")
-    charger = up(start, deltacharger, quick_file, namespace)
+    charger = up()
     monkeypatch.delenv("ROS_DOMAIN_ID")
     undock = start(*deltacharger, "undock", "--namespace", namespace, "--json")
     assert undock.end() == 0, undock.err
@@ -148,15 +139,9 @@ def test_without_scene_and_domain_a_charger_in_the_default_domain_is_used(
 
 
 @pytest.mark.skipif("COLCON_PREFIX_PATH" in os.environ, reason="a colcon workspace has no venv prefix to find")
-def test_the_command_finds_its_environment_by_itself(
-    start: Callable[..., Process],
-    deltacharger: tuple[str, ...],
-    monkeypatch: pytest.MonkeyPatch,
-    quick_file: Path,
-    namespace: str,
-) -> None:
+def test_the_command_finds_its_environment_by_itself(up: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("AMENT_PREFIX_PATH", "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
         monkeypatch.delenv(name, raising=False)
-    charger = up(start, deltacharger, quick_file, namespace)
+    charger = up()
     assert any("ROS domain 87" in line for line in charger.err)
     assert charger.end(signal.SIGTERM) == 0

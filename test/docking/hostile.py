@@ -11,7 +11,6 @@ from typing import Any
 
 from deltacharger.msg import ChargerPower, DockingState, ServoState, TactileFrame
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 
 from deltacharger_docking.ros.docking_node import DockingNode
@@ -22,6 +21,7 @@ from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, new_namespace, wait_until
+from ..nodes import options
 
 PLACE = Pose(0.0, 0.0, 0.080)
 TOPICS: dict[str, tuple[Any, Any]] = {
@@ -37,7 +37,7 @@ class Relay(Node):
     """Says what the mocks say under `heard/`, distorted by `distort[topic]`; None = silence."""
 
     def __init__(self, context: Any, namespace: str) -> None:
-        super().__init__("relay", context=context, namespace=namespace, use_global_arguments=False)
+        super().__init__("relay", **options(context, namespace))
         self.distort: dict[str, Distortion] = {}
         for topic, (kind, qos) in TOPICS.items():
             publisher = self.create_publisher(kind, f"heard/{topic}", qos)
@@ -68,13 +68,7 @@ class Hostile:
         self._spinners = [Spinner(self.relay)]
         given = scene.node_parameters("docking_node", {}) | parameters
         words = [word for topic in TOPICS for word in ("-r", f"{topic}:=heard/{topic}")]
-        self.docking = DockingNode(
-            context=context,
-            namespace=self.namespace,
-            cli_args=["--ros-args", *words],
-            parameter_overrides=[Parameter(key, value=value) for key, value in given.items()],
-            use_global_arguments=False,
-        )
+        self.docking = DockingNode(cli_args=["--ros-args", *words], **options(context, self.namespace, **given))
         self._spinners.append(Spinner(self.docking))
         self.client = ChargerClient(self.namespace, context)
         self.states: list[DockingState] = []

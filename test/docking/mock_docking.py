@@ -17,6 +17,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_ros.executor import Spinner
 
+from ..nodes import options
+
 POWER = 240.0  # W
 APPROACH = 0.5  # s
 
@@ -30,7 +32,7 @@ class MockDocking(Node):
     """
 
     def __init__(self, context: Any, namespace: str) -> None:
-        super().__init__("docking_node", context=context, namespace=namespace, use_global_arguments=False)
+        super().__init__("docking_node", **options(context, namespace))
         self.docked = self.charging = False
         self.undockings = 0
         self._stopping = threading.Event()

@@ -15,16 +15,11 @@ from deltacharger.msg import ChargerPower, ServoState
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.action.client import ActionClient
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from std_srvs.srv import SetBool
 
 from deltacharger_docking.codes import State
-from deltacharger_docking.observation import Request, Service
 from deltacharger_docking.ros.reports import changes
-from deltacharger_docking.ros.services import Services
 from deltacharger_ros.client import ChargerClient
-from deltacharger_ros.executor import Spinner
 from deltacharger_ros.messages import fill_pose
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
 from deltacharger_scenes.composition import Composition
@@ -153,40 +148,3 @@ def test_a_charger_that_is_held_to_its_end_leaves_its_neighbour_of_the_same_name
         assert all(power)
         assert client.undock(deadline=DEADLINE).success
         assert not composition.node("mock_tactile_node").contactor_closed
-
-
-@pytest.fixture
-def node(context: Any, namespace: str) -> Iterator[Node]:
-    node = Node("docking", context=context, namespace=namespace, use_global_arguments=False)
-    spinner = Spinner(node)
-    yield node
-    spinner.close()
-
-
-def test_torque_on_never_overtakes_torque_off_when_servo_node_comes_late(node: Node) -> None:
-    heard = list[bool]()
-    services = Services(node, lambda stamp: 0.0)
-    services.call(Request(1, Service.TORQUE_ON))
-    node.create_service(SetBool, "set_torque", lambda request, answer: _hear(heard, request, answer))
-    client = services._clients[Service.TORQUE_ON]
-    wait_until(client.service_is_ready, "the service")
-    services.call(Request(2, Service.TORQUE_OFF))
-    wait_until(lambda: services.take() and len(heard) == 2, "both calls")
-    assert heard == [True, False]
-
-
-def test_what_a_goal_that_failed_had_asked_for_is_not_sent_any_more(node: Node) -> None:
-    heard = list[bool]()
-    services = Services(node, lambda stamp: 0.0)
-    services.call(Request(1, Service.TORQUE_ON))
-    services.call(Request(2, Service.TORQUE_OFF))
-    services.forget()
-    node.create_service(SetBool, "set_torque", lambda request, answer: _hear(heard, request, answer))
-    wait_until(lambda: services.take() and heard, "the call that makes safe")
-    assert heard == [False]
-
-
-def _hear(heard: list[bool], request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
-    heard.append(request.data)
-    answer.success = True
-    return answer

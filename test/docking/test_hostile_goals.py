@@ -24,6 +24,7 @@ from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, new_namespace, wait_until
+from ..nodes import answer, call
 
 pytestmark = pytest.mark.ros
 
@@ -70,11 +71,6 @@ class Charger:
         self.undocks.destroy()
         self.composition.close()
         self.client.close()
-
-
-def answer(future: Any) -> Any:
-    wait_until(future.done, "an answer")
-    return future.result()
 
 
 @pytest.fixture(scope="module")
@@ -183,7 +179,7 @@ def cancel_all(charger: Charger, action: str) -> Any:
     """Cancel every goal of an action, whoever sent it: what a client may do that lost its own, or another's."""
     service = charger.client.node.create_client(CancelGoal, f"{action}/_action/cancel_goal")
     assert service.wait_for_service(DEADLINE)
-    response = answer(service.call_async(CancelGoal.Request()))
+    response = call(service, CancelGoal.Request())
     service.destroy()
     return response
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rclpy.parameter import Parameter
 
 from deltacharger_core.parameters import Declaration, declared
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
@@ -18,6 +17,8 @@ from deltacharger_lab.campaigns.parts import build_parts
 from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
 from deltacharger_scenes.parameter_check import problems
 from deltacharger_scenes.scene import parse_scene
+
+from ..nodes import options
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLES = (DockingParameters, DockingNodeParameters, MissionParameters, MissionNodeParameters)
@@ -67,8 +68,7 @@ def test_a_scene_may_vary_each_and_is_told_where_it_may_not(node: str) -> None:
 @pytest.mark.ros
 def test_the_node_decides_by_what_the_scene_says(context: Any, namespace: str) -> None:
     given = parse_scene({"nodes": ["docking_node"], "parameters": {"docking_node": values("docking_node")}}, "mine")
-    overrides = [Parameter(name, value=value) for name, value in given.node_parameters("docking_node", {}).items()]
-    node = DockingNode(held=True, context=context, namespace=namespace, parameter_overrides=overrides)
+    node = DockingNode(held=True, **options(context, namespace, **given.node_parameters("docking_node", {})))
     try:
         decides_by = node._machine.parameters
     finally:

@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 import math
-import os
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -17,9 +15,7 @@ from builtin_interfaces.msg import Duration
 from deltacharger.msg import ServoState
 from deltacharger.srv import Probe, SetContactor
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -37,20 +33,20 @@ from deltacharger_driver.servos.servo_node import ServoNode
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 
-from ..waiting import wait_until
+from ..nodes import call, options
+from ..waiting import DEADLINE, wait_until
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
-START = (-0.7, -0.5, 0.2)
+START = (-0.7, -0.5, 0.2)  # of `arm`
 VOLTAGE, OVERLOAD = 1 << 0, 1 << 5  # the former does not make the servo let go by itself
-DOMAIN = 1 + os.getpid() % 200  # so that nothing else on this machine answers
 
 
 class Client(Node):
     """What docking_node does with servo_node."""
 
     def __init__(self, context):
-        super().__init__("client", context=context, use_global_arguments=False)
+        super().__init__("client", **options(context))
         reliable = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
         self.states, self.joints, self.diagnostics = [], [], []
         self.create_subscription(ServoState, "servo_state", self.states.append, reliable)
@@ -61,10 +57,8 @@ class Client(Node):
         self.reboot = self.create_client(Trigger, "reboot_servos")
 
     def call(self, client, request):
-        assert client.wait_for_service(8.0)
-        future = client.call_async(request)
-        wait_until(future.done, deadline=8.0)
-        return future.result()
+        assert client.wait_for_service(DEADLINE)
+        return call(client, request)
 
     def set_torque(self, on):
         return self.call(self.torque, SetBool.Request(data=on))
@@ -91,49 +85,12 @@ class Client(Node):
         return any(text in status.message for message in self.diagnostics for status in message.status)
 
 
-@pytest.fixture(scope="module")
-def context():
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    context = Context()
-    context.init(args=[], domain_id=DOMAIN)
-    yield context
-    context.try_shutdown()
-
-
 @pytest.fixture
-def arm():
-    return BenchArm(START)
-
-
-@pytest.fixture
-def emulator(arm):
-    return ServoBusEmulator(arm)
-
-
-@pytest.fixture
-def terminal(emulator, tmp_path):
-    with PseudoTerminal(emulator, tmp_path / "servo") as terminal:
-        yield terminal
-
-
-def build(context, port, **parameters):
-    overrides = [Parameter(name, value=value) for name, value in {"port": port, **parameters}.items()]
-    return ServoNode(context=context, parameter_overrides=overrides, use_global_arguments=False)
-
-
-@pytest.fixture
-def node(context, terminal):
-    spinner = Spinner(build(context, terminal.path))
-    yield spinner.node
-    spinner.close()
-
-
-@pytest.fixture
-def client(context, node):
-    spinner = Spinner(Client(context))
-    wait_until(lambda: spinner.node.states and spinner.node.trajectories.get_subscription_count())
-    yield spinner.node
-    spinner.close()
+def client(context, terminal, spin):
+    spin(ServoNode(**options(context, port=terminal.path)))
+    client = spin(Client(context))
+    wait_until(lambda: client.states and client.trajectories.get_subscription_count())
+    return client
 
 
 def test_the_state_at_start(client, arm):
@@ -286,9 +243,12 @@ class Charging:
         self.emulator = ServoBusEmulator(self.arm)
         self.servo = PseudoTerminal(self.emulator, folder / "live_servo").start()
         self.board = PseudoTerminal(BoardEmulator(self.plant), folder / "live_board").start()
-        parameters = [Parameter("port", value=self.board.path)]
-        tactile = TactileNode(context=context, parameter_overrides=parameters, use_global_arguments=False)
-        self.spinners = [Spinner(tactile), Spinner(build(context, self.servo.path)), Spinner(Client(context))]
+        nodes = (
+            TactileNode(**options(context, port=self.board.path)),
+            ServoNode(**options(context, port=self.servo.path)),
+            Client(context),
+        )
+        self.spinners = [Spinner(node) for node in nodes]
         self.client = self.spinners[2].node
         self.contactor = self.client.create_client(SetContactor, "set_contactor")
         self.probe = self.client.create_client(Probe, "probe")
@@ -385,8 +345,7 @@ def test_a_latched_error_needs_a_reboot(client, arm, emulator):
 
 
 def test_two_chargers_by_namespace(context, terminal):
-    parameters = [Parameter("port", value=terminal.path)]
-    node = ServoNode(context=context, namespace="/second", parameter_overrides=parameters, use_global_arguments=False)
+    node = ServoNode(**options(context, "/second", port=terminal.path))
     topics = dict(node.get_topic_names_and_types())
     node.close()
     node.destroy_node()
@@ -411,29 +370,14 @@ def test_two_chargers_by_namespace(context, terminal):
 def test_it_does_not_start_with_a_wrong_configuration_and_says_why(context, terminal, emulator, parameters, told):
     emulator.line_speed = terminal.speed
     with pytest.raises(StartupError, match=told):
-        build(context, **{"port": terminal.path, **parameters})
+        ServoNode(**options(context, **{"port": terminal.path, **parameters}))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_executable_ends_cleanly_on_a_signal(context, terminal, arm, number):
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "PYTHONUNBUFFERED": "1"}
-    command = [
-        sys.executable,
-        "-m",
-        "deltacharger_driver.servos.servo_node",
-        "--ros-args",
-        "-p",
-        f"port:={terminal.path}",
-    ]
-    client = Spinner(Client(context))
-    process = subprocess.Popen(command, env=environment)
-    try:
-        assert client.node.torque.wait_for_service(10.0)
-        assert client.node.set_torque(True).success
-        process.send_signal(number)
-        assert process.wait(5.0) == 0
-        assert arm.torque_enabled() == [False] * 3
-    finally:
-        if process.poll() is None:
-            process.kill()
-        client.close()
+def test_the_executable_ends_cleanly_on_a_signal(context, terminal, arm, start, spin, number):
+    client = spin(Client(context))
+    module = "deltacharger_driver.servos.servo_node"
+    process = start(sys.executable, "-m", module, "--ros-args", "-p", f"port:={terminal.path}")
+    assert client.set_torque(True).success
+    assert process.end(number) == 0
+    assert arm.torque_enabled() == [False] * 3

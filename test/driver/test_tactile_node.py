@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import threading
 import time
 from array import array
@@ -15,17 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-
-import rclpy
 from builtin_interfaces.msg import Duration
 from deltacharger.msg import ChargerPower, TactileFrame
 from deltacharger.srv import Probe, SetContactor
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from std_srvs.srv import Trigger
 
@@ -37,25 +31,17 @@ from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 
-from ..waiting import wait_until
+from ..chargers import DEADLINE, new_namespace, wait_until
+from ..nodes import call, options
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
-
-_domains = itertools.count(os.getpid() % 50 * 4)
-
-
-def new_context() -> Any:
-    """A context in a domain of its own, so that nothing else on this machine answers."""
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=1 + next(_domains) % 200)
-    return context
 
 
 class Client(Node):
     """What docking_node is to tactile_node."""
 
-    def __init__(self, context: Any) -> None:
-        super().__init__("client", context=context)
+    def __init__(self, context: Any, namespace: str) -> None:
+        super().__init__("client", **options(context, namespace))
         self.frames: list[TactileFrame] = []
         self.powers: list[ChargerPower] = []
         self.diagnostics: list[DiagnosticArray] = []
@@ -71,42 +57,34 @@ class Client(Node):
         self._probe = self.create_client(Probe, "probe", callback_group=group)
         self._contactor = self.create_client(SetContactor, "set_contactor", callback_group=group)
         for client in (self._tare, self._probe, self._contactor):
-            assert client.wait_for_service(10.0)
-
-    @staticmethod
-    def call(client: Any, request: Any) -> Any:
-        answered = threading.Event()
-        future = client.call_async(request)
-        future.add_done_callback(lambda _: answered.set())
-        assert answered.wait(5.0), "the service did not answer"
-        return future.result()
+            assert client.wait_for_service(DEADLINE)
 
     def tare(self) -> Any:
-        return self.call(self._tare, Trigger.Request())
+        return call(self._tare, Trigger.Request())
 
     def probe(self) -> Any:
-        return self.call(self._probe, Probe.Request())
+        return call(self._probe, Probe.Request())
 
     def probing(self) -> Any:
         return self._probe.call_async(Probe.Request())
 
     def contactor(self, close: bool, holder: str = "dock", lease: float = 0.25) -> Any:
         duration = Duration(sec=int(lease), nanosec=int(lease % 1.0 * 1e9))
-        return self.call(self._contactor, SetContactor.Request(close=close, holder=holder, lease=duration))
+        return call(self._contactor, SetContactor.Request(close=close, holder=holder, lease=duration))
 
 
 class Rig:
     """Board, cable, node and client."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, context: Any) -> None:
         self.plant = BenchPlant()
         self.board = BoardEmulator(self.plant, seed=5)
         self.path = directory / "board"
         self.cable = PseudoTerminal(self.board, self.path).start()
-        self.context = new_context()
-        self.node = TactileNode(context=self.context, parameter_overrides=[Parameter("port", value=str(self.path))])
+        namespace = new_namespace()
+        self.node = TactileNode(**options(context, namespace, port=str(self.path)))
         self.server = Spinner(self.node)
-        self.client = Client(self.context)
+        self.client = Client(context, namespace)
         self.spinner = Spinner(self.client)
 
     def reset(self) -> None:
@@ -152,12 +130,11 @@ class Rig:
         self.server.close()
         self.spinner.close()
         self.cable.stop()
-        rclpy.shutdown(context=self.context)
 
 
 @pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    rig = Rig(tmp_path_factory.mktemp("tactile"))
+def shared(tmp_path_factory: pytest.TempPathFactory, context: Any) -> Iterator[Rig]:
+    rig = Rig(tmp_path_factory.mktemp("tactile"), context)
     yield rig
     rig.stop()
 
@@ -395,8 +372,8 @@ def test_a_replugged_board_is_back_within_two_seconds(rig: Rig) -> None:
     assert time.monotonic() - began < 2.0
 
 
-def test_close_opens_the_contactor_and_releases_the_port(tmp_path: Path) -> None:
-    rig = Rig(tmp_path)
+def test_close_opens_the_contactor_and_releases_the_port(tmp_path: Path, context: Any) -> None:
+    rig = Rig(tmp_path, context)
     rig.fresh_frame()
     rig.dock()
     rig.charge(0.3)
@@ -410,19 +387,15 @@ def test_close_opens_the_contactor_and_releases_the_port(tmp_path: Path) -> None
     rig.stop()
 
 
-def test_a_node_without_its_port_says_so_and_stops(tmp_path: Path) -> None:
-    context = new_context()
-    with pytest.raises(StartupError, match="no such port"):
-        TactileNode(context=context, parameter_overrides=[Parameter("port", value=str(tmp_path / "nowhere"))])
-    rclpy.shutdown(context=context)
-
-
 @pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [("rate", 1000.0, "rate"), ("prot", "x", "did you mean 'port'"), ("pitch", 0.0, "pitch")],
+    ("parameter", "words"),
+    [
+        ({"port": "/nowhere"}, "no such port"),
+        ({"rate": 1000.0}, "rate"),
+        ({"prot": "x"}, "did you mean 'port'"),
+        ({"pitch": 0.0}, "pitch"),
+    ],
 )
-def test_bad_parameters_stop_the_node(name: str, value: object, words: str) -> None:
-    context = new_context()
+def test_bad_parameters_stop_the_node(context: Any, parameter: dict[str, Any], words: str) -> None:
     with pytest.raises(StartupError, match=words):
-        TactileNode(context=context, parameter_overrides=[Parameter(name, value=value)])
-    rclpy.shutdown(context=context)
+        TactileNode(**options(context, **parameter))

@@ -17,7 +17,6 @@ from deltacharger.msg import ServoState
 from deltacharger.srv import SolveForwardKinematics, SolveInverseKinematics
 from geometry_msgs.msg import PoseStamped, Quaternion, Vector3, WrenchStamped
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from std_msgs.msg import Header
 
 from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
@@ -30,7 +29,8 @@ from deltacharger_ros import qos
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 
-from ..chargers import DEADLINE, Process, new_namespace, wait_until
+from ..chargers import Process, new_namespace, wait_until
+from ..nodes import call, options
 
 pytestmark = pytest.mark.ros
 
@@ -41,8 +41,8 @@ class Bench:
     """The node under test beside one that asks it."""
 
     def __init__(self, context: Any, **parameters: Any) -> None:
-        options: dict[str, Any] = {"context": context, "namespace": new_namespace(), "use_global_arguments": False}
-        self.asker = Node("asker", **options)
+        namespace = new_namespace()
+        self.asker = Node("asker", **options(context, namespace))
         self.state = self.asker.create_publisher(ServoState, "servo_state", qos.LATEST)
         self.inverse = self.asker.create_client(SolveInverseKinematics, "solve_inverse_kinematics")
         self.forward = self.asker.create_client(SolveForwardKinematics, "solve_forward_kinematics")
@@ -50,7 +50,7 @@ class Bench:
         self.wrenches: list[WrenchStamped] = []
         self.asker.create_subscription(PoseStamped, "end_effector_pose", self.poses.append, 10)
         self.asker.create_subscription(WrenchStamped, "contact_wrench", self.wrenches.append, 10)
-        self.spinners = [Spinner(KinematicsNode(**options, **overrides(**parameters))), Spinner(self.asker)]
+        self.spinners = [Spinner(KinematicsNode(**options(context, namespace, **parameters))), Spinner(self.asker)]
         wait_until(self.ready, "kinematics_node")
 
     def ready(self) -> bool:
@@ -58,11 +58,6 @@ class Bench:
         listening = all(publisher.get_subscription_count() for publisher in (node._pose, node._wrench))
         served = self.inverse.service_is_ready() and self.forward.service_is_ready()
         return served and listening and self.state.get_subscription_count() == 1
-
-    def call(self, client: Any, request: Any) -> Any:
-        future = client.call_async(request)
-        wait_until(future.done, "the answer", DEADLINE)
-        return future.result()
 
     def close(self) -> None:
         for spinner in self.spinners:
@@ -78,24 +73,24 @@ def bench(context: Any) -> Iterator[Bench]:
 
 def test_forward_undoes_inverse_and_one_bad_point_fails_no_other(bench: Bench) -> None:
     points = [0.0, 0.0, 0.08, 0.03, -0.02, 0.05, 9.0, 0.0, 0.0, math.nan, 0.0, 0.0]
-    solved = bench.call(bench.inverse, SolveInverseKinematics.Request(positions=points))
+    solved = call(bench.inverse, SolveInverseKinematics.Request(positions=points))
     assert list(solved.status[:2]) == [0, 0]
     assert solved.status[2] & Status.UNREACHABLE_FAR
     assert solved.status[3] == Status.INVALID_INPUT
     assert all(math.isnan(angle) for angle in solved.angles[6:])
-    back = bench.call(bench.forward, SolveForwardKinematics.Request(angles=solved.angles[:6]))
+    back = call(bench.forward, SolveForwardKinematics.Request(angles=solved.angles[:6]))
     assert list(back.positions) == pytest.approx(points[:6], abs=1e-12)
     assert list(back.status) == [0, 0]
 
 
 def test_an_incomplete_last_point_is_invalid_input(bench: Bench) -> None:
-    solved = bench.call(bench.inverse, SolveInverseKinematics.Request(positions=[0.0, 0.0, 0.08, 0.0]))
+    solved = call(bench.inverse, SolveInverseKinematics.Request(positions=[0.0, 0.0, 0.08, 0.0]))
     assert list(solved.status) == [0, Status.INVALID_INPUT]
     assert len(solved.angles) == 6
 
 
 def test_no_points_is_no_error(bench: Bench) -> None:
-    solved = bench.call(bench.inverse, SolveInverseKinematics.Request())
+    solved = call(bench.inverse, SolveInverseKinematics.Request())
     assert (len(solved.angles), len(solved.status), len(solved.margin)) == (0, 0, 0)
 
 
@@ -109,12 +104,12 @@ def test_the_status_constants_of_both_services_are_those_of_the_library() -> Non
 def test_many_points_come_back_in_their_order_as_the_library_solves_them(bench: Bench, count: int) -> None:
     positions = np.random.default_rng(3).uniform((-0.3, -0.3, -0.1), (0.3, 0.3, 0.3), (count, 3))
     positions[[0, -1]] = (0.0, 0.0, 0.08), (math.nan, 0.0, 0.0)
-    solved = bench.call(bench.inverse, SolveInverseKinematics.Request(positions=array("d", positions.tobytes())))
+    solved = call(bench.inverse, SolveInverseKinematics.Request(positions=array("d", positions.tobytes())))
     wanted = Delta().inverse(positions)
     assert np.array_equal(np.reshape(solved.angles, (-1, 3)), wanted.angles, equal_nan=True)
     assert np.array_equal(solved.status, wanted.status)
     assert np.array_equal(solved.margin, wanted.margin, equal_nan=True)
-    back = bench.call(bench.forward, SolveForwardKinematics.Request(angles=solved.angles))
+    back = call(bench.forward, SolveForwardKinematics.Request(angles=solved.angles))
     again = Delta().forward(wanted.angles)
     assert np.array_equal(np.reshape(back.positions, (-1, 3)), again.position, equal_nan=True)
     assert np.array_equal(back.status, again.status)
@@ -228,19 +223,11 @@ def geometry_file(tmp_path: Path) -> Path:
     return path
 
 
-def overrides(**values: Any) -> dict[str, Any]:
-    return {"parameter_overrides": [Parameter(name, value=value) for name, value in values.items()]}
-
-
-def start_node(kind: type[Node], context: Any, **parameters: Any) -> Node:
-    return kind(context=context, namespace=new_namespace(), use_global_arguments=False, **overrides(**parameters))
-
-
 def test_a_geometry_file_decides_limb_by_limb(context: Any, geometry_file: Path) -> None:
     bench = Bench(context, geometry_file=str(geometry_file), arm=0.1012)
     try:
         positions = np.random.default_rng(4).uniform((-0.06, -0.06, 0.0), (0.06, 0.06, 0.11), (50, 3))
-        solved = bench.call(bench.inverse, SolveInverseKinematics.Request(positions=positions.ravel().tolist()))
+        solved = call(bench.inverse, SolveInverseKinematics.Request(positions=positions.ravel().tolist()))
         wanted = Delta(load_geometry(geometry_file)).inverse(positions)
         assert np.array_equal(np.reshape(solved.angles, (-1, 3)), wanted.angles)
         assert np.array_equal(solved.status, wanted.status)
@@ -257,9 +244,9 @@ def test_a_dimension_that_contradicts_the_geometry_file_stops_the_node_with_both
     kind: type[Node], context: Any, geometry_file: Path
 ) -> None:
     with pytest.raises(StartupError, match=r"'z_offset' is 0\.095, .*'geometry_file'.* says 0\.096"):
-        start_node(kind, context, geometry_file=str(geometry_file), z_offset=0.095)
+        kind(**options(context, new_namespace(), geometry_file=str(geometry_file), z_offset=0.095))
     with pytest.raises(StartupError, match=r"'workspace_max' is .*'geometry_file'"):
-        start_node(kind, context, geometry_file=str(geometry_file), workspace_max=[0.06, 0.06, 0.11])
+        kind(**options(context, new_namespace(), geometry_file=str(geometry_file), workspace_max=[0.06, 0.06, 0.11]))
 
 
 @pytest.mark.parametrize("kind", [KinematicsNode, DockingNode])
@@ -273,7 +260,7 @@ def test_a_refused_geometry_file_stops_the_node_with_the_reason(
     path = tmp_path / "bad.yaml"
     path.write_text(content)
     with pytest.raises(StartupError, match=reason) as caught:
-        start_node(kind, context, geometry_file=str(path))
+        kind(**options(context, new_namespace(), geometry_file=str(path)))
     assert "bad.yaml" in str(caught.value)
 
 
@@ -289,7 +276,7 @@ def test_a_refused_geometry_file_stops_the_node_with_the_reason(
 )
 def test_impossible_parameters_stop_the_node(context: Any, parameters: dict[str, Any], reason: str) -> None:
     with pytest.raises(StartupError, match=reason):
-        start_node(KinematicsNode, context, **parameters)
+        KinematicsNode(**options(context, new_namespace(), **parameters))
 
 
 def test_a_missing_geometry_file_ends_the_process_with_code_2_and_its_path(start: Callable[..., Process]) -> None:

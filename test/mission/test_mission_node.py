@@ -35,6 +35,7 @@ from deltacharger_scenes.scene import Scene, load_scene, parse_scene
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
 from ..docking.mock_docking import MockDocking
 from ..marks import slow
+from ..nodes import options
 
 pytestmark = pytest.mark.ros
 
@@ -92,9 +93,7 @@ class Robot:
         self.context = context
         self.docking = None if "docking_node" in scene.nodes else MockDocking(context, self.namespace)
         self.composition = Composition(scene, context, self.namespace).start()
-        self._client_node = Node(
-            "mission_client", context=context, namespace=self.namespace, use_global_arguments=False
-        )
+        self._client_node = Node("mission_client", **options(context, self.namespace))
         self._client: ActionClient[Any, Any, Any] = ActionClient(self._client_node, ChargeRobot, "charge_robot")
         self._spinner = Spinner(self._client_node)
         wait_until(self._client.server_is_ready, "charge_robot")
@@ -105,8 +104,8 @@ class Robot:
         goal.target.pose.position.x, goal.target.pose.orientation.z, goal.target.pose.orientation.w = 1.0, 1.0, 0.0
         return Errand(self._client, goal)
 
-    def run(self, **options: Any) -> tuple[Any, Errand]:
-        errand = self.send(**options)
+    def run(self, **fields: Any) -> tuple[Any, Errand]:
+        errand = self.send(**fields)
         return errand.end(), errand
 
     def node(self, name: str) -> Any:
@@ -389,7 +388,7 @@ def test_as_a_process_it_ends_with_0(start: Callable[..., Process], context: Any
     code = "import sys; from deltacharger_mission.ros.mission_node import main; sys.exit(main())"
     words = ["--ros-args", "-r", f"__ns:=/{namespace}"]
     process = start(sys.executable, "-c", code, *words)
-    node = Node("waits_for_a_mission", context=context, namespace=namespace, use_global_arguments=False)
+    node = Node("waits_for_a_mission", **options(context, namespace))
     client: ActionClient[Any, Any, Any] = ActionClient(node, ChargeRobot, "charge_robot")
     wait_until(client.server_is_ready, "charge_robot")
     assert process.end(number) == 0, process.err

@@ -36,6 +36,7 @@ from deltacharger_scenes.overrides import RECORDER, recorder_alone, with_recorde
 from deltacharger_scenes.scene import Scene
 
 from ..marks import slow
+from ..nodes import options
 
 pytestmark = pytest.mark.ros
 
@@ -53,7 +54,7 @@ class Cell:
         self.diagnostics: list[str] = []
         self.composition = Composition(with_recorder(patient(scene), str(folder)), context, self.namespace)
         self.client = ChargerClient(self.namespace, context)
-        node = Node("listener", context=context, namespace=self.namespace, use_global_arguments=False)
+        node = Node("listener", **options(context, self.namespace))
         node.create_subscription(DockingState, "docking_state", self._on_state, qos.STATE)
         node.create_subscription(
             DockingDecision, "docking_decision", lambda message: self.decisions.append(message.kind), 50
@@ -232,7 +233,7 @@ def test_it_needs_mcap_and_says_how_to_get_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     with pytest.raises(StartupError, match=r"deltacharger\[record\]"):
-        DockingRecorderNode(context=context, namespace=namespace, use_global_arguments=False)
+        DockingRecorderNode(**options(context, namespace))
 
 
 def test_a_scene_without_a_recorder_starts_none(quick_scene: Scene) -> None:

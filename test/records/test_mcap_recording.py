@@ -7,18 +7,19 @@ import math
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from ..chargers import new_namespace, wait_until
+from ..chargers import Spin, wait_until
+from ..nodes import options
 
 pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
 from deltacharger.msg import ChargerPower, DockingState, Misalignment, ServoState, TactileFrame
 from mcap.reader import make_reader
+from rclpy.node import Node
 from rclpy.serialization import deserialize_message, serialize_message
 
 from deltacharger_core.files import forget_unfinished, whole
@@ -112,35 +113,22 @@ def test_a_schema_holds_every_definition_that_its_message_consists_of(kind: Any)
     assert type_name(kind) == f"deltacharger/msg/{kind.__name__}"
 
 
-def test_what_comes_over_a_topic_is_kept(context: Any) -> None:
-    from rclpy.node import Node
-
-    from deltacharger_ros.executor import Spinner
-
-    namespace, came, lock = new_namespace(), [], threading.Lock()
-
-    def take(message: Raw) -> None:
-        with lock:
-            came.append(message)
-
-    node = Node("listener", context=context, namespace=namespace, use_global_arguments=False)
+def test_what_comes_over_a_topic_is_kept(context: Any, namespace: str, spin: Spin) -> None:
+    came: list[Raw] = []
+    node = spin(Node("listener", **options(context, namespace)))
     topics = [Topic("tactile_frame", TactileFrame, qos.SENSOR), Topic("docking_state", DockingState, qos.STATE)]
-    listen(node, topics, take)
+    listen(node, topics, came.append)
     frames = node.create_publisher(TactileFrame, "tactile_frame", qos.SENSOR)
     states = node.create_publisher(DockingState, "docking_state", qos.STATE)
-    spinner = Spinner(node)
-    try:
-        wait_until(lambda: frames.get_subscription_count() and states.get_subscription_count(), "discovery")
-        states.publish(DockingState(request_id="x"))
-        wait_until(lambda: came, "the state")
+    wait_until(lambda: frames.get_subscription_count() and states.get_subscription_count(), "discovery")
+    states.publish(DockingState(request_id="x"))
+    wait_until(lambda: came, "the state")
 
-        def heard() -> bool:
-            frames.publish(frame(7))  # best effort: one may be lost
-            return any(each.topic.endswith("tactile_frame") for each in list(came))
+    def heard() -> bool:
+        frames.publish(frame(7))  # best effort: one may be lost
+        return any(each.topic.endswith("tactile_frame") for each in list(came))
 
-        wait_until(heard, "a frame")
-    finally:
-        spinner.close()
+    wait_until(heard, "a frame")
     by_topic = {message.topic: message for message in came}
     assert set(by_topic) == {f"/{namespace}/tactile_frame", f"/{namespace}/docking_state"}
     felt = deserialize_message(by_topic[f"/{namespace}/tactile_frame"].data, TactileFrame)

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from ..chargers import new_namespace, wait_until
+from ..chargers import Spin, wait_until
+from ..nodes import options
 from .docking_tapes import docking, raw, write
 
 pytest.importorskip("mcap", reason="records with deltacharger[record]")
@@ -26,7 +27,6 @@ from deltacharger_records.node_parameters import docking_settings, known_setting
 from deltacharger_records.replay.record import replay
 from deltacharger_records.replay.recorder import Recorder
 from deltacharger_ros import qos
-from deltacharger_ros.executor import Spinner
 
 pytestmark = pytest.mark.ros
 
@@ -77,23 +77,20 @@ def test_a_record_is_replayed_by_what_it_says_of_its_charger(tmp_path: Path, tol
     assert right == [own, own]
 
 
-def test_the_force_that_dock_prints_is_that_of_the_charger_that_runs(context: Any, told: dict[str, Any]) -> None:
-    namespace = new_namespace()
-    charger = Node("docking_node", context=context, namespace=namespace, use_global_arguments=False)
+def test_the_force_that_dock_prints_is_that_of_the_charger_that_runs(
+    context: Any, namespace: str, spin: Spin, told: dict[str, Any]
+) -> None:
+    charger = spin(Node("docking_node", **options(context, namespace)))
     for name, value in told.items():
         if not charger.has_parameter(name):
             charger.declare_parameter(name, value)
     publisher = charger.create_publisher(ServoState, "servo_state", qos.LATEST)
-    spinner = Spinner(charger)
-    try:
-        with Recorder(context, namespace) as recorder:
+    with Recorder(context, namespace) as recorder:
 
-            def told_right() -> bool:
-                publisher.publish(pushing())
-                return recorder.force() == recorder.force()
+        def told_right() -> bool:
+            publisher.publish(pushing())
+            return recorder.force() == recorder.force()
 
-            wait_until(told_right, "a force")
-            assert recorder.force() == pytest.approx(PUSH, abs=1e-6)
-            assert recorder.run.motion.arrays()["force"] == pytest.approx(PUSH, abs=1e-6), "from the first on"
-    finally:
-        spinner.close()
+        wait_until(told_right, "a force")
+        assert recorder.force() == pytest.approx(PUSH, abs=1e-6)
+        assert recorder.run.motion.arrays()["force"] == pytest.approx(PUSH, abs=1e-6), "from the first on"

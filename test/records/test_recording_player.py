@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
+from ..nodes import options
 
 pytest.importorskip("mcap", reason="recordings need deltacharger[record]")
 
@@ -22,7 +23,6 @@ from deltacharger.srv import PredictMisalignment
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from trajectory_msgs.msg import JointTrajectory
 
@@ -67,7 +67,7 @@ class Audience:
         self.namespace = new_namespace()
         self.heard: dict[str, list[tuple[int, Any]]] = {topic.name: [] for topic in TOPICS}
         self.told: list[DiagnosticStatus] = []
-        self.node = Node("audience", context=context, namespace=self.namespace, use_global_arguments=False)
+        self.node = Node("audience", **options(context, self.namespace))
         for topic in TOPICS:
             self.node.create_subscription(topic.kind, topic.name, self._taker(topic.name), topic.qos)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
@@ -123,10 +123,7 @@ def playing(path: Path, context: Any, namespace: str, **parameters: Any) -> Comp
 
 
 def alone(path: Path, context: Any, **parameters: Any) -> RecordingPlayerNode:
-    overrides = [Parameter(name, value=value) for name, value in {"file": str(path), **parameters}.items()]
-    return RecordingPlayerNode(
-        context=context, namespace=new_namespace(), parameter_overrides=overrides, use_global_arguments=False
-    )
+    return RecordingPlayerNode(**options(context, new_namespace(), file=str(path), **parameters))
 
 
 def test_all_of_it_comes_in_order_at_its_pace_and_as_old_as_it_was(

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,8 @@ from deltacharger_records.view.mechanism import ROD_SPACING, SIDES, elbows, feet
 from deltacharger_vision.mount import Mount, look_at
 from deltacharger_vision.terminal import Terminal
 
-from ..chargers import new_namespace, wait_until
+from ..chargers import Spin, wait_until
+from ..nodes import options
 from .urdf_tree import UrdfTree
 
 pytestmark = pytest.mark.ros
@@ -164,27 +164,19 @@ def test_angles_that_meet_nowhere_have_no_passive_joints() -> None:
     assert elbows(DeltaGeometry(), (0.0, 0.0, 0.0)).shape == feet(DeltaGeometry()).shape == (3, 3)
 
 
-def test_the_node_publishes_them_and_nothing_while_a_servo_is_silent(context: Any) -> None:
+def test_the_node_publishes_them_and_nothing_while_a_servo_is_silent(context: Any, namespace: str, spin: Spin) -> None:
     from deltacharger.msg import ServoState
     from rclpy.node import Node
     from sensor_msgs.msg import JointState
 
     from deltacharger_records.view.passive_joints_node import PassiveJointsNode
     from deltacharger_ros import qos
-    from deltacharger_ros.executor import Spinner
 
-    namespace, lock = new_namespace(), threading.Lock()
     came: list[JointState] = []
-
-    def take(message: JointState) -> None:
-        with lock:
-            came.append(message)
-
-    spinner = Spinner(PassiveJointsNode(context=context, namespace=namespace, use_global_arguments=False))
-    tester = Node("tester", context=context, namespace=namespace, use_global_arguments=False)
+    spin(PassiveJointsNode(**options(context, namespace)))
+    tester = spin(Node("tester", **options(context, namespace)))
     states = tester.create_publisher(ServoState, "servo_state", qos.LATEST)
-    tester.create_subscription(JointState, "joint_states", take, qos.DEFAULT_DEPTH)
-    listening = Spinner(tester)
+    tester.create_subscription(JointState, "joint_states", came.append, qos.DEFAULT_DEPTH)
     angles = [0.1, -0.2, 0.3]
 
     def state(second: int, valid: bool, shift: float = 0.0) -> ServoState:
@@ -192,15 +184,11 @@ def test_the_node_publishes_them_and_nothing_while_a_servo_is_silent(context: An
         message.header.stamp.sec = second
         return message
 
-    try:
-        wait_until(lambda: states.get_subscription_count(), "the node's subscription")
-        wait_until(lambda: tester.count_publishers("joint_states"), "its publisher")
-        states.publish(state(1, valid=False, shift=0.1))
-        second = iter(range(2, 10_000))
-        wait_until(lambda: states.publish(state(next(second), valid=True)) or came, "joint states")
-    finally:
-        listening.close()
-        spinner.close()
+    wait_until(lambda: states.get_subscription_count(), "the node's subscription")
+    wait_until(lambda: tester.count_publishers("joint_states"), "its publisher")
+    states.publish(state(1, valid=False, shift=0.1))
+    second = iter(range(2, 10_000))
+    wait_until(lambda: states.publish(state(next(second), valid=True)) or came, "joint states")
     expected = passive_joints(ScalarDelta(), angles)
     assert list(came[0].name) == list(expected)
     assert list(came[0].position) == pytest.approx(list(expected.values()), abs=1e-12)

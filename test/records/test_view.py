@@ -22,6 +22,7 @@ from deltacharger_kinematics.geometry import DeltaGeometry
 
 from ..bringup.command import run
 from ..chargers import DEADLINE, Process, new_namespace, wait_until
+from ..nodes import options
 
 pytestmark = pytest.mark.ros
 
@@ -46,7 +47,7 @@ def docking(tmp_path_factory: pytest.TempPathFactory, context: Any, quick_scene:
 
     namespace, came = new_namespace(), list[Raw]()
     with Composition(quick_scene, context, namespace), ChargerClient(namespace, context) as client:
-        node = Node("recorder", context=context, namespace=namespace, use_global_arguments=False)
+        node = Node("recorder", **options(context, namespace))
         listen(node, TOPICS, came.append)
         spinner = Spinner(node)
         try:

@@ -18,6 +18,7 @@ from deltacharger_ros.client import ChargerClient, ClientError
 from deltacharger_ros.executor import Spinner
 
 from ..chargers import DEADLINE
+from ..nodes import options
 
 pytestmark = pytest.mark.ros
 
@@ -31,7 +32,7 @@ def silent_charger(context: Any, namespace: str) -> Iterator[str]:
         over.wait(DEADLINE)
         return GoalResponse.REJECT
 
-    node = Node("docking_node", context=context, namespace=namespace, use_global_arguments=False)
+    node = Node("docking_node", **options(context, namespace))
     servers = [
         ActionServer(node, kind, name, execute_callback=lambda handle: None, goal_callback=decide)
         for kind, name in ((Dock, "dock"), (Undock, "undock"))

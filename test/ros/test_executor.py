@@ -22,13 +22,14 @@ from std_srvs.srv import Trigger
 from deltacharger_ros.executor import Spinner
 
 from ..chargers import DEADLINE, wait_until
+from ..nodes import options
 
 pytestmark = pytest.mark.ros
 
 
 @pytest.fixture
 def node(context: Any, namespace: str) -> Iterator[Node]:
-    node = Node("subject", context=context, namespace=namespace, use_global_arguments=False)
+    node = Node("subject", **options(context, namespace))
     yield node
     node.destroy_node()
 
@@ -259,7 +260,7 @@ def test_what_a_node_does_at_its_end_is_still_served(context: Any, namespace: st
             wait_until(future.done, "the answer")
             self.answered = True
 
-    node = Subject("subject", context=context, namespace=namespace, use_global_arguments=False)
+    node = Subject("subject", **options(context, namespace))
     node.create_service(Trigger, "service", lambda request, response: response, callback_group=ReentrantCallbackGroup())
     spinner = Spinner(node)
     spinner.close()

@@ -22,6 +22,7 @@ from deltacharger_ros import flat_messages
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
 
 from ..chargers import wait_until
+from ..nodes import options
 
 pytestmark = pytest.mark.ros
 
@@ -103,7 +104,7 @@ def test_a_row_of_another_length_is_refused() -> None:
 
 @pytest.fixture
 def node(context: Any, namespace: str) -> Iterator[Node]:
-    node = Node("subject", context=context, namespace=namespace, use_global_arguments=False)
+    node = Node("subject", **options(context, namespace))
     yield node
     node.destroy_node()
 

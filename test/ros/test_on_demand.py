@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,10 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Int64
 
 from deltacharger_core import environment
-from deltacharger_ros.executor import Spinner
 from deltacharger_ros.on_demand import LatestMessage, OnDemandSubscription, PolledTopic
 
-from ..chargers import DEADLINE, wait_until
+from ..chargers import DEADLINE, Spin, wait_until
+from ..nodes import options
 
 pytestmark = pytest.mark.ros
 
@@ -28,12 +27,8 @@ QOS = QoSProfile(depth=DEPTH)
 
 
 @pytest.fixture
-def node(context: Any, namespace: str) -> Iterator[Node]:
-    node = Node("listener", context=context, namespace=namespace, use_global_arguments=False)
-    spinner = Spinner(node)
-    yield node
-    spinner.close()
-    node.destroy_node()
+def node(context: Any, namespace: str, spin: Spin) -> Node:
+    return spin(Node("listener", **options(context, namespace)))
 
 
 @pytest.fixture

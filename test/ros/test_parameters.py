@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 
 from deltacharger_core.parameters import Bounded, choice, flag, number, numbers, words
 from deltacharger_ros.node_support import StartupError
 from deltacharger_ros.parameters import declare_all, reject_unknown
+
+from ..nodes import options
 
 pytestmark = pytest.mark.ros
 
@@ -28,10 +29,7 @@ class Rates(Bounded):
 
 
 def test_what_is_declared_is_what_the_node_tells(context: Any, namespace: str) -> None:
-    overrides = [Parameter("corner", value=[1.0, 2.0]), Parameter("files", value=["a", "b"])]
-    node = Node(
-        "subject", context=context, namespace=namespace, parameter_overrides=overrides, use_global_arguments=False
-    )
+    node = Node("subject", **options(context, namespace, corner=[1.0, 2.0], files=["a", "b"]))
     try:
         given = declare_all(node, Rates, defaults=Rates(rate=60.0))
         assert given == Rates(rate=60.0, corner=(1.0, 2.0), files=("a", "b"))
@@ -60,14 +58,7 @@ def test_a_wrong_parameter_stops_the_node_with_its_name(
 ) -> None:
     class Subject(Node):
         def __init__(self) -> None:
-            overrides = [Parameter(name, value=value) for name, value in given.items()]
-            super().__init__(
-                "subject",
-                context=context,
-                namespace=namespace,
-                parameter_overrides=overrides,
-                use_global_arguments=False,
-            )
+            super().__init__("subject", **options(context, namespace, **given))
             declare_all(self, Rates)
             reject_unknown(self)
 

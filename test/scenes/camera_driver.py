@@ -4,23 +4,25 @@
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Duration, Time
+from builtin_interfaces.msg import Time
 from deltacharger.srv import DetectElectrodes
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
+from deltacharger_ros.messages import duration
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.rendering.camera import SimulatedCamera
 from deltacharger_vision.rendering.scene import RenderedScene
 from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message
+
+from ..nodes import call, options
 
 TARGET = (0.012, -0.009, 0.084, 0.06)
 
@@ -38,7 +40,7 @@ class Driver(Node):
     """An RGB-D driver that repeats one image at 20 Hz, with faults to order."""
 
     def __init__(self, context: Any, namespace: str) -> None:
-        super().__init__("driver", context=context, namespace=namespace, use_global_arguments=False)
+        super().__init__("driver", **options(context, namespace))
         self.color = self.create_publisher(Image, "color/image_raw", qos_profile_sensor_data)
         self.depth = self.create_publisher(Image, "depth/image_raw", qos_profile_sensor_data)
         self.info = self.create_publisher(CameraInfo, "color/camera_info", qos_profile_sensor_data)
@@ -54,14 +56,7 @@ class Driver(Node):
         return sum(each.get_subscription_count() for each in (self.color, self.depth, self.info))
 
     def ask(self, timeout: float = 0.0) -> DetectElectrodes.Response:
-        done = threading.Event()
-        seconds, rest = divmod(timeout, 1.0)
-        future = self.client.call_async(
-            DetectElectrodes.Request(timeout=Duration(sec=int(seconds), nanosec=int(1e9 * rest)))
-        )
-        future.add_done_callback(lambda _: done.set())
-        assert done.wait(30.0)
-        return future.result()
+        return call(self.client, DetectElectrodes.Request(timeout=duration(timeout)))
 
     def _publish(self) -> None:
         if self.silent:

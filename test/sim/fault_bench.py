@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from rclpy.context import Context
-from rclpy.parameter import Parameter
 
 from deltacharger_driver.board.tactile_node import TactileNode
 from deltacharger_driver.servos.servo_node import ServoNode
@@ -23,6 +22,7 @@ from deltacharger_scenes.scene import parse_scene
 from deltacharger_sim.charger.faults import Faults
 
 from ..chargers import wait_until
+from ..nodes import options
 from .fault_client import PATIENCE, FaultClient
 from .fault_pulse import Pulse
 from .fault_world import CONTACTOR, RecordedCharger
@@ -66,11 +66,7 @@ class Bench:
         try:
             self.charger.start()
             for node, port in ((TactileNode, self.charger.board_port), (ServoNode, self.charger.servo_port)):
-                overrides = [Parameter("port", value=port)]
-                built = node(
-                    context=context, namespace=namespace, parameter_overrides=overrides, use_global_arguments=False
-                )
-                self._spinners.append(Spinner(built))
+                self._spinners.append(Spinner(node(**options(context, namespace, port=port))))
             self.client = FaultClient(context, namespace)
             self._spinners.append(Spinner(self.client))
             self.wait(self.client.is_connected, "discovery")

@@ -22,6 +22,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ..chargers import wait_until
+from ..nodes import options
 
 JOINTS = ("limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint")
 PATIENCE = 10.0  # s; far longer than anything that is no fault takes
@@ -41,7 +42,7 @@ class FaultClient(Node):
     """
 
     def __init__(self, context: Context, namespace: str) -> None:
-        super().__init__("fault_client", context=context, namespace=namespace, use_global_arguments=False)
+        super().__init__("fault_client", **options(context, namespace))
         self.servo: Any = None
         self.frame: Any = None
         self.power: Any = None

@@ -25,6 +25,7 @@ from deltacharger_sim.charger.faults import Fault
 
 from .. import quick
 from ..chargers import new_namespace, wait_until
+from ..nodes import call
 from .fault_pulse import Pulse
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
@@ -122,9 +123,7 @@ class Charger:
         wait_until(lambda: self._servo and all(self._servo.valid) and self._frame, "servos and frames", 10.0)
 
     def _is_rebooted(self) -> bool:
-        future = self._reboot.call_async(Trigger.Request())
-        wait_until(future.done, "an answer from reboot_servos")
-        return bool(future.result().success)
+        return bool(call(self._reboot, Trigger.Request()).success)
 
     def assert_safe(self) -> None:
         """The truth: the contactor opened before torque went and before the electrodes parted, and nothing shorted."""

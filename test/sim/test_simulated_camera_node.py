@@ -3,35 +3,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from deltacharger.msg import ServoState
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_kinematics.scalar import ScalarDelta
-from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
 from deltacharger_vision.cameras.ros_images import color_array, depth_array
 
-from ..chargers import wait_until
+from ..chargers import Spin, wait_until
+from ..nodes import options
 
 pytestmark = pytest.mark.ros
-
-CLOSE = {"rate": 60.0}
 
 
 class Viewer(Node):
     """Keeps the newest image of each topic that it subscribes to."""
 
     def __init__(self, context: Any, namespace: str) -> None:
-        super().__init__("viewer", context=context, namespace=namespace, use_global_arguments=False)
+        super().__init__("viewer", **options(context, namespace))
         self.seen: dict[str, list[Any]] = {"color/image_raw": [], "depth/image_raw": [], "color/camera_info": []}
 
     def watch(self, *topics: str) -> None:
@@ -48,27 +45,13 @@ class Viewer(Node):
 
 
 @pytest.fixture
-def viewer(context: Any, namespace: str) -> Iterator[Viewer]:
-    spinner = Spinner(Viewer(context, namespace))
-    yield spinner.node
-    spinner.close()
+def viewer(context: Any, namespace: str, spin: Spin) -> Viewer:
+    return spin(Viewer(context, namespace))
 
 
 @pytest.fixture
-def camera(context: Any, namespace: str) -> Iterator[Callable[..., SimulatedCameraNode]]:
-    running: list[Spinner] = []
-
-    def start(**values: Any) -> SimulatedCameraNode:
-        overrides = [Parameter(key, value=value) for key, value in {**CLOSE, **values}.items()]
-        node = SimulatedCameraNode(
-            context=context, namespace=namespace, use_global_arguments=False, parameter_overrides=overrides
-        )
-        running.append(Spinner(node))
-        return node
-
-    yield start
-    for spinner in running:
-        spinner.close()
+def camera(context: Any, namespace: str, spin: Spin) -> Callable[..., SimulatedCameraNode]:
+    return lambda **values: spin(SimulatedCameraNode(**options(context, namespace, rate=60.0, **values)))
 
 
 def arm_at(viewer: Viewer, position: tuple[float, float, float]) -> None:
@@ -161,8 +144,5 @@ def test_the_other_renderer_shows_the_same(camera: Callable[..., SimulatedCamera
 def test_what_cannot_be_right_stops_it_at_start(
     context: Any, namespace: str, values: dict[str, Any], words: str
 ) -> None:
-    overrides = [Parameter(key, value=value) for key, value in values.items()]
     with pytest.raises(StartupError, match=words):
-        SimulatedCameraNode(
-            context=context, namespace=namespace, use_global_arguments=False, parameter_overrides=overrides
-        )
+        SimulatedCameraNode(**options(context, namespace, **values))

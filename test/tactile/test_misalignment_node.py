@@ -5,13 +5,11 @@ from __future__ import annotations
 
 import threading
 from array import array
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 from deltacharger.msg import Misalignment, TactileFrame
 from deltacharger.srv import PredictMisalignment
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
@@ -19,7 +17,6 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 
-from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 from deltacharger_tactile import default_model
 from deltacharger_tactile.calibration.rig import TactileCalibration
@@ -28,7 +25,8 @@ from deltacharger_tactile.generator import generate_paper
 from deltacharger_tactile.misalignment_node import MisalignmentNode
 from deltacharger_tactile.source import ContactSource
 
-from ..waiting import wait_until
+from ..chargers import Spin, wait_until
+from ..nodes import call, options
 
 pytestmark = pytest.mark.ros
 
@@ -39,7 +37,7 @@ class Pads(Node):
     """What tactile_node is to misalignment_node: 120 Hz of one simulated docking."""
 
     def __init__(self, context: Any) -> None:
-        super().__init__("pads", context=context)
+        super().__init__("pads", **options(context))
         self.publisher = self.create_publisher(TactileFrame, "tactile_frame", qos_profile_sensor_data)
         self.client = self.create_client(PredictMisalignment, "predict_misalignment")
         self.setter = self.create_client(SetParameters, "misalignment_node/set_parameters")
@@ -70,53 +68,31 @@ class Pads(Node):
             count += 1
 
     def ask(self, frames: int = 0) -> Any:
-        future = self.client.call_async(PredictMisalignment.Request(frames=frames))
-        wait_until(future.done)
-        return future.result()
+        return call(self.client, PredictMisalignment.Request(frames=frames))
 
     def set(self, **values: Any) -> Any:
         """Set one parameter of the node and return the result."""
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        future = self.setter.call_async(SetParameters.Request(parameters=parameters))
-        wait_until(future.done)
-        return future.result().results[-1]
+        return call(self.setter, SetParameters.Request(parameters=parameters)).results[-1]
 
     def set_together(self, **values: Any) -> Any:
         """Set several parameters at once and return the result."""
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        future = self.atomic.call_async(SetParametersAtomically.Request(parameters=parameters))
-        wait_until(future.done)
-        return future.result().result
+        return call(self.atomic, SetParametersAtomically.Request(parameters=parameters)).result
 
     def close(self) -> None:
         self._stop.set()
         self._thread.join(2.0)
 
 
-@pytest.fixture(scope="module")
-def context() -> Iterator[Any]:
-    own = rclpy.Context()
-    own.init(args=[])
-    yield own
-    own.try_shutdown()
-
-
 @pytest.fixture
-def pads(context: Any) -> Iterator[Pads]:
-    node = MisalignmentNode(
-        context=context,
-        parameter_overrides=[Parameter("rate", value=20.0), Parameter("timeout", value=0.4)],
-    )
-    spinner = Spinner(node)
-    client = Pads(context)
-    client_spinner = Spinner(client)
+def pads(context: Any, spin: Spin) -> Pads:
+    spin(MisalignmentNode(**options(context, rate=20.0, timeout=0.4)))
+    client: Pads = spin(Pads(context))
     for service in (client.client, client.setter, client.atomic):
         wait_until(service.service_is_ready)
     wait_until(lambda: client.publisher.get_subscription_count() == 1)
-    yield client
-    client_spinner.close()
-    spinner.close()
-    node.close()
+    return client
 
 
 def test_answers_from_fresh_frames_and_publishes(pads: Pads) -> None:
@@ -341,8 +317,8 @@ def test_a_frame_of_another_shape_is_left_out(pads: Pads) -> None:
 
 def test_a_bad_model_stops_the_start(context: Any) -> None:
     with pytest.raises(StartupError, match="model"):
-        MisalignmentNode(context=context, parameter_overrides=[Parameter("model", value="/nowhere.npz")])
+        MisalignmentNode(**options(context, model="/nowhere.npz"))
     with pytest.raises(StartupError, match="calibration"):
-        MisalignmentNode(context=context, parameter_overrides=[Parameter("calibration", value="/nowhere.yaml")])
+        MisalignmentNode(**options(context, calibration="/nowhere.yaml"))
     with pytest.raises(StartupError, match="max_age"):
-        MisalignmentNode(context=context, parameter_overrides=[Parameter("maxage", value=1.0)])
+        MisalignmentNode(**options(context, maxage=1.0))

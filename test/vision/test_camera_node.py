@@ -5,29 +5,22 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import os
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
-from deltacharger_core import environment
-from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 from deltacharger_vision.cameras.camera_info import from_camera_info
 from deltacharger_vision.cameras.camera_node import CameraNode
@@ -37,15 +30,12 @@ from deltacharger_vision.cameras.ros_images import color_array, depth_array
 from deltacharger_vision.images import Intrinsics, RgbdImage
 from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message, stamp_ns
 
-from ..waiting import wait_until
+from ..chargers import DEADLINE, Spin, wait_until
+from ..nodes import options
 
 pytestmark = pytest.mark.ros
 
-environment.prepare()
-
-DEADLINE = 60.0  # s; far longer than anything takes
 LENS = Intrinsics(64, 40, 44.0, 45.0, 31.0, 20.0, (-0.3, 0.1, 0.001, -0.002, 0.01))
-_domains = itertools.count(os.getpid() % 50 * 4)
 
 
 def picture(number: int) -> RgbdImage:
@@ -103,8 +93,8 @@ class Socket:
 class Client(Node):
     """Subscribes to what it is told to, and to diagnostics."""
 
-    def __init__(self, context: Any) -> None:
-        super().__init__("client", context=context, use_global_arguments=False)
+    def __init__(self, context: Any, namespace: str) -> None:
+        super().__init__("client", **options(context, namespace))
         self.color: list[Image] = []
         self.depth: list[Image] = []
         self.info: list[CameraInfo] = []
@@ -128,38 +118,16 @@ class Client(Node):
 
 
 @pytest.fixture
-def context() -> Iterator[Any]:
-    """In a domain of its own, so that nothing else on this machine answers."""
-    found = rclpy.Context()
-    rclpy.init(context=found, args=[], domain_id=1 + next(_domains) % 200)
-    yield found
-    rclpy.try_shutdown(context=found)
-
-
-@pytest.fixture
-def client(context: Any) -> Iterator[Client]:
-    node = Client(context)
-    spinner = Spinner(node)
-    yield node
-    spinner.close()
+def client(context: Any, namespace: str, spin: Spin) -> Client:
+    return spin(Client(context, namespace))
 
 
 Start = Callable[..., CameraNode]
 
 
 @pytest.fixture
-def start(context: Any) -> Iterator[Start]:
-    running: list[Spinner] = []
-
-    def run(open_camera: Any = None, **values: Any) -> CameraNode:
-        overrides = [Parameter(key, value=value) for key, value in values.items()]
-        node = CameraNode(open_camera, context=context, use_global_arguments=False, parameter_overrides=overrides)
-        running.append(Spinner(node))
-        return node
-
-    yield run
-    for each in running:
-        each.close()
+def start(context: Any, namespace: str, spin: Spin) -> Start:
+    return lambda camera=None, **values: spin(CameraNode(camera, **options(context, namespace, **values)))
 
 
 def colors(messages: list[Image]) -> list[int]:

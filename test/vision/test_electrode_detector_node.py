@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from builtin_interfaces.msg import Duration
 from deltacharger.msg import ElectrodeDetection
 from deltacharger.srv import DetectElectrodes
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -24,7 +23,8 @@ from deltacharger_ros.node_support import StartupError
 from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
 from deltacharger_vision.mount import Mount
 
-from ..chargers import wait_until
+from ..chargers import Spin, wait_until
+from ..nodes import options
 from ..scenes.camera_driver import TARGET, Driver, picture
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
@@ -34,31 +34,14 @@ from deltacharger_vision.detector.electrode_detector_node import ElectrodeDetect
 pytestmark = pytest.mark.ros
 
 
-def parameters(**values: Any) -> dict[str, Any]:
-    return {"parameter_overrides": [Parameter(key, value=value) for key, value in values.items()]}
+@pytest.fixture
+def detector(context: Any, namespace: str, spin: Spin) -> Callable[..., ElectrodeDetectorNode]:
+    return lambda **values: spin(ElectrodeDetectorNode(**options(context, namespace, **values)))
 
 
 @pytest.fixture
-def detector(context: Any, namespace: str) -> Iterator[Callable[..., ElectrodeDetectorNode]]:
-    running: list[Spinner] = []
-
-    def start(**values: Any) -> ElectrodeDetectorNode:
-        node = ElectrodeDetectorNode(
-            context=context, namespace=namespace, use_global_arguments=False, **parameters(**values)
-        )
-        running.append(Spinner(node))
-        return node
-
-    yield start
-    for spinner in running:
-        spinner.close()
-
-
-@pytest.fixture
-def driver(context: Any, namespace: str) -> Iterator[Driver]:
-    spinner = Spinner(Driver(context, namespace))
-    yield spinner.node
-    spinner.close()
+def driver(context: Any, namespace: str, spin: Spin) -> Driver:
+    return spin(Driver(context, namespace))
 
 
 def test_electrodes_are_told_in_charger_base_with_an_error_that_holds(
@@ -91,28 +74,22 @@ def test_it_listens_only_while_it_looks(detector: Callable[..., ElectrodeDetecto
 
 
 def test_a_simulated_camera_renders_nothing_while_nobody_looks(
-    context: Any, namespace: str, detector: Callable[..., ElectrodeDetectorNode], driver: Driver
+    context: Any, namespace: str, detector: Callable[..., ElectrodeDetectorNode], driver: Driver, spin: Spin
 ) -> None:
     driver.silent = True
     for publisher in (driver.color, driver.depth, driver.info):
         driver.destroy_publisher(publisher)
     detector()
     target = dict(zip(("target_x", "target_y", "target_z", "target_roll"), TARGET, strict=True))
-    camera = SimulatedCameraNode(
-        context=context, namespace=namespace, use_global_arguments=False, **parameters(rate=60.0, **target)
-    )
-    spinner = Spinner(camera)
-    try:
-        assert driver.client.wait_for_service(20.0)
-        assert driver.ask(10.0).success
-        wait_until(lambda: camera.count_subscribers("color/image_raw") == 0, "the detector to stop listening")
-        rendered = camera.rendered
-        assert rendered >= 1
-        looks = camera.looks
-        wait_until(lambda: camera.looks > looks + 5, "the camera to look for subscribers")
-        assert camera.rendered <= rendered + 1  # the image under way when the last listener left
-    finally:
-        spinner.close()
+    camera = spin(SimulatedCameraNode(**options(context, namespace, rate=60.0, **target)))
+    assert driver.client.wait_for_service(20.0)
+    assert driver.ask(10.0).success
+    wait_until(lambda: camera.count_subscribers("color/image_raw") == 0, "the detector to stop listening")
+    rendered = camera.rendered
+    assert rendered >= 1
+    looks = camera.looks
+    wait_until(lambda: camera.looks > looks + 5, "the camera to look for subscribers")
+    assert camera.rendered <= rendered + 1  # the image under way when the last listener left
 
 
 def test_an_empty_scene_is_told_after_the_time_that_was_given(
@@ -253,7 +230,7 @@ def test_a_negative_timeout_is_refused(detector: Callable[..., ElectrodeDetector
 
 def test_closing_releases_who_waits(context: Any, namespace: str, driver: Driver) -> None:
     driver.silent = True
-    spinner = Spinner(ElectrodeDetectorNode(context=context, namespace=namespace, use_global_arguments=False))
+    spinner = Spinner(ElectrodeDetectorNode(**options(context, namespace)))
     assert driver.client.wait_for_service(20.0)
     driver.client.call_async(DetectElectrodes.Request(timeout=Duration(sec=600)))
     wait_until(lambda: driver.listeners == 3, "the detector to listen")
@@ -277,7 +254,7 @@ def test_what_cannot_be_right_stops_the_node_at_start(
     context: Any, namespace: str, values: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(StartupError, match=words):
-        ElectrodeDetectorNode(context=context, namespace=namespace, use_global_arguments=False, **parameters(**values))
+        ElectrodeDetectorNode(**options(context, namespace, **values))
 
 
 def test_a_mount_file_replaces_the_mount(

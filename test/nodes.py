@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ROS nodes as tests make and ask them; `spin` in chargers.py serves them."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+from rclpy.parameter import Parameter
+
+from .waiting import DEADLINE
+
+
+def options(context: Any, namespace: str = "", **parameters: Any) -> dict[str, Any]:
+    """Return what a node is made with, so that it takes nothing from pytest's own command line."""
+    overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+    return {
+        "context": context,
+        "namespace": namespace,
+        "use_global_arguments": False,
+        "parameter_overrides": overrides,
+    }
+
+
+def call(client: Any, request: Any) -> Any:
+    """Call a service and return its answer."""
+    return answer(client.call_async(request))
+
+
+def answer(future: Any) -> Any:
+    """Return what a future comes to, as soon as it does."""
+    came = threading.Event()
+    future.add_done_callback(lambda _: came.set())
+    assert came.wait(DEADLINE), f"waited {DEADLINE:g} s for an answer"
+    return future.result()
