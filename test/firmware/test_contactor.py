@@ -154,25 +154,6 @@ def test_a_probe_that_never_ends_is_answered_in_time_and_allows_nothing(bench: B
     assert bench.close_contactor() == AckError.INTERLOCK
 
 
-@pytest.mark.parametrize("closed", [False, True])
-@pytest.mark.parametrize("opening", ["", "trip 9", "drop 1"])
-def test_every_opening_voids_the_probe(bench: Bench, closed: bool, opening: str) -> None:
-    if closed:
-        bench.charge()
-    else:
-        bench.beating = True
-        bench.run(0)
-        bench.probe()
-    if opening:
-        bench.set(opening)
-    bench.run(5 * MS)
-    if opening != "drop 1" or not closed:
-        bench.open()  # by command, or to clear the fault
-    bench.set("drop 0")
-    bench.run(200 * MS)
-    assert bench.close_contactor() == AckError.INTERLOCK
-
-
 def test_probe_is_refused_while_closed_while_ramping_down_and_while_one_runs(bench: Bench) -> None:
     bench.set(*STRONG)
     bench.charge()

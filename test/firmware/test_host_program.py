@@ -3,19 +3,14 @@
 
 from __future__ import annotations
 
-import math
 import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from deltacharger_driver.board.errors import CommandRefused
 from deltacharger_driver.board.link import BoardLink
-from deltacharger_driver.board.protocol import BoardFault
-from deltacharger_driver.board.samples import PowerSample, TactileSample
-from deltacharger_driver.errors import PortGone
+from deltacharger_driver.board.samples import TactileSample
 
 from ..waiting import wait_until
 
@@ -36,13 +31,9 @@ class Program:
         assert self.process.stdout is not None
         assert self.process.stdout.readline() == f"ready {port}\n"
         self.frames: list[TactileSample] = []
-        self.powers: list[PowerSample] = []
         self.boots: list[int] = []
         self.link = BoardLink(
-            str(port),
-            on_tactile=self.frames.append,
-            on_power=self.powers.append,
-            on_boot=lambda: self.boots.append(len(self.frames)),
+            str(port), on_tactile=self.frames.append, on_boot=lambda: self.boots.append(len(self.frames))
         )
 
     def command(self, line: str) -> str:
@@ -67,53 +58,6 @@ def program(programs: Path, tmp_path: Path) -> Iterator[Program]:
     assert not (tmp_path / "board").is_symlink()
 
 
-def twenty_in_a_row(program: Program) -> bool:
-    lost, count = program.link.counters.lost_tactile, len(program.frames)
-    wait_until(lambda: len(program.frames) >= count + 20)
-    return program.link.counters.lost_tactile == lost
-
-
-def test_the_driver_from_hello_to_a_lost_heartbeat(program: Program) -> None:
-    with program.link as link:
-        hello = link.hello()
-        assert (hello.major, hello.rows, hello.columns, hello.rate) == (1, 10, 10, 120.0)
-        assert link.ping() < 0.2
-        link.tare()
-        link.set_rate(200.0)
-        link.start()
-        assert program.command("press 8") == "ok"
-        wait_until(lambda: len(program.frames) > 50 and program.frames[-1].pads[0].sum() > 5.0)
-        assert program.frames[-1].tared
-        result = link.probe()
-        assert (result.resistance, result.target_voltage) == (2.0, 24.0)
-        with pytest.raises(CommandRefused, match="heartbeat"):
-            link.contactor(True)
-        link.keep_alive(math.inf)
-        link.contactor(True)
-        wait_until(lambda: program.powers[-1].power.charge_current == pytest.approx(1.0))
-        assert program.powers[-1].power.contactor_closed
-        link.stop_heartbeat()
-        wait_until(lambda: program.powers[-1].power.fault == BoardFault.HEARTBEAT_LOST)
-        assert not program.powers[-1].power.contactor_closed
-        link.contactor(False)
-        wait_until(lambda: program.powers[-1].power.fault == 0)
-        assert link.decoder_counters.damaged == 0
-        wait_until(lambda: twenty_in_a_row(program), "frames without a gap, which a busy host may leave")
-
-
-def test_a_second_host_finds_the_board_as_the_first_left_it(program: Program) -> None:
-    with program.link as link:
-        first = link.hello()
-        link.tare()
-    time.sleep(0.3)  # nobody listens: the terminal's buffer may fill, the board goes on
-    with program.link as link:
-        assert link.hello() == first
-        link.start()
-        wait_until(lambda: len(program.frames) > 5)
-    assert program.frames[-1].tared
-    assert program.boots == []
-
-
 def test_a_reboot_is_noticed(program: Program) -> None:
     with program.link as link:
         link.start()
@@ -121,13 +65,6 @@ def test_a_reboot_is_noticed(program: Program) -> None:
         assert program.command("boot") == "ok"
         wait_until(lambda: program.boots)
         assert link.counters.reboots == 1
-
-
-def test_the_program_that_ends_is_a_port_gone(program: Program) -> None:
-    with program.link as link:
-        program.end()
-        with pytest.raises(PortGone):
-            link.probe()
 
 
 def test_a_command_it_does_not_know_is_named(program: Program) -> None:
