@@ -87,7 +87,7 @@ def test_a_jump_while_charging_is_borne_or_opens_with_a_code(hostile: Hostile, c
         assert hostile.is_closed
         hostile.relay.distort["servo_state"] = lambda message: None
         assert hostile.opens_after() < 1.0
-        wait_until(lambda: hostile.code, "a code", 5.0)
+        wait_until(lambda: hostile.code, "a code")
         assert CODES[hostile.code] == "SERVO_FAULT"
 
 

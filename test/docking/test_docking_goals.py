@@ -25,7 +25,7 @@ from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
 
-from ..chargers import DEADLINE, new_namespace, wait_until
+from ..chargers import DEADLINE, dock_at_last, new_namespace, wait_until
 from ..records.docking_tapes import patient
 
 pytestmark = pytest.mark.ros
@@ -89,7 +89,7 @@ def test_of_clients_that_send_at_once_one_is_served_and_the_others_may_send_agai
 
 
 def test_every_client_that_docks_when_docked_hears_of_it(clients: list[ChargerClient]) -> None:
-    wait_until(lambda: clients[0].dock(GOAL, deadline=DEADLINE).success, "a docking")
+    dock_at_last(clients[0], GOAL)
     for _ in range(3):
         outcomes = at_once(clients, GOAL)
         assert len(outcomes) == len(clients)
@@ -135,7 +135,7 @@ def test_a_charger_that_is_held_to_its_end_leaves_its_neighbour_of_the_same_name
         ChargerClient(namespace, context) as client,
     ):
         assert client.wait_until_ready(DEADLINE)
-        wait_until(lambda: client.dock(GOAL, deadline=DEADLINE).success, "a docking")
+        dock_at_last(client, GOAL)
         assert client.node.count_publishers("dock/_action/feedback") == 1
         with Composition(replace(quick_scene, nodes=("docking_node",)), context, namespace, held=True):
             wait_until(lambda: client.node.count_publishers("dock/_action/feedback") == 2, "the second charger")

@@ -31,7 +31,7 @@ def services(node: Node) -> Services:
 
 def reply(services: Services) -> Reply:
     found: list[Reply] = []
-    wait_until(lambda: found.extend(services.take()[0]) or found, "a reply", 10.0)
+    wait_until(lambda: found.extend(services.take()[0]) or found, "a reply")
     return found[0]
 
 

@@ -133,20 +133,20 @@ def test_a_defect_of_docking_itself_opens_and_ends_in_a_code(
     with monkeypatch.context() as patch:
         patch.setattr(getattr(hostile.docking, part), does, fail)
         assert hostile.opens_after() < OPENS
-        wait_until(lambda: not hostile.servos.torque_enabled, "no torque", 5.0)
+        wait_until(lambda: not hostile.servos.torque_enabled, "no torque")
     hostile.heal()
     with monkeypatch.context() as patch:
         outcome = hostile.dock(lambda progress: patch.setattr(getattr(hostile.docking, part), does, fail))
         assert (outcome.error_name, outcome.success) == ("INTERNAL", False)
-        wait_until(lambda: not hostile.servos.torque_enabled, "no torque", 5.0)
+        wait_until(lambda: not hostile.servos.torque_enabled, "no torque")
 
 
 def assert_ends_safely(hostile: Hostile, codes: set[str]) -> None:
-    wait_until(lambda: hostile.code, "a code", 10.0)
+    wait_until(lambda: hostile.code, "a code")
     assert CODES[hostile.code] in codes, hostile.states[-1].error_message
     assert hostile.states[-1].error_message
-    wait_until(hostile.is_idle, "the way back or the stop", 30.0)
-    wait_until(lambda: not hostile.servos.torque_enabled, "no torque", 5.0)
+    wait_until(hostile.is_idle, "the way back or the stop")
+    wait_until(lambda: not hostile.servos.torque_enabled, "no torque")
     assert not hostile.is_closed
 
 
@@ -164,7 +164,7 @@ def test_powers_that_tell_nothing_end_charging(hostile: Hostile, name: str) -> N
     hostile.charge()
     hostile.relay.distort[POWER] = WRONG_POWER[name]
     assert hostile.opens_after() < OPENS
-    wait_until(lambda: hostile.code, "a code", 10.0)
+    wait_until(lambda: hostile.code, "a code")
     assert CODES[hostile.code] in {"POWER_STALE", "OVERCURRENT", "CONTACTOR_WELDED"}
 
 
@@ -212,7 +212,7 @@ def test_one_message_again_and_again_is_no_news_even_from_the_future(hostile: Ho
         assert hostile.dock().error_name == "TACTILE_STALE"
         return
     hostile.opens_after()
-    wait_until(lambda: hostile.code, "a code", 10.0)
+    wait_until(lambda: hostile.code, "a code")
     assert CODES[hostile.code] in {SERVO: {"SERVO_FAULT"}, POWER: {"POWER_STALE", "CONTACTOR_WELDED"}}[topic]
 
 

@@ -32,6 +32,8 @@ from deltacharger_driver.servos.port import ServoPort
 from deltacharger_driver.servos.protocol import ServoProtocol, crc16, instruction_packet, sync_write_packet
 from deltacharger_driver.servos.snapshot import BusSettings
 
+from ..waiting import wait_until
+
 pytestmark = pytest.mark.realtime
 
 POSITION = REGISTERS["present_position"].address
@@ -88,7 +90,7 @@ def test_trap_2_a_late_reply_never_answers_another_question(
         value, result, _ = protocol.read1ByteTxRx(port, 1, 146)
         return result == COMM_SUCCESS and value == 120  # decivolts taken for °C
 
-    assert any(misled() for _ in range(10))
+    wait_until(misled, "the SDK to be misled")
     time.sleep(0.1)
     for _ in range(5):
         link.sync_read((1,), POSITION, 4)

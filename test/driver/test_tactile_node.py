@@ -28,6 +28,7 @@ from deltacharger_driver.board.tactile_node import TactileNode
 from deltacharger_driver.emulators.bench_plant import BenchPlant
 from deltacharger_driver.emulators.board import BoardEmulator
 from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
+from deltacharger_driver.emulators.wire_faults import WireFaults
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 
@@ -248,11 +249,12 @@ def test_what_refuses_a_close(rig: Rig, trouble: str, words: str) -> None:
 
 def test_stale_frames_refuse_a_close(rig: Rig) -> None:
     rig.dock()
-    rig.board.faults.inject("drop", 40, PacketType.TACTILE)
-    time.sleep(0.15)
+    rig.board.faults.inject("drop", 1000, PacketType.TACTILE)
+    time.sleep(0.15)  # the silence itself
     answer = rig.client.contactor(True)
     assert not answer.success
     assert "stale" in answer.message
+    rig.board.faults = WireFaults()
     rig.fresh_frame()
 
 

@@ -16,9 +16,9 @@ import pytest
 from deltacharger.srv import SolveForwardKinematics
 
 from deltacharger_ros.client import ChargerClient
-from deltacharger_ros.outcomes import DockRequest, Outcome
+from deltacharger_ros.outcomes import DockRequest
 
-from ..chargers import DEADLINE, wait_until
+from ..chargers import DEADLINE, dock_at_last, wait_until
 from .launched import (
     QUICK_NODES,
     assert_all_ended_with_0,
@@ -51,13 +51,7 @@ class TestKilled(unittest.TestCase):
                 killed = self.pid(proc_info, name)
                 os.kill(killed, signal.SIGKILL)
                 wait_until(lambda: self.pid(proc_info, name) not in (0, killed), f"{name} again")  # noqa: B023
-            outcomes: list[Outcome] = []
-
-            def docked() -> bool:
-                outcomes.append(client.dock(DockRequest(None), deadline=DEADLINE))
-                return outcomes[-1].success
-
-            wait_until(docked, f"a docking that asks detector and estimator: {outcomes}")
+            dock_at_last(client, DockRequest(None))  # it asks detector and estimator
             assert client.undock(deadline=DEADLINE).success
             service = client.node.create_client(SolveForwardKinematics, "solve_forward_kinematics")
             assert service.wait_for_service(DEADLINE)

@@ -22,7 +22,7 @@ from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
 
-from ..chargers import DEADLINE, Process, new_namespace, wait_until
+from ..chargers import DEADLINE, Process, dock_at_last, new_namespace, wait_until
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
@@ -69,15 +69,7 @@ class Watched:
         assert self.states[-1].charging
 
     def dock(self) -> Outcome:
-        """Dock; an estimate that a stalled mock arm spoilt is tried again, as a fleet would."""
-        outcomes: list[Outcome] = []
-
-        def done() -> bool:
-            outcomes.append(self.client.dock(GOAL, deadline=DEADLINE))
-            return outcomes[-1].success
-
-        wait_until(done, f"a docking that succeeds: {outcomes}")
-        return outcomes[-1]
+        return dock_at_last(self.client, GOAL)
 
     def undock(self) -> Outcome:
         return self.client.undock(deadline=DEADLINE)

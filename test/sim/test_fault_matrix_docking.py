@@ -24,7 +24,7 @@ from deltacharger_scenes.scene import parse_scene
 from deltacharger_sim.charger.faults import Fault
 
 from .. import quick
-from ..chargers import new_namespace, wait_until
+from ..chargers import DEADLINE, new_namespace, wait_until
 from ..nodes import call
 from .fault_pulse import Pulse
 
@@ -118,9 +118,9 @@ class Charger:
         assert self.simulated.faults is not None
         self.simulated.faults.clear()
         if service:
-            wait_until(self._is_rebooted, f"{service} to succeed", 10.0)
+            wait_until(self._is_rebooted, f"{service} to succeed")
         self._servo = self._frame = None
-        wait_until(lambda: self._servo and all(self._servo.valid) and self._frame, "servos and frames", 10.0)
+        wait_until(lambda: self._servo and all(self._servo.valid) and self._frame, "servos and frames")
 
     def _is_rebooted(self) -> bool:
         return bool(call(self._reboot, Trigger.Request()).success)
@@ -156,7 +156,7 @@ def charger(context: Any) -> Iterator[Charger]:
     namespace = new_namespace()
     scene = parse_scene({**quick.SCENE, "parameters": {"docking_node": STEPS}}, "faults")
     with Composition(scene, context, namespace) as composition, ChargerClient(namespace) as client:
-        assert client.wait_until_ready(20.0)
+        assert client.wait_until_ready(DEADLINE)
         charger = Charger(composition, client)
         yield charger
         charger.pulse.close()
@@ -176,8 +176,8 @@ def suffer(charger: Charger, family: Family, phase: str) -> None:
     outcome = charger.dock_and_suffer(fault, phase)
     ended, message = outcome.error_name, outcome.error_message
     if phase == "charging" and BORNE not in codes:
-        wait_until(lambda: charger.state.error_code, f"{codes} in docking_state", 20.0)
-        wait_until(lambda: charger.state.state == DockingState.STATE_IDLE, "the arm back", 60.0)
+        wait_until(lambda: charger.state.error_code, f"{codes} in docking_state")
+        wait_until(lambda: charger.state.state == DockingState.STATE_IDLE, "the arm back")
         ended, message = CODES[charger.state.error_code], charger.state.error_message
     charger.recover(family.recovery)
     if ended == BORNE:

@@ -23,7 +23,7 @@ from deltacharger_ros.node_support import StartupError
 from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
 from deltacharger_vision.mount import Mount
 
-from ..chargers import Spin, wait_until
+from ..chargers import DEADLINE, Spin, wait_until
 from ..nodes import options
 from ..scenes.camera_driver import TARGET, Driver, picture
 
@@ -35,20 +35,24 @@ pytestmark = pytest.mark.ros
 
 
 @pytest.fixture
-def detector(context: Any, namespace: str, spin: Spin) -> Callable[..., ElectrodeDetectorNode]:
-    return lambda **values: spin(ElectrodeDetectorNode(**options(context, namespace, **values)))
+def driver(context: Any, namespace: str, spin: Spin) -> Driver:
+    return spin(Driver(context, namespace))
 
 
 @pytest.fixture
-def driver(context: Any, namespace: str, spin: Spin) -> Driver:
-    return spin(Driver(context, namespace))
+def detector(context: Any, namespace: str, driver: Driver, spin: Spin) -> Callable[..., ElectrodeDetectorNode]:
+    def start(**values: Any) -> ElectrodeDetectorNode:
+        node = spin(ElectrodeDetectorNode(**options(context, namespace, **values)))
+        assert driver.client.wait_for_service(DEADLINE)
+        return node
+
+    return start
 
 
 def test_electrodes_are_told_in_charger_base_with_an_error_that_holds(
     detector: Callable[..., ElectrodeDetectorNode], driver: Driver
 ) -> None:
     detector()
-    assert driver.client.wait_for_service(20.0)
     answer = driver.ask(5.0)
     assert answer.success, answer.message
     found = answer.detection
@@ -67,7 +71,6 @@ def test_electrodes_are_told_in_charger_base_with_an_error_that_holds(
 
 def test_it_listens_only_while_it_looks(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
     detector()
-    assert driver.client.wait_for_service(20.0)
     assert driver.listeners == 0
     assert driver.ask(5.0).success
     wait_until(lambda: driver.listeners == 0, "the detector to stop listening")
@@ -82,7 +85,6 @@ def test_a_simulated_camera_renders_nothing_while_nobody_looks(
     detector()
     target = dict(zip(("target_x", "target_y", "target_z", "target_roll"), TARGET, strict=True))
     camera = spin(SimulatedCameraNode(**options(context, namespace, rate=60.0, **target)))
-    assert driver.client.wait_for_service(20.0)
     assert driver.ask(10.0).success
     wait_until(lambda: camera.count_subscribers("color/image_raw") == 0, "the detector to stop listening")
     rendered = camera.rendered
@@ -97,7 +99,6 @@ def test_an_empty_scene_is_told_after_the_time_that_was_given(
 ) -> None:
     driver.image = picture(target=False)
     detector()
-    assert driver.client.wait_for_service(20.0)
     answer = driver.ask(1.0)
     assert not answer.success
     assert "no electrodes in the image" in answer.message
@@ -111,7 +112,6 @@ def test_without_a_camera_it_names_the_topics_and_diagnoses_them(
     for publisher in (driver.color, driver.depth, driver.info):
         driver.destroy_publisher(publisher)
     detector()
-    assert driver.client.wait_for_service(20.0)
     answer = driver.ask(0.3)
     assert not answer.success
     for topic in ("color/image_raw", "depth/image_raw", "color/camera_info"):
@@ -155,7 +155,6 @@ def test_what_it_saw_is_shown_annotated_to_who_wants_it(
     detector()
     shown: list[Image] = []
     driver.create_subscription(Image, "electrode_detection/image", shown.append, qos_profile_sensor_data)
-    assert driver.client.wait_for_service(20.0)
 
     def seen() -> bool:
         assert driver.ask(5.0).success
@@ -173,7 +172,6 @@ def test_a_stamp_that_is_not_now_is_refused(
 ) -> None:
     driver.age = age
     detector()
-    assert driver.client.wait_for_service(20.0)
     answer = driver.ask(1.5)
     assert not answer.success
     assert words in answer.message
@@ -194,7 +192,6 @@ def test_late_images_do_not_hide_what_the_others_show(
 
     driver.spoil = make_late
     detector()
-    assert driver.client.wait_for_service(20.0)
     answer = driver.ask(1.5)
     assert "no electrodes in the image" in answer.message
     assert " 0 of them too old" not in answer.message
@@ -203,7 +200,6 @@ def test_late_images_do_not_hide_what_the_others_show(
 def test_depth_of_another_instant_is_no_depth(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
     driver.apart = 0.024  # half a period: nothing nearer ever comes
     detector()
-    assert driver.client.wait_for_service(20.0)
     answer = driver.ask(2.5)
     assert not answer.success
     assert "stamp_tolerance" in answer.message
@@ -216,7 +212,6 @@ def test_what_a_driver_does_wrong_is_told(detector: Callable[..., ElectrodeDetec
 
     driver.spoil = halve_depth
     detector()
-    assert driver.client.wait_for_service(20.0)
     answer = driver.ask(1.0)
     assert not answer.success
     assert "aligned to the colour" in answer.message
@@ -224,14 +219,13 @@ def test_what_a_driver_does_wrong_is_told(detector: Callable[..., ElectrodeDetec
 
 def test_a_negative_timeout_is_refused(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:
     detector()
-    assert driver.client.wait_for_service(20.0)
     assert "timeout" in driver.ask(-1.0).message
 
 
 def test_closing_releases_who_waits(context: Any, namespace: str, driver: Driver) -> None:
     driver.silent = True
     spinner = Spinner(ElectrodeDetectorNode(**options(context, namespace)))
-    assert driver.client.wait_for_service(20.0)
+    assert driver.client.wait_for_service(DEADLINE)
     driver.client.call_async(DetectElectrodes.Request(timeout=Duration(sec=600)))
     wait_until(lambda: driver.listeners == 3, "the detector to listen")
     started = time.monotonic()
@@ -264,7 +258,6 @@ def test_a_mount_file_replaces_the_mount(
     moved[:3, 3] += (0.01, 0.0, 0.02)
     Mount(moved, 1e-10 * np.eye(6)).save(tmp_path / "mount.yaml")
     detector(mount_file=str(tmp_path / "mount.yaml"))
-    assert driver.client.wait_for_service(20.0)
     answer = driver.ask(5.0)
     assert answer.success, answer.message
     place = answer.detection.pose.pose.position
