@@ -18,7 +18,7 @@ from deltacharger_core.rotation import rotation
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.errors import MountError
-from deltacharger_vision.poses import cross_matrix
+from deltacharger_vision.poses import cross_matrix, transform
 
 FRAME, CAMERA_FRAME = "charger_base", "camera_color_optical_frame"
 POSITION_STDDEV, ROTATION_STDDEV = 0.002, math.radians(0.5)
@@ -100,9 +100,7 @@ class Mount:
         """
         if len(seven) != 7:
             raise MountError("mount", f"{len(seven)} numbers; give seven: x y z qx qy qz qw")
-        pose = np.eye(4)
-        pose[:3, 3] = seven[:3]
-        pose[:3, :3] = _rotation(np.asarray(seven[3:], dtype=float))
+        pose = transform(_rotation(np.asarray(seven[3:], dtype=float)), seven[:3])
         return Mount(pose, _independent(position_stddev, rotation_stddev))
 
     @staticmethod
@@ -184,10 +182,7 @@ def look_at(position: Sequence[float], point: Sequence[float]) -> Array:
     if not np.linalg.norm(right) > 1e-9:
         raise MountError("look_at", f"from {position} to {point} is straight up, down or nowhere; move one of them")
     forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, 3] = position
-    pose[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
-    return pose
+    return transform(np.column_stack([right, np.cross(forward, right), forward]), position)
 
 
 def line_angle(x: float, y: float) -> float:

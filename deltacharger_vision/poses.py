@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from deltacharger_core.arrays import Array
 
@@ -38,6 +39,13 @@ def turn(vector: Array) -> Array:
     if angle < 1e-9:
         return np.asarray(np.eye(3) + skew)
     return np.asarray(np.eye(3) + np.sin(angle) / angle * skew + (1.0 - np.cos(angle)) / angle**2 * skew @ skew)
+
+
+def transform(rotation: Array, position: ArrayLike) -> Array:
+    """Return the transform (4, 4) of a rotation (3, 3) and a position (3,) m."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, position
+    return pose
 
 
 def cross_matrix(vector: Array) -> Array:

@@ -24,7 +24,7 @@ from deltacharger_vision.hand_eye.start import Start, start
 from deltacharger_vision.hand_eye.views import FEWEST, Beliefs, Corners, HandEyeError, View
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.mount import Mount
-from deltacharger_vision.poses import cross_matrix
+from deltacharger_vision.poses import cross_matrix, transform
 
 HELD_OUT = 5
 """Every so many-th view judges the others."""
@@ -177,9 +177,7 @@ def _state(first: Start, scale: float) -> HandEyeState:
 
 
 def _mount(found: HandEyeFit, beliefs: Beliefs) -> Mount:
-    pose = np.eye(4)
-    pose[:3, :3] = found.state.camera
-    pose[:3, 3] = found.state.shift + beliefs.offset
+    pose = transform(found.state.camera, found.state.shift + beliefs.offset)
     order = np.r_[SHIFT, CAMERA]
     covariance = found.covariance[np.ix_(order, order)]
     covariance[:3, :3] += beliefs.offset_stddev**2 * np.eye(3)

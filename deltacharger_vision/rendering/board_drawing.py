@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array, Mask
 from deltacharger_vision.hand_eye.board import Board
+from deltacharger_vision.poses import transform
 from deltacharger_vision.rendering.scene import Box, Color, RenderedScene, check_pose, shifted
 
 Area = tuple[int, int, int, int]
@@ -29,9 +30,7 @@ def bracket() -> Array:
     the camera: the board's x is −x of end_effector, y is y, z is −z. It stands above the upper edge and to the left,
     clear of the limb that comes from above on the right.
     """
-    pose = shifted((0.020, 0.030, -0.022))
-    pose[:3, :3] = np.diag([-1.0, 1.0, -1.0])
-    return pose
+    return transform(np.diag([-1.0, 1.0, -1.0]), (0.020, 0.030, -0.022))
 
 
 def with_board(scene: RenderedScene, board: Board, pose: Array, in_camera: bool = False) -> RenderedScene:

@@ -10,6 +10,7 @@ import numpy as np
 
 from deltacharger_core.arrays import Array
 from deltacharger_vision.errors import RenderingError
+from deltacharger_vision.poses import transform
 from deltacharger_vision.rendering.parameters import SceneParameters
 from deltacharger_vision.terminal import Terminal
 
@@ -103,9 +104,7 @@ class RenderedScene:
 
 def shifted(position: tuple[float, float, float]) -> Array:
     """Return the (4, 4) transform that moves by `position` m."""
-    pose = np.eye(4)
-    pose[:3, 3] = position
-    return pose
+    return transform(np.eye(3), position)
 
 
 def check_pose(name: str, pose: Array) -> None:

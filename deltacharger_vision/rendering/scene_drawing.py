@@ -15,6 +15,7 @@ import numpy as np
 
 from deltacharger_core.arrays import Array
 from deltacharger_vision.errors import RenderingError
+from deltacharger_vision.poses import transform
 from deltacharger_vision.rendering.parameters import SceneParameters
 from deltacharger_vision.rendering.scene import Box, Color, RenderedScene, shifted
 from deltacharger_vision.terminal import UPPER, Terminal
@@ -135,8 +136,7 @@ def _stick(start: Array, end: Array, width: float) -> Box:
     x = along / length
     y = np.cross(x, (0.0, 0.0, 1.0) if abs(x[2]) < 0.9 else (1.0, 0.0, 0.0))
     y /= np.linalg.norm(y)
-    pose = shifted(tuple((start + end) / 2))
-    pose[:3, :3] = np.column_stack([x, y, np.cross(x, y)])
+    pose = transform(np.column_stack([x, y, np.cross(x, y)]), (start + end) / 2)
     return Box(pose, (length, width, width), _DARK)
 
 
