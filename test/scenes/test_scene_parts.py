@@ -81,6 +81,7 @@ def test_what_it_claims_to_load_is_what_a_real_process_loads(capsys: pytest.Capt
     assert not left_out & loaded
     assert ("cv2" in loaded) is (name == "camera") is ("cv2" in when_used)
     assert ("cv2" in left_out) is (name == "simulated")
+    assert ("deltacharger_vision" in loaded) is (name == "camera")
 
 
 def test_parts_are_those_of_the_scene_in_their_order() -> None:
