@@ -26,6 +26,7 @@ from ..sim.fault_pulse import Pulse
 from ..sim.fault_world import CONTACTOR, RecordedCharger
 
 NODE_NAMES = ("servo_node", "tactile_node", "misalignment_node", "kinematics_node", "docking_node")
+OLDEST = 1.5  # s that data may be old, so that a loaded machine is not taken for a broken cable
 SCENE = {
     "nodes": [*NODE_NAMES, "mock_detector_node"],
     "simulation": {"seed": 1, "rig_seed": 1, "world": {"servo": {"damping": 0.3}, "target": {"x": 0.006, "y": 0.006}}},
@@ -42,9 +43,9 @@ SCENE = {
             "alignment_tolerance": 0.004,
             "landing_limit": 0.006,
             "charge_stable_time": 0.5,
-            "servo_age_max": 1.5,  # so that a loaded machine is not taken for a broken cable
-            "tactile_age_max": 1.5,
-            "power_age_max": 1.5,
+            "servo_age_max": OLDEST,
+            "tactile_age_max": OLDEST,
+            "power_age_max": OLDEST,
         }
     },
 }
