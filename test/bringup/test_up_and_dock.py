@@ -98,14 +98,18 @@ def test_a_charger_that_the_lock_does_not_know_is_found_over_ros_and_not_disturb
     assert first.end(signal.SIGTERM) == 0
 
 
-def test_dock_starts_a_charger_of_its_own_and_two_quick_ctrl_c_end_it_with_130_and_one_object(run: Run) -> None:
+@pytest.mark.parametrize("presses", (1, 2))
+def test_ctrl_c_ends_dock_and_its_own_charger_with_130_and_one_object(run: Run, presses: int) -> None:
     dock = run("dock", "--json", "--no-picture")
     dock.wait_for_line(" s  contact ", dock.err)  # the phase: a log may speak of contact before
-    dock.process.send_signal(signal.SIGINT)
+    if presses == 2:
+        dock.process.send_signal(signal.SIGINT)
     assert dock.end(signal.SIGINT) == 130
     result = json.loads("\n".join(dock.out))
     assert not any("Traceback" in line for line in dock.err), dock.err
-    assert (result["charger"], result["success"], result["error_name"]) == ("started", False, "CANCELED")
+    assert result["success"] is False
+    if presses == 1:  # a second one gives the result up, unless the two arrive as one
+        assert (result["charger"], result["error_name"]) == ("started", "CANCELED")
 
 
 def test_a_refused_docking_is_1_with_its_code(run: Run) -> None:
