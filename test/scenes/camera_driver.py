@@ -25,6 +25,7 @@ from deltacharger_vision.ros.messages import camera_info_message, color_message,
 from ..nodes import call, options
 
 TARGET = (0.012, -0.009, 0.084, 0.06)
+PERIOD = 50_000_000  # ns
 
 
 def picture(target: bool = True) -> RgbdImage:
@@ -49,7 +50,7 @@ class Driver(Node):
         self.client = self.create_client(DetectElectrodes, "detect_electrodes")
         self.said: list[DiagnosticStatus] = []
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self.create_timer(0.05, self._publish)
+        self.create_timer(1e-9 * PERIOD, self._publish)
 
     @property
     def listeners(self) -> int:
@@ -61,7 +62,8 @@ class Driver(Node):
     def _publish(self) -> None:
         if self.silent:
             return
-        now = self.get_clock().now().nanoseconds - round(1e9 * self.age)
+        now = self.get_clock().now().nanoseconds
+        now -= now % PERIOD + round(1e9 * self.age)  # a camera exposes by its own clock, however late it is served
         messages = []
         for make, content, late in (
             (color_message, self.image.color, 0.0),
