@@ -98,7 +98,7 @@ def test_a_charger_that_the_lock_does_not_know_is_found_over_ros_and_not_disturb
     assert first.end(signal.SIGTERM) == 0
 
 
-@pytest.mark.parametrize("presses", (1, 2))
+@pytest.mark.parametrize("presses", [1, 2])
 def test_ctrl_c_ends_dock_and_its_own_charger_with_130_and_one_object(run: Run, presses: int) -> None:
     dock = run("dock", "--json", "--no-picture")
     dock.wait_for_line(" s  contact ", dock.err)  # the phase: a log may speak of contact before
