@@ -198,7 +198,7 @@ def test_probe(rig: Rig) -> None:
 def test_a_held_lease_charges_and_an_open_ends_it(rig: Rig) -> None:
     rig.dock()
     rig.charge(0.6)
-    power = rig.power()
+    power = rig.client.powers[-1]
     assert power.contactor_closed
     assert power.charge_current == pytest.approx(1.0)
     rig.charge(0.1)

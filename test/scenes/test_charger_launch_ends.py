@@ -109,7 +109,7 @@ def test_a_node_that_may_restart_but_refuses_its_parameters_ends_the_charger(
     launched: Launch, namespace: str, tmp_path: Path
 ) -> None:
     scene = tmp_path / "mine.yaml"
-    text = QUICK.read_text(encoding="utf-8") + "  misalignment_node: {frames: 0}\n"
+    text = QUICK.read_text(encoding="utf-8").replace("{max_age: 1.0}", "{frames: 0}")
     scene.write_text(text, encoding="utf-8")
     process = launched(scene=scene, namespace=namespace)
     assert process.end() == 1

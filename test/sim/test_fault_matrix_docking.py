@@ -60,7 +60,7 @@ FAMILIES = (
     Family("board_reboot", (BORNE, "TACTILE_STALE"), "TACTILE_STALE", "POWER_STALE"),
     Family("board_unplugged", "TACTILE_STALE", "TACTILE_STALE", "POWER_STALE"),
     Family("board_trip", BORNE, BORNE, "OVERCURRENT", amount=9.0),
-    Family("board_corrupt", BORNE, BORNE, BORNE, amount=0.05),
+    Family("board_corrupt", BORNE, BORNE, BORNE, amount=0.01),
     Family("servo_watchdog", BORNE, BORNE, BORNE),
 )
 
