@@ -35,6 +35,7 @@ class Code(IntEnum):
     REJECTED = 101
     CANCELED = 102
     TIMEOUT = 103
+    DUPLICATE_SOURCE = 104
     ELECTRODES_NOT_FOUND = 201
     DETECTION_STALE = 202
     UNREACHABLE = 301
@@ -92,6 +93,10 @@ class Canceled(DockingError, code=Code.CANCELED, retriable=True):
 
 class PhaseTimeout(DockingError, TimeoutError, code=Code.TIMEOUT, retriable=True):
     """A phase or the whole docking took longer than its limit."""
+
+
+class DuplicateSource(DockingError, code=Code.DUPLICATE_SOURCE, retriable=True):
+    """A second node publishes or serves what docking works with. Example: another charger runs in this namespace."""
 
 
 class ElectrodesNotFound(DockingError, code=Code.ELECTRODES_NOT_FOUND, retriable=True):
@@ -201,6 +206,7 @@ REMEDIES: dict[Code, str] = {
     Code.REJECTED: "correct the goal, or wait for the running one",
     Code.CANCELED: "",
     Code.TIMEOUT: "see the phase in the message",
+    Code.DUPLICATE_SOURCE: "stop the second node, or give it its own namespace or ROS_DOMAIN_ID",
     Code.ELECTRODES_NOT_FOUND: "move the robot so that the camera sees the electrodes, or give coordinates",
     Code.DETECTION_STALE: "check the camera's rate and clocks",
     Code.UNREACHABLE: "move the robot to `suggested_base_pose`",
