@@ -16,8 +16,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
+from deltacharger_core.bounded_file import brief
+
 T = TypeVar("T")
 
+_LONGEST_KEY = 100  # characters that a message has of a key
 _KEY = "declaration"  # in the metadata of a field
 _KINDS = {bool: "true or false", str: "text", int: "a whole number", float: "a number"}
 
@@ -76,7 +79,7 @@ class Declaration:
         if not isinstance(self.default, tuple):
             return self._problem(value)
         if not isinstance(value, list | tuple):
-            return f"{value!r} is not a list"
+            return f"{brief(value)} is not a list"
         if self.kind is not str and len(value) != len(self.default):
             return f"has {len(value)} numbers; give {len(self.default)}"
         return next((problem for item in value if (problem := self._problem(item))), "")
@@ -84,14 +87,14 @@ class Declaration:
     def _problem(self, value: Any) -> str:
         allowed: Any = (int, float) if self.kind is float else self.kind
         if not isinstance(value, allowed) or (isinstance(value, bool) and self.kind is not bool):
-            return f"{value!r} is not {_KINDS[self.kind]}{self._range('; allowed are ')}"
+            return f"{brief(value)} is not {_KINDS[self.kind]}{self._range('; allowed are ')}"
         if self.choices and value not in self.choices:
-            return f"{value!r} is not one of {', '.join(self.choices)}"
+            return f"{brief(value)} is not one of {', '.join(self.choices)}"
         if self.kind not in (int, float):
             return ""
         if not math.isfinite(value):
-            return f"{value!r} is not finite{self._range('; allowed are ')}"
-        return "" if self.low <= value <= self.high else f"{value!r} is outside{self._range(' ')}"
+            return f"{brief(value)} is not finite{self._range('; allowed are ')}"
+        return "" if self.low <= value <= self.high else f"{brief(value)} is outside{self._range(' ')}"
 
     def _range(self, before: str) -> str:
         return f"{before}{self.low:.10g} to {self.high:.10g} {self.unit}".rstrip() if math.isfinite(self.low) else ""
@@ -189,13 +192,14 @@ def from_mapping(mapping: Any, cls: type[T], path: str = "") -> T:
         ParameterError: names the key, the value and what is allowed; for an unknown key the nearest known one.
     """
     if not isinstance(mapping, Mapping):
-        raise ParameterError(path or "(top)", mapping, f"{mapping!r} is not a mapping of keys to values")
+        raise ParameterError(path or "(top)", mapping, f"{brief(mapping)} is not a mapping of keys to values")
     hints = typing.get_type_hints(cls)
     names = [item.name for item in dataclasses.fields(cls)]  # type: ignore[arg-type]
     known = f"; known are {', '.join(names)}"
     values: dict[str, Any] = {}
     for key, value in mapping.items():
-        where = f"{path}.{key}" if path else str(key)
+        name = str(key) if len(str(key)) <= _LONGEST_KEY else brief(key)
+        where = f"{path}.{name}" if path else name
         if key not in names:
             raise ParameterError(where, value, f"unknown key{did_you_mean(key, names) or known}")
         values[key] = _convert(value, hints[key], where)
@@ -214,6 +218,6 @@ def _convert(value: Any, hint: Any, where: str) -> Any:
         return None if value is None else _convert(value, arguments[0], where)
     if origin is tuple:
         if not isinstance(value, list | tuple):
-            raise ParameterError(where, value, f"{value!r} is not a list")
+            raise ParameterError(where, value, f"{brief(value)} is not a list")
         return tuple(_convert(entry, arguments[0], f"{where}[{index}]") for index, entry in enumerate(value))
     return float(value) if hint is float and type(value) is int else value

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML as people mean it, for every file that one writes: `1e-3` is a number, and a key given twice is a mistake.
+"""YAML as people mean it, for every file that one writes: `1e-3` is a number, a key given twice is a mistake.
 
+What comes out is plain and bounded, whoever wrote the file: no aliases, dates or objects, whole numbers of 64 bits.
 PyYAML is loaded with the first file.
 """
 
@@ -12,7 +13,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from deltacharger_core.bounded_file import LARGEST_TEXT, brief, read_bytes
 from deltacharger_core.files import write_text
+
+_DEEPEST, _MOST = 30, 50_000  # levels; values and keys of a file
+_LONGEST_KEY, _LONGEST_NUMBER, _LONGEST_PROBLEM = 100, 100, 300  # characters
+_TAG = "tag:yaml.org,2002:"
+_SCALARS = ("null", "bool", "int", "float", "str")
 
 # YAML 1.1 calls 1e5 and 1e-3 strings, since it wants a dot and a sign; YAML 1.2 and people do not.
 _EXPONENT = re.compile(r"^[-+]?(?:[0-9][0-9_]*)(?:\.[0-9_]*)?[eE][-+]?[0-9]+$")
@@ -33,27 +40,33 @@ class YamlError(ValueError):
 
 
 def read_yaml(path: str | Path, *, first: bool = False) -> Any:
-    """Return the content of a YAML file.
+    """Return the content of a YAML file: None, truth values, numbers, text, and lists and mappings of these.
 
     Args:
         path: of the file.
         first: of several documents, such as an echoed topic's, take the first; otherwise there may be one only.
 
     Raises:
-        OSError: the file cannot be read.
-        YamlError: it is not YAML, a key is given twice or is no word.
+        OSError: the file cannot be read, or is no file of people: a folder, a device, larger than 1 MB.
+        YamlError: it is not YAML; a key is given twice or is no word; it holds an alias, a tag of another type, more
+            than 50 000 values, 30 levels or 64 bits of a whole number.
     """
     import yaml
 
+    content = read_bytes(path, LARGEST_TEXT)
     try:
-        text = Path(path).read_text(encoding="utf-8")
-        return next(yaml.load_all(text, Loader=_loader()), None) if first else yaml.load(text, Loader=_loader())
+        loader = _loader()(content.decode("utf-8"))
+        try:
+            node = loader.get_single_node() if not first else loader.get_node() if loader.check_node() else None
+            return None if node is None else loader.value(node)
+        finally:
+            loader.dispose()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""
-        raise YamlError(path, f"not valid YAML: {where}{error.problem}") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # also text in no UTF-8, and a 31st of February
-        raise YamlError(path, f"not valid YAML: {error}") from error
+        raise YamlError(path, f"not valid YAML: {where}{error.problem}"[:_LONGEST_PROBLEM]) from error
+    except (yaml.YAMLError, ValueError) as error:  # also text in no UTF-8
+        raise YamlError(path, f"not valid YAML: {error}"[:_LONGEST_PROBLEM]) from error
 
 
 def write_yaml(path: str | Path, content: Mapping[str, Any], comment: str = "") -> None:
@@ -75,26 +88,79 @@ def yaml_text(content: Mapping[str, Any]) -> str:
     """Return what `write_yaml` writes."""
     import yaml
 
-    return str(yaml.safe_dump(dict(content), sort_keys=False, default_flow_style=None, width=120))
+    class Dumper(yaml.SafeDumper):
+        def ignore_aliases(self, data: Any) -> bool:
+            return True  # which `read_yaml` refuses
+
+    return str(yaml.dump(dict(content), Dumper=Dumper, sort_keys=False, default_flow_style=None, width=120))
 
 
 @functools.cache
 def _loader() -> Any:
+    """Return a class that composes nodes within bounds, by libyaml where PyYAML has it, and tells what they mean."""
     import yaml
 
-    class Loader(yaml.SafeLoader):
-        pass
+    base: Any = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
+    construct = {f"{_TAG}{kind}": getattr(base, f"construct_yaml_{kind}") for kind in _SCALARS}
 
-    def mapping(loader: Any, node: Any) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key_node, _ in node.value:
-            key, mark = loader.construct_object(key_node, deep=True), key_node.start_mark
-            wrong = "is not a word" if not isinstance(key, str) else "is given twice" if key in seen else ""
-            if wrong:
-                raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} {wrong}", mark)
-            seen.add(key)
-        return dict(yaml.SafeLoader.construct_mapping(loader, node))
+    def refused(node: Any, problem: str) -> yaml.MarkedYAMLError:
+        return yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
 
-    Loader.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("-+0123456789"))
-    Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, mapping)
+    class Loader(base):  # type: ignore[misc]
+        def __init__(self, text: str) -> None:
+            super().__init__(text)
+            self.depth = self.count = 0
+            self.met: set[int] = set()  # nodes; which the tree keeps alive, so that none has another's id
+
+        def descend_resolver(self, parent: Any, index: Any) -> None:
+            """Called before each node is composed, deeper ones within it."""
+            self.depth, self.count = self.depth + 1, self.count + 1
+            if self.depth > _DEEPEST or self.count > _MOST:
+                much = f"nested deeper than {_DEEPEST} levels" if self.depth > _DEEPEST else f"more than {_MOST} values"
+                raise yaml.MarkedYAMLError(problem=much, problem_mark=parent.start_mark)
+
+        def ascend_resolver(self) -> None:
+            self.depth -= 1
+
+        def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
+            if kind is yaml.ScalarNode and len(value) > _LONGEST_NUMBER and implicit != (False, True):
+                implicit = (False, True)  # text, as if it stood in quotes
+            return super().resolve(kind, value, implicit)
+
+        def value(self, node: Any) -> Any:
+            """Return what a node means."""
+            if id(node) in self.met:
+                raise refused(node, "is used again by an alias; write it out in each place")
+            self.met.add(id(node))
+            kind = node.tag.removeprefix(_TAG)
+            if isinstance(node, yaml.MappingNode) and kind == "map":
+                return self.mapping(node)
+            if isinstance(node, yaml.SequenceNode) and kind == "seq":
+                return [self.value(each) for each in node.value]
+            if not isinstance(node, yaml.ScalarNode) or kind not in _SCALARS:
+                raise refused(node, f"the tag {brief(node.tag)} is not known; leave it out")
+            try:
+                found = construct[node.tag](self, node)
+            except (ValueError, LookupError) as error:
+                raise refused(node, f"{brief(node.value)} is not of the type of its tag {kind}") from error
+            if isinstance(found, int) and not -(2**63) <= found < 2**63:
+                raise refused(node, f"the whole number {brief(node.value)} has more than 64 bits")
+            return found
+
+        def mapping(self, node: Any) -> dict[str, Any]:
+            found: dict[str, Any] = {}
+            for key_node, value_node in node.value:
+                key = self.value(key_node)
+                wrong = "is not a word" if not isinstance(key, str) else "is given twice" if key in found else ""
+                wrong = wrong or ("is too long" if len(key) > _LONGEST_KEY else "")
+                if wrong:
+                    raise refused(key_node, f"the key {brief(key)} {wrong}")
+                found[key] = self.value(value_node)
+            return found
+
+    Loader.yaml_implicit_resolvers = {
+        first: [(tag, pattern) for tag, pattern in resolvers if tag.removeprefix(_TAG) in _SCALARS]
+        for first, resolvers in base.yaml_implicit_resolvers.items()
+    }
+    Loader.add_implicit_resolver(f"{_TAG}float", _EXPONENT, list("-+0123456789"))
     return Loader

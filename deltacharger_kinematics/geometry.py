@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from deltacharger_core.bounded_file import brief
 from deltacharger_core.parameters import Bounded, ParameterError, number, numbers
 
 Vector = tuple[float, float, float]
@@ -111,13 +112,13 @@ class DeltaGeometry(Bounded):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.joint_min < self.joint_max:
-            raise ParameterError("joint_min", self.joint_min, f"{self.joint_min!r} is not below joint_max")
+            raise ParameterError("joint_min", self.joint_min, f"{brief(self.joint_min)} is not below joint_max")
         if not all(low < high for low, high in zip(self.workspace_min, self.workspace_max, strict=True)):
             raise ParameterError(
-                "workspace_min", self.workspace_min, f"{self.workspace_min!r} is not below workspace_max"
+                "workspace_min", self.workspace_min, f"{brief(self.workspace_min)} is not below workspace_max"
             )
         if not isinstance(self.limbs, tuple) or [type(limb) for limb in self.limbs] != LIMB_COUNT * [LimbAdjustment]:
-            raise ParameterError("limbs", self.limbs, f"{self.limbs!r}: give a tuple of three LimbAdjustment")
+            raise ParameterError("limbs", self.limbs, f"{brief(self.limbs)}: give a tuple of three LimbAdjustment")
 
     @property
     def radius_difference(self) -> float:

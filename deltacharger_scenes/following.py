@@ -7,6 +7,7 @@ import operator
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from deltacharger_core.bounded_file import brief
 from deltacharger_sim.parameters import WorldParameters
 
 _GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
@@ -39,7 +40,10 @@ def contradictions(parameters: Mapping[str, Mapping[str, Any]], world: WorldPara
         for name, true in followed(node, world).items():
             if name in values and values[name] != true:
                 keys = ", ".join(f"simulation.world.{key}" for key in _FOLLOWS[node][name])
-                yield f"parameters.{node}.{name}", f"is {values[name]!r}, but {keys} is {true!r}; leave one of them out"
+                yield (
+                    f"parameters.{node}.{name}",
+                    f"is {brief(values[name])}, but {keys} is {true!r}; leave one of them out",
+                )
 
 
 def _value(world: WorldParameters, keys: tuple[str, ...]) -> Any:

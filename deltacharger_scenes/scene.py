@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
 from deltacharger_core import environment
+from deltacharger_core.bounded_file import brief
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import Bounded, ParameterError, did_you_mean, from_mapping, number, words
 from deltacharger_core.yaml_file import YamlError, read_yaml
@@ -245,7 +246,7 @@ def _simulation(scene: Scene) -> Problems:
 
 def _parameters(scene: Scene) -> Problems:
     if not isinstance(scene.parameters, Mapping):
-        yield "parameters", f"{scene.parameters!r} is not a mapping of keys to values"
+        yield "parameters", f"{brief(scene.parameters)} is not a mapping of keys to values"
     for name, values in scene.parameters.items():
         key = f"parameters.{name}"
         if name not in scene.nodes:
@@ -255,7 +256,7 @@ def _parameters(scene: Scene) -> Problems:
             yield key, "give parameters and values"
         for each, value in values.items():
             if not _is_parameter(value):
-                yield f"{key}.{each}", f"is {value!r}; give a number, a truth value, text or a list of one kind"
+                yield f"{key}.{each}", f"is {brief(value)}; give a number, a truth value, text or a list of one kind"
 
 
 def _is_parameter(value: Any) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
+from deltacharger_core.bounded_file import brief
 from deltacharger_vision.errors import CameraInfoError, ImageError
 
 COLOR, DEPTH, INFO = "color", "depth", "info"
@@ -63,7 +64,9 @@ class Intrinsics:
         self._check("cy", -self.height, 2 * self.height)
         for name in ("width", "height"):
             if int(getattr(self, name)) != getattr(self, name):
-                raise CameraInfoError("intrinsics", f"{name} = {getattr(self, name)!r} is not a whole number of pixels")
+                raise CameraInfoError(
+                    "intrinsics", f"{name} = {brief(getattr(self, name))} is not a whole number of pixels"
+                )
             object.__setattr__(self, name, int(getattr(self, name)))
         if len(self.distortion) not in (0, 5, 8):
             raise CameraInfoError(
@@ -72,14 +75,14 @@ class Intrinsics:
             )
         for coefficient in self.distortion:
             if not _is_number(coefficient) or not abs(coefficient) <= _COEFFICIENT:
-                raise CameraInfoError("intrinsics", f"distortion coefficient {coefficient!r}; calibrate anew")
+                raise CameraInfoError("intrinsics", f"distortion coefficient {brief(coefficient)}; calibrate anew")
         object.__setattr__(self, "distortion", tuple(float(coefficient) for coefficient in self.distortion))
 
     def _check(self, name: str, low: float, high: float) -> None:
         found = getattr(self, name)
         if not _is_number(found) or not low <= found <= high:
             raise CameraInfoError(
-                "intrinsics", f"{name} = {found!r} is outside {low:g}…{high:g} px; calibrate the camera anew"
+                "intrinsics", f"{name} = {brief(found)} is outside {low:g}…{high:g} px; calibrate the camera anew"
             )
 
     def matrix(self) -> Array:

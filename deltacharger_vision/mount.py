@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from deltacharger_core.arrays import Array
+from deltacharger_core.bounded_file import brief
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.rotation import rotation
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
@@ -120,10 +121,10 @@ class Mount:
             raise MountError(source, f"must be a mapping with {', '.join(_KEYS)}")
         unknown = [key for key in found if key not in _KEYS]
         if unknown:
-            raise MountError(source, f"unknown key {unknown[0]!r}; known: {', '.join(_KEYS)}")
+            raise MountError(source, f"unknown key {brief(unknown[0])}; known: {', '.join(_KEYS)}")
         for key, frame in (("frame", FRAME), ("camera_frame", CAMERA_FRAME)):
             if found.get(key, frame) != frame:
-                raise MountError(source, f"{key} is {found[key]!r}; this is the pose of {CAMERA_FRAME} in {FRAME}")
+                raise MountError(source, f"{key} is {brief(found[key])}; this is the pose of {CAMERA_FRAME} in {FRAME}")
         try:
             mount = Mount.from_numbers([*_numbers(found, "position", 3), *_numbers(found, "orientation", 4)])
             if "covariance" not in found:
@@ -221,7 +222,7 @@ def _rotation(q: Array) -> Array:
 
 def _independent(position: float, rotation: float) -> Array:
     if not (0.0 <= position <= _FARTHEST and 0.0 <= rotation <= math.pi):
-        raise MountError("stddev", f"{position!r} m and {rotation!r} rad; give 0…{_FARTHEST:g} m and 0…π rad")
+        raise MountError("stddev", f"{brief(position)} m and {brief(rotation)} rad; give 0…{_FARTHEST:g} m and 0…π rad")
     return np.diag([position**2] * 3 + [rotation**2] * 3)
 
 
@@ -229,6 +230,6 @@ def _numbers(found: Mapping[str, Any], key: str, count: int) -> list[float]:
     values = found.get(key)
     right = isinstance(values, list) and len(values) == count
     if not right or any(isinstance(value, bool) or not isinstance(value, numbers.Real) for value in values or ()):
-        raise MountError(key, f"is {values!r}; give {count} numbers")
+        raise MountError(key, f"is {brief(values)}; give {count} numbers")
     assert values is not None
     return [float(value) for value in values]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from deltacharger_core.bounded_file import brief
 from deltacharger_core.parameters import Declaration, ParameterError, did_you_mean
 from deltacharger_core.yaml_file import read_yaml
 from deltacharger_lab.campaigns.keys import DERIVED, TAKEN, known_keys
@@ -113,7 +114,7 @@ def parse_campaign_scene(content: Any, name: str, file: str = "") -> CampaignSce
             raise ParameterError(str(key), content[key], f"unknown key{known}")
     for key in ("name", "description"):
         if not isinstance(content.get(key, ""), str):
-            raise ParameterError(key, content[key], f"{content[key]!r} is not text")
+            raise ParameterError(key, content[key], f"{brief(content[key])} is not text")
     spreads = dict(_spreads(content))
     scene = CampaignScene(
         name=content.get("name", name),
@@ -149,7 +150,7 @@ def _leaves(value: Any, name: str, where: str) -> Iterator[tuple[str, Declaratio
         beside = sorted({key[len(parent) + 1 :].split(".")[0] for key in keys if key.startswith(f"{parent}.")})
         raise ParameterError(where, value, f"unknown key{did_you_mean(last, beside)}; known: {', '.join(beside)}")
     if not isinstance(value, Mapping):
-        raise ParameterError(where, value, f"{value!r} is no mapping of keys to values; known: {', '.join(below)}")
+        raise ParameterError(where, value, f"{brief(value)} is no mapping of keys to values; known: {', '.join(below)}")
     for key, item in value.items():
         yield from _leaves(item, f"{name}.{key}", f"{where}.{key}")
 
@@ -163,7 +164,7 @@ def _read_dockings(entries: Any, spreads: Mapping[str, Spread]) -> tuple[Mapping
     for index, entry in enumerate(entries):
         where = f"dockings[{index}]"
         if not isinstance(entry, Mapping):
-            raise ParameterError(where, entry, f"{entry!r} is no mapping of keys to values")
+            raise ParameterError(where, entry, f"{brief(entry)} is no mapping of keys to values")
         for key in entry:
             if key not in SECTIONS:
                 raise ParameterError(f"{where}.{key}", entry[key], f"unknown key{did_you_mean(key, SECTIONS)}")

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from deltacharger_core.bounded_file import brief
 from deltacharger_core.parameters import Declaration, ParameterError
 
 Value = float | bool
@@ -102,7 +103,7 @@ def read_spread(value: Any, key: Declaration, where: str) -> Spread:
         if set(value) == {"choose"}:
             choices = value["choose"]
             if not isinstance(choices, list | tuple) or not choices:
-                raise ParameterError(f"{where}.choose", choices, f"{choices!r} is not a list of values")
+                raise ParameterError(f"{where}.choose", choices, f"{brief(choices)} is not a list of values")
             checked = (_checked(key, item, f"{where}.choose[{index}]") for index, item in enumerate(choices))
             return Spread("choose", tuple(checked), key)
         if set(value) == {"mean", "stddev"} and key.kind is float:
@@ -110,16 +111,16 @@ def read_spread(value: Any, key: Declaration, where: str) -> Spread:
         if len(value) == 1 and {_LOG, _SIDES} & set(value) and key.kind is float:
             shape, ends = next(iter(value.items()))
             return _read_scale(shape, ends, key, where)
-        raise ParameterError(where, dict(value), f"{dict(value)!r} is no distribution; {HELP}")
+        raise ParameterError(where, dict(value), f"{brief(dict(value))} is no distribution; {HELP}")
     return Spread("fixed", (_checked(key, value, where),), key)
 
 
 def _read_range(value: Any, key: Declaration, where: str) -> Spread:
     if len(value) != 2 or key.kind is bool:
-        raise ParameterError(where, value, f"{value!r} is no range [low, high]; {HELP}")
+        raise ParameterError(where, value, f"{brief(value)} is no range [low, high]; {HELP}")
     low, high = (_checked(key, item, f"{where}[{index}]") for index, item in enumerate(value))
     if low > high:
-        raise ParameterError(where, value, f"{value!r} is empty: {low:g} is above {high:g}; give the lower one first")
+        raise ParameterError(where, value, f"{low:g} is above {high:g}; give the lower one first")
     return Spread("range", (low, high), key)
 
 
@@ -127,7 +128,7 @@ def _read_scale(shape: str, ends: Any, key: Declaration, where: str) -> Spread:
     """Return a spread over sizes: logarithmic, or linear with either sign."""
     where = f"{where}.{shape}"
     if not isinstance(ends, list | tuple):
-        raise ParameterError(where, ends, f"{ends!r} is no range [low, high]; {HELP}")
+        raise ParameterError(where, ends, f"{brief(ends)} is no range [low, high]; {HELP}")
     low, high = _read_range(ends, key, where).numbers
     if shape == _LOG and low <= 0.0:
         raise ParameterError(where, ends, f"{low!r} has no logarithm; give numbers above 0")
@@ -143,6 +144,6 @@ def _read_normal(value: Mapping[str, Any], key: Declaration, where: str) -> Spre
     known = not isinstance(stddev, bool) and isinstance(stddev, int | float)
     if not known or not 0.0 <= stddev <= key.high - key.low:
         raise ParameterError(
-            f"{where}.stddev", stddev, f"{stddev!r} is outside 0 to {key.high - key.low:g} {key.unit}".rstrip()
+            f"{where}.stddev", stddev, f"{brief(stddev)} is outside 0 to {key.high - key.low:g} {key.unit}".rstrip()
         )
     return Spread("normal", (mean, float(stddev)), key)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import Array, Mask
+from deltacharger_core.bounded_file import brief
 from deltacharger_core.machine import PADS
 from deltacharger_core.parameters import did_you_mean
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
@@ -206,10 +207,10 @@ def _from_mapping(content: Any) -> TactileCalibration:
     keys = ("version", *_PLAIN, "load_shift", "bias", "bias_stddev", "dead", "gain")
     _keys("the file", content, keys)
     if content["version"] != VERSION:
-        raise SensorCalibrationError("version", f"{content['version']!r} is not {VERSION}; calibrate anew")
+        raise SensorCalibrationError("version", f"{brief(content['version'])} is not {VERSION}; calibrate anew")
     for name, kind in _PLAIN.items():
         if type(content[name]) is not kind:
-            raise SensorCalibrationError(name, f"{content[name]!r} is not of type {kind.__name__}")
+            raise SensorCalibrationError(name, f"{brief(content[name])} is not of type {kind.__name__}")
     _keys("gain", content["gain"], SIDES)
     _keys("bias", content["bias"], AXES)
     _keys("bias_stddev", content["bias_stddev"], AXES)
@@ -256,6 +257,6 @@ def _taxels(value: Any) -> Mask:
     for place in value if isinstance(value, list) else [value]:
         numbers = isinstance(place, list) and len(place) == len(SHAPE) and all(type(part) is int for part in place)
         if not numbers or not all(0 <= part < size for part, size in zip(place, SHAPE, strict=True)):
-            raise SensorCalibrationError("dead", f"{place!r} is not [pad 0–1, row 0–9, column 0–9]")
+            raise SensorCalibrationError("dead", f"{brief(place)} is not [pad 0–1, row 0–9, column 0–9]")
         dead[tuple(place)] = True
     return dead

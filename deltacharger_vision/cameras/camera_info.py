@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from deltacharger_core.bounded_file import brief
 from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import Intrinsics
@@ -54,7 +55,8 @@ def _distortion(source: str, coefficients: list[float], model: str) -> tuple[flo
         return ()
     if model not in _LONGEST:
         raise CameraInfoError(
-            source, f"distortion model {model!r}; known: {', '.join(_LONGEST)}, none: rectify the image or recalibrate"
+            source,
+            f"distortion model {brief(model)}; known: {', '.join(_LONGEST)}, none: rectify the image or recalibrate",
         )
     longest = _LONGEST[model]
     if any(coefficients[longest:]):
@@ -69,10 +71,10 @@ def _numbers(source: str, name: str, found: Any) -> list[float]:
     try:
         items = list(found)
     except TypeError as error:
-        raise CameraInfoError(source, f"the {name} must be a list of numbers, not {found!r}") from error
+        raise CameraInfoError(source, f"the {name} must be a list of numbers, not {brief(found)}") from error
     wrong = [item for item in items if isinstance(item, bool) or not isinstance(item, numbers.Real)]
     if wrong:
-        raise CameraInfoError(source, f"the {name} holds {wrong[0]!r}, which is not a number")
+        raise CameraInfoError(source, f"the {name} holds {brief(wrong[0])}, which is not a number")
     return [float(item) for item in items]
 
 

@@ -61,7 +61,7 @@ def write(folder: Path, text: str) -> Path:
         ("name: 3\nnodes: [docking_node]", "name", "3 is not text"),
         ("", "", "is empty"),
         ("- 1", "", "is a list"),
-        ("a: [", "", "not valid YAML: line 1"),
+        ("a: [", "", "not valid YAML: line"),
     ],
 )
 def test_a_bad_scene_names_its_file_its_key_and_the_remedy(tmp_path: Path, text: str, key: str, says: str) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
+from deltacharger_core.yaml_file import write_yaml
 from deltacharger_tactile import PoseEstimator, default_model
 from deltacharger_tactile.calibration.faults import KnownDockings, compare_tares, find, select
 from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT, Parts, fit, judge, predict
@@ -290,7 +291,7 @@ def test_a_damaged_file_is_refused_by_its_key(tmp_path: Path, change: dict[str, 
     path = tmp_path / "pads.yaml"
     full().save(path)
     content = yaml.safe_load(path.read_text(encoding="utf-8")) | change
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    write_yaml(path, content)
     with pytest.raises(SensorCalibrationError, match=named) as caught:
         TactileCalibration.load(path)
     assert str(path) in str(caught.value)
