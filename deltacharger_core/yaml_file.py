@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from deltacharger_core.bounded_file import LARGEST_TEXT, brief, read_bytes
+from deltacharger_core.bounded_file import LARGEST_TEXT, FileRefused, brief, read_bytes
 from deltacharger_core.files import write_text
 
 _DEEPEST, _MOST = 30, 50_000  # levels; values and keys of a file
@@ -47,13 +47,16 @@ def read_yaml(path: str | Path, *, first: bool = False) -> Any:
         first: of several documents, such as an echoed topic's, take the first; otherwise there may be one only.
 
     Raises:
-        OSError: the file cannot be read, or is no file of people: a folder, a device, larger than 1 MB.
-        YamlError: it is not YAML; a key is given twice or is no word; it holds an alias, a tag of another type, more
-            than 50 000 values, 30 levels or 64 bits of a whole number.
+        OSError: the file cannot be read.
+        YamlError: it is no file, larger than 1 MB or not YAML; a key is given twice or is no word; it holds an alias,
+            a tag of another type, more than 50 000 values, 30 levels or 64 bits of a whole number.
     """
     import yaml
 
-    content = read_bytes(path, LARGEST_TEXT)
+    try:
+        content = read_bytes(path, LARGEST_TEXT)
+    except FileRefused as error:
+        raise YamlError(path, str(error.strerror)) from error
     try:
         loader = _loader()(content.decode("utf-8"))
         try:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import os
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_core.array_file import ArrayError, read_array
+from deltacharger_core.bounded_file import FileRefused, open_file, read_bytes
 from deltacharger_vision.errors import ImageError
 from deltacharger_vision.images import COLOR, DEPTH, Intrinsics, RgbdImage
 
@@ -17,6 +21,10 @@ CAMERA_INFO = "camera_info.yaml"
 """Name of the intrinsics' file beside the images of a folder."""
 PICTURES = (".png", ".jpg", ".jpeg")
 _DEPTHS = (".png", ".npy")
+_LARGEST, _LARGEST_DECODED = 64 * 2**20, 48 * 2**20  # bytes; the second is 4096 × 4096 px of colour
+_PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # markers of the segments that tell the size
+_SCAN, _MOST_SCANS = b"\xff\xda", 100  # a progressive JPEG is decoded anew with each scan
 
 
 @dataclass(frozen=True)
@@ -173,21 +181,45 @@ def _named(folder: Path, ending: str, suffixes: tuple[str, ...]) -> dict[str, Pa
 def _decoded(path: Path) -> NDArray[Any]:
     """Return an image file as OpenCV decodes it: (H, W), (H, W, 3) BGR or (H, W, 4) BGRA."""
     cv2 = require_opencv()
-    data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    if not data.size:
-        raise ImageError(str(path), "is empty; take the image anew")
     try:
-        pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    except cv2.error:  # such as more pixels than OpenCV decodes
+        data = read_bytes(path, _LARGEST)
+    except FileRefused as error:
+        raise ImageError(str(path), f"{error.strerror}; give PNG or JPEG") from error
+    if not data:
+        raise ImageError(str(path), "is empty; take the image anew")
+    width, height, each = _claimed(data)
+    if width * height * each > _LARGEST_DECODED:
+        allowed = f"{_LARGEST_DECODED // 2**20} MB: more than any camera takes; give a smaller image"
+        raise ImageError(str(path), f"has {width} × {height} px of {each} bytes, and decodes to more than {allowed}")
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if each else None
+    except cv2.error:
         pixels = None
     if pixels is None:
         raise ImageError(str(path), "is no image, or damaged; give PNG or JPEG")
     return np.asarray(pixels)
 
 
+def _claimed(data: bytes) -> tuple[int, int, int]:
+    """Return width, height and decoded bytes per pixel as the header of a PNG or JPEG says; 0, 0, 0 of other data."""
+    if data.startswith(_PNG) and data[12:16] == b"IHDR" and len(data) >= 26:
+        width, height, bits, colors = struct.unpack_from(">IIBB", data, 16)
+        return width, height, (1 if colors == 0 else 3 if colors == 2 else 4) * (2 if bits == 16 else 1)
+    at = 2 if data.startswith(b"\xff\xd8") and data.count(_SCAN) <= _MOST_SCANS else len(data)
+    while at + 9 <= len(data) and data[at] == 0xFF:
+        marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
+        if marker in _JPEG_SIZES:
+            height, width = struct.unpack_from(">HH", data, at + 5)
+            return width, height, 3
+        at += 1 if marker == 0xFF else 2 + length
+    return 0, 0, 0
+
+
 def _array(path: Path) -> NDArray[Any]:
     try:
-        with path.open("rb") as file:
-            return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
-    except (ValueError, EOFError, MemoryError) as error:
+        with open_file(path, _LARGEST) as file:
+            return read_array(file, os.fstat(file.fileno()).st_size)
+    except FileRefused as error:
+        raise ImageError(str(path), f"{error.strerror}; write one with numpy.save") from error
+    except ArrayError as error:
         raise ImageError(str(path), f"is no NPY file ({error}); write it with numpy.save") from error

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from deltacharger_core.bounded_file import read_bytes
 from deltacharger_core.files import append_text
 from deltacharger_kinematics.calibration.data import Encoder
 from deltacharger_kinematics.calibration.plan import PlannedPose
 from deltacharger_kinematics.calibration.table import (
     AXES,
     HELD_OUT,
+    LARGEST_FILE,
     MILLIMETRE,
     TICKS,
     CalibrationError,
@@ -44,14 +46,13 @@ class PoseRecording:
         if not self._path.exists():
             self._write(f"{encoder.statement}{','.join(COLUMNS)}\n")
             return
-        content = self._path.read_bytes()
         table = read_table(self._path)
         if table.names != COLUMNS or table.decimal_comma:
             raise CalibrationError(f"{path} is no recording of --measure: give a new file, or one that --measure began")
         if Encoder(**table.stated) != encoder:
             raise CalibrationError(f"{path} was recorded with other zero ticks or directions: give a new file")
         self.done = {int(number) for number in table.column("pose")}
-        if content and not content.endswith(b"\n"):
+        if not read_bytes(self._path, LARGEST_FILE).endswith(b"\n"):
             self._write("\n")
 
     def append(self, pose: PlannedPose, ticks: Vector, position: Vector) -> None:

@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import csv
 import difflib
+import io
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from deltacharger_core.arrays import Array
+from deltacharger_core.bounded_file import FileRefused, read_bytes
 
 Triple = tuple[int, int, int]
 
@@ -43,8 +45,9 @@ PLAN_COLUMNS = (
 """What a plan tells the person or program that moves the arm; no measurement, so nothing here is read."""
 KNOWN = (*(name for group in POSITION_COLUMNS for name in group), *TICKS, *DEGREES, *RADIANS, HELD_OUT, *PLAN_COLUMNS)
 
-_LARGEST_FILE = 10_000_000  # bytes; far beyond what anybody measures
-_MOST_ROWS = 10_000
+LARGEST_FILE = 4 * 2**20
+"""Bytes of a file; far beyond what anybody measures."""
+_MOST_LINES, _MOST_ROWS, _LONGEST_LINE = 100_000, 10_000, 10_000
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _STATEMENT = re.compile(r"#\s*(zero_ticks|direction)\b(.*)")
 
@@ -102,10 +105,12 @@ def read_table(path: str | Path, known: Sequence[str] = KNOWN, page: str = "docs
         page: which tells of them.
     """
     header: list[str] = []
-    rows, lines = [], []
+    rows, lines = list[dict[str, str]](), list[int]()
     stated: dict[str, Triple] = {}
     delimiter = ","
-    for line, text in enumerate(re.split(r"\r\n|\n|\r", _decoded(Path(path))), start=1):
+    for line, text in _lines(Path(path)):
+        if len(rows) == _MOST_ROWS:
+            raise CalibrationError(f"more than {_MOST_ROWS} rows: give one row per measured pose")
         bare = text.strip().lstrip('"').lstrip()
         if bare.startswith("#"):
             stated |= _statement(bare, line)
@@ -127,18 +132,16 @@ def read_table(path: str | Path, known: Sequence[str] = KNOWN, page: str = "docs
             )
         rows.append(dict(zip(header, cells, strict=True)))
         lines.append(line)
-    if len(rows) > _MOST_ROWS:
-        raise CalibrationError(f"{len(rows)} rows are more than {_MOST_ROWS}: give one row per measured pose")
     if not header:
         raise CalibrationError(f"the file is empty: give a header row, see {page}")
     return Table(tuple(header), tuple(rows), tuple(lines), stated, delimiter != ",")
 
 
 def _decoded(path: Path) -> str:
-    with path.open("rb") as file:
-        content = file.read(_LARGEST_FILE + 1)
-    if len(content) > _LARGEST_FILE:
-        raise CalibrationError(f"the file is larger than {_LARGEST_FILE // 1_000_000} MB: give the measured poses only")
+    try:
+        content = read_bytes(path, LARGEST_FILE)
+    except FileRefused as error:
+        raise CalibrationError(f"{error.strerror}: give the measured poses only") from error
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise CalibrationError("the file is UTF-16: save it as 'CSV UTF-8'")
     try:
@@ -149,6 +152,14 @@ def _decoded(path: Path) -> str:
     if "\0" in text:
         raise CalibrationError("the file holds zero bytes, so it is no text: save it as 'CSV UTF-8'")
     return text
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the number and the text of each line."""
+    for line, text in enumerate(io.StringIO(_decoded(path), newline=None), start=1):
+        if line > _MOST_LINES or len(text) > _LONGEST_LINE:
+            raise CalibrationError(f"line {line} is too long or one too many: is this a table of poses?", [line])
+        yield line, text.removesuffix("\n")
 
 
 def _cells(text: str, delimiter: str, line: int) -> list[str]:
