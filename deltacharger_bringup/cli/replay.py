@@ -14,7 +14,8 @@ from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_core import environment
 from deltacharger_core.mcap_file import McapFile, RecordingError
-from deltacharger_records.recording.folder import ABOUT, END, PARTIAL, SUFFIX
+from deltacharger_records.recording.folder import END
+from deltacharger_records.recording.own import ABOUT, PARTIAL, SUFFIX, look
 
 
 def add_replay(parser: argparse.ArgumentParser) -> None:
@@ -65,7 +66,8 @@ def _file(options: argparse.Namespace, path: Path) -> int:
 def _folder(options: argparse.Namespace, folder: Path) -> int:
     if options.picture:
         raise CommandError("--picture draws one record; name a file, not a folder", WRONG_INPUT)
-    entries = [_entry(path) for path in sorted(folder.iterdir()) if path.name.endswith((SUFFIX, PARTIAL))]
+    names = sorted(path for path in folder.iterdir() if path.name.endswith((SUFFIX, PARTIAL)))
+    entries = [_entry(path) for path in names if not path.name.startswith(".")]
     if options.json:
         write_json({"folder": str(folder), "records": entries})
         return DONE
@@ -76,19 +78,25 @@ def _folder(options: argparse.Namespace, folder: Path) -> int:
             tell(f"{entry['file']}: {entry['problem']}")
             continue
         size = entry["bytes"] / 1e6
+        alone = f"; the recorder leaves it alone: {entry['left_alone']}" if entry["left_alone"] else ""
         tell(
             f"{_when(round(entry['time'] * 1e9))}  {entry['duration']:9.1f} s  {size:7.2f} MB  "
-            f"{entry['outcome']:<22} {entry['request_id'] or '–'}  ({entry['file']})"
+            f"{entry['outcome']:<22} {entry['request_id'] or '–'}  ({entry['file']}{alone})"
         )
     return DONE
 
 
 def _entry(path: Path) -> dict[str, Any]:
-    entry: dict[str, Any] = {"file": path.name, "bytes": path.stat().st_size, "problem": ""}
+    entry: dict[str, Any] = {"file": path.name, "bytes": 0, "problem": "", "left_alone": ""}
+    nothing = {"time": math.nan, "duration": math.nan, "outcome": "", "request_id": ""}
     try:
+        seen = look(path)
+        entry |= {"bytes": seen.size, "left_alone": seen.problem}
+        if not seen.identity:  # nothing that can be read
+            return entry | {"problem": seen.problem} | nothing
         file = McapFile(path)
     except (RecordingError, OSError) as error:
-        return entry | {"problem": str(error), "time": math.nan, "duration": math.nan, "outcome": "", "request_id": ""}
+        return entry | {"problem": str(error)} | nothing
     about, end = (file.told(name) or [{}] for name in (ABOUT, END))
     return entry | {
         "time": file.first * 1e-9,

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +12,15 @@ from typing import Any, BinaryIO
 
 from rclpy.serialization import deserialize_message
 
+from deltacharger_core.files import flush
 from deltacharger_core.mcap_file import Raw, RecordingError
 from deltacharger_docking.codes import Code
 from deltacharger_records.node_parameters import with_geometry
 from deltacharger_records.recording.docking_topics import ALWAYS, DECISION, STATE
-from deltacharger_records.recording.folder import ABOUT, END, PARAMETERS, RESULT, RecordFolder
+from deltacharger_records.recording.folder import END, PARAMETERS, RESULT, RecordFolder
 from deltacharger_records.recording.gate import Gate
 from deltacharger_records.recording.mcap_recording import McapStream, pack
+from deltacharger_records.recording.own import ABOUT, head
 from deltacharger_records.recording.session import Seen, Session
 from deltacharger_ros.outcomes import Outcome
 
@@ -76,6 +77,11 @@ class DockingRecorder:
     def path(self) -> Path | None:
         """The file being written, None where there is none."""
         return self._file.path if self._file is not None else None
+
+    @property
+    def passed_by(self) -> Mapping[str, str]:
+        """What stands in the folder under a record's name and is left alone: the reason by its name."""
+        return self._folder.passed_by
 
     def take(self, now: float, message: Raw) -> None:
         """Take one message."""
@@ -143,9 +149,15 @@ class DockingRecorder:
         self._flushed = self._pruned = now
         held = self._gate.open()
         with self._failing():
-            path, stream = self._folder.create(message.received * 1e-9, seen.request_id)
-            self._file = _File(path, stream, McapStream(stream, self._kinds, live=True))
-        self._tell(ABOUT, {**self._about, "request_id": seen.request_id, "began": str(message.received)})
+            about = head(self._about, message.received, seen.request_id)
+            path, stream = self._folder.create(message.received, seen.request_id)
+            try:
+                mcap = McapStream(stream, self._kinds, live=True, told=[(ABOUT, about)])
+                flush(stream)  # whatever happens from here on, it shows that the file is ours
+            except OSError:
+                self._folder.forget(path, stream)
+                raise
+            self._file = _File(path, stream, mcap)
         self._write(held)
 
     def _end(self) -> None:
@@ -158,13 +170,16 @@ class DockingRecorder:
             self._tell(END, {"ending": ending, "state": str(last.state), "message": last.message, "dropped": dropped})
             with self._failing():
                 file.mcap.finish()
-                os.fsync(file.stream.fileno())
+                flush(file.stream)
                 if last.at_home and not (self._code or self._session.went_out):  # undocked where nothing was docked
-                    file.path.unlink(missing_ok=True)
+                    self._folder.forget(file.path, file.stream)
                 else:
-                    path = self._folder.finish(file.path, ending)
-                    with contextlib.suppress(OSError, RecordingError):  # then it stays as large as it is
-                        pack(path, self._kinds)
+                    path = self._folder.finish(file.path, file.stream, ending)
+                    with (
+                        contextlib.suppress(OSError, RecordingError),  # then it stays as large as it is
+                        self._folder.rewriting(path, file.stream) as packed,
+                    ):
+                        pack(path, packed, self._kinds)
                 file.stream.close()
                 self._folder.prune()
         self._file = None

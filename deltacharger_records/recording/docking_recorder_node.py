@@ -37,6 +37,7 @@ _POLL = 0.02  # s between looks at the topics
 _TICK = 0.2  # s between looks at the clock
 _DIAGNOSTICS = 1.0  # s
 _GOALS_MAX = 100  # goals whose results were asked for
+_NAMED_MAX = 10  # files left alone that are named, in the log over all and in a message
 _ID = slice(4, 20)  # of the goal in a feedback's CDR, behind its head
 
 
@@ -66,6 +67,7 @@ class DockingRecorderNode(Node):
         )
         self._state = topics[STATE]
         self._feedback = {topics[f"{action}/_action/feedback"]: action for action in ACTIONS}
+        self._named: set[str] = set()
         self._asked: deque[bytes] = deque(maxlen=_GOALS_MAX)
         self._told: deque[Callable[[], None]] = deque()
         self._stopping = threading.Event()
@@ -149,7 +151,20 @@ class DockingRecorderNode(Node):
             text = f"recording {recorder.path.name}"
         if recorder.problem:
             level, text = ERROR, recorder.problem
-        self._diagnostics.tell(level, text, {"folder": self._folder_path})
+        left_alone = [f"{name!a}: {why}" for name, why in recorder.passed_by.items()]
+        for each in left_alone[:_NAMED_MAX]:
+            if each not in self._named and len(self._named) < _NAMED_MAX:
+                self._named.add(each)
+                self.get_logger().warning(f"left alone in {self._folder_path}: {each}")
+        self._diagnostics.tell(
+            level,
+            text,
+            {
+                "folder": self._folder_path,
+                "left_alone": "; ".join(left_alone[:_NAMED_MAX]),
+                "left_alone_count": len(left_alone),
+            },
+        )
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -1,45 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of records: names in and of them, and a bound on how many there are and how much they take."""
+"""The folder of records: a bound on how many there are and how much they take. What is not ours is never touched."""
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import fcntl
+import itertools
 import os
-import re
-import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from deltacharger_core.files import sync_folder
+from deltacharger_core.files import flush, sync_folder
+from deltacharger_records.recording.own import PARTIAL, SUFFIX, Look, base_name, is_named_like_one, look
 
-SUFFIX = ".mcap"
-PARTIAL = ".mcap.partial"
-ABOUT, RESULT, PARAMETERS, END = "deltacharger", "result", "docking_parameters", "end"
-"""Names of a record's metadata: what recorded it, how each goal ended, what docking decides by, how all ended."""
-_STAMP = "%Y%m%dT%H%M%SZ"
-_NAME = re.compile(r"^(?P<time>\d{8}T\d{6}Z)(?:-(?P<rest>[^/]+?))?\.mcap(?P<partial>\.partial)?$")
-_UNSAFE = re.compile(r"[^A-Za-z0-9_.]+")
-_ID_MAX = 60  # characters of a request id in a name
-
-
-def safe_id(request_id: str) -> str:
-    """Return a request id as part of a file's name: letters, digits, points and underscores, not too many."""
-    return _UNSAFE.sub("_", request_id).strip("._")[:_ID_MAX]
-
-
-def is_record(path: Path) -> bool:
-    """Whether a file has a record's name, ended or not; anything else in the folder is somebody else's."""
-    return _NAME.match(path.name) is not None
+RESULT, PARAMETERS, END = "result", "docking_parameters", "end"
+"""Names of a record's metadata: how each goal ended, what docking decides by, how all ended."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A record in the folder: its file, size (bytes) and whether its docking is under way."""
+    """A record in the folder: its file, size (bytes), whether its docking is under way, and which file it is."""
 
     path: Path
     size: int
     under_way: bool
+    identity: tuple[int, ...]
 
 
 class RecordFolder:
@@ -49,18 +37,24 @@ class RecordFolder:
         path: of the folder; made where there is none.
         max_files: records in it, those under way among them.
         max_bytes: that they take.
+
+    Attributes:
+        passed_by: what bears a record's name and is left alone, as it is none of ours or cannot be removed: the reason
+            by its name, of the last look.
     """
 
     def __init__(self, path: Path, max_files: int, max_bytes: int) -> None:
         self.path = path
+        self.passed_by: dict[str, str] = {}
         self._max_files = max_files
         self._max_bytes = max_bytes
+        self._known: dict[str, Look] = {}
 
-    def create(self, wall: float, request_id: str) -> tuple[Path, BinaryIO]:
+    def create(self, began: int, request_id: str) -> tuple[Path, BinaryIO]:
         """Make room and open the file of a docking that begins, locked for as long as it is open.
 
         Args:
-            wall: when, s since 1970.
+            began: when, ns since 1970.
             request_id: of the goal.
 
         Raises:
@@ -68,85 +62,140 @@ class RecordFolder:
         """
         self.path.mkdir(parents=True, exist_ok=True)
         self.prune(coming=1)
-        base = "-".join(filter(None, (time.strftime(_STAMP, time.gmtime(wall)), safe_id(request_id))))
-        number = 1
+        names = _numbered(base_name(began, request_id), PARTIAL)
         while True:
-            path = self.path / f"{base}{'' if number == 1 else f'-{number}'}{PARTIAL}"
-            try:
-                stream = path.open("xb")
-            except FileExistsError:
-                number += 1
-                continue
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return path, stream
+            path = self.path / next(names)
+            with contextlib.suppress(FileExistsError):
+                return path, _open_new(path)
 
-    def finish(self, partial: Path, code: str) -> Path:
-        """Give a record that is complete its name.
+    def finish(self, partial: Path, stream: BinaryIO, code: str) -> Path:
+        """Give a record that is complete its name; what has that name already keeps it.
 
         Args:
-            partial: its file.
+            partial, stream: its file.
             code: by which the docking ended.
 
         Raises:
             OSError: the folder cannot be written.
         """
-        base = f"{partial.name.removesuffix(PARTIAL)}-{code}"
-        path, number = self.path / f"{base}{SUFFIX}", 1
-        while path.exists():
-            number += 1
-            path = self.path / f"{base}-{number}{SUFFIX}"
-        partial.rename(path)
+        _require_same(partial, stream)
+        names = _numbered(f"{partial.name.removesuffix(PARTIAL)}-{code}", SUFFIX)
+        while True:
+            path = self.path / next(names)
+            try:
+                os.link(partial, path, follow_symlinks=False)  # a rename would take the place of what is there
+            except FileExistsError:
+                continue
+            except OSError:  # a file system without links
+                if os.path.lexists(path):
+                    continue
+                partial.rename(path)
+            else:
+                partial.unlink()
+            sync_folder(self.path)
+            return path
+
+    def forget(self, partial: Path, stream: BinaryIO) -> None:
+        """Remove a record that is being written; arguments and errors as of `finish`."""
+        _require_same(partial, stream)
+        partial.unlink()
+
+    @contextlib.contextmanager
+    def rewriting(self, path: Path, stream: BinaryIO) -> Iterator[BinaryIO]:
+        """Yield a file that takes the place of a record at the end of the block; where that raises, nothing changes.
+
+        Args:
+            path, stream: of the record.
+
+        Raises:
+            OSError: the folder cannot be written, or something stands in the way.
+        """
+        beside = path.with_name(f".{path.name.removesuffix(SUFFIX)}{PARTIAL}")
+        with _open_new(beside) as new:
+            try:
+                yield new
+                flush(new)
+                _require_same(path, stream)
+                beside.replace(path)
+            except BaseException:
+                beside.unlink(missing_ok=True)
+                raise
         sync_folder(self.path)
-        return path
 
     def entries(self) -> list[Entry]:
-        """Return the records, oldest first.
+        """Return our records, oldest first.
 
         Raises:
             OSError: the folder cannot be read.
         """
-        found = []
-        for path in sorted(self.path.iterdir()):
-            if not is_record(path):
+        found, known = list[Entry](), dict[str, Look]()
+        self.passed_by = {}
+        for name in sorted(os.listdir(self.path), key=lambda name: name.removeprefix(".")):
+            if not is_named_like_one(name):
                 continue
             try:
-                found.append(Entry(path, path.stat().st_size, _is_under_way(path)))
+                seen = look(self.path / name, self._known.get(name))
             except FileNotFoundError:  # another recorder forgot or renamed it meanwhile
                 continue
+            known[name] = seen
+            if not seen.problem:
+                found.append(Entry(self.path / name, seen.size, seen.under_way, seen.identity))
+            elif not seen.under_way:  # another recorder has opened it and not yet said what it is
+                self.passed_by[name] = seen.problem
+        self._known = known
         return found
 
     def prune(self, coming: int = 0) -> list[Path]:
         """Remove the oldest records until the bounds hold, and return them; one under way is never among them.
 
+        What a recorder left that was killed while it packed goes too: the record itself is there.
+
         Args:
             coming: records that are about to be made.
 
         Raises:
-            OSError: the folder cannot be written.
+            OSError: the folder cannot be read.
         """
         entries = self.entries()
         count, size = len(entries) + coming, sum(entry.size for entry in entries)
         removed = []
         for entry in entries:
-            if count <= self._max_files and size <= self._max_bytes:
-                break
-            if entry.under_way:
+            within = count <= self._max_files and size <= self._max_bytes
+            if entry.under_way or (within and not entry.path.name.startswith(".")):
                 continue
-            entry.path.unlink(missing_ok=True)
-            removed.append(entry.path)
-            count, size = count - 1, size - entry.size
+            if self._remove(entry):
+                removed.append(entry.path)
+                count, size = count - 1, size - entry.size
         return removed
 
-
-def _is_under_way(path: Path) -> bool:
-    """Whether a recorder has the file open; the lock of one that was killed is gone with it."""
-    if not path.name.endswith(PARTIAL):
-        return False
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        return False
-    except OSError:  # taken, or locks cannot be had here: then better one file too many
+    def _remove(self, entry: Entry) -> bool:
+        try:
+            if look(entry.path).identity != entry.identity:  # somebody changed it since
+                return False
+            entry.path.unlink()
+        except FileNotFoundError:  # another recorder was quicker
+            return True
+        except OSError as error:
+            self.passed_by[entry.path.name] = f"it cannot be removed: {error.strerror}"
+            return False
         return True
-    finally:
-        os.close(descriptor)
+
+
+def _numbered(base: str, suffix: str) -> Iterator[str]:
+    """Yield names until one is free."""
+    yield base + suffix
+    for number in itertools.count(2):
+        yield f"{base}-{number}{suffix}"
+
+
+def _open_new(path: Path) -> BinaryIO:
+    """Return a file that was not there, locked for as long as it is open."""
+    stream = path.open("xb")
+    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    return stream
+
+
+def _require_same(path: Path, stream: BinaryIO) -> None:
+    """Raise FileNotFoundError where another file than ours has its name."""
+    if not os.path.samestat(path.lstat(), os.fstat(stream.fileno())):
+        raise FileNotFoundError(errno.ENOENT, "somebody moved the record that was being written", str(path))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -19,6 +19,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from deltacharger_core.files import whole
 from deltacharger_core.mcap_file import McapFile, Raw, RecordingError, require_mcap
+from deltacharger_records.recording.own import LIBRARY
 
 _SEPARATOR = "=" * 80
 _FIELD = re.compile(r"^\s*([A-Za-z]\w*(?:/\w+)?)(?:<=\d+)?(?:\[[^\]]*\])?\s+\w+")
@@ -34,20 +35,30 @@ class McapStream:
         stream: to write to.
         kinds: message class of each topic, by its full name.
         live: write message by message, so that what was flushed outlives this process; False = in chunks.
+        told: metadata by name, in the order in which they stand behind the header, before anything else.
 
     Raises:
         RecordingError: mcap is not installed, or the .msg files of a message are not.
         OSError: the file cannot be written.
     """
 
-    def __init__(self, stream: BinaryIO, kinds: Mapping[str, Any], *, live: bool) -> None:
+    def __init__(
+        self,
+        stream: BinaryIO,
+        kinds: Mapping[str, Any],
+        *,
+        live: bool,
+        told: Iterable[tuple[str, Mapping[str, str]]] = (),
+    ) -> None:
         require_mcap()
         from mcap.writer import Writer
 
         self._stream = stream
         self._channels: dict[str, int] = {}
         self._writer: Any = Writer(stream, use_chunking=not live)
-        self._writer.start(profile="ros2", library="deltacharger")
+        self._writer.start(profile="ros2", library=LIBRARY)
+        for name, values in told:
+            self.tell(name, values)
         for topic, message in kinds.items():
             schema = self._writer.register_schema(type_name(message), "ros2msg", schema_text(message).encode())
             self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
@@ -110,11 +121,12 @@ class McapWriter(McapStream):
             self.finish()
 
 
-def pack(path: Path, kinds: Mapping[str, Any]) -> None:
-    """Rewrite what McapStream wrote one by one in chunks: a third of the size, and `ros2 bag` plays it by time.
+def pack(path: Path, stream: BinaryIO, kinds: Mapping[str, Any]) -> None:
+    """Write again in chunks what McapStream wrote one by one: a third of the size, and `ros2 bag` plays it by time.
 
     Args:
-        path: of the file, which stays as it is until the new one is on the disk.
+        path: of the file.
+        stream: to write to.
         kinds: message class of each topic, by its full name.
 
     Raises:
@@ -122,11 +134,10 @@ def pack(path: Path, kinds: Mapping[str, Any]) -> None:
         OSError: the disk does not take it.
     """
     file = McapFile(path)
-    with McapWriter(path, kinds) as writer:
-        for message in file.messages():
-            writer.add(message)
-        for name, values in file.metadata:
-            writer.tell(name, values)
+    writer = McapStream(stream, kinds, live=False, told=file.metadata)
+    for message in file.messages():
+        writer.add(message)
+    writer.finish()
 
 
 def decode(data: bytes, kind: Any) -> Any:

@@ -13,7 +13,8 @@ from typing import Any
 
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_records.node_parameters import known_settings, recorded_settings
-from deltacharger_records.recording.folder import ABOUT, END, RESULT
+from deltacharger_records.recording.folder import END, RESULT
+from deltacharger_records.recording.own import ABOUT
 from deltacharger_records.replay.file import Recording
 from deltacharger_records.replay.run_builder import RunBuilder
 from deltacharger_records.replay.run_record import Run

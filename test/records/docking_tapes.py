@@ -19,8 +19,9 @@ from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.ros.messages import unknown
 from deltacharger_records.recording.docking_topics import TOPICS
-from deltacharger_records.recording.folder import ABOUT, PARAMETERS, RESULT
+from deltacharger_records.recording.folder import PARAMETERS, RESULT
 from deltacharger_records.recording.mcap_recording import McapWriter
+from deltacharger_records.recording.own import ABOUT
 from deltacharger_ros.outcomes import Outcome
 from deltacharger_scenes.scene import Scene
 

@@ -32,8 +32,9 @@ pytest.importorskip("mcap", reason="records with deltacharger[record]")
 from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
 from deltacharger_records.recording.docking_recorder import DockingRecorder, gate_for
-from deltacharger_records.recording.folder import PARTIAL, RecordFolder
+from deltacharger_records.recording.folder import RecordFolder
 from deltacharger_records.recording.mcap_recording import McapStream
+from deltacharger_records.recording.own import PARTIAL
 from deltacharger_records.recording.session import LOST_AFTER
 from deltacharger_records.replay.record import Replay, replay
 from deltacharger_records.replay.words import why
@@ -191,6 +192,19 @@ def test_a_full_disk_ends_recording_and_leaves_what_is_on_it(tmp_path: Path, mon
     found = replay(only(tmp_path))
     assert found.recording.damage
     assert found.phases[-1].state == "measure"
+
+
+def test_a_disk_that_is_full_when_a_docking_begins_keeps_nothing_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("deltacharger_records.recording.docking_recorder.flush", full)
+    recording = recorder(tmp_path)
+    play(recording, docking())
+    assert "No space left" in recording.problem
+    assert list(tmp_path.iterdir()) == []
 
 
 _KILLED = """

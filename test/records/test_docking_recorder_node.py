@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 from collections.abc import Iterator
@@ -22,7 +23,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from deltacharger_records.recording.docking_recorder_node import DockingRecorderNode
-from deltacharger_records.recording.folder import PARTIAL
+from deltacharger_records.recording.own import PARTIAL
 from deltacharger_records.replay.record import Replay, replay
 from deltacharger_records.replay.words import why
 from deltacharger_ros import qos
@@ -40,6 +41,7 @@ from ..nodes import options
 
 pytestmark = pytest.mark.ros
 
+STRANGE = "20260101T000000Z-my_bag_of_yesterday.mcap"
 PLACE = Pose(0.0, 0.0, 0.080)
 
 
@@ -52,6 +54,7 @@ class Cell:
         self.states: list[str] = []
         self.decisions: list[str] = []
         self.diagnostics: list[str] = []
+        self.left_alone = ""
         self.composition = Composition(with_recorder(patient(scene), str(folder)), context, self.namespace)
         self.client = ChargerClient(self.namespace, context)
         node = Node("listener", **options(context, self.namespace))
@@ -72,6 +75,7 @@ class Cell:
         for status in message.status:
             if status.name == f"/{self.namespace}/{RECORDER}":
                 self.diagnostics.append(status.message)
+                self.left_alone = {each.key: each.value for each in status.values}["left_alone"]
 
     def forget(self) -> None:
         self.states, self.decisions = self.states[-1:], []
@@ -105,7 +109,10 @@ class Cell:
 
 @pytest.fixture(scope="module")
 def cell(quick_scene: Scene, context: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
-    made = Cell(quick_scene, context, tmp_path_factory.mktemp("records"))
+    folder = tmp_path_factory.mktemp("records")
+    (folder / STRANGE).write_text("mine")
+    os.mkfifo(folder / "20260101T000000Z.mcap")
+    made = Cell(quick_scene, context, folder)
     yield made
     made.close()
 
@@ -161,6 +168,9 @@ def test_a_docking_is_recorded_as_its_client_saw_it(cell: Cell) -> None:
     assert found.run.touches[-1].frames is not None
     assert found.run.motion.arrays()["time"][0] < 0.0, "it begins before the goal"
     assert why(found).startswith("Docked and charging in ")
+    assert (cell.folder / STRANGE).read_text() == "mine"
+    assert f"'{STRANGE}': docking_recorder_node did not write it" in cell.left_alone
+    assert "'20260101T000000Z.mcap': it is a pipe" in cell.left_alone
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import signal
 import subprocess
@@ -88,10 +89,12 @@ def test_packing_what_was_written_live_changes_its_size_alone(tmp_path: Path) ->
         writer.flush()
         assert McapFile(path).counts["/a/tactile_frame"] == 300, "a kill loses nothing that was flushed"
         with pytest.raises(DamagedRecording, match=CUT_SHORT):
-            pack(path, KINDS)
+            pack(path, io.BytesIO(), KINDS)
         writer.finish()
     size = path.stat().st_size
-    pack(path, KINDS)
+    packed = io.BytesIO()
+    pack(path, packed, KINDS)
+    path.write_bytes(packed.getvalue())
     file = McapFile(path)
     assert list(file.messages()) == written
     assert file.told("docking") == [{"attempt": "3"}]

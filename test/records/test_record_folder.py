@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import socket
+from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -10,25 +14,47 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deltacharger_records.recording.folder import PARTIAL, RecordFolder, is_record, safe_id
+pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
-WALL = 1_795_000_000.0
+from mcap.writer import Writer
+
+from deltacharger_core.files import flush
+from deltacharger_records.recording.folder import RecordFolder
+from deltacharger_records.recording.mcap_recording import McapStream
+from deltacharger_records.recording.own import ABOUT, PARTIAL, head, is_named_like_one, look, safe_id
+
+BEGAN = 1_795_000_000 * 10**9
+SECOND = 10**9
+NAME = "20261118T110640Z-id_0-OK.mcap"
+"""Of the record that `make` makes first."""
 
 
 def make(folder: RecordFolder, number: int, size: int, ends: bool) -> tuple[Path, BinaryIO]:
-    path, stream = folder.create(WALL + number, f"id {number}")
+    """Make a record of `size` bytes behind its head."""
+    began, request = BEGAN + number * SECOND, f"id {number}"
+    path, stream = folder.create(began, request)
+    McapStream(stream, {}, live=True, told=[(ABOUT, head({"version": "0"}, began, request))])
     stream.write(b"x" * size)
-    stream.flush()
+    flush(stream)
     if ends:
-        path = folder.finish(path, "OK")
+        path = folder.finish(path, stream, "OK")
         stream.close()
     return path, stream
 
 
+def contents(folder: Path) -> dict[str, object]:
+    """Return what stands in a folder, with what a file holds and when it was changed."""
+    return {
+        path.name: (path.read_bytes() if path.is_file() else None, path.lstat().st_mtime_ns, path.lstat().st_mode)
+        for path in folder.iterdir()
+    }
+
+
 def test_the_name_tells_when_for_whom_and_how_it_ended(tmp_path: Path) -> None:
     path, _ = make(RecordFolder(tmp_path, 9, 10**9), 0, 1, ends=True)
-    assert path.name == "20261118T110640Z-id_0-OK.mcap"
-    assert is_record(path)
+    assert path.name == NAME
+    assert is_named_like_one(NAME)
+    assert look(path).problem == ""
 
 
 @pytest.mark.parametrize(
@@ -46,16 +72,30 @@ def test_a_request_id_cannot_leave_the_folder(given_: str, name: str) -> None:
     assert safe_id(given_) == name
 
 
+@pytest.mark.parametrize("request_id", ["", "r/1", "-7-OK", "é" * 5000, "/" * 1200 + "abc", "a\nb\x1b[2J", "\udcff"])
+def test_whatever_a_goal_is_called_its_record_is_ours(tmp_path: Path, request_id: str) -> None:
+    request_id = request_id.encode(errors="replace").decode()  # as a message brings it
+    folder = RecordFolder(tmp_path, 9, 10**9)
+    for _ in range(2):
+        path, stream = folder.create(BEGAN, request_id)
+        about = head({"version": "0", "scene": "é" * 5000, "namespace": "/" + "a" * 5000}, BEGAN, request_id)
+        McapStream(stream, {}, live=True, told=[(ABOUT, about)])
+        flush(stream)
+        assert look(path).problem == ""
+        assert look(folder.finish(path, stream, "CRITICAL_ANGLE")).problem == ""
+
+
 def test_two_dockings_in_one_second_are_two_records(tmp_path: Path) -> None:
     folder = RecordFolder(tmp_path, 9, 10**9)
     paths = {make(folder, 0, 1, ends)[0] for ends in (True, True, False, False)}
     assert len(paths) == len(list(tmp_path.iterdir())) == 4
+    assert len(folder.entries()) == 4
 
 
 @settings(deadline=None, max_examples=60)
 @given(
     st.integers(1, 5),
-    st.integers(100, 1000),
+    st.integers(200, 1500),
     st.lists(st.tuples(st.integers(0, 400), st.booleans()), min_size=1, max_size=12),
 )
 def test_the_bounds_hold_but_for_dockings_under_way(
@@ -93,7 +133,135 @@ def test_what_a_killed_recorder_left_is_a_record_like_others(tmp_path: Path) -> 
     assert not left.name.endswith(PARTIAL)
 
 
+def test_what_a_recorder_left_that_was_killed_while_it_packed_goes_alone(tmp_path: Path) -> None:
+    folder = RecordFolder(tmp_path, 9, 10**9)
+    path, stream = make(folder, 0, 10, ends=True)
+    beside = tmp_path / f".{path.name}.partial"
+    with beside.open("xb") as packing, pytest.raises(FileExistsError), folder.rewriting(path, stream):
+        pytest.fail("somebody packs it already")
+    shutil.copyfile(path, beside)
+    assert folder.prune() == [beside]
+    assert [each.path for each in folder.entries()] == [path]
+    assert packing.closed
+
+
 def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
     (tmp_path / "records").write_text("a file")
     with pytest.raises(OSError, match="records"):
-        RecordFolder(tmp_path / "records", 9, 10**9).create(WALL, "")
+        RecordFolder(tmp_path / "records", 9, 10**9).create(BEGAN, "")
+
+
+def _bag(path: Path, library: str, told: str = "") -> None:
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", library)
+        if told:
+            writer.add_metadata(told, {"request_id": "id 0", "began": str(BEGAN)})
+        writer.finish()
+
+
+def _socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind(f"/proc/self/cwd/{os.path.relpath(path)}" if len(str(path)) > 100 else str(path))
+
+
+def _record(path: Path) -> None:
+    """Put a record of ours there, under a name that somebody gave it."""
+    with path.open("wb") as stream:
+        McapStream(stream, {}, live=True, told=[(ABOUT, head({}, BEGAN, "id 0"))])
+
+
+FOREIGN: dict[str, Callable[[Path], object]] = {
+    "empty": lambda path: path.write_bytes(b""),
+    "text": lambda path: path.write_text("my bag of yesterday"),
+    "zeros": lambda path: path.write_bytes(bytes(5000)),
+    "a recording of ros2 bag": lambda path: _bag(path, "libmcap 1.3"),
+    "a recording of ours, not of a docking": lambda path: _bag(path, "deltacharger", "docking"),
+    "somebody who tells what we tell": lambda path: _bag(path, "libmcap", ABOUT),
+    "a record that somebody renamed": _record,
+    "a folder": Path.mkdir,
+    "a pipe": os.mkfifo,
+    "a socket": _socket,
+    "a dangling link": lambda path: path.symlink_to("nowhere"),
+    "a link to a record": lambda path: path.symlink_to(NAME),
+    "a link to itself": lambda path: path.symlink_to(path),
+}
+names_like_ours = st.builds(
+    "{}{}{}{}".format,
+    st.sampled_from(["", "."]),
+    st.sampled_from(
+        [f"{day}Z" for day in ("20260101T000000", "20261118T110640", "20261118T110641", "00000000T000000")]
+    ),
+    st.sampled_from(["", "-my_bag_of_yesterday", "-id_0-keep", "-id_0-OK-keep", "-id_1-OK (copy)", "-\n\x1b[2J", "-2"]),
+    st.sampled_from([".mcap", ".mcap.partial", ".MCAP", ".mcap.bak"]),
+)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.dictionaries(names_like_ours, st.sampled_from(sorted(FOREIGN)), max_size=12), st.integers(1, 4))
+def test_nothing_that_is_not_ours_changes_counts_or_stops_a_record(
+    tmp_path_factory: pytest.TempPathFactory, foreign: dict[str, str], files: int
+) -> None:
+    path = tmp_path_factory.mktemp("records")
+    for name, kind in foreign.items():
+        FOREIGN[kind](path / name)
+    before = contents(path)
+    first, second = RecordFolder(path, files, 10**9), RecordFolder(path, files, 10**9)
+    made = [make((first, second)[number % 2], number, 10, ends=True)[0] for number in range(5)]
+    first.prune()
+    assert [entry.path for entry in second.entries()] == made[-files:], "the newest of both, as many as may be"
+    after = contents(path)
+    assert {name: after.get(name) for name in before} == before
+    assert len(after) == len(before) + files
+    named = {name for name in before if is_named_like_one(name)}
+    assert set(second.passed_by) == named
+    assert all(second.passed_by.values())
+
+
+@pytest.mark.parametrize("kind", [name for name in FOREIGN if name != "a record that somebody renamed"])
+def test_what_stands_in_the_way_of_a_name_is_gone_around(tmp_path: Path, kind: str) -> None:
+    folder = RecordFolder(tmp_path, 9, 10**9)
+    for name in (NAME, NAME.replace("-OK.mcap", PARTIAL)):
+        FOREIGN[kind](tmp_path / name)
+    before = contents(tmp_path)
+    path, _ = make(folder, 0, 10, ends=True)
+    assert path.name == "20261118T110640Z-id_0-2-OK.mcap"
+    after = contents(tmp_path)
+    assert {name: after[name] for name in before} == before
+    assert [entry.path for entry in folder.entries()] == [path]
+
+
+def test_a_record_that_somebody_put_another_file_in_place_of_is_not_ours_any_more(tmp_path: Path) -> None:
+    folder = RecordFolder(tmp_path, 9, 10**9)
+    path, stream = make(folder, 0, 10, ends=False)
+    path.rename(tmp_path / "mine")
+    path.write_text("mine, too")
+    before = contents(tmp_path)
+    with stream:
+        for end in (folder.forget, lambda *file: folder.finish(*file, "OK")):
+            with pytest.raises(FileNotFoundError, match="somebody moved"):
+                end(path, stream)
+    assert contents(tmp_path) == before
+
+
+def test_what_cannot_be_removed_is_named_and_the_next_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = RecordFolder(tmp_path, 9, 10**9)
+    stuck, next_, *_ = (make(folder, number, 10, ends=True)[0] for number in range(3))
+    unlink = Path.unlink
+
+    def refuse(path: Path, missing_ok: bool = False) -> None:
+        if path == stuck:
+            raise PermissionError(1, "Operation not permitted")
+        unlink(path, missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    small = RecordFolder(tmp_path, 2, 10**9)
+    assert small.prune() == [next_]
+    assert small.passed_by == {stuck.name: "it cannot be removed: Operation not permitted"}
+
+
+def test_a_copied_folder_is_a_folder_of_records(tmp_path: Path) -> None:
+    folder = RecordFolder(tmp_path / "a", 9, 10**9)
+    made = [make(folder, number, 10, ends=True)[0] for number in range(3)]
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
+    assert [path.name for path in RecordFolder(tmp_path / "b", 1, 10**9).prune()] == [path.name for path in made[:2]]
