@@ -11,6 +11,7 @@ import errno
 import os
 import reprlib
 import stat
+import sys
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -98,12 +99,12 @@ def read_text(path: str | Path, largest: int = LARGEST_TEXT) -> str:
         raise FileRefused(path, f"byte {error.start} is not UTF-8; save the file as UTF-8") from error
 
 
-def sha256(path: str | Path, largest: int) -> str:
-    """Return the digest of a regular file in hexadecimal digits; arguments and errors as of `open_file`."""
+def sha256(path: str | Path) -> str:
+    """Return the digest of a regular file of any size in hexadecimal digits; errors as of `open_file`."""
     import hashlib
 
     digest = hashlib.sha256()
-    with open_file(path, largest) as file:
+    with open_file(path, sys.maxsize) as file:
         while block := file.read(_BLOCK):
             digest.update(block)
     return digest.hexdigest()

@@ -7,16 +7,29 @@ Messages stay the bytes that came over the wire (CDR); who has ROS decodes them.
 
 from __future__ import annotations
 
-import struct
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
+
+from deltacharger_core.bounded_file import open_file
+from deltacharger_core.mcap_records import (
+    ATTACHMENT,
+    CHANNEL,
+    LARGEST_FILE,
+    MESSAGE,
+    METADATA,
+    METADATA_INDEX,
+    SCHEMA,
+    STATISTICS,
+    EndsEarly,
+    Records,
+)
 
 CUT_SHORT = "the file ends early: its recorder was stopped"
 """Why reading ended in a file that is whole as far as it goes."""
 
-_LARGEST = 2**28  # bytes of one record of the file; more is damage
+_LONGEST = 300  # characters of a reason
 
 
 class RecordingError(RuntimeError):
@@ -80,7 +93,9 @@ class McapFile:
         self.metadata: list[tuple[str, dict[str, str]]] = []
         self.first = self.last = 0
         self.damage = ""
-        if path.stat().st_size == 0:
+        with open_file(path, LARGEST_FILE) as stream:
+            empty = not stream.read(1)
+        if empty:
             raise RecordingError(f"{path} is empty: its recorder was stopped before it had written anything")
         if not self._read_index():
             self._look_through()
@@ -95,14 +110,12 @@ class McapFile:
         Raises:
             DamagedRecording: the file ends early, or is damaged from here on.
         """
-        from mcap.records import Channel, Message
-
         names: dict[int, str] = {}
-        for record in self._records():
-            if isinstance(record, Channel) and (not topics or record.topic in topics):
+        for opcode, record in self._walk():
+            if opcode == CHANNEL and (not topics or record.topic in topics):
                 names[record.id] = record.topic
-            elif isinstance(record, Message) and record.channel_id in names:
-                yield Raw(names[record.channel_id], record.log_time, record.publish_time, record.data)
+            elif opcode == MESSAGE and record.channel in names:
+                yield Raw(names[record.channel], record.received, record.published, bytes(record.data))
 
     def attachments(self) -> dict[str, bytes]:
         """Return the attached files by name.
@@ -110,55 +123,50 @@ class McapFile:
         Raises:
             DamagedRecording: they cannot be read.
         """
-        from mcap.reader import make_reader
-
-        with self.path.open("rb") as stream:
-            try:
-                return {each.name: each.data for each in make_reader(stream).iter_attachments()}
-            except Exception as error:
-                raise DamagedRecording(self.path, f"the file is damaged: {error}") from error
+        return {record.name: record.data for _, record in self._walk((ATTACHMENT,))}
 
     def _read_index(self) -> bool:
         """Take what stands at the end of a file that was ended; return whether it tells everything."""
-        from mcap.reader import make_reader
-
-        with self.path.open("rb") as stream:
-            try:
-                reader = make_reader(stream)
-                summary = reader.get_summary()
-                statistics = summary.statistics if summary is not None else None
-                if summary is None or statistics is None or len(summary.channels) != statistics.channel_count:
+        try:
+            with open_file(self.path, LARGEST_FILE) as stream:
+                records = Records(stream)
+                summary = records.summary()
+                schemas, channels, places = (summary.get(kind, []) for kind in (SCHEMA, CHANNEL, METADATA_INDEX))
+                (statistics,) = summary[STATISTICS]
+                counts = statistics.channel_message_counts
+                if len(channels) != statistics.channel_count or len(places) != statistics.metadata_count:
                     return False
-                if len(summary.metadata_indexes) != statistics.metadata_count:
+                if sum(counts.values()) != statistics.message_count or not counts.keys() <= {c.id for c in channels}:
                     return False
-                metadata = [(each.name, dict(each.metadata)) for each in reader.iter_metadata()]
-            except Exception:  # cut short, damaged or no MCAP file, which looking through it tells
-                return False
-        for number, channel in summary.channels.items():
-            self._meet(channel, summary.schemas.get(channel.schema_id))
-            self.counts[channel.topic] += statistics.channel_message_counts.get(number, 0)
-        self.metadata = metadata
+                metadata = [records.read(each.offset, METADATA) for each in places]
+        except OSError:
+            raise
+        except Exception:  # cut short, damaged or no MCAP file, which looking through it tells
+            return False
+        named = {schema.id: schema for schema in schemas}
+        for channel in channels:
+            self._meet(channel, named.get(channel.schema_id))
+            self.counts[channel.topic] += counts.get(channel.id, 0)
+        self.metadata = [(each.name, dict(each.metadata)) for each in metadata]
         self.first, self.last = statistics.message_start_time, statistics.message_end_time
         return True
 
     def _look_through(self) -> None:
-        from mcap.records import Channel, Message, Metadata, Schema
-
         schemas, topics, begun = dict[int, Any](), dict[int, str](), False
         try:
-            for record in self._records():
+            for opcode, record in self._walk():
                 begun = True
-                if isinstance(record, Schema):
+                if opcode == SCHEMA:
                     schemas[record.id] = record
-                elif isinstance(record, Channel):
+                elif opcode == CHANNEL:
                     topics[record.id] = record.topic
                     self._meet(record, schemas.get(record.schema_id))
-                elif isinstance(record, Metadata):
+                elif opcode == METADATA:
                     self.metadata.append((record.name, dict(record.metadata)))
-                elif isinstance(record, Message) and record.channel_id in topics:
-                    self.counts[topics[record.channel_id]] += 1
-                    self.first = min(self.first or record.log_time, record.log_time)
-                    self.last = max(self.last, record.log_time)
+                elif opcode == MESSAGE and record.channel in topics:
+                    self.counts[topics[record.channel]] += 1
+                    self.first = min(self.first or record.received, record.received)
+                    self.last = max(self.last, record.received)
         except DamagedRecording as error:
             if not begun:
                 raise RecordingError(f"{self.path} is no MCAP file") from error
@@ -168,20 +176,17 @@ class McapFile:
         self.types.setdefault(channel.topic, schema.name if schema else "")
         self.definitions.setdefault(channel.topic, schema.data.decode(errors="replace") if schema else "")
 
-    def _records(self) -> Iterator[Any]:
+    def _walk(self, wanted: Collection[int] = ()) -> Iterator[tuple[int, Any]]:
         """Yield the records of the file from its beginning."""
-        from mcap.exceptions import EndOfFile, InvalidMagic
-        from mcap.stream_reader import StreamReader
-
-        with self.path.open("rb") as stream:
+        with open_file(self.path, LARGEST_FILE) as stream:
             try:
-                yield from StreamReader(stream, validate_crcs=True, record_size_limit=_LARGEST).records
-            except (EndOfFile, InvalidMagic, struct.error) as error:
+                yield from Records(stream).walk(wanted)
+            except EndsEarly as error:
                 raise DamagedRecording(self.path, CUT_SHORT) from error
             except OSError:
                 raise
-            except Exception as error:  # damage raises what zstandard, lz4, zlib or mcap raise
-                raise DamagedRecording(self.path, f"the file is damaged from here on: {error}") from error
+            except Exception as error:  # damage raises what zstandard, lz4, struct or mcap raise
+                raise DamagedRecording(self.path, f"the file is damaged from here on: {error}"[:_LONGEST]) from error
 
 
 def require_mcap() -> None:

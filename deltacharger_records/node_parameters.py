@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
@@ -13,7 +12,8 @@ from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
-from deltacharger_core.mcap_file import McapFile
+from deltacharger_core.bounded_file import parse_json
+from deltacharger_core.mcap_file import McapFile, RecordingError
 from deltacharger_core.parameters import from_mapping
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
@@ -88,9 +88,16 @@ def known_settings(told: Mapping[str, Any]) -> tuple[DockingParameters, DeltaGeo
 
 
 def recorded_settings(file: McapFile) -> tuple[DockingParameters, DeltaGeometry] | None:
-    """Return the settings that a record tells; None where they were not recorded."""
+    """Return the settings that a record tells; None where they were not recorded.
+
+    Raises:
+        RecordingError: they are none.
+    """
     told = file.told(PARAMETERS)
-    return known_settings({name: json.loads(text) for name, text in told[-1].items()}) if told else None
+    try:
+        return known_settings({name: parse_json(text) for name, text in told[-1].items()}) if told else None
+    except (ValueError, TypeError) as error:
+        raise RecordingError(f"{file.path}: docking_node's parameters in it are refused: {error}") from error
 
 
 def _of(kind: Any, told: Mapping[str, Any]) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from deltacharger_bringup.cli.files import file_to_write
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, say, tell_or_write, wrong_input
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_bringup.cli.types import between, whole
+from deltacharger_core.bounded_file import sha256
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.calibration.table import MILLIMETRE
@@ -289,7 +289,7 @@ def _about(options: argparse.Namespace, board: Board, judged: _Judged) -> dict[s
         "by": "deltacharger calibrate camera",
         "date": f"{datetime.datetime.now(datetime.timezone.utc):%Y-%m-%dT%H:%MZ}",
         "views": Path(options.views).absolute().name,
-        "sha256": hashlib.sha256((Path(options.views) / VIEWS).read_bytes()).hexdigest(),
+        "sha256": sha256(Path(options.views) / VIEWS),
         "geometry": Path(options.geometry).name if options.geometry else "built-in",
         "board": board.name,
         "board_size": board.length,

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import hashlib
 import math
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from deltacharger_bringup.cli.files import file_to_write
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, tell_or_write
 from deltacharger_bringup.cli.parser import namespace_option
 from deltacharger_bringup.cli.types import SEED, between, whole
+from deltacharger_core.bounded_file import sha256
 from deltacharger_kinematics.calibration.calibrate import GeometryCalibration, calibrate, describe
 from deltacharger_kinematics.calibration.checks import named
 from deltacharger_kinematics.calibration.data import Encoder, read_measurements
@@ -100,7 +100,7 @@ def _fit(options: argparse.Namespace) -> int:
     with refusing(options.data):
         measurements = read_measurements(options.data, encoder_of(options))
         found = calibrate(measurements, nominal, uncertainty, options.held_out, options.seed)
-    digest = hashlib.sha256(Path(options.data).read_bytes()).hexdigest()
+    digest = sha256(options.data)
     doubts = _doubts(found)
 
     def save(path: str) -> None:

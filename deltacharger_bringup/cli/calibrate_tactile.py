@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import datetime
-import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from deltacharger_bringup.cli.calibration import conclude
 from deltacharger_bringup.cli.files import file_to_read, file_to_write
 from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError, wrong_input
 from deltacharger_bringup.cli.types import whole
+from deltacharger_core.bounded_file import sha256
 from deltacharger_tactile import MODEL_PATH
 from deltacharger_tactile.calibration import faults as sensor_faults
 from deltacharger_tactile.calibration import fit as sensor_calibration_fit
@@ -86,7 +86,7 @@ def _calibrate(data: Dataset, model: PoseEstimator, options: argparse.Namespace)
         fit.calibration,
         sensor=str(data.meta.get("sensor", "")),
         date=f"{datetime.datetime.now(datetime.timezone.utc):%Y-%m-%dT%H:%MZ}",
-        data=hashlib.sha256(Path(options.data).read_bytes()).hexdigest(),
+        data=sha256(options.data),
         simulated=data.simulated,
     )
     fit = dataclasses.replace(fit, calibration=stamped)

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from deltacharger_core.bounded_file import brief, parse_json
 from deltacharger_core.version import package_version
 from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 
@@ -67,7 +68,14 @@ class CampaignSettings:
         Raises:
             ValueError, TypeError, KeyError: it is no such record.
         """
-        return CampaignSettings(**json.loads(text))
+        read = CampaignSettings(**parse_json(text))
+        kinds = {"seed": int, "approach": str, "exact": bool, "scene": dict, "scene_name": str, "versions": dict}
+        for name, kind in ({"n": int} | kinds).items():
+            if type(value := getattr(read, name)) is not kind:
+                raise ValueError(f"{name} is {brief(value)}")
+        if read.n < 0:
+            raise ValueError(f"n is {read.n}")
+        return read
 
     def differences(self, other: CampaignSettings) -> list[tuple[str, str, str]]:
         """Return what differs in `other` from these, each as (what, value here, value there); more dockings may be."""

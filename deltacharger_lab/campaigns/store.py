@@ -6,14 +6,19 @@ from __future__ import annotations
 import fcntl
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, BinaryIO
 
+from deltacharger_core.bounded_file import open_file, read_text
 from deltacharger_core.files import forget_unfinished, whole, write_text
 from deltacharger_lab.campaigns.docking import columns
 from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, CampaignSettings, scene_of
 
 SETTINGS = "_campaign.json"
 """Readers of Parquet folders pass over names that begin with _."""
+_LARGEST_PART, _MOST_TEXT = 64 * 2**20, 64 * 2**20  # bytes
+_MOST_VALUES = 1_000_000  # of a file; a batch of 50 rows has 5000
+_LIMITS = {"thrift_string_size_limit": 2**20, "thrift_container_size_limit": 10_000}
+_LONGEST_PROBLEM = 300  # characters
 _LOCK = "_lock"
 
 
@@ -118,7 +123,9 @@ def read_settings(folder: Path) -> CampaignSettings:
     """
     path = folder / SETTINGS
     try:
-        return CampaignSettings.from_json(path.read_text(encoding="utf-8"))
+        settings = CampaignSettings.from_json(read_text(path))
+        scene_of(settings.to_json())  # which every reader of it asks for
+        return settings
     except FileNotFoundError as error:
         raise CampaignRefused(f"{folder} holds no campaign: {SETTINGS} is missing") from error
     except (ValueError, TypeError, KeyError, OSError) as error:
@@ -156,11 +163,45 @@ def read_parts(folder: Path, names: Sequence[str]) -> Iterator[dict[str, list[An
     pyarrow = require_pyarrow()
     for path in sorted(folder.glob("part-*.parquet")):
         try:
-            yield pyarrow.parquet.ParquetFile(path).read(columns=list(names)).select(list(names)).to_pydict()
-        except (pyarrow.ArrowException, KeyError, OSError) as error:
+            with open_file(path, _LARGEST_PART) as stream:
+                yield _read_part(pyarrow, stream, list(names))
+        except Exception as error:  # of damaged files pyarrow raises whatever it stumbles over
+            problem = f"{error}"[:_LONGEST_PROBLEM]
             raise CampaignError(
-                f"{path} cannot be read: {error}; remove it, and the same command runs it again"
+                f"{path} cannot be read: {problem}; remove it, and the same command runs it again"
             ) from error
+
+
+def _read_part(pyarrow: Any, stream: BinaryIO, names: list[str]) -> dict[str, list[Any]]:
+    """Return the named columns of a file, whose metadata are compared with what such a file may be before it is read.
+
+    Texts are read as numbers of an own list of texts, so that one that comes again a million times takes no memory.
+    """
+    file = pyarrow.parquet.ParquetFile(stream, **_LIMITS)
+    meta, kinds = file.metadata, file.schema_arrow
+    texts = [name for name in names if kinds.field(name).type == pyarrow.string()]
+    numbers = (pyarrow.int64(), pyarrow.float64(), pyarrow.bool_(), pyarrow.string())
+    if any(kinds.field(name).type not in numbers for name in names) or meta.num_rows * meta.num_columns > _MOST_VALUES:
+        raise ValueError("it holds other things than rows of a campaign, or too many")
+    groups = (meta.row_group(group) for group in range(meta.num_row_groups))
+    methods = {group.column(each).compression for group in groups for each in range(meta.num_columns)}
+    if not methods <= {"SNAPPY", "UNCOMPRESSED"}:
+        raise ValueError("it is packed otherwise than this package packs it")
+    stream.seek(0)
+    table = pyarrow.parquet.ParquetFile(stream, read_dictionary=texts, **_LIMITS).read(columns=names).select(names)
+    if sum(_text_length(chunk) for name in texts for chunk in table[name].chunks) > _MOST_TEXT:
+        raise ValueError("its texts are too long")
+    found: dict[str, list[Any]] = table.to_pydict()
+    if not all(isinstance(number, int) and number >= 0 for number in found.get("number", ())):
+        raise ValueError("a docking in it has no number")
+    return found
+
+
+def _text_length(chunk: Any) -> int:
+    """Return the bytes that the texts of a column would take, written out."""
+    import pyarrow.compute as compute
+
+    return int(compute.sum(compute.binary_length(chunk.dictionary).take(chunk.indices)).as_py() or 0)
 
 
 def _schema(pyarrow: Any, settings: CampaignSettings) -> Any:

@@ -18,10 +18,12 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_core.array_file import read_array
+from deltacharger_core.bounded_file import brief, parse_json, read_text
 from deltacharger_core.files import forget_unfinished, make_folder, whole, write_text
 from deltacharger_core.mcap_file import McapFile, Raw, RecordingError
 from deltacharger_records.datasets.dataset import Docking, Settings, dataset
-from deltacharger_records.datasets.plan import Part
+from deltacharger_records.datasets.plan import SETS, Part
 from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_tactile.dataset import Dataset
 
@@ -159,7 +161,7 @@ class Journal:
     def driver(self) -> str:
         """Return the name of the node that drove the arm for this recording and did not end it; '' = none."""
         path = self.folder / _DRIVER
-        return path.read_text(encoding="utf-8") if path.is_file() else ""
+        return read_text(path) if path.is_file() else ""
 
     def set_driver(self, name: str) -> None:
         """Write down which node drives the arm; '' = none any more."""
@@ -174,11 +176,13 @@ class Journal:
         if not path.is_file():
             return
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = parse_json(read_text(path))
             if content["version"] != _JOURNAL_VERSION:
                 raise RecordingError(f"{path} is of version {content['version']}: give another --out")
-            settings = Settings(**content["settings"])
-            parts = {part.name: part for part in map(Part.from_dict, content["parts"])}
+            settings = Settings(**_plain(Settings, content["settings"]))
+            parts = {part.name: part for part in (Part.from_dict(_plain(Part, each)) for each in content["parts"])}
+            if not all(part.set in SETS for part in parts.values()):
+                raise ValueError("a part is of no known set")
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise RecordingError(f"{path} is damaged ({error}): restore it, or give another --out") from error
         for file in sorted(self.folder.glob("docking-*.mcap")):
@@ -200,6 +204,16 @@ def _shown(value: Any) -> str:
     return " ".join(f"{each:g}" for each in value) if isinstance(value, tuple) else str(value)
 
 
+def _plain(kind: Any, values: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the fields of a class as JSON has them; ValueError where one is of another type."""
+    allowed: dict[str, tuple[type, ...]] = {"int": (int,), "float": (int, float), "str": (str,)}
+    for item in fields(kind):
+        value, types = values.get(item.name), allowed.get(str(item.type))
+        if types and item.name in values and (not isinstance(value, types) or isinstance(value, bool)):
+            raise ValueError(f"{item.name} is {brief(value)}")
+    return values
+
+
 def _docking(path: Path) -> Docking:
     """Read one docking.
 
@@ -210,10 +224,11 @@ def _docking(path: Path) -> Docking:
     try:
         if file.damage:
             raise ValueError(file.damage)
-        values = {key: json.loads(text) for key, text in file.told(_RECORD)[0].items()}
-        frames = np.load(io.BytesIO(file.attachments()[_FRAMES]), allow_pickle=False)
-        if frames.ndim != 4 or frames.shape[1:] != (2, 10, 10):
-            raise ValueError(f"frames of shape {frames.shape}")
-        return Docking(frames=frames, **values)
+        values = {key: parse_json(text) for key, text in file.told(_RECORD)[0].items()}
+        content = file.attachments()[_FRAMES]
+        frames = read_array(io.BytesIO(content), len(content))
+        if frames.ndim != 4 or frames.shape[1:] != (2, 10, 10) or frames.dtype.kind != "f" or np.isinf(frames).any():
+            raise ValueError(f"frames of shape {frames.shape}, {frames.dtype}")
+        return Docking(frames=frames, **_plain(Docking, values))
     except (ValueError, LookupError, TypeError) as error:
         raise RecordingError(f"{path} holds no docking ({error}): remove it, and it is recorded again") from error

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from deltacharger_core.bounded_file import parse_json
+from deltacharger_core.mcap_file import RecordingError
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_records.node_parameters import known_settings, recorded_settings
 from deltacharger_records.recording.folder import END, RESULT
@@ -20,6 +21,8 @@ from deltacharger_records.replay.run_builder import RunBuilder
 from deltacharger_records.replay.run_record import Run
 from deltacharger_ros.messages import CODES, PHASES
 from deltacharger_ros.outcomes import Outcome
+
+_LONGEST = 200  # characters of a reason
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ class Replay:
         """Return how "dock" or "undock" first ended as its client was told; None where that was not recorded."""
         for values in self.recording.file.told(RESULT):
             if values.get("action") == action:
-                return _outcome(json.loads(values["json"]))
+                return _outcome(parse_json(values["json"]))
         return None
 
     @property
@@ -117,7 +120,7 @@ class Replay:
             "dropped": {
                 "damage": self.recording.damage,
                 "missing": self.recording.missing(),
-                "thinned": json.loads((self.recording.file.told(END) or [{}])[-1].get("dropped", "{}")),
+                "thinned": parse_json((self.recording.file.told(END) or [{}])[-1].get("dropped", "{}")),
             },
         }
 
@@ -132,9 +135,16 @@ def replay(path: Path, namespace: str | None = None) -> Replay:
     recording = Recording(path, namespace)
     settings = recorded_settings(recording.file) or known_settings({})
     reader = _Reader(RunBuilder(Run(), settings))
-    recording.read(reader.take)
-    found = Replay(recording, settings[0], reader.build.run)
-    reader.complete(found)
+    try:
+        recording.read(reader.take)
+        found = Replay(recording, settings[0], reader.build.run)
+        reader.complete(found)
+        found.as_dict()  # what else it tells is looked at here, where it can still be refused
+    except (RecordingError, OSError):
+        raise
+    except Exception as error:  # messages and metadata of somebody else may hold anything
+        problem = f"{type(error).__name__}: {error}"[:_LONGEST]
+        raise RecordingError(f"{path} tells what no charger does ({problem}); record it anew") from error
     return found
 
 
