@@ -3,7 +3,8 @@
 
 One connection carries one JSON object on one line each way. Requests: {"command": "begin", "kind", "last", "servo",
 "amount"} with the keys of a scene's fault, {"command": "clear"}, {"command": "active"}. Answers: {"success": true,
-"active": [...]} or {"success": false, "error"}. Only the user who runs the charger may connect.
+"active": [...]} or {"success": false, "error"}. Only the user who runs the charger may connect. Both sides have bounds
+in time and bytes, and no client waits for another.
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import selectors
 import socket
-import socketserver
 import stat
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -25,9 +27,11 @@ from deltacharger_sim.charger.faults import Fault, Faults
 
 SOCKET = "control"
 """Name of the socket in the ports' folder."""
-_LONGEST_LINE = 16384  # bytes
-_PATIENCE = 1.0  # s for a client to say its line
-_TURN = 0.2  # s between two looks whether the server shall end
+_LONGEST_LINE = 16384  # bytes of a request
+_LONGEST_ANSWER = 2**18  # bytes
+_PATIENCE = 1.0  # s for a client to say its line and take the answer
+_PAUSE = 0.02  # s before one who could not be let in is tried again
+_CLIENTS_MAX = 64  # conversations at once; the oldest gives way
 _LONGEST_PATH = 100  # bytes of a socket's path that every system takes
 
 Answer = dict[str, Any]
@@ -62,8 +66,9 @@ class Registration:
 def _listens(path: Path) -> bool:
     try:
         with socket.socket(socket.AF_UNIX) as connection, _short(path) as address:
-            connection.settimeout(_PATIENCE)
-            connection.connect(address)
+            _connect(connection, address, time.monotonic() + _PATIENCE)
+    except TimeoutError:  # somebody does, and hangs
+        return True
     except OSError:
         return False
     return True
@@ -86,7 +91,7 @@ def answer(faults: Faults, request: Any) -> Answer:
 
 
 class ControlServer:
-    """Answer requests on a Unix socket, one after the other, from a thread of its own.
+    """Answer requests on a Unix socket from a thread of its own. Who says nothing is let go, and holds up nobody.
 
     Args:
         path: of the socket; an older one is replaced.
@@ -98,49 +103,117 @@ class ControlServer:
 
     def __init__(self, path: Path, handler: Callable[[Any], Answer]) -> None:
         self._path = path
+        self._handler = handler
         with contextlib.suppress(FileNotFoundError):
             if stat.S_ISSOCK(path.lstat().st_mode):
                 path.unlink()
-        with _short(path) as address:
-            self._server = _Server(address, _Conversation)
-        path.chmod(0o600)
-        self._server.handler = handler
-        self._made = path.stat().st_ino
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(_TURN,), name="faults' socket")
-        self._thread.daemon = True
+        self._listener = socket.socket(socket.AF_UNIX)
+        try:
+            with _short(path) as address:
+                self._listener.bind(address)
+            path.chmod(0o600)
+            self._made = path.stat().st_ino
+            self._listener.listen(_CLIENTS_MAX)
+        except BaseException:
+            self._listener.close()
+            raise
+        self._listener.setblocking(False)
+        self._wake, self._woken = socket.socketpair()
+        self._clients: dict[socket.socket, _Conversation] = {}  # oldest first
+        self._thread = threading.Thread(target=self._serve, name="faults' socket", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Stop answering and remove the socket, unless another charger has taken its place."""
-        self._server.shutdown()
+        self._wake.close()
         self._thread.join()
-        self._server.server_close()
+        self._woken.close()
+        self._listener.close()
         with contextlib.suppress(OSError):
             if self._path.lstat().st_ino == self._made:
                 self._path.unlink()
 
+    def _serve(self) -> None:
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._listener, selectors.EVENT_READ)
+            selector.register(self._woken, selectors.EVENT_READ)
+            while True:
+                ready = {key.fileobj for key, _ in selector.select(self._time_left())}
+                if self._woken in ready:
+                    break
+                for client, conversation in list(self._clients.items()):
+                    if client in ready:
+                        conversation.go_on(selector)
+                    if conversation.time_left() <= 0.0:
+                        self._let_go(selector, client)
+                if self._listener in ready:
+                    self._accept(selector)
+            for client in list(self._clients):
+                self._let_go(selector, client)
 
-class _Server(socketserver.UnixStreamServer):
-    handler: Callable[[Any], Answer]
+    def _time_left(self) -> float | None:
+        oldest = next(iter(self._clients.values()), None)
+        return None if oldest is None else max(oldest.time_left(), 0.0)
 
-
-class _Conversation(socketserver.StreamRequestHandler):
-    timeout = _PATIENCE
-
-    def handle(self) -> None:
-        """Read one line, write one line; who says nothing, or nothing that is JSON, is told or let go."""
-        assert isinstance(self.server, _Server)
+    def _accept(self, selector: selectors.BaseSelector) -> None:
         try:
-            line = self.rfile.readline(_LONGEST_LINE)
-            try:
-                request = json.loads(line)
-            except ValueError:
-                reply = {"success": False, "error": "not one line of JSON"}
-            else:
-                reply = self.server.handler(request)
-            self.wfile.write(json.dumps(reply).encode() + b"\n")
-        except OSError:  # gone, or too slow
+            client, _ = self._listener.accept()
+        except OSError:  # gone already, or there are no more descriptors: then it must not be asked again at once
+            time.sleep(_PAUSE)
             return
+        client.setblocking(False)
+        if len(self._clients) == _CLIENTS_MAX:
+            self._let_go(selector, next(iter(self._clients)))
+        self._clients[client] = _Conversation(client, self._handler)
+        selector.register(client, selectors.EVENT_READ)
+
+    def _let_go(self, selector: selectors.BaseSelector, client: socket.socket) -> None:
+        del self._clients[client]
+        selector.unregister(client)
+        client.close()
+
+
+class _Conversation:
+    """One line comes, one line goes."""
+
+    def __init__(self, client: socket.socket, handler: Callable[[Any], Answer]) -> None:
+        self._client = client
+        self._handler = handler
+        self._end = time.monotonic() + _PATIENCE
+        self._said = b""
+        self._reply = b""
+
+    def time_left(self) -> float:
+        """Return how long it may last; 0 or less where it is over."""
+        return self._end - time.monotonic()
+
+    def go_on(self, selector: selectors.BaseSelector) -> None:
+        """Take or give what can be without waiting."""
+        try:
+            if not self._reply:
+                part = self._client.recv(_LONGEST_LINE)
+                self._said += part
+                if part and b"\n" not in part and len(self._said) < _LONGEST_LINE:
+                    return
+                self._reply = json.dumps(self._answer()).encode() + b"\n"
+                selector.modify(self._client, selectors.EVENT_WRITE)
+            self._reply = self._reply[self._client.send(self._reply) :]
+        except BlockingIOError:
+            return
+        except OSError:  # gone
+            self._reply = b""
+        if not self._reply:
+            self._end = 0.0
+
+    def _answer(self) -> Answer:
+        try:
+            request = json.loads(self._said.partition(b"\n")[0])
+        except (ValueError, RecursionError):
+            return {"success": False, "error": "not one line of JSON"}
+        try:
+            return self._handler(request)
+        except Exception as error:  # one request must not end the service of others
+            return {"success": False, "error": f"{type(error).__name__}: {error}"}
 
 
 def ask(path: Path, request: Answer, timeout: float = 10.0) -> Answer:
@@ -149,26 +222,77 @@ def ask(path: Path, request: Answer, timeout: float = 10.0) -> Answer:
     Args:
         path: of the socket, or of a link to it.
         request: see the module.
-        timeout: s.
+        timeout: for all of it, s.
 
     Raises:
         ConnectionError: nothing listens there.
-        OSError: it does not answer in time, or may not be asked.
+        OSError: it does not answer in time, or not as a charger does, or may not be asked.
     """
+    end = time.monotonic() + timeout
     try:
         with socket.socket(socket.AF_UNIX) as connection, _short(path) as address:
+            _connect(connection, address, end)
             connection.settimeout(timeout)
-            connection.connect(address)
             connection.sendall(json.dumps(request).encode() + b"\n")
-            with connection.makefile("rb") as stream:
-                line = stream.readline()
+            line = _line(connection, end)
     except FileNotFoundError as error:
         raise ConnectionError(f"{path}: {error.strerror}") from error
     if not line:
         raise ConnectionError(f"{path}: closed without an answer")
-    reply = json.loads(line)
-    assert isinstance(reply, dict)
-    return reply
+    try:
+        reply = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise OSError("what answers there is no charger") from error
+    if not _is_answer(reply):
+        raise OSError("what answers there is no charger of this version")
+    return dict(reply)
+
+
+def _connect(connection: socket.socket, address: str, end: float) -> None:
+    """Connect, also where others wait to be let in; TimeoutError where that takes longer than until `end`."""
+    connection.setblocking(False)
+    while True:
+        try:
+            return connection.connect(address)
+        except BlockingIOError as error:
+            if time.monotonic() >= end:
+                raise TimeoutError("nobody lets it in") from error
+            time.sleep(_PAUSE)
+
+
+def _line(connection: socket.socket, end: float) -> bytes:
+    """Return what comes up to the end of a line, or of the connection.
+
+    Raises:
+        OSError: it takes longer than until `end` (s, monotonic), or is longer than an answer.
+    """
+    line = b""
+    while not line.endswith(b"\n"):
+        left = end - time.monotonic()
+        if left <= 0.0 or len(line) > _LONGEST_ANSWER:
+            raise TimeoutError("there is no end of its answer")
+        connection.settimeout(left)
+        part = connection.recv(_LONGEST_ANSWER)
+        if not part:
+            break
+        line += part
+    return line
+
+
+def _is_answer(reply: Any) -> bool:
+    if not isinstance(reply, dict):
+        return False
+    if reply.get("success") is not True:
+        return isinstance(reply.get("error"), str)
+    active = reply.get("active")
+    return isinstance(active, list) and all(_is_active(each) for each in active)
+
+
+def _is_active(each: Any) -> bool:
+    if not isinstance(each, dict) or not {"kind", "servo", "amount"} <= set(each):
+        return False
+    numbers = (each["amount"], each.get("remaining_s"))
+    return isinstance(each["kind"], str) and all(isinstance(number, float | int | None) for number in numbers)
 
 
 @contextlib.contextmanager
