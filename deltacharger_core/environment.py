@@ -14,6 +14,12 @@ SIMULATION_DOMAIN = 87
 LARGEST_DOMAIN = 232
 """Above it the UDP ports of a domain pass 65535."""
 
+_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_REACHED = {
+    "OFF": "this process alone",
+    "LOCALHOST": "every program on this computer",
+    "SUBNET": "every computer of this network",
+}
 _PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 _PROFILES_HERE = "DEFAULT_FASTDDS_PROFILES.xml"  # which Fast DDS also reads, where it is in the working directory
 
@@ -43,8 +49,24 @@ def config(name: str) -> list[Path]:
 
 def isolate() -> None:
     """Keep a simulated scene's traffic on this machine and away from robots, unless the user chose otherwise."""
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    reach("localhost")
     os.environ.setdefault("ROS_DOMAIN_ID", str(SIMULATION_DOMAIN))
+
+
+def reach(network: str) -> None:
+    """Let the nodes of this process reach what a scene's key `network` says, unless the user chose otherwise."""
+    if not os.environ.get(_RANGE):
+        os.environ[_RANGE] = network.upper()
+
+
+def openness() -> str:
+    """Return in words who can command the nodes of this process."""
+    if os.environ.get("ROS_SECURITY_ENABLE") == "true" and os.environ.get("ROS_SECURITY_STRATEGY") == "Enforce":
+        return "nodes with a key of this keystore alone"
+    chosen = "LOCALHOST" if os.environ.get("ROS_LOCALHOST_ONLY") == "1" else os.environ.get(_RANGE) or "SUBNET"
+    peers = os.environ.get("ROS_STATIC_PEERS", "")
+    beyond = f" and to {peers}" if peers and chosen not in ("OFF", "SYSTEM_DEFAULT") else ""
+    return _REACHED.get(chosen, "whom the profile of the middleware lets in") + beyond
 
 
 def domain_problem() -> str:

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from deltacharger_ros.executor import Spinner
 
@@ -39,6 +40,7 @@ class Guest:
             use_global_arguments=False,
             enable_rosout=False,
             start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],  # nobody asks a guest
         )
         self._spinner: Spinner | None = None
         self._waitables: list[Any] = []  # released before the node

@@ -16,7 +16,7 @@ from typing import Any, TypeAlias, TypeVar
 from deltacharger_core import environment
 from deltacharger_core.bounded_file import brief
 from deltacharger_core.machine import DOCK_DISTANCE
-from deltacharger_core.parameters import Bounded, ParameterError, did_you_mean, from_mapping, number, words
+from deltacharger_core.parameters import Bounded, ParameterError, choice, did_you_mean, from_mapping, number, words
 from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_scenes.following import followed
 from deltacharger_scenes.node_table import NODES
@@ -82,6 +82,7 @@ class SceneContent(Bounded):
     ports: Ports = field(default_factory=Ports)
     goal: SceneGoal | None = None
     parameters: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    network: str = choice("localhost", ("localhost", "subnet"), "who reaches it: this computer, or its whole network")
 
 
 @dataclass(frozen=True)

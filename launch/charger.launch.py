@@ -18,7 +18,14 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction, RegisterEventHandler, Shutdown
+from launch.actions import (
+    DeclareLaunchArgument,
+    ExecuteProcess,
+    LogInfo,
+    OpaqueFunction,
+    RegisterEventHandler,
+    Shutdown,
+)
 from launch.event_handlers import OnProcessExit, OnProcessIO
 from launch.events.process import ProcessExited, ProcessIO
 from launch.substitutions import LaunchConfiguration
@@ -27,6 +34,7 @@ from launch_ros.substitutions import ExecutableInPackage
 
 from deltacharger_bringup.cli.types import namespace
 from deltacharger_bringup.launch_arguments import refuse_slips
+from deltacharger_core import environment
 from deltacharger_core.parameters import declared
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.overrides import Overrides, override
@@ -65,8 +73,10 @@ def _wire(context: LaunchContext) -> list[Any]:
     except argparse.ArgumentTypeError as error:
         raise ValueError(f"namespace: {error}") from error
     scene = override(load_scene(told["scene"]), Overrides(**{item.name: told[item.name] for item in fields(Overrides)}))
+    environment.reach(scene.network)
     wired = _nodes if scene.simulation is None else _simulated
-    return wired(scene, told)
+    said = [LogInfo(msg=f"open to {environment.openness()}; see docs/security.md")] if scene.touches_hardware else []
+    return said + wired(scene, told)
 
 
 def _nodes(scene: Scene, told: dict[str, str], ports: dict[str, str] | None = None) -> list[Any]:
@@ -76,7 +86,7 @@ def _nodes(scene: Scene, told: dict[str, str], ports: dict[str, str] | None = No
             executable=name,
             namespace=told["namespace"],
             parameters=[scene.node_parameters(name, ports or {})],
-            arguments=["--ros-args", "--log-level", told["log_level"]],
+            arguments=["--ros-args", "--log-level", told["log_level"], "--enclave", f"/{PACKAGE}/{name}"],
             output="screen",
             respawn=NODES[name].may_restart,
             respawn_delay=RESPAWN_DELAY,

@@ -45,6 +45,7 @@ def prepare(options: argparse.Namespace, look_around: bool = False) -> Scene:
     require_domain()
     options.discovery, options.must_run = DISCOVERY, False
     if scene.touches_hardware:
+        environment.reach(scene.network)
         return scene
     if look_around and given is None and not os.environ.get("ROS_DOMAIN_ID"):
         options.discovery = LOOK
@@ -135,6 +136,8 @@ def start(scene: Scene, context: Context, namespace: str, held: bool = False) ->
     from deltacharger_ros.node_support import StartupError
     from deltacharger_scenes.composition import Composition
 
+    if scene.touches_hardware:
+        say(f"open to {environment.openness()}; see docs/security.md")
     composition = Composition(scene, context, namespace, held)
     try:
         return composition.start()

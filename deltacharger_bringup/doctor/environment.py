@@ -61,6 +61,7 @@ def examine_settings() -> Iterator[Finding]:
         given = "" if os.environ.get("ROS_DOMAIN_ID") else " (ROS_DOMAIN_ID is not set)"
         yield ok("ros domain", f"{environment.domain()}{given}")
     yield _range()
+    yield ok("ros security", f"nodes started here are open to {environment.openness()}")
     if os.environ.get("ROS_LOCALHOST_ONLY"):
         yield hint(
             "ros discovery", "ROS_LOCALHOST_ONLY is set, which is old", "use ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
@@ -72,7 +73,9 @@ def _range() -> Finding:
     chosen = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
     part = "ros discovery"
     if not chosen:
-        return ok(part, "SUBNET, as nothing else is set: other computers of this network hear and are heard")
+        return ok(
+            part, "ROS_AUTOMATIC_DISCOVERY_RANGE is not set; ROS takes SUBNET, a scene what its key `network` says"
+        )
     if chosen not in _RANGES:
         text = f"ROS_AUTOMATIC_DISCOVERY_RANGE is '{chosen}', which ROS does not know"
         return wrong(part, text, f"set it to one of {', '.join(_RANGES)}")

@@ -114,12 +114,17 @@ def _player(context: Context, namespace: str) -> Any:
 
 def write_page(document: Callable[[list[Node]], str], namespace: str) -> int:
     """Write a page on all nodes to stdout."""
+    return with_every_node(lambda nodes: sys.stdout.write(document(nodes)), namespace)
+
+
+def with_every_node(use: Callable[[list[Node]], object], namespace: str) -> int:
+    """Call `use` with all nodes running; the main of a page."""
     environment.prepare()
     environment.isolate()
     context = Context()
     rclpy.init(context=context, args=[])
     with every_node(context, namespace) as nodes:
-        sys.stdout.write(document(nodes))
+        use(nodes)
     rclpy.try_shutdown(context=context)
     return 0
 

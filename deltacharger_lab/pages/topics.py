@@ -69,7 +69,9 @@ def endpoints(node: Node) -> set[Endpoint]:
     servers = get_action_server_names_and_types_by_node(node, name, namespace)
     clients = get_action_client_names_and_types_by_node(node, name, namespace)
     played = {each.topic_name for each in node.publishers}  # who plays an action's topics does not serve it
+    heard = {each.topic_name for each in node.subscriptions}  # and who only hears of its goals does not call it
     servers = [each for each in servers if f"{each[0]}/_action/feedback" not in played]
+    clients = [each for each in clients if f"{each[0]}/_action/feedback" not in heard]
     for verb, actions in (("serves the action", servers), ("calls the action", clients)):
         found |= {Endpoint(verb, _relative(node, each), kinds[0].replace("/action", "")) for each, kinds in actions}
     return found
@@ -82,13 +84,18 @@ def quality(profile: QoSProfile) -> str:
     return f"{words}, depth {profile.depth}{latched}"
 
 
-def document(nodes: Iterable[Node]) -> str:
-    """Return the whole page for running nodes, in the order of their names."""
+def everything(nodes: Iterable[Node]) -> tuple[dict[str, set[Endpoint]], dict[str, set[Endpoint]]]:
+    """Return what each running node ever has, and what it has at rest, in the order of their names."""
     ordered = sorted(nodes, key=lambda node: node.get_name())
     _wait_until_subscribed(ordered, _WHILE_HEARD)
     at_rest = {node.get_name(): endpoints(node) for node in ordered}
     with _looking(ordered):
-        all_of_them = {node.get_name(): endpoints(node) for node in ordered}
+        return {node.get_name(): endpoints(node) for node in ordered}, at_rest
+
+
+def document(nodes: Iterable[Node]) -> str:
+    """Return the whole page for running nodes, in the order of their names."""
+    all_of_them, at_rest = everything(nodes)
     sections = [_HEAD, _overview(all_of_them)]
     sections += [_section(name, found, at_rest[name]) for name, found in all_of_them.items()]
     for folder, title in _FOLDERS.items():

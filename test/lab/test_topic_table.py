@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of topics is what the nodes have and what the interface files say."""
+"""The page of topics and the policies are what the nodes have, and the page is what the interface files say."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 
+from deltacharger_lab.pages import policies
 from deltacharger_lab.pages.interface_text import Interface, read
 from deltacharger_lab.pages.parameters import every_node
 from deltacharger_lab.pages.topics import document
@@ -18,14 +20,34 @@ ROOT = Path(__file__).parents[2]
 FILES = sorted(path for folder in ("msg", "srv", "action") for path in (ROOT / folder).glob(f"*.{folder}"))
 
 
-def test_the_page_is_what_the_nodes_have(context: Any, namespace: str) -> None:
+def test_page_and_policies_are_what_the_nodes_have(context: Any, namespace: str) -> None:
     pytest.importorskip("cv2", reason="electrode_detector_node needs deltacharger[vision]")
     committed = (ROOT / "docs" / "topics.md").read_text(encoding="utf-8")
     if "nav2_msgs/" in committed:
         pytest.importorskip("nav2_msgs.action", reason="mission_node drives only where Nav2's messages are installed")
     with every_node(context, namespace) as nodes:
-        found = document(nodes)
+        found, allowed = document(nodes), policies.documents(nodes)
     assert committed == found, "python -m deltacharger_lab.pages.topics > docs/topics.md"
+    granted = {path.name: path.read_text(encoding="utf-8") for path in policies.FOLDER.iterdir()}
+    assert granted == allowed, "python -m deltacharger_lab.pages.policies"
+
+
+@pytest.mark.parametrize(
+    ("grant", "name", "who"),
+    [
+        ("topics[@publish]/topic", "joint_trajectory", {"docking_node", "workshop", "recording_player_node"}),
+        ("topics[@publish]/topic", "charger_power", {"tactile_node", "recording_player_node"}),
+        ("services[@request]/service", "set_contactor", {"docking_node", "servo_node"}),
+        ("services[@request]/service", "set_torque", {"docking_node", "workshop"}),
+        ("services[@reply]/service", "predict_misalignment", {"misalignment_node"}),
+        ("actions[@execute]/action", "dock", {"docking_node"}),
+        ("actions[@call]/action", "dock", {"mission_node", "fleet", "workshop"}),
+    ],
+)
+def test_a_policy_lets_do_what_is_needed_and_no_more(grant: str, name: str, who: set[str]) -> None:
+    profiles = {path.stem: ElementTree.parse(path) for path in policies.FOLDER.glob("*.xml")}
+    granted = {each for each, tree in profiles.items() if name in {item.text for item in tree.findall(grant)}}
+    assert granted == who
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)

@@ -106,6 +106,10 @@ def test_only_a_scene_without_simulation_touches_hardware() -> None:
     assert not load_scene("mocks").touches_hardware
 
 
+def test_no_packaged_scene_is_open_to_the_network() -> None:
+    assert {load_scene(name).network for name in packaged_scenes()} == {"localhost"}
+
+
 def test_the_geometry_of_the_simulated_arm_is_checked_with_the_scene(tmp_path: Path) -> None:
     file = tmp_path / "arm.yaml"
     file.write_text("arm: 0.101\nlimbs: [{angle_offset: 0.02}, {}, {}]\n")

@@ -111,6 +111,7 @@ def test_up_uses_the_ports_that_it_is_told(start: Callable[..., Process], deltac
     process = start(*deltacharger, "up", "--scene", "tactile_lab", "--board-port", "/dev/null", "--namespace", "lab")
     assert process.end() == 2
     assert any("tactile_node: /dev/null" in line for line in process.err), process.err
+    assert "open to every program on this computer; see docs/security.md" in process.err
 
 
 def test_what_moves_or_carries_current_is_not_started_again_by_itself() -> None:

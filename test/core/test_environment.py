@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whom the nodes of a process reach, and what is said of it."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from deltacharger_core import environment
+
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+ENFORCED = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in (RANGE, "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", *ENFORCED):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({}, "every computer of this network"),
+        ({RANGE: ""}, "every computer of this network"),
+        ({RANGE: "SUBNET", "ROS_STATIC_PEERS": "10.0.0.7"}, "every computer of this network and to 10.0.0.7"),
+        ({RANGE: "LOCALHOST"}, "every program on this computer"),
+        ({"ROS_LOCALHOST_ONLY": "1"}, "every program on this computer"),
+        ({RANGE: "OFF"}, "this process alone"),
+        ({RANGE: "SYSTEM_DEFAULT", "ROS_STATIC_PEERS": "10.0.0.7"}, "whom the profile of the middleware lets in"),
+        (ENFORCED, "nodes with a key of this keystore alone"),
+        ({**ENFORCED, "ROS_SECURITY_STRATEGY": "Permissive"}, "every computer of this network"),
+    ],
+)
+def test_it_is_said_who_can_command_the_nodes(
+    monkeypatch: pytest.MonkeyPatch, settings: dict[str, str], said: str
+) -> None:
+    for name, value in settings.items():
+        monkeypatch.setenv(name, value)
+    assert environment.openness() == said
+
+
+@pytest.mark.parametrize(("set_before", "reached"), [("", "SUBNET"), ("LOCALHOST", "LOCALHOST")])
+def test_what_the_user_has_set_counts_more_than_the_scene(
+    monkeypatch: pytest.MonkeyPatch, set_before: str, reached: str
+) -> None:
+    monkeypatch.setenv(RANGE, set_before)
+    environment.reach("subnet")
+    assert os.environ[RANGE] == reached
