@@ -179,6 +179,7 @@ class Alignment:
         """
         context, parameters = self._context, self._context.parameters
         context.enter(State.MEASURE, parameters.measure_timeout)
+        context.doubtful = bool(context.observation.duplicate_sources)
         reply = yield from context.ask(
             Service.ESTIMATE, TactileStale, parameters.service_timeout, parameters.estimate_frames
         )

@@ -16,15 +16,14 @@ _OFF_TIME = 0.1  # s that servo_node needs to switch the torque off: some of its
 
 def prepare(context: Context) -> Script[None]:
     """Switch the torque on and tare the pads, both in free air; nodes that have just started are waited for."""
-    context.enter(State.APPROACH, context.parameters.approach_timeout)
-    started = context.time
-    while math.inf in (context.observation.servo_age, context.observation.tactile_age):
-        if context.time - started > context.parameters.first_data_timeout:
-            break
+    parameters = context.parameters
+    context.enter(State.APPROACH, parameters.approach_timeout)
+    end = context.time + parameters.first_data_timeout
+    while context.time <= end and (_servos_silent(context) or _pads_silent(context)):
         yield
-    if context.observation.servo_age > context.parameters.servo_age_max:
+    if _servos_silent(context):
         raise ServoFailure("servo_state is missing or stale; is servo_node running and its bus connected?")
-    if context.observation.tactile_age > context.parameters.tactile_age_max:
+    if _pads_silent(context):
         raise TactileStale("no tactile frames; check the board's cable and tactile_node")
     yield from de_energise(context)  # nothing is pulled off a contactor that welded in an earlier goal
     context.commanded = context.position
@@ -40,6 +39,14 @@ def prepare(context: Context) -> Script[None]:
     if not reply.success:
         raise TactileStale(f"the pads were not tared: {reply.message}; they must be free before docking")
     context.decide("tared", "the pads are tared in free air")
+
+
+def _servos_silent(context: Context) -> bool:
+    return context.observation.servo_age > context.parameters.servo_age_max
+
+
+def _pads_silent(context: Context) -> bool:
+    return context.observation.tactile_age > context.parameters.tactile_age_max
 
 
 def torque_on(context: Context) -> Script[None]:

@@ -58,6 +58,7 @@ class Context:
         self.slept = 0.0  # s that this observation came later than expected, or its clock was set back
         self.energise = False
         self.live = False  # the contactor was told to close and has not been seen open since
+        self.doubtful = False  # since the last estimate was asked for, two have said what only one may
         self.energy = 0.0
         self.commanded: Vector = NAN3
         self.goal_angles: Vector = NAN3  # at which the servos' goals end up, where that is known
@@ -99,6 +100,8 @@ class Context:
         power = observation.charge_current * observation.target_voltage
         if observation.contactor_closed and math.isfinite(power):
             self.energy += power * min(self.time - before, _UNCOUNTED)
+        self.doubtful |= bool(observation.duplicate_sources)
+        self.status.duplicate_sources = observation.duplicate_sources
         self.status.position = self.position
         self.status.contact_current = self.contact.value
 

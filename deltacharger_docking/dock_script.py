@@ -20,7 +20,7 @@ from deltacharger_docking.codes import (
 )
 from deltacharger_docking.contact_script import approach, contact, first_push
 from deltacharger_docking.context import Context, Script
-from deltacharger_docking.energy_script import de_energise, energise
+from deltacharger_docking.energy_script import de_energise, energise, hear_one_of_each
 from deltacharger_docking.goal_desk import GoalDesk, check_place
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Service
 
@@ -122,6 +122,9 @@ class TargetVisit:
     def _charge(self) -> Script[None]:
         """Close, report success or hold the goal, watch over charging, and open."""
         context, desk = self._context, self._desk
+        while context.doubtful and self._alignment is not None:
+            yield from hear_one_of_each(context)
+            yield from self._align(self._alignment, stay=True)  # what was felt while two spoke lets no current flow
         yield from energise(context)
         context.status.charging = True
         context.enter(State.CHARGING, math.inf)

@@ -11,6 +11,7 @@ from deltacharger_docking.codes import (
     ChargeOvercurrent,
     ContactorWelded,
     DockingError,
+    DuplicateSource,
     NoChargeCurrent,
     NoContact,
     NoTactileContact,
@@ -29,6 +30,30 @@ from deltacharger_docking.observation import Reply, Service
 _LAST_WORD = 0.2  # s before the phase ends in which it is still told why no current flows
 _SLEPT = 1.0  # s beyond its pace that docking may stand still; the lease has lapsed long before
 _FAULT_DELAY = 0.15  # s that a fault may be told later than the refusal it brings about: charger_power comes at 20 Hz
+
+
+def hear_one_of_each(context: Context) -> Script[None]:
+    """Wait until nobody publishes or serves any more beside another what docking works with.
+
+    Raises:
+        DuplicateSource: somebody still does after duplicate_source_timeout.
+    """
+    limit = context.parameters.duplicate_source_timeout
+    context.enter(State.MEASURE, math.inf)  # what this state watches over is watched over meanwhile
+    begun = context.time
+    if names := context.observation.duplicate_sources:
+        context.decide("wait", f"no contactor closes while two say what only one may: {names}", limit_s=limit)
+    while names := context.observation.duplicate_sources:
+        if context.time - begun > limit:
+            raise _duplicate(names)
+        yield
+
+
+def _duplicate(names: str) -> DuplicateSource:
+    return DuplicateSource(
+        f"the contactor stays open, because two say what only one may: {names}; stop the second node, or give it its "
+        "own namespace or ROS_DOMAIN_ID"
+    )
 
 
 def energise(context: Context) -> Script[None]:
@@ -149,6 +174,8 @@ class Watch:
             return TactileStale("tactile frames stopped; check the board's cable and tactile_node")
         if not observation.tactile_contact:
             return NoTactileContact("the pads lost contact before the contactor was closed")
+        if observation.duplicate_sources:
+            return _duplicate(observation.duplicate_sources)
         return self._servo_problem() or self._contact_problem()
 
     def problem(self) -> DockingError | None:

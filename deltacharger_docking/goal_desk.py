@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 
 from deltacharger_core.machine import DOCK_DISTANCE
+from deltacharger_core.texts import wrong_id
 from deltacharger_docking.codes import Code, DockingError, Rejected, Unreachable
 from deltacharger_docking.context import Context
 from deltacharger_docking.motion import Planner
@@ -22,6 +23,7 @@ def check_goal(goal: DockGoal, planner: Planner, parameters: DockingParameters) 
         Rejected: a number is not finite or outside its bounds.
         Unreachable: the electrodes lie outside the workspace.
     """
+    check_id(goal.request_id)
     limit = parameters.critical_angle
     if not math.isfinite(goal.critical_angle) or goal.critical_angle < 0.0:
         raise Rejected(f"critical_angle is {goal.critical_angle}: give rad ≥ 0 (0 = the parameter)")
@@ -30,6 +32,16 @@ def check_goal(goal: DockGoal, planner: Planner, parameters: DockingParameters) 
     check_stops(goal.stop_energy, goal.stop_after)
     if goal.electrodes is not None:
         check_place(goal.electrodes, planner, parameters)
+
+
+def check_id(request_id: str) -> None:
+    """Refuse a request_id that is too long to be repeated.
+
+    Raises:
+        Rejected: it is.
+    """
+    if problem := wrong_id(request_id):
+        raise Rejected(problem)
 
 
 def check_stops(stop_energy: float, stop_after: float) -> None:

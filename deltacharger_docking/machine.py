@@ -27,7 +27,7 @@ from deltacharger_docking.codes import (
 )
 from deltacharger_docking.context import Context, Script
 from deltacharger_docking.dock_script import TargetVisit
-from deltacharger_docking.goal_desk import GoalDesk, check_goal
+from deltacharger_docking.goal_desk import GoalDesk, check_goal, check_id
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters
@@ -36,6 +36,7 @@ from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 
 _NEEDS_TORQUE = (State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
 _NEEDS_TOUCH = (State.APPROACH, *_NEEDS_TORQUE)
+_BEFORE_MOVING = (State.LOCATE, State.APPROACH)  # in the last, `prepare` waits before anything moves
 
 
 class DockingMachine:
@@ -128,9 +129,11 @@ class DockingMachine:
 
         Raises:
             Busy: another goal is being served, or the arm is on its way back already.
+            Rejected: the request_id is too long.
         """
         if self._desk.is_open or (self._script is not None and not self._interruptible):
             raise Busy(self._what_goes_on())
+        check_id(request_id)
         self._start(request_id, observation, self._undock)
 
     def _what_goes_on(self) -> str:
@@ -228,10 +231,13 @@ class DockingMachine:
         return context.expired()
 
     def _is_missing(self, age: float, oldest: float) -> bool:
-        """Return whether data of this age (s) end the goal; nodes that have just started are waited for."""
+        """Return whether data of this age (s) end the goal; nodes that have just started are waited for.
+
+        They are those not heard since the goal began: a node that was started anew was heard before, too.
+        """
         since = self._context.time - self._desk.started
-        starting = age == math.inf and since < self.parameters.first_data_timeout
-        return age > oldest and not starting
+        coming = age > since and self._context.status.state in _BEFORE_MOVING
+        return age > oldest and not (coming and since < self.parameters.first_data_timeout)
 
     def _serve(self, script: Callable[[], Script[None]], redockings: int = 0) -> Generator[None, None, None]:
         """Run a goal's script; whatever ends it, open the contactor and take the arm back, keeping the first error.

@@ -51,12 +51,17 @@ class ElectrodePose:
 
 @dataclass(frozen=True)
 class Reply:
-    """Answer to the request of the same number; the payload that its service has, else None."""
+    """Answer to the request of the same number; the payload that its service has, else None.
+
+    An estimate names the `sequences` of the tactile frames it was made of, and was `asked` for at that time (s).
+    """
 
     number: int
     success: bool
     message: str = ""
     estimate: FeltPose | None = None
+    sequences: tuple[int, ...] = ()
+    asked: float = -math.inf
     detection: ElectrodePose | None = None
     resistance: float = math.nan
     target_voltage: float = math.nan
@@ -64,7 +69,10 @@ class Reply:
 
 @dataclass(frozen=True)
 class Observation:
-    """Everything known at `time` (s, monotonic). Ages in s, inf = never; NaN = not measured."""
+    """Everything known at `time` (s, monotonic). Ages in s, inf = never; NaN = not measured.
+
+    `duplicate_sources` names who publishes or serves beside another what docking works with; '' = nobody.
+    """
 
     time: float
     angles: Vector = NAN3
@@ -83,6 +91,7 @@ class Observation:
     target_voltage: float = math.nan
     power_fault: int = 0
     contactor_refusal: str = ""
+    duplicate_sources: str = ""
     replies: tuple[Reply, ...] = ()
 
 
@@ -192,3 +201,4 @@ class DockingStatus:
     contact_current: float = math.nan
     estimate: FeltPose | None = None
     elapsed: float = 0.0
+    duplicate_sources: str = ""

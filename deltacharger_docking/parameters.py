@@ -191,6 +191,13 @@ class DockingParameters(Bounded):
     measure_timeout: float = number(10.0, 1.0, 120.0, "s", "limit for MEASURE")
     align_timeout: float = number(45.0, 1.0, 120.0, "s", "limit for one ALIGN")
     energise_timeout: float = number(10.0, 1.0, 120.0, "s", "limit for ENERGISE until current flows stably")
+    duplicate_source_timeout: float = number(
+        25.0,
+        0.0,
+        120.0,
+        "s",
+        "limit for second sources to be gone before the contactor closes; a killed node stays in the graph up to 20 s",
+    )
     retract_timeout: float = number(20.0, 1.0, 120.0, "s", "limit for RETRACT")
     goal_timeout: float = number(300.0, 5.0, 3600.0, "s", "limit for a whole docking until it succeeds")
 

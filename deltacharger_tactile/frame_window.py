@@ -24,6 +24,7 @@ class Frame:
     Attributes:
         sampled: s, when, on the clock that `FrameWindow` is given.
         stamp: the same as the message carries it.
+        sequence: of the message.
         tared: whether the baseline was subtracted.
         left: (10, 10) N, the pad at +x; NaN = dead.
         right: the same for the pad at −x.
@@ -31,6 +32,7 @@ class Frame:
 
     sampled: float
     stamp: Any
+    sequence: int
     tared: bool
     left: Array
     right: Array

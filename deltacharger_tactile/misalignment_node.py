@@ -48,7 +48,7 @@ def to_frame(message: TactileFrame) -> Frame:
         raise FrameError(*((message.rows, message.columns, len(pad)) for pad in (message.left, message.right)))
     stamp = message.header.stamp
     left, right = (np.asarray(pad, dtype=float).reshape(ROWS, COLUMNS) for pad in (message.left, message.right))
-    return Frame(stamp.sec + 1e-9 * stamp.nanosec, stamp, message.tared, left, right)
+    return Frame(stamp.sec + 1e-9 * stamp.nanosec, stamp, message.sequence, message.tared, left, right)
 
 
 def to_message(estimate: Estimate, name: str, stamp: Any) -> Misalignment:
@@ -154,7 +154,9 @@ class MisalignmentNode(Node):
             return response
         try:
             with self._frames.listening():
-                response.misalignment = self._estimate(self._window.fresh(wanted, self._timeout))
+                frames = self._window.fresh(wanted, self._timeout)
+                response.misalignment = self._estimate(frames)
+                response.sequences = [frame.sequence for frame in frames]
         except Refused as error:
             response.message = str(error)
             return response

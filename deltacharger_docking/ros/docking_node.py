@@ -18,7 +18,6 @@ from typing import Any
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.time import Time
 from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_docking.codes import Code, State
@@ -32,9 +31,11 @@ from deltacharger_docking.ros.reports import Reports
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_ros import node_support
+from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 
 _TICK = 0.02  # s; pace where servo_state does not come
+_LOOK, _LOOK_AT_REST = 0.5, 1.0  # s between looks for second sources, each 0.1 ms
 _OPEN_TIMEOUT = 0.6  # s to see the contactor open when the node closes
 _TORQUE_DELAY = 0.5  # s from an opening after a defect to torque off
 _LAST_REQUEST = -1  # number of the request that switches the torque off at the end
@@ -130,7 +131,7 @@ class DockingNode(Node):
         super().destroy_node()
 
     def _age(self, stamp: Any) -> float:
-        return float((self.get_clock().now() - Time.from_msg(stamp)).nanoseconds) * 1e-9
+        return seconds(self.get_clock().now().to_msg()) - seconds(stamp)
 
     def _observe(self) -> Observation:
         replies, refusal = self._calls.take()
@@ -143,6 +144,7 @@ class DockingNode(Node):
                 self._pace()
                 started = time.monotonic()
                 with self._lock:
+                    self._inputs.look(self._between_looks())
                     observation = self._observe()
                     self._goals.forward_cancel()
                     command = self._machine.step(observation)
@@ -160,6 +162,13 @@ class DockingNode(Node):
             self._stopping.wait(_TICK)
         else:
             self._inputs.wait(_TICK)
+
+    def _between_looks(self) -> float:
+        """Return how long (s) not to look for second sources: at rest long, right before the contactor closes never."""
+        status = self._machine.status
+        if status.state is State.ENERGISE:
+            return 0.0
+        return _LOOK_AT_REST if status.state is State.IDLE and not status.docked else _LOOK
 
     def _switch_off_when_due(self, observation: Observation) -> None:
         """After a defect, switch the torque off once the contactor is open: never before."""
@@ -199,7 +208,7 @@ class DockingNode(Node):
         self._reports.show(status, command.states)
         self._goals.feed_back(command.states, observation.charge_current)
         self._hand_over()
-        if self._reports.diagnose(status, observation, self._slowest_tick):
+        if self._reports.diagnose(status, observation, self._slowest_tick, self._inputs.refused):
             self._slowest_tick = 0.0
 
     def _begun(self) -> None:

@@ -6,72 +6,155 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from deltacharger.msg import ChargerPower, ServoState, TactileFrame
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.time import Time
+from rclpy.serialization import deserialize_message
 
-from deltacharger_core.machine import CONTACT_FORCE, JOINTS
+from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, ROWS
 from deltacharger_docking.observation import Observation, Reply
-from deltacharger_ros.on_demand import LatestMessage
+from deltacharger_docking.ros.witness import Witness
+from deltacharger_ros.duplicates import Duplicates
+from deltacharger_ros.messages import seconds
+from deltacharger_ros.on_demand import LatestMessage, PolledTopic
 
+AHEAD = 0.1
+"""By how much (s) a stamp may be ahead of this computer's clock: so much staleness it would hide, and press_age_max
+bears no more. Clocks of two computers that are kept by NTP differ by less than a tenth of it."""
+_SPELL = 64  # tactile frames, half a second: what comes while docking's thread is held up is still heard
+_FRAME_MAX = 16_384  # bytes of a tactile frame; one has 900
 _PER_SERVO = ("position", "current", "hardware_error", "torque_enabled", "valid")
+SOURCES = ("servo_state", "tactile_frame", "charger_power", "joint_trajectory")
+"""Topics that one node may publish while docking works with them."""
+SERVERS = ("predict_misalignment", "detect_electrodes", "set_torque", "tare", "probe", "set_contactor")
+"""Services that one node may serve; besides docking's own actions, which a second docking_node serves."""
+_GOALS = ("dock/_action/send_goal", "undock/_action/send_goal")
+
+
+class MessageRefused(Exception):
+    """A message is not taken. Example: its stamp lies in the future."""
+
+
+class Refusals:
+    """What was not taken.
+
+    Attributes:
+        count: of messages.
+        last: why, the last of them.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.last = ""
+
+    def add(self, topic: str, reason: str) -> None:
+        """Count a message."""
+        self.count += 1
+        self.last = f"{topic}: {reason}"
 
 
 class Inputs:
     """The latest of each topic, as one `Observation`.
 
-    Topics are read when an observation is asked for: only the newest counts, and at rest that is seldom asked for.
+    Topics are read when an observation is asked for: only the newest counts, and at rest that is seldom asked for. Of
+    the tactile frames all are heard, as bytes: an estimate that lets current flow must come from them.
+
+    Attributes:
+        refused: messages that were not taken.
     """
 
     def __init__(self, node: Node) -> None:
+        self.refused = Refusals()
         self._clock = node.get_clock()
         self._lock = threading.Lock()
-        latest = QoSProfile(depth=1)
-        sampled = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._topics = {
-            ServoState: LatestMessage(node, ServoState, "servo_state", latest),
-            TactileFrame: LatestMessage(node, TactileFrame, "tactile_frame", sampled),
-            ChargerPower: LatestMessage(node, ChargerPower, "charger_power", latest),
-        }
+        self._servo = LatestMessage(node, ServoState, "servo_state", QoSProfile(depth=1))
+        self._power = LatestMessage(node, ChargerPower, "charger_power", QoSProfile(depth=1))
+        sampled = QoSProfile(depth=_SPELL, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._frames = PolledTopic(node, TactileFrame, "tactile_frame", sampled, raw=True)
+        self._witness = Witness()
+        self._duplicates = Duplicates(node, SOURCES, (*SERVERS, *_GOALS))
+        self._double, self._looked = "", -math.inf
         self._heard: dict[type[Any], Any] = {}  # the latest of each
-        self._measured = dict.fromkeys(self._topics, -math.inf)  # and when, s
+        self._measured = dict.fromkeys((ServoState, TactileFrame, ChargerPower), -math.inf)  # and when, s
 
     def wait(self, timeout: float) -> None:
         """Wait for the next servo_state, at most `timeout` s; for the one thread that steps."""
-        self._topics[ServoState].wait(timeout)
+        self._servo.wait(timeout)
 
     def rest(self) -> None:
         """Let servo_state wake nobody until the next `wait`."""
-        self._topics[ServoState].rest()
+        self._servo.rest()
+
+    def look(self, period: float) -> None:
+        """Look for second sources, where the last look is longer than `period` s ago."""
+        now = time.monotonic()
+        if now - self._looked >= period:
+            self._looked, self._double = now, self._duplicates.look()
 
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:
-        """Return what is known now; from any thread."""
+        """Return what is known now; from any thread. An estimate that nobody can vouch for is refused here."""
         with self._lock:
-            for kind, topic in self._topics.items():
+            for kind, topic in ((ServoState, self._servo), (ChargerPower, self._power)):
                 if (message := topic.take()) is not None:
                     self._hear(kind, message)
-            return self._compose(replies, contactor_refusal)
+            if (frame := self._newest_frame()) is not None:
+                self._hear(TactileFrame, frame)
+            return self._compose(tuple(map(self._witness.checked, replies)), contactor_refusal)
+
+    def _newest_frame(self) -> TactileFrame | None:
+        """Hear all frames that came; return the newest."""
+        now = seconds_of(self._clock.now().to_msg())
+        newest = b""
+        for data, _ in self._frames.take():
+            try:
+                stamp, sequence = frame_head(data)
+                _check_ahead(stamp - now)
+            except MessageRefused as refusal:
+                self.refused.add("tactile_frame", str(refusal))
+                continue
+            self._witness.hear(sequence, time.monotonic() - (now - stamp))
+            newest = data
+        if not newest:
+            return None
+        try:
+            message: TactileFrame = deserialize_message(newest, TactileFrame)
+        except Exception as error:  # bytes of a stranger: whatever the middleware says of them
+            self.refused.add("tactile_frame", f"it cannot be read: {type(error).__name__}")
+            return None
+        return message
 
     def _hear(self, kind: type[Any], message: Any) -> None:
         """Keep what was measured anew, by when that was: stale data are not fresh because they came or came again."""
         known = self._heard.get(kind)
-        if kind is ServoState:
-            message = _in_order(message)
-        if message is None or (known is not None and message.header.stamp == known.header.stamp):
+        if known is not None and message.header.stamp == known.header.stamp:
+            return
+        now = seconds_of(self._clock.now().to_msg())
+        try:
+            stamp = seconds_of(message.header.stamp)
+            _check_ahead(stamp - now)
+            if known is not None and stamp < (before := seconds_of(known.header.stamp)) <= now + AHEAD:
+                raise MessageRefused(f"its stamp is {before - stamp:.3f} s older than one before")
+            message = _CHECKS[kind](message)
+        except MessageRefused as refusal:
+            self.refused.add(_NAMES[kind], str(refusal))
             return
         if kind is not ServoState or all(message.valid):
-            age = (self._clock.now() - Time.from_msg(message.header.stamp)).nanoseconds * 1e-9
-            self._measured[kind] = time.monotonic() - max(age, 0.0)
+            self._measured[kind] = time.monotonic() - max(now - stamp, 0.0)
         self._heard[kind] = message
 
     def _compose(self, replies: tuple[Reply, ...], contactor_refusal: str) -> Observation:
         now = time.monotonic()
-        servo, tactile, power = (self._heard.get(kind) for kind in self._topics)
-        values: dict[str, Any] = {"time": now, "replies": replies, "contactor_refusal": contactor_refusal}
+        servo, tactile, power = (self._heard.get(kind) for kind in self._measured)
+        values: dict[str, Any] = {
+            "time": now,
+            "replies": replies,
+            "contactor_refusal": contactor_refusal,
+            "duplicate_sources": self._double,
+        }
         ages = (now - measured for measured in self._measured.values())
         values.update(zip(("servo_age", "tactile_age", "power_age"), ages, strict=True))
         if servo is not None:
@@ -82,7 +165,7 @@ class Inputs:
                 servos_valid=all(servo.valid),
                 hardware_error=int(np.bitwise_or.reduce(np.array(servo.hardware_error, dtype=np.uint8))),
                 torque_enabled=all(servo.torque_enabled),
-                thermal_reserve=min(reserve),
+                thermal_reserve=float(np.min(reserve)),  # NaN where one is: unknown
             )
         if tactile is not None:
             values.update(tactile_contact=_touches(tactile), tared=tactile.tared)
@@ -96,13 +179,52 @@ class Inputs:
         return Observation(**values)
 
 
-def _in_order(message: ServoState) -> ServoState | None:
-    """Return the servos in the order of the limbs; None where something is missing, foreign or impossible."""
+def seconds_of(stamp: Any) -> float:
+    """Return a stamp in s.
+
+    Raises:
+        MessageRefused: it is none.
+    """
+    if stamp.sec < 0 or stamp.nanosec >= 1_000_000_000:
+        raise MessageRefused(f"its stamp is none: {stamp.sec} s and {stamp.nanosec} ns")
+    return seconds(stamp)
+
+
+def _check_ahead(ahead: float) -> None:
+    if ahead > AHEAD:
+        raise MessageRefused(f"its stamp is {ahead:.3f} s ahead of this computer's clock; set both clocks")
+
+
+def frame_head(data: bytes) -> tuple[float, int]:
+    """Return stamp (s) and sequence of a TactileFrame in CDR, whose first fields they are.
+
+    Raises:
+        MessageRefused: it is none.
+    """
+    if not 24 <= len(data) <= _FRAME_MAX:
+        raise MessageRefused(f"it has {len(data)} bytes")
+    order: Any = "little" if data[1] & 1 else "big"
+    second, nanosecond, length = (int.from_bytes(data[at : at + 4], order) for at in (4, 8, 12))
+    start = 4 + (12 + length + 7) // 8 * 8  # behind frame_id, at a multiple of its own size from behind the head
+    if second >= 1 << 31 or nanosecond >= 1_000_000_000 or start + 8 > len(data):
+        raise MessageRefused("its first bytes are no stamp, frame_id and sequence")
+    return second + 1e-9 * nanosecond, int.from_bytes(data[start : start + 8], order)
+
+
+def _in_order(message: ServoState) -> ServoState:
+    """Return the servos in the order of the limbs.
+
+    Raises:
+        MessageRefused: something is missing, foreign or impossible.
+    """
     arrays = [getattr(message, name) for name in _PER_SERVO]
-    if sorted(message.name) != sorted(JOINTS) or any(len(each) != len(JOINTS) for each in arrays):
-        return None
+    count = len(JOINTS)
+    if any(len(each) != count for each in (message.name, *arrays)) or len(message.thermal_reserve) not in (0, count):
+        raise MessageRefused("its arrays are not of three servos")
+    if sorted(message.name) != sorted(JOINTS):
+        raise MessageRefused(f"its joints are not {', '.join(JOINTS)}")
     if any(abs(angle) > math.pi for angle in message.position):
-        return None
+        raise MessageRefused("an angle lies beyond half a turn")
     if list(message.name) == list(JOINTS):
         return message
     order = [list(message.name).index(name) for name in JOINTS]
@@ -111,5 +233,23 @@ def _in_order(message: ServoState) -> ServoState | None:
     return ServoState(header=message.header, name=list(JOINTS), thermal_reserve=reserve, **sorted_)
 
 
+def _two_pads(message: TactileFrame) -> TactileFrame:
+    sizes = (message.rows, message.columns, len(message.left), len(message.right))
+    if sizes != (ROWS, COLUMNS, ROWS * COLUMNS, ROWS * COLUMNS):
+        raise MessageRefused(f"its pads are not of {ROWS} × {COLUMNS} taxels")
+    if any(np.isinf(pad).any() for pad in (message.left, message.right)):
+        raise MessageRefused("a taxel's force is endless")
+    return message
+
+
+def _any(message: ChargerPower) -> ChargerPower:
+    return message  # its numbers are judged where current flows by them
+
+
+_CHECKS: dict[type[Any], Any] = {ServoState: _in_order, TactileFrame: _two_pads, ChargerPower: _any}
+_NAMES: dict[type[Any], str] = dict(zip((ServoState, TactileFrame, ChargerPower), SOURCES, strict=False))
+
+
 def _touches(frame: TactileFrame) -> bool:
-    return any(float(np.nanmax(np.asarray(pad), initial=0.0)) >= CONTACT_FORCE for pad in (frame.left, frame.right))
+    pads: Sequence[Any] = (frame.left, frame.right)
+    return any(float(np.nanmax(np.asarray(pad), initial=0.0)) >= CONTACT_FORCE for pad in pads)

@@ -15,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_docking.codes import State
 from deltacharger_docking.observation import Decision, DockingStatus, Observation
+from deltacharger_docking.ros.inputs import Refusals
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 
 _DECISIONS = 50  # depth: none of a docking's decisions is lost while a reader is busy
@@ -65,6 +66,7 @@ class Reports:
             error_code=int(status.code),
             error_message=status.message,
             request_id=status.request_id,
+            duplicate_sources=status.duplicate_sources,
         )
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._state.publish(message)
@@ -85,13 +87,14 @@ class Reports:
             message.header.frame_id = "charger_base"
             self._decision.publish(message)
 
-    def diagnose(self, status: DockingStatus, observation: Observation, slowest_tick: float) -> bool:
+    def diagnose(self, status: DockingStatus, observation: Observation, slowest_tick: float, refused: Refusals) -> bool:
         """Publish /diagnostics once a second; return whether it did.
 
         Args:
             status: of the machine.
             observation: the latest.
             slowest_tick: s, since the last diagnostics.
+            refused: messages so far.
         """
         if time.monotonic() - self._diagnosed <= _DIAGNOSTICS:
             return False
@@ -99,6 +102,8 @@ class Reports:
         level, text = OK, status.state.name
         if status.code:
             level, text = WARN, f"{status.code.name}: {status.message}"
+        if status.duplicate_sources:
+            level, text = WARN, f"two say what only one may, so no contactor closes: {status.duplicate_sources}"
         if observation.servo_age > self._servo_age_max:
             level, text = ERROR, "servo_state is missing or stale"
         entries = {
@@ -110,10 +115,14 @@ class Reports:
             "tactile_age_s": round(observation.tactile_age, 3),
             "power_age_s": round(observation.power_age, 3),
             "slowest_tick_ms": round(1000 * slowest_tick, 1),
+            "duplicate_sources": status.duplicate_sources,
+            "refused_messages": refused.count,
+            "refused_last": refused.last,
         }
         self._diagnostics.tell(level, text, entries)
         return True
 
 
 def _key(status: DockingStatus) -> tuple[object, ...]:
-    return status.state, status.docked, status.charging, status.code, status.message, status.request_id
+    told = (status.state, status.docked, status.charging, status.code, status.message, status.request_id)
+    return *told, status.duplicate_sources

@@ -16,6 +16,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from deltacharger_core.machine import LONGEST_LEASE
+from deltacharger_core.texts import cut
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.observation import ElectrodePose, Reply, Request, Service
 from deltacharger_docking.ros.messages import estimate, unknown
@@ -97,8 +98,9 @@ class Services:
             message = DetectElectrodes.Request(timeout=duration(_LOOKING * request.timeout))
         else:
             message = client.srv_type.Request()
+        asked = time.monotonic()
         future = client.call_async(message)
-        future.add_done_callback(lambda done: self._answer(request, done))
+        future.add_done_callback(lambda done: self._answer(request, asked, done))
 
     def take(self) -> tuple[tuple[Reply, ...], str]:
         """Return the replies since the last call, and why the contactor was refused ('' = it was not)."""
@@ -146,23 +148,25 @@ class Services:
             return
         with self._lock:
             if wanted and wish == self._wish and answer is not None and not answer.success:
-                self._refusal = answer.message
+                self._refusal = cut(answer.message)
 
-    def _answer(self, request: Request, done: Any) -> None:
+    def _answer(self, request: Request, asked: float, done: Any) -> None:
         try:
             answer = done.result()
+            payload = self._payload(request, asked, answer) if answer.success else {}
         except Exception as error:  # a service that fails in its node must not end docking's executor
-            self._put(Reply(request.number, False, str(error)))
+            self._put(Reply(request.number, False, cut(str(error))))
             return
-        payload = self._payload(request.service, answer) if answer.success else {}
-        self._put(Reply(request.number, answer.success, answer.message, **payload))
+        self._put(Reply(request.number, answer.success, cut(answer.message), **payload))
 
-    def _payload(self, service: Service, answer: Any) -> dict[str, Any]:
+    def _payload(self, request: Request, asked: float, answer: Any) -> dict[str, Any]:
         """Return what the reply of a service holds besides success and message."""
+        service = request.service
         if service is Service.ESTIMATE:
             felt = estimate(answer.misalignment)
             self._felt.append((felt, answer.misalignment))
-            return {"estimate": felt}
+            named = tuple(answer.sequences) if len(answer.sequences) == request.frames else ()
+            return {"estimate": felt, "sequences": named, "asked": asked}
         if service is Service.PROBE:
             return {"resistance": answer.resistance, "target_voltage": answer.target_voltage}
         if service is not Service.DETECT:

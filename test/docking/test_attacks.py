@@ -268,3 +268,77 @@ def test_undocking_without_servos_is_no_success_while_the_magnets_may_hold(fault
     run.distort = lambda observation: observation
     assert run.undock().success
     assert not run.machine.status.docked
+
+
+NAMES = "servo_state from /servo_node and /stranger"
+
+
+def two_speak(observation: Observation) -> Observation:
+    return replace(observation, duplicate_sources=NAMES)
+
+
+@pytest.mark.parametrize("begins", [State.APPROACH, State.MEASURE, State.ENERGISE])
+def test_no_contactor_closes_while_two_speak(begins: State) -> None:
+    """Whenever the second comes; docking goes on up to there, waits for it to go, says so, and goes home."""
+    run = quick_charger(parameters={"duplicate_source_timeout": 2.0})
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.machine.status.state is begins, 60.0)
+    run.distort = two_speak
+    outcome = run.finish(120.0)
+    assert (outcome.code, outcome.retriable) == (Code.DUPLICATE_SOURCE, True)
+    assert NAMES in outcome.message
+    assert run.machine.status.duplicate_sources == NAMES
+    assert run.world.record.energised == 0.0
+    until_idle(run)
+
+
+@pytest.mark.parametrize("begins", [State.CONTACT, State.MEASURE])
+def test_what_was_felt_while_two_spoke_lets_no_current_flow(begins: State) -> None:
+    """A second that is gone when the contactor would close may have spoken for the estimate: it is made anew."""
+    run = quick_charger()
+    felt: list[float] = []
+
+    def note(reply: Reply) -> Reply:
+        felt.append(run.now)
+        return reply
+
+    run.answer[Service.ESTIMATE] = note
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.machine.status.state is begins, 60.0)
+    run.distort = two_speak
+    run.until(lambda: run.machine.status.state is State.MEASURE and len(felt) >= 1, 60.0)
+    run.run(0.5)
+    run.distort = lambda observation: observation
+    gone = run.now
+    assert run.finish(120.0).success
+    assert felt[-1] > gone
+    run.until(lambda: run.world.snapshot().contactor_closed, 1.0)
+
+
+def test_a_second_that_comes_while_charging_is_told_and_opens_nothing() -> None:
+    run = charging()
+    run.distort = two_speak
+    run.run(10.0)
+    assert run.machine.status.charging
+    assert run.machine.status.duplicate_sources == NAMES
+
+
+def test_a_node_that_was_started_anew_is_waited_for_as_one_that_was_never_heard() -> None:
+    run = quick_charger()
+    run.run(1.0)
+    since = run.now
+    run.distort = lambda observation: (
+        replace(observation, tactile_age=observation.time - since + 5.0)
+        if observation.time < since + 2.0
+        else observation
+    )
+    assert run.dock().success
+
+
+def test_pads_that_stay_silent_end_a_goal_before_anything_moves() -> None:
+    run = quick_charger()
+    before = run.world.snapshot().position
+    run.distort = lambda observation: replace(observation, tactile_age=observation.time + 5.0)
+    assert run.dock().code is Code.TACTILE_STALE
+    assert run.now < run.parameters.first_data_timeout + 1.0
+    assert math.dist(run.world.snapshot().position, before) < 1e-3

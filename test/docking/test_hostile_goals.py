@@ -15,8 +15,11 @@ import pytest
 from action_msgs.srv import CancelGoal
 from builtin_interfaces.msg import Duration
 from deltacharger.action import Dock, Undock
+from deltacharger.msg import DockingState
 from rclpy.action.client import ActionClient
 
+from deltacharger_core.texts import REQUEST_ID_MAX
+from deltacharger_ros import qos
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.messages import CODES
 from deltacharger_ros.outcomes import DockRequest, Pose
@@ -121,6 +124,7 @@ WRONG = {
     "negative seconds and four of nanoseconds less one": with_fields(
         stop_after=Duration(sec=-5, nanosec=4_000_000_000)
     ),
+    "request_id of 257 characters": with_fields(request_id="x" * 257),
     "smallest duration": with_fields(stop_after=Duration(sec=-(2**31))),
 }
 WRONG["orientation too long to be normed"].electrodes.pose.orientation.z = HUGE
@@ -142,7 +146,7 @@ def test_what_cannot_be_served_is_told_before_anything_moves(charger: Charger, g
 
 def random_goal(source: random.Random) -> Any:
     if source.random() < 0.1:
-        return Undock.Goal(request_id=source.choice(("", "x" * 10_000, "\x00", "ä\U0001f50c")))
+        return Undock.Goal(request_id=source.choice(("", "x" * 200, "\x00", "ä\U0001f50c")))
     numbers = (0.0, 1.0, -1.0, 0.080, 1e-300, HUGE, -HUGE, NAN, INF, -INF)
     goal = pose(*(source.choice(numbers) for _ in range(3)), frame=source.choice(("charger_base", "base_link", "x")))
     goal.electrodes.pose.position.x = source.choice((NAN, INF, HUGE, 5.0))  # never one that moves the arm
@@ -167,12 +171,19 @@ def test_fifty_wrong_goals_at_once_are_each_answered(charger: Charger) -> None:
     assert not charger.servos.torque_enabled
 
 
-def test_a_request_id_of_ten_megabytes_is_refused_or_borne(charger: Charger) -> None:
-    result = charger.result(with_fields(request_id="x" * 10_000_000, critical_angle=-1.0))
-    assert CODES[result.error_code] == "REJECTED"
-    result = charger.result(Undock.Goal(request_id="x" * 10_000_000))
-    assert result.success or CODES[result.error_code] == "REJECTED"
-    assert charger.client.undock(deadline=DEADLINE).success
+def test_a_request_id_of_ten_megabytes_is_refused_and_repeated_nowhere(charger: Charger) -> None:
+    states: list[DockingState] = []
+    heard = charger.client.node.create_subscription(DockingState, "docking_state", states.append, qos.STATE)
+    for goal in (with_fields(request_id="x" * 10_000_000), Undock.Goal(request_id="x" * 10_000_000)):
+        result = charger.result(goal)
+        assert CODES[result.error_code] == "REJECTED"
+        assert "request_id" in result.error_message
+        assert len(result.error_message) < 1000
+    longest = "y" * REQUEST_ID_MAX
+    assert charger.client.undock(longest, deadline=DEADLINE).success
+    wait_until(lambda: states and states[-1].request_id == longest, "the longest id that is taken")
+    assert max(len(state.request_id) for state in states) == REQUEST_ID_MAX
+    charger.client.node.destroy_subscription(heard)
 
 
 def cancel_all(charger: Charger, action: str) -> Any:

@@ -216,17 +216,73 @@ def test_one_message_again_and_again_is_no_news_even_from_the_future(hostile: Ho
     assert CODES[hostile.code] in {SERVO: {"SERVO_FAULT"}, POWER: {"POWER_STALE", "CONTACTOR_WELDED"}}[topic]
 
 
-@pytest.mark.parametrize("seconds", [-3600, 3600])
-def test_stamps_of_another_clock_are_fresh_on_arrival_or_not_at_all(hostile: Hostile, seconds: int) -> None:
-    """A publisher's clock that is an hour behind makes everything stale; one ahead is taken as of now."""
+@pytest.mark.parametrize("seconds", [-3600, slow(3600), slow(1), slow(-(2**31))])
+def test_servos_stamped_by_another_clock_never_dock(hostile: Hostile, seconds: int) -> None:
+    """What is an hour old is stale; what is stamped ahead might be, and nobody would know; no stamp is none."""
 
     def shift(message: Any) -> Any:
-        message.header.stamp.sec += seconds
+        message.header.stamp.sec = max(message.header.stamp.sec + seconds, -(2**31))
         return message
 
     hostile.relay.distort[SERVO] = shift
-    if seconds > 0:
-        hostile.charge()
-    else:
-        assert hostile.dock().error_name == "SERVO_FAULT"
-        assert not hostile.is_closed
+    assert hostile.dock().error_name == "SERVO_FAULT"
+    assert not hostile.is_closed
+
+
+def stamped(seconds: int, nanoseconds: int) -> Distortion:
+    def distort(message: Any) -> Any:
+        message.header.stamp.sec, message.header.stamp.nanosec = seconds, nanoseconds
+        return message
+
+    return distort
+
+
+def ahead(message: Any) -> Any:
+    message.header.stamp.sec += 1
+    return message
+
+
+def backwards(message: Any) -> Any:
+    message.header.stamp.sec -= 1
+    return message
+
+
+def swollen(message: Any) -> Any:
+    message.header.frame_id = "x" * 100_000
+    message.header.stamp.sec = -1
+    return message
+
+
+REFUSED = (
+    stamped(-5, 0),
+    stamped(-(2**31), 2**32 - 1),
+    stamped(2**31 - 1, 2**32 - 1),
+    stamped(5, 4_000_000_000),
+    ahead,
+    backwards,
+    swollen,
+)
+
+
+@pytest.mark.parametrize(
+    ("topic", "malformed"),
+    [(SERVO, cut(2, "position")), slow(PADS, cut(3, "left")), slow(POWER, swollen)],
+)
+def test_what_is_refused_is_counted_and_takes_nothing_from_the_true_ones(
+    hostile: Hostile, topic: str, malformed: Distortion
+) -> None:
+    """Every second message of a topic is wrong while the charger docks and charges: that goes on."""
+    defects, refused = Defects(hostile), hostile.docking._inputs.refused
+    before, turns = refused.count, [0]
+    wrong = (*REFUSED, malformed)
+
+    def alternate(message: Any) -> Any:
+        turns[0] += 1
+        return wrong[turns[0] // 2 % len(wrong)](message) if turns[0] % 2 else message
+
+    hostile.relay.distort[topic] = alternate
+    hostile.charge()
+    wait_until(lambda: refused.count - before > 3 * len(wrong), "a count")
+    assert hostile.is_closed
+    assert refused.last.startswith(topic)
+    assert defects.told == []

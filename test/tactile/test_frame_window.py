@@ -24,7 +24,7 @@ class Clock:
 
 
 def frame(sampled: float) -> Frame:
-    return Frame(sampled, None, True, FORCES, FORCES)
+    return Frame(sampled, None, 0, True, FORCES, FORCES)
 
 
 def ask(window: FrameWindow, wanted: int, then: list[Frame]) -> list[Frame]:

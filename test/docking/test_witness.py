@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The frames behind an estimate: sampled after the question, each once, and half of them heard by docking itself."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.observation import Reply
+from deltacharger_docking.ros.witness import Witness
+
+PERIOD = 1.0 / 120.0  # s
+ASKED = 100.0  # s
+BEFORE = range(1000, 1120)  # sampled in the second before it
+AFTER = range(1120, 1144)
+FELT = FeltPose(0.0, 0.01, 0.0, 1e-4, 0.0, 1e-4)
+
+
+def witness(after: range = AFTER, before: range = BEFORE, every: int = 1) -> Witness:
+    """One that heard a second of frames before ASKED, and every n-th of those after it."""
+    heard = Witness()
+    for frame in before:
+        heard.hear(frame, ASKED - 0.15 - (before.stop - frame) * PERIOD)  # the arm has rested at least so long
+    for frame in after[::every]:
+        heard.hear(frame, ASKED + (frame - after.start) * PERIOD)
+    return heard
+
+
+def is_believed(heard: Witness, *named: int) -> bool:
+    reply = heard.checked(Reply(7, True, estimate=FELT, sequences=named, asked=ASKED))
+    assert reply.number == 7
+    assert reply.success == (reply.estimate is not None)
+    assert reply.success or "vouch" in reply.message
+    return reply.success
+
+
+def test_frames_after_the_question_are_believed_also_where_half_of_them_were_lost() -> None:
+    assert is_believed(witness(), *AFTER)
+    assert is_believed(witness(every=2), *AFTER)
+    assert not is_believed(witness(every=3), *AFTER)
+
+
+@pytest.mark.parametrize(
+    ("named", "why"),
+    [
+        ((), "none"),
+        ((0,) * 24, "of a publisher that does not count"),
+        ((1120,) * 24, "one again and again"),
+        (tuple(reversed(AFTER)), "backwards"),
+        (tuple(range(1000, 1024)), "of an earlier question"),
+        (tuple(range(1108, 1132)), "half of them from before"),
+        ((1119, *AFTER[1:]), "one from before"),
+        (tuple(range(5000, 5024)), "never heard"),
+        ((*AFTER[:11], *range(5000, 5013)), "less than half heard"),
+        ((2**64 - 1,), "the largest number"),
+    ],
+)
+def test_what_no_frames_stand_behind_is_refused(named: tuple[int, ...], why: str) -> None:
+    assert not is_believed(witness(), *named), why
+
+
+@pytest.mark.parametrize("start", [0, 1, 900, 1100, 2000, 10**12])
+def test_a_tactile_node_that_was_started_anew_and_a_board_that_rebooted_are_believed(start: int) -> None:
+    """The sequence begins anew with the first, and jumps ahead with the second."""
+    after = range(start, start + 24)
+    assert is_believed(witness(after), *after)
+    assert is_believed(witness(after, every=2), *after)
+
+
+def test_who_heard_nothing_believes_nothing() -> None:
+    assert not is_believed(Witness(), *AFTER)
+
+
+def test_answers_without_an_estimate_pass_as_they_are() -> None:
+    reply = Reply(3, True, "tared", resistance=math.pi)
+    assert Witness().checked(reply) is reply
