@@ -13,7 +13,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from deltacharger_core import environment
+from deltacharger_core import environment, streams
 from deltacharger_ros.executor import Spinner
 
 
@@ -41,6 +41,7 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     Returns:
         Exit code: 0 after a signal, 2 where the node cannot start as configured.
     """
+    streams.secure()
     stop = threading.Event()
 
     def request_stop(number: int, frame: FrameType | None) -> None:
@@ -56,7 +57,7 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None) -> int:
         environment.announce()
         rclpy.init(args=None if args is None else list(args), signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy raises its own kinds for arguments, log folder and domain
-        print(f"cannot start: {ros_problem(error) or error}", file=sys.stderr)
+        streams.write(streams.brief(f"cannot start: {ros_problem(error) or error}"), sys.stderr)
         return 2
     try:
         try:
@@ -65,7 +66,7 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None) -> int:
             problem = str(error) if isinstance(error, StartupError | OSError) else ros_problem(error)
             if not problem:
                 raise
-            print(problem, file=sys.stderr)
+            streams.write(streams.brief(problem), sys.stderr)
             return 0 if stop.is_set() else 2
         spinner = Spinner(node)
         try:

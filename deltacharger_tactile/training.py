@@ -181,7 +181,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "models" / "pose.npz")
     options = parser.parse_args(arguments)
-    train().save(options.output)
+    if not options.output.parent.is_dir():
+        parser.error(f"--output {options.output}: the folder {options.output.parent} does not exist; make it")
+    model = train()
+    try:
+        model.save(options.output)
+    except OSError as error:
+        parser.error(f"--output: {error}")
     return 0
 
 

@@ -8,7 +8,9 @@ goes to stdout; progress and logs always go to stderr.
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
+import os
 import signal
 import sys
 import warnings
@@ -16,8 +18,9 @@ from collections.abc import Sequence
 from functools import partial
 from types import FrameType
 
-from deltacharger_bringup.cli.output import FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
+from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
 from deltacharger_bringup.cli.parser import Parser, Version, add_command
+from deltacharger_core import streams
 
 GROUPS = {
     "scene": ("list, check or explain scenes", "Inspect scenes."),
@@ -83,6 +86,9 @@ _ELSEWHERE = {
     "tactile compare": "report.tactile",
 }
 
+_LONGEST_WORD = 4096  # characters; of a path, too
+_WRONG_PATH = (errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL, errno.EROFS, errno.ENXIO, errno.ENODEV)
+
 _EXTRA_OF = {
     "scipy": "calibrate",
     **dict.fromkeys(("jinja2", "markdown_it", "matplotlib", "mpmath", "psutil"), "report"),
@@ -93,9 +99,17 @@ _EXTRA_OF = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; the entry point."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if arguments is not None:
-        return _run(words)
-    warnings.showwarning = _show_warning
+    if arguments is None:
+        streams.secure()
+        warnings.showwarning = _show_warning
+    try:
+        code = _run(words) if arguments is not None else _interruptible(words)
+    except SystemExit as end:  # argparse has said its help or a wrong usage
+        code = int(end.code or DONE)
+    return streams.ended(code)
+
+
+def _interruptible(words: list[str]) -> int:
     try:
         signal.signal(signal.SIGINT, _interrupt)  # until the command, imported later, takes signals over
         return _run(words)
@@ -122,6 +136,7 @@ def _run(words: list[str]) -> int:
     Parser.wants_json = "--json" in words
     options = argparse.Namespace(json=Parser.wants_json)
     try:
+        _require_plain(words)
         parser = build_parser()
         parser.parse_args(words, options)
         if not hasattr(options, "run"):
@@ -130,21 +145,47 @@ def _run(words: list[str]) -> int:
         return int(options.run(options))
     except CommandError as error:
         failure = error
-    except FileNotFoundError as error:
-        failure = CommandError(f"{error.filename or error}: there is no such file", WRONG_INPUT)
-    except (PermissionError, IsADirectoryError, NotADirectoryError) as error:  # a path that was given is a wrong one
-        failure = CommandError(str(error), WRONG_INPUT)
     except OSError as error:
-        failure = CommandError(str(error), FAILED)
+        failure = _of_system(error)
+    except UnicodeError as error:
+        failure = CommandError(f"a name or text is not UTF-8 ({error}); rename or change it", WRONG_INPUT)
     except Exception as error:
         known = _known(error)
         if known is None:
             raise
         failure = known
-    say(str(failure))
+    text = streams.brief(str(failure))
+    say(text)
     if options.json:
-        write_json({"success": False, "error": str(failure), **failure.details})
+        write_json({"success": False, "error": text, **failure.details})
     return failure.exit_code
+
+
+def _require_plain(words: list[str]) -> None:
+    """Refuse words that would control the terminal on which they are told, or end the line, or fill it."""
+    for word in words:
+        if streams.plain(word) != word:
+            told = streams.plain(streams.brief(word))
+            raise CommandError(f"'{told}' holds control characters: rename or retype it", WRONG_INPUT)
+        if len(word) > _LONGEST_WORD:
+            raise CommandError(f"'{word[:20]}…' has {len(word)} characters, more than any name or path", WRONG_INPUT)
+
+
+def _of_system(error: OSError) -> CommandError:
+    """Return what tells a person what the system refuses: a path that was given is a wrong one."""
+    if isinstance(error, FileNotFoundError):
+        if error.filename is None and not _has_working_directory():
+            return CommandError("the working directory was removed: change to another", WRONG_INPUT)
+        return CommandError(f"{error.filename or error}: there is no such file", WRONG_INPUT)
+    wrong = isinstance(error, PermissionError | IsADirectoryError | NotADirectoryError) or error.errno in _WRONG_PATH
+    return CommandError(str(error), WRONG_INPUT if wrong else FAILED)
+
+
+def _has_working_directory() -> bool:
+    try:
+        return bool(os.getcwd())
+    except OSError:
+        return False
 
 
 def _known(error: Exception) -> CommandError | None:

@@ -6,14 +6,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import os
 import signal
 import sys
 import threading
 from collections.abc import Iterator
 from types import FrameType
-from typing import Any, TextIO
+from typing import Any
 
+from deltacharger_core import streams
 from deltacharger_ros.outcomes import json_ready
 
 DONE, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -54,12 +54,12 @@ def wrong_input(*kinds: type[Exception], before: str = "", **details: Any) -> It
 
 def say(text: str) -> None:
     """Write a line for people, to stderr."""
-    _write(text, sys.stderr)
+    streams.write(text, sys.stderr)
 
 
 def tell(text: str) -> None:
     """Write lines of a command's answer for people, to stdout."""
-    _write(text, sys.stdout)
+    streams.write(text, sys.stdout)
 
 
 def tell_or_write(options: argparse.Namespace, text: str, value: dict[str, Any]) -> None:
@@ -76,20 +76,9 @@ def answer(options: argparse.Namespace, value: dict[str, Any]) -> None:
     options.json = False
 
 
-def _write(text: str, stream: TextIO | None) -> None:
-    if stream is None:  # closed by the shell; print would turn to stdout
-        return
-    try:
-        print(text, file=stream, flush=True)
-    except BrokenPipeError:  # nobody reads any more; a charger must not stop for that
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())  # below the stream, whose buffer is written once more at exit
-        os.close(nowhere)
-
-
 def write_json(value: dict[str, Any]) -> None:
     """Write the command's one JSON object to stdout; NaN and infinity become null."""
-    tell(json.dumps(json_ready(value), ensure_ascii=False))
+    tell(json.dumps(json_ready(value), ensure_ascii=not streams.takes_unicode()))
 
 
 class Interrupts:

@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 from deltacharger_bringup.cli.output import tell, write_json
 from deltacharger_bringup.cli.types import namespace
+from deltacharger_core import streams
 from deltacharger_core.version import package_version
 
 DEFAULT_SCENE = "simulated"
@@ -43,9 +44,14 @@ class Parser(argparse.ArgumentParser):
         for action in self._actions:
             if isinstance(action, argparse._SubParsersAction) and message.endswith(f"required: {action.metavar}"):
                 message += f", one of {', '.join(action.choices)}"
+        message = streams.brief(message)
         if Parser.wants_json:
             write_json({"success": False, "error": message})
         super().error(message)
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        if message:
+            streams.write(message, file, end="")
 
 
 class Version(argparse.Action):

@@ -12,7 +12,7 @@ from typing import Any
 from deltacharger_bringup.cli.files import picture_to_write
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell, write_json, wrong_input
 from deltacharger_bringup.cli.parser import namespace_option
-from deltacharger_core import environment
+from deltacharger_core import environment, streams
 from deltacharger_core.mcap_file import McapFile, RecordingError
 from deltacharger_records.recording.folder import END
 from deltacharger_records.recording.own import ABOUT, PARTIAL, SUFFIX, look
@@ -74,14 +74,15 @@ def _folder(options: argparse.Namespace, folder: Path) -> int:
     if not entries:
         say(f"{folder}: no records")
     for entry in entries:
+        name = streams.plain(entry["file"])
         if entry["problem"]:
-            tell(f"{entry['file']}: {entry['problem']}")
+            tell(f"{name}: {streams.plain(entry['problem'])}")
             continue
         size = entry["bytes"] / 1e6
         alone = f"; the recorder leaves it alone: {entry['left_alone']}" if entry["left_alone"] else ""
         tell(
             f"{_when(round(entry['time'] * 1e9))}  {entry['duration']:9.1f} s  {size:7.2f} MB  "
-            f"{entry['outcome']:<22} {entry['request_id'] or '–'}  ({entry['file']}{alone})"
+            f"{entry['outcome']:<22} {streams.plain(entry['request_id']) or '–'}  ({name}{alone})"
         )
     return DONE
 

@@ -14,6 +14,8 @@ import sys
 import time
 from typing import Any
 
+from deltacharger_core import streams
+
 ALONE = "--alone"
 _LOOK = 3.3  # s; who misses a charger's first announcement waits 3 s for the next
 _STEP = 0.05  # s
@@ -35,8 +37,7 @@ def main() -> int:
 def _tell(report: dict[str, Any], step: str) -> None:
     """Print what is known before `step` is tried; '' = all were."""
     report["step"] = step
-    sys.stdout.write(json.dumps(report) + "\n")
-    sys.stdout.flush()
+    streams.write(json.dumps(report), sys.stdout)
 
 
 def _probe(report: dict[str, Any]) -> None:

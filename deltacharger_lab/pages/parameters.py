@@ -15,7 +15,8 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from deltacharger_core import environment
+from deltacharger_core import environment, streams
+from deltacharger_ros.node_support import ros_problem
 
 _OWN = ("use_sim_time", "start_type_description_service")  # every ROS node has them
 _PER_SCENE = ("port", "file")
@@ -114,19 +115,24 @@ def _player(context: Context, namespace: str) -> Any:
 
 def write_page(document: Callable[[list[Node]], str], namespace: str) -> int:
     """Write a page on all nodes to stdout."""
-    return with_every_node(lambda nodes: sys.stdout.write(document(nodes)), namespace)
+    return with_every_node(lambda nodes: streams.write(document(nodes), sys.stdout, end=""), namespace)
 
 
 def with_every_node(use: Callable[[list[Node]], object], namespace: str) -> int:
     """Call `use` with all nodes running; the main of a page."""
+    streams.secure()
     environment.prepare()
     environment.isolate()
     context = Context()
-    rclpy.init(context=context, args=[])
+    try:
+        rclpy.init(context=context, args=[])
+    except Exception as error:  # rclpy raises its own kinds
+        streams.write(f"cannot start: {ros_problem(error) or error}", sys.stderr)
+        return streams.ended(2)
     with every_node(context, namespace) as nodes:
         use(nodes)
     rclpy.try_shutdown(context=context)
-    return 0
+    return streams.ended(0)
 
 
 if __name__ == "__main__":

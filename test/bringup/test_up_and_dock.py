@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -149,3 +150,19 @@ def test_the_command_finds_its_environment_by_itself(up: Run, monkeypatch: pytes
     charger = up()
     assert any("ROS domain 87" in line for line in charger.err)
     assert charger.end(signal.SIGTERM) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shell", ["exec {} >/dev/full 2>&-", "exec {} >&- 2>/dev/full"])
+def test_a_docking_is_finished_whatever_takes_what_is_said_of_it(
+    up: Run, run: Run, start: Run, deltacharger: tuple[str, ...], quick_file: Path, namespace: str, shell: str
+) -> None:
+    where = ("--scene", str(quick_file), "--namespace", namespace)
+    charger = start("bash", "-c", shell.format(shlex.join((*deltacharger, "up", *where))))
+    wait_until(lambda: run("undock").end() == 0, "a charger that answers")
+    dock = start("bash", "-c", shell.format(shlex.join((*deltacharger, "dock", *where, "--json"))))
+    assert dock.end() == 1, "its answer is lost"
+    assert (dock.out, dock.err) == ([], [])
+    undock = run("undock", "--json")
+    assert undock.end() == 0, undock.err
+    assert charger.end(signal.SIGTERM) == 0, "it had nothing to answer"
