@@ -6,7 +6,7 @@ Publishes: end_effector_pose (charger_base) and contact_wrench (force on the end
 weight removed), one of each per servo_state while somebody listens and with its stamp, so that their age is that of the
 measurement; nothing while a servo is not valid, and no wrench while a torque is off.
 Serves: solve_inverse_kinematics, solve_forward_kinematics, with a status per point; an incomplete last point is
-INVALID_INPUT.
+INVALID_INPUT. More than POINTS_MAX at once are answered by nothing.
 Parameters: geometry_file or the arm's single dimensions, gravity, torque_constant.
 """
 
@@ -35,6 +35,8 @@ from deltacharger_ros import node_support
 from deltacharger_ros.parameters import declare_all, reject_unknown
 
 _DEFAULT_DEPTH = 10
+POINTS_MAX = 1_000_000
+"""Points that one request may hold; a request of more is answered by nothing, and all of it would take seconds."""
 _LOOK = 0.2  # s between looks for who wants pose or wrench
 
 
@@ -104,6 +106,8 @@ class KinematicsNode(Node):
     def _on_inverse(
         self, request: SolveInverseKinematics.Request, response: SolveInverseKinematics.Response
     ) -> SolveInverseKinematics.Response:
+        if self._is_too_much(request.positions):
+            return response
         solved = self._delta.inverse(points(request.positions))
         response.angles = _flat("d", solved.angles)
         response.status = _flat("I", solved.status)
@@ -113,10 +117,22 @@ class KinematicsNode(Node):
     def _on_forward(
         self, request: SolveForwardKinematics.Request, response: SolveForwardKinematics.Response
     ) -> SolveForwardKinematics.Response:
+        if self._is_too_much(request.angles):
+            return response
         solved = self._delta.forward(points(request.angles))
         response.positions = _flat("d", solved.position)
         response.status = _flat("I", solved.status)
         return response
+
+    def _is_too_much(self, values: Sequence[float]) -> bool:
+        """Return, and tell, whether more points are asked for than are answered at once."""
+        if len(values) <= 3 * POINTS_MAX:
+            return False
+        self.get_logger().warning(
+            f"{len(values) // 3} points were asked for at once: ask for {POINTS_MAX} at most",
+            throttle_duration_sec=5.0,
+        )
+        return True
 
 
 def _complete(flags: Sequence[bool]) -> bool:

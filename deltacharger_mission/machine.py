@@ -13,7 +13,7 @@ from collections.abc import Generator
 
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, ElectrodesNotFound, PhaseTimeout, Rejected
-from deltacharger_docking.goal_desk import check_stops
+from deltacharger_docking.goal_desk import check_id, check_stops
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.context import MissionContext, Script, dock_failure
 from deltacharger_mission.dialogue import (
@@ -69,6 +69,7 @@ class MissionMachine:
         """
         if self.busy:
             raise Busy("another mission is under way; cancel it or wait for its result")
+        check_id(goal.request_id)
         check_stops(goal.stop_energy, goal.stop_after)
         if self._home is not None and goal.electrodes is None:
             raise Rejected("the target has no frame_id: give the navigator's, such as map")

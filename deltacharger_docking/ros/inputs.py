@@ -122,7 +122,7 @@ class Inputs:
             return None
         try:
             message: TactileFrame = deserialize_message(newest, TactileFrame)
-        except Exception as error:  # bytes of a stranger: whatever the middleware says of them
+        except RuntimeError as error:  # bytes of a stranger: what the middleware says of them
             self.refused.add("tactile_frame", f"it cannot be read: {type(error).__name__}")
             return None
         return message

@@ -10,12 +10,16 @@ from typing import Any
 from deltacharger.action import Dock
 from geometry_msgs.msg import PoseStamped
 
-from deltacharger_docking.codes import Code, Rejected
+from deltacharger_core.texts import cut
+from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.ros.messages import unknown
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_mission.dialogue import End, MissionGoal, TaskReply
+from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, TaskReply
 from deltacharger_mission.places import Place
 from deltacharger_ros.messages import seconds
+
+_NEAR = 10.0  # m; no camera of the charger tells a terminal farther off
+_FRAME_MAX = 256  # characters of a frame's name
 
 
 def read_dock(number: int, end: End, result: Any, heard: Any) -> TaskReply:
@@ -23,16 +27,33 @@ def read_dock(number: int, end: End, result: Any, heard: Any) -> TaskReply:
     if result is None:
         return TaskReply(number, end, Code.REJECTED, "docking_node did not take the goal; look at its log", True)
     pose = getattr(result, "suggested_base_pose", None)
-    place = vector(pose.pose.position) if pose is not None and pose.header.frame_id else None
-    code = _known(result.error_code)
-    return TaskReply(number, _ended(end, result), code, result.error_message, result.retriable, suggested=place)
+    place = near(pose.pose.position) if pose is not None and pose.header.frame_id else None
+    code, message = _known(result.error_code), cut(result.error_message)
+    return TaskReply(number, _ended(end, result), code, message, result.retriable, suggested=place)
 
 
 def read_drive(number: int, end: End, result: Any, heard: Any) -> TaskReply:
     """Return the reply of a drive; results before Kilted carry no words, and before Iron no code."""
-    code, words = getattr(result, "error_code", 0), getattr(result, "error_msg", "")
+    code, words = getattr(result, "error_code", 0), cut(getattr(result, "error_msg", ""))
     message = " ".join(part for part in (words, f"(error {code} of the navigator)" if code else "") if part)
     return TaskReply(number, end, message=message, place=None if heard is None else place(heard.current_pose))
+
+
+def read_detection(number: int, answer: Any) -> TaskReply:
+    """Return the reply of detect_electrodes; a robot is not sent after electrodes that no camera can see."""
+    if not answer.success:
+        return TaskReply(number, End.FAILED, message=cut(answer.message))
+    seen = near(answer.detection.pose.pose.position)
+    if seen is None:
+        return TaskReply(number, End.FAILED, message=f"the detection lies beyond {_NEAR:g} m, or nowhere")
+    return TaskReply(number, End.DONE, electrodes=seen)
+
+
+def read_state(message: Any) -> DockingReport | None:
+    """Return what docking_state says; None where its state is none."""
+    if message.state not in set(State):
+        return None
+    return DockingReport(State(message.state), message.docked, message.charging)
 
 
 def _ended(end: End, result: Any) -> End:
@@ -64,8 +85,9 @@ def goal(request: Any, electrodes: Sequence[float] | None) -> MissionGoal:
     where = None
     if electrodes is not None:
         target = request.target
-        if not target.header.frame_id:
-            raise Rejected("target.header.frame_id is empty: name the navigator's frame, such as map")
+        if not 0 < len(target.header.frame_id) <= _FRAME_MAX:
+            length = len(target.header.frame_id)
+            raise Rejected(f"target.header.frame_id has {length} characters: name the navigator's frame, such as map")
         here = place(target)
         if here is None:
             raise Rejected("the target's pose is not finite, or its quaternion is zero: send numbers")
@@ -76,10 +98,11 @@ def goal(request: Any, electrodes: Sequence[float] | None) -> MissionGoal:
 def place(message: PoseStamped) -> Place | None:
     """Return a pose as a place on the ground; None where it is not finite or its quaternion is zero."""
     point, turn = message.pose.position, message.pose.orientation
-    length = math.sqrt(turn.x**2 + turn.y**2 + turn.z**2 + turn.w**2)
+    length = math.hypot(turn.x, turn.y, turn.z, turn.w)
     if not (math.isfinite(point.x) and math.isfinite(point.y) and math.isfinite(length) and length > 0.0):
         return None
-    sine, cosine = turn.w * turn.z + turn.x * turn.y, 0.5 * length**2 - turn.y**2 - turn.z**2
+    x, y, z, w = (part / length for part in (turn.x, turn.y, turn.z, turn.w))
+    sine, cosine = w * z + x * y, 0.5 - y**2 - z**2
     return Place(point.x, point.y, math.atan2(sine, cosine), message.header.frame_id)
 
 
@@ -90,6 +113,7 @@ def fill_pose(message: PoseStamped, where: Place) -> None:
     message.pose.orientation.z, message.pose.orientation.w = math.sin(0.5 * where.yaw), math.cos(0.5 * where.yaw)
 
 
-def vector(point: Any) -> Vector:
-    """Return a Point as numbers."""
-    return point.x, point.y, point.z
+def near(point: Any) -> Vector | None:
+    """Return a Point of charger_base as numbers; None where it is not finite or farther off than anything of here."""
+    numbers = point.x, point.y, point.z
+    return numbers if all(abs(number) <= _NEAR for number in numbers) else None

@@ -17,9 +17,8 @@ from rclpy.action.client import ActionClient
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from deltacharger_docking.codes import State
 from deltacharger_mission.dialogue import DockingReport, End, MissionObservation, Task, TaskReply, TaskRequest
-from deltacharger_mission.ros.messages import fill_pose, read_dock, read_drive, unknown_dock, vector
+from deltacharger_mission.ros.messages import fill_pose, read_detection, read_dock, read_drive, read_state, unknown_dock
 from deltacharger_ros.messages import duration
 
 _ENDS = {
@@ -176,10 +175,8 @@ class Detector:
         answer = _value(future)
         if answer is None:
             self._put(TaskReply(number, End.LOST))
-        elif answer.success:
-            self._put(TaskReply(number, End.DONE, electrodes=vector(answer.detection.pose.pose.position)))
         else:
-            self._put(TaskReply(number, End.FAILED, message=answer.message))
+            self._put(read_detection(number, answer))
 
 
 class Others:
@@ -268,7 +265,7 @@ class Others:
             self._replies.append(reply)
 
     def _on_state(self, message: DockingState) -> None:
-        self._docking = DockingReport(State(message.state), message.docked, message.charging)
+        self._docking = read_state(message) or self._docking
 
     def _read_dock(self, number: int, end: End, result: Any, heard: Any) -> TaskReply:
         if result is not None:

@@ -14,6 +14,7 @@ from rclpy.serialization import deserialize_message
 
 from deltacharger_core.files import flush
 from deltacharger_core.mcap_file import Raw, RecordingError
+from deltacharger_core.texts import REQUEST_ID_MAX, cut
 from deltacharger_docking.codes import Code
 from deltacharger_records.node_parameters import with_geometry
 from deltacharger_records.recording.docking_topics import ALWAYS, DECISION, STATE
@@ -84,13 +85,17 @@ class DockingRecorder:
         return self._folder.passed_by
 
     def take(self, now: float, message: Raw) -> None:
-        """Take one message."""
+        """Take one message; one that nobody can read, as a stranger may send it, is left out."""
+        said: Any = None
+        if message.topic in (self._state, self._decision):
+            try:
+                said = deserialize_message(message.data, self._kinds[message.topic])
+            except RuntimeError:  # what the middleware says of it
+                return
         if message.topic == self._state:
-            self._see(now, message)
-        elif message.topic == self._decision:
-            decision = deserialize_message(message.data, self._kinds[self._decision])
-            if self._session.is_news(decision.kind):
-                self._gate.stir(now)
+            self._see(now, message, said)
+        elif said is not None and self._session.is_news(said.kind):
+            self._gate.stir(now)
         self._write(self._gate.offer(now, message))
 
     def take_result(self, outcome: Outcome) -> None:
@@ -129,9 +134,9 @@ class DockingRecorder:
         if self._session.under_way:
             self._end()
 
-    def _see(self, now: float, message: Raw) -> None:
-        said = deserialize_message(message.data, self._kinds[self._state])
-        seen = Seen(said.state, said.docked, said.charging, said.error_code, said.error_message, said.request_id)
+    def _see(self, now: float, message: Raw, said: Any) -> None:
+        request_id = said.request_id[:REQUEST_ID_MAX]
+        seen = Seen(said.state, said.docked, said.charging, said.error_code, cut(said.error_message), request_id)
         if self._session.begins(seen):
             self.close()
             self._begin(now, message, seen)

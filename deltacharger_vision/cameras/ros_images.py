@@ -32,6 +32,7 @@ _COLORS: dict[str, tuple[type, int, tuple[int, ...]]] = {
 }
 """Of colour: type, channels, and those that are red, green and blue."""
 _DEPTHS: dict[str, type] = {"16uc1": np.uint16, "mono16": np.uint16, "32fc1": np.float32, "64fc1": np.float64}
+_QUOTED = 40  # characters of an unknown encoding that are repeated
 _YUV = {"yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0}
 """Offset of the first luminance in each group of four bytes; the detector looks at luminance alone."""
 
@@ -51,7 +52,7 @@ def color_array(image: Any) -> NDArray[Any]:
     if name in _YUV:
         return np.ascontiguousarray(_rows("color", image, np.uint8, 2)[:, :, _YUV[name]])
     if name not in _COLORS:
-        raise ImageError("color", f"encoding {image.encoding!r}; {_advice(name)}")
+        raise ImageError("color", f"encoding {image.encoding[:_QUOTED]!r}; {_advice(name)}")
     kind, channels, order = _COLORS[name]
     rows = _rows("color", image, kind, channels)
     return rows[:, :, 0] if len(order) == 1 else rows[:, :, list(order)] if order != _RGB else rows[:, :, :3]
@@ -66,7 +67,7 @@ def depth_array(image: Any) -> NDArray[Any]:
     name = image.encoding.lower()
     if name not in _DEPTHS:
         needed = "must be 16UC1 in mm or 32FC1 in m: take the depth image aligned to colour"
-        raise ImageError("depth", f"encoding {image.encoding!r}; {needed}")
+        raise ImageError("depth", f"encoding {image.encoding[:_QUOTED]!r}; {needed}")
     return _rows("depth", image, _DEPTHS[name], 1)[:, :, 0]
 
 

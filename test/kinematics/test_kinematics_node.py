@@ -21,7 +21,7 @@ from std_msgs.msg import Header
 
 from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
 from deltacharger_docking.ros.docking_node import DockingNode
-from deltacharger_kinematics import Delta, Status
+from deltacharger_kinematics import Delta, Status, kinematics_node
 from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_kinematics.kinematics_node import KinematicsNode
 from deltacharger_kinematics.scalar import ScalarDelta
@@ -92,6 +92,16 @@ def test_an_incomplete_last_point_is_invalid_input(bench: Bench) -> None:
 def test_no_points_is_no_error(bench: Bench) -> None:
     solved = call(bench.inverse, SolveInverseKinematics.Request())
     assert (len(solved.angles), len(solved.status), len(solved.margin)) == (0, 0, 0)
+
+
+def test_more_points_than_are_answered_at_once_are_answered_by_nothing(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kinematics_node, "POINTS_MAX", 100)
+    for count, answered in ((100, 100), (101, 0)):
+        values = array("d", [0.0, 0.0, 0.08] * count)
+        assert len(call(bench.inverse, SolveInverseKinematics.Request(positions=values)).status) == answered
+        assert len(call(bench.forward, SolveForwardKinematics.Request(angles=values)).status) == answered
 
 
 def test_the_status_constants_of_both_services_are_those_of_the_library() -> None:

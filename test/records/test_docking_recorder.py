@@ -21,6 +21,7 @@ from .docking_tapes import (
     docking,
     in_order,
     measured,
+    raw,
     readings,
     refused,
     result,
@@ -29,7 +30,10 @@ from .docking_tapes import (
 
 pytest.importorskip("mcap", reason="records with deltacharger[record]")
 
+from deltacharger.msg import DockingState
+
 from deltacharger_core.mcap_file import Raw
+from deltacharger_core.texts import REQUEST_ID_MAX
 from deltacharger_docking.codes import Code, State
 from deltacharger_records.recording.docking_recorder import DockingRecorder, gate_for
 from deltacharger_records.recording.folder import RecordFolder
@@ -235,3 +239,24 @@ def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(tmp_path: Path
     assert "without an outcome: the file ends early" in why(found)
     folder = RecordFolder(tmp_path, 1, 10**8)
     assert not folder.entries()[0].under_way
+
+
+def test_what_nobody_can_read_is_left_out_and_long_words_are_cut(tmp_path: Path) -> None:
+    """A stranger's bytes on the recorded topics, and an id of five megabytes."""
+    recording = recorder(tmp_path)
+    tape: list[Raw] = []
+    for message in docking(state(3.0, State.IDLE)):
+        tape.append(message)
+        if message.topic in (NAMES["docking_state"], NAMES["docking_decision"]):
+            tape.extend(message._replace(data=data) for data in (b"", b"\x00\x01", b"\xff" * 300))
+    finish(recording, play(recording, tape))
+    assert recording.problem == ""
+    assert replay(only(tmp_path)).is_complete
+    (tmp_path / only(tmp_path).name).unlink()
+    said = DockingState(state=int(State.APPROACH), request_id="x" * 5_000_000, error_message="y" * 5_000_000)
+    again = recorder(tmp_path)
+    again.take(0.0, raw(0.0, "docking_state", said))
+    again.take(0.1, state(0.1, State.IDLE))
+    finish(again, 0.1)
+    found = replay(only(tmp_path))
+    assert len(found.about["request_id"]) == REQUEST_ID_MAX

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -84,3 +85,10 @@ def test_a_colour_image_is_no_depth() -> None:
 def test_fields_that_contradict_each_other_are_refused(height: int, width: int, step: int, size: int) -> None:
     with pytest.raises(ImageError, match="color"):
         color_array(image("rgb8", height, width, step, bytes(size)))
+
+
+@pytest.mark.parametrize("read", [color_array, depth_array])
+def test_the_name_of_an_encoding_without_end_is_not_repeated(read: Callable[[Any], Any]) -> None:
+    with pytest.raises(ImageError) as refusal:
+        read(image("x" * 1_000_000, 1, 1, 3, bytes(3)))
+    assert len(str(refusal.value)) < 1000

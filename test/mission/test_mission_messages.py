@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What others tell the mission, as nobody should tell it: a refusal or nothing, and never a place without numbers."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import pytest
+from deltacharger.action import ChargeRobot, Dock
+from deltacharger.msg import DockingState
+from deltacharger.srv import DetectElectrodes
+from geometry_msgs.msg import PoseStamped
+
+from deltacharger_core.texts import MESSAGE_MAX
+from deltacharger_docking.codes import Rejected, State
+from deltacharger_mission.dialogue import End, MissionGoal, MissionObservation
+from deltacharger_mission.machine import MissionMachine
+from deltacharger_mission.parameters import MissionParameters
+from deltacharger_mission.places import BaseMount
+from deltacharger_mission.ros import messages as io
+
+pytestmark = pytest.mark.ros
+
+NUMBERS = (0.0, 1.0, -1e-300, 1e308, -math.inf, math.nan)
+LONG = "x" * 5_000_000
+
+
+def test_a_pose_is_a_place_of_finite_numbers_or_none() -> None:
+    for x, z, w in itertools.product(NUMBERS, repeat=3):
+        pose = PoseStamped()
+        pose.pose.position.x, pose.pose.orientation.z, pose.pose.orientation.w = x, z, w
+        found = io.place(pose)
+        assert found is None or all(map(math.isfinite, (found.x, found.y, found.yaw)))
+    pose.pose.position.x, pose.pose.orientation.z, pose.pose.orientation.w = 1.0, 1e300, 1e300
+    assert io.place(pose) is not None
+
+
+@pytest.mark.parametrize("x", [math.nan, math.inf, -1e308, 1000.0])
+def test_nobody_is_sent_after_electrodes_that_are_nowhere(x: float) -> None:
+    answer = DetectElectrodes.Response(success=True)
+    answer.detection.pose.pose.position.x = x
+    reply = io.read_detection(1, answer)
+    assert (reply.end, reply.electrodes) == (End.FAILED, None)
+    assert reply.message
+    result = Dock.Result()
+    result.suggested_base_pose.header.frame_id = "charger_base"
+    result.suggested_base_pose.pose.position.x = x
+    assert io.read_dock(2, End.FAILED, result, None).suggested is None
+
+
+def test_long_words_are_cut_and_long_names_refused() -> None:
+    answer, result = DetectElectrodes.Response(message=LONG), Dock.Result(error_message=LONG)
+    for reply in (io.read_detection(1, answer), io.read_dock(2, End.FAILED, result, None)):
+        assert len(reply.message) < 2 * MESSAGE_MAX
+    goal = ChargeRobot.Goal()
+    goal.target.header.frame_id = LONG
+    with pytest.raises(Rejected, match="frame_id") as refusal:
+        io.goal(goal, (0.0, 0.0, 0.0))
+    assert len(str(refusal.value)) < MESSAGE_MAX
+    machine = MissionMachine(MissionParameters(), BaseMount((0, 0, 0, 0.5, 0.5, 0.5, 0.5)), None)
+    with pytest.raises(Rejected, match="request_id"):
+        machine.start(MissionGoal(None, 0.0, 0.0, LONG), MissionObservation(0.0, frozenset(), None, ()))
+
+
+def test_a_state_that_there_is_not_is_not_heard() -> None:
+    assert io.read_state(DockingState(state=200)) is None
+    report = io.read_state(DockingState(state=DockingState.STATE_CHARGING, charging=True))
+    assert report is not None
+    assert report.state is State.CHARGING
