@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from _pytest.runner import runtestprotocol
 
-STALL = 0.04  # s; half of a heartbeat's slack, and five times what the interpreter's own switching costs
+STALL = 0.022  # s; a servo's reply that comes later is lost, the tightest deadline that the tests hold
 _NAP = 0.01  # s
 
 
