@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import secrets
 import threading
 import time
 from collections import deque
@@ -44,6 +45,7 @@ class Services:
         self._renewed = -math.inf
         self._undelivered: list[tuple[Request, float]] = []  # and until when their services are waited for, s
         self._wanted = False
+        self._token = ""  # of the closing that is wanted: who does not know it cannot renew the lease
         self._wish = 0  # counts changes of it: an answer to an earlier wish says nothing about the present one
         self._clients: dict[Service, Any] = {
             Service.TORQUE_ON: node.create_client(SetBool, "set_torque"),
@@ -118,6 +120,7 @@ class Services:
         now = time.monotonic()
         changed, self._wanted = wanted != self._wanted, wanted
         if changed:
+            self._token = secrets.token_hex(16) if wanted else ""
             with self._lock:
                 self._refusal = ""
                 self._wish += 1
@@ -129,7 +132,8 @@ class Services:
                 with self._lock:
                     self._refusal = "no node serves set_contactor"
             return
-        message = SetContactor.Request(close=wanted, holder=_HOLDER, lease=duration(LONGEST_LEASE))
+        lease = duration(LONGEST_LEASE)
+        message = SetContactor.Request(close=wanted, holder=_HOLDER, lease=lease, token=self._token)
         self._give_up_renewals(now)
         future = self._contactor.call_async(message)
         self._renewals.append((future, now))

@@ -19,10 +19,12 @@ from deltacharger_driver.board.contactor_lease import ContactorLease, LeaseRefus
 from deltacharger_driver.board.link import BoardLink
 from deltacharger_driver.board.protocol import fault_name
 from deltacharger_driver.board.samples import PowerSample, ProbeResult, TactileSample
+from deltacharger_driver.board.shared_call import SharedCall
 from deltacharger_driver.errors import DriverError, NoAnswer
 
 STALE_FRAME = 0.1  # s; a frame sampled longer ago says nothing about contact now
 STALE_POWER = 0.5  # s
+_PROBE_SHARED = 0.05  # s that a probe counts for later callers, where several waited for it
 _FRAMES = 32  # kept; more than the 20 that come in STALE_FRAME at the highest rate
 _CONFIRM_TIME = 0.3  # s to see the contactor open after the board accepted the command
 
@@ -51,12 +53,14 @@ class ContactorGuard:
         self._lease = ContactorLease()
         self._lock = threading.Lock()  # lease and observations; never held while waiting
         self._commands = threading.Lock()  # one contactor command at a time
-        self._probing = threading.Lock()
+        self._probe = SharedCall(self._measure, _PROBE_SHARED)
         self._power_seen = threading.Condition(self._lock)
         self._frames: deque[TactileSample] = deque(maxlen=_FRAMES)
         self._power: PowerSample | None = None
         self._was_closed = False
         self._shut = False
+        self._refused = 0  # closes, since the start
+        self._last_refusal = ""
 
     @property
     def holder(self) -> str:
@@ -75,6 +79,8 @@ class ContactorGuard:
                 "lease_renewals": lease.renewals,
                 "lease_lapses": lease.lapses,
                 "openings": lease.openings,
+                "refused_closes": self._refused,
+                "last_refusal": self._last_refusal,
             }
 
     def probe_record(self) -> tuple[float, float]:
@@ -102,7 +108,7 @@ class ContactorGuard:
             self._was_closed = power.contactor_closed
             opened = new_fault or (bool(self._lease.holder) and (fell or power.fault != 0))
             if opened:
-                self._lease.opened()
+                self._opened()
             self._power_seen.notify_all()
         if opened:
             self._link.stop_heartbeat()
@@ -110,18 +116,19 @@ class ContactorGuard:
     def interrupted(self) -> None:
         """Take note that the port vanished or the board rebooted: the contactor opens or is open."""
         with self._lock:
-            self._lease.opened()
+            self._opened()
             self._frames.clear()
             self._power = None
             self._was_closed = False
         self._link.stop_heartbeat()
 
-    def close(self, holder: str, duration: float) -> float:
-        """Close the contactor for a lease, or renew it.
+    def close(self, holder: str, duration: float, token: str = "") -> float:
+        """Close the contactor for a lease, or renew it. A close waits for a probe under way and goes before the next.
 
         Args:
             holder: who asks.
             duration: s; cut to 0.25.
+            token: the holder's secret, for who begins the lease with one.
 
         Returns:
             s that the lease lasts from now.
@@ -131,15 +138,27 @@ class ContactorGuard:
             CommandRefused: an interlock of the board.
             DriverError: the board cannot be reached.
         """
+        try:
+            with self._commands:  # what would be refused waits for nothing
+                self._open_if_lapsed()
+                with self._lock:
+                    self._check(holder, duration, token, time.monotonic())
+            with self._probe:
+                return self._close(holder, duration, token)
+        except DriverError as error:
+            with self._lock:
+                self._refused += 1
+                self._last_refusal = str(error)
+            raise
+
+    def _close(self, holder: str, duration: float, token: str) -> float:
         with self._commands:
             self._open_if_lapsed()
             with self._lock:
                 now = time.monotonic()
                 renewal = self._lease.is_live(now)
-                self._check_board(now)
-                self._lease.check(holder, duration, now)
-                self._check_contact(now)
-                until = self._lease.take(holder, duration, now)
+                self._check(holder, duration, token, now)
+                until = self._lease.take(holder, duration, now, token)
                 openings = self._lease.openings
                 if not renewal:
                     self._was_closed = False  # until the board reports it, pre-charge runs
@@ -152,6 +171,16 @@ class ContactorGuard:
                     return until - now
         self._link.stop_heartbeat()  # an opening came in between; keep_alive must not outlive it
         raise LeaseRefused("the contactor was opened meanwhile; probe and ask again")
+
+    def _check(self, holder: str, duration: float, token: str, now: float) -> None:
+        self._check_board(now)
+        self._lease.check(holder, duration, now, token)
+        self._check_contact(now)
+
+    def _opened(self) -> None:
+        """Note an opening, under the lock."""
+        self._lease.opened()
+        self._probe.forget()
 
     def _check_board(self, now: float) -> None:
         power = self._power
@@ -186,7 +215,7 @@ class ContactorGuard:
 
     def _end_lease(self) -> None:
         with self._lock:
-            self._lease.opened()
+            self._opened()
         self._link.stop_heartbeat()
 
     def open(self) -> None:
@@ -214,30 +243,28 @@ class ContactorGuard:
             self._link.contactor(False)
 
     def probe(self) -> ProbeResult:
-        """Measure the circuit between the electrodes; up to 250 ms.
+        """Measure the circuit between the electrodes; up to 250 ms. Who comes meanwhile gets the same result.
 
         Raises:
-            LeaseRefused: the contactor is closed, another probe runs, or an opening voided the result.
+            LeaseRefused: the contactor is closed, or an opening voided the result.
             CommandRefused: an interlock of the board.
             DriverError: the board cannot be reached.
         """
-        if not self._probing.acquire(blocking=False):
-            raise LeaseRefused("another probe is being made; ask again when it is done")
-        try:
-            with self._commands:
-                self._open_if_lapsed()
-            with self._lock:
-                if self._lease.is_live(time.monotonic()):
-                    raise LeaseRefused(f"'{self._lease.holder}' keeps the contactor closed; open it, then probe")
-                openings = self._lease.openings
-            result = self._link.probe()
-            with self._lock:
-                if self._lease.openings != openings:
-                    raise LeaseRefused("the contactor was opened meanwhile, which voids the probe; probe again")
-                self._lease.probed(result.resistance, result.target_voltage, result.time)
-            return result
-        finally:
-            self._probing.release()
+        return self._probe()
+
+    def _measure(self) -> ProbeResult:
+        with self._commands:
+            self._open_if_lapsed()
+        with self._lock:
+            if self._lease.is_live(time.monotonic()):
+                raise LeaseRefused(f"'{self._lease.holder}' keeps the contactor closed; open it, then probe")
+            openings = self._lease.openings
+        result = self._link.probe()
+        with self._lock:
+            if self._lease.openings != openings:
+                raise LeaseRefused("the contactor was opened meanwhile, which voids the probe; probe again")
+            self._lease.probed(result.resistance, result.target_voltage, result.time)
+        return result
 
     def shut_down(self) -> bool:
         """Open for good and wait until the board reports it.

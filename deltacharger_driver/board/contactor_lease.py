@@ -8,12 +8,16 @@ lease and voids the probe, so each close follows a measurement of the circuit th
 
 from __future__ import annotations
 
+import hmac
 import math
 
 from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_driver.board.payloads import probe_problem
 from deltacharger_driver.board.protocol import PROBE_LIFETIME
 from deltacharger_driver.errors import DriverError
+
+LONGEST_NAME = 64
+"""Characters of a holder's name and of its token."""
 
 
 class LeaseRefused(DriverError, PermissionError):
@@ -48,6 +52,7 @@ class ContactorLease:
         self.resistance = math.nan
         self.target_voltage = math.nan
         self._probed_at = -math.inf
+        self._token = ""
 
     def is_live(self, now: float) -> bool:
         """Whether somebody holds the lease at `now` (s)."""
@@ -71,13 +76,17 @@ class ContactorLease:
         """Return the seconds since the last probe that still counts; inf = never, or voided by an opening."""
         return now - self._probed_at
 
-    def check(self, holder: str, duration: float, now: float) -> None:
+    def check(self, holder: str, duration: float, now: float, token: str = "") -> None:
         """Refuse what `take` would refuse, without changing anything.
 
         Raises:
-            LeaseRefused: no name, no positive duration, lapsed and not yet opened, held by another, or, for a
-                new lease, no probe younger than 2 s that allows a close.
+            LeaseRefused: no name, a name or a token that is too long, no positive duration, lapsed and not yet opened,
+                held by another or begun with another token, or, for a new lease, no probe younger than 2 s that allows
+                a close.
         """
+        for what, text in (("holder", holder), ("token", token)):
+            if len(text) > LONGEST_NAME:
+                raise LeaseRefused(f"the {what} has {len(text)} characters; give at most {LONGEST_NAME}")
         if not holder:
             raise LeaseRefused("the holder has no name; give one, so that others know who holds the contactor")
         if not duration > 0.0:  # also NaN
@@ -85,10 +94,14 @@ class ContactorLease:
         if self.has_lapsed(now):
             raise LeaseRefused(f"the lease of '{self.holder}' lapsed and the contactor is not open yet; ask again")
         if self.is_live(now):
-            if holder != self.holder:
+            if holder != self.holder or not self._is_known(token):
                 raise LeaseRefused(f"'{self.holder}' holds the contactor for another {self.remaining(now):.2f} s")
             return
         self._check_probe(now)
+
+    def _is_known(self, token: str) -> bool:
+        """Whether `token` is the one with which the lease began; a lease without one is held by its name alone."""
+        return not self._token or hmac.compare_digest(token.encode(), self._token.encode())
 
     def _check_probe(self, now: float) -> None:
         age = self.probe_age(now)
@@ -99,13 +112,14 @@ class ContactorLease:
         if problem:
             raise LeaseRefused(problem)
 
-    def take(self, holder: str, duration: float, now: float) -> float:
+    def take(self, holder: str, duration: float, now: float, token: str = "") -> float:
         """Grant or renew the lease.
 
         Args:
             holder: who asks.
             duration: s; cut to 0.25.
             now: s.
+            token: the holder's secret: who begins a lease with one renews it with the same.
 
         Returns:
             Until when it lasts, s.
@@ -113,15 +127,17 @@ class ContactorLease:
         Raises:
             LeaseRefused: as in `check`.
         """
-        self.check(holder, duration, now)
-        self.renewals += self.is_live(now)
+        self.check(holder, duration, now, token)
+        renewal = self.is_live(now)
+        self.renewals += renewal
         self.holder = holder
+        self._token = self._token if renewal else token
         self.until = now + min(duration, LONGEST_LEASE)
         return self.until
 
     def opened(self) -> None:
         """Note that the contactor was opened, by whom or whatever: the lease ends and the probe is void."""
-        self.holder = ""
+        self.holder = self._token = ""
         self.until = -math.inf
         self._probed_at = -math.inf
         self.openings += 1

@@ -30,6 +30,7 @@ from deltacharger_driver.board.keeper import BoardKeeper
 from deltacharger_driver.board.port import BoardPort
 from deltacharger_driver.board.protocol import fault_name
 from deltacharger_driver.board.samples import PowerSample, TactileSample
+from deltacharger_driver.board.shared_call import SharedCall
 from deltacharger_driver.board.tactile_node_io import SamplePublishers
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.parameters import TactileNodeParameters
@@ -41,13 +42,14 @@ from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import LATEST
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
+_TARE_SHARED = 0.05  # s that a tare counts for later callers, where several waited for it
 
 
 class TactileNode(Node):
     """See the module's docstring.
 
     Frames and power are published from the board link's reader thread; the services may wait for the board (a probe up
-    to 0.25 s), and set_contactor never for another one.
+    to 0.25 s). A close waits for a probe under way, an opening for none.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -64,9 +66,10 @@ class TactileNode(Node):
         self._period = 1.0 / given.rate
         self._samples = SamplePublishers(self, LATEST, given.pitch)
         self._diagnostics = Diagnostics(self)
-        group = ReentrantCallbackGroup()
-        self.create_service(Trigger, "tare", self._on_tare, callback_group=group)
-        self.create_service(Probe, "probe", self._on_probe, callback_group=group)
+        self._tare = SharedCall(lambda: self._keeper.link.tare(), _TARE_SHARED)
+        # Each with workers of its own: whoever calls one without end keeps nobody from the others.
+        self.create_service(Trigger, "tare", self._on_tare, callback_group=ReentrantCallbackGroup())
+        self.create_service(Probe, "probe", self._on_probe, callback_group=ReentrantCallbackGroup())
         self.create_service(SetContactor, "set_contactor", self._on_contactor, callback_group=ReentrantCallbackGroup())
         self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose)
         self._keeper = BoardKeeper(
@@ -111,7 +114,7 @@ class TactileNode(Node):
 
     def _on_tare(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         def tare() -> str:
-            self._keeper.link.tare()
+            self._tare()
             return "tared"
 
         return self._served(response, tare)
@@ -133,7 +136,7 @@ class TactileNode(Node):
             if not request.close:
                 guard.open()
                 return "opened"
-            lasts = guard.close(request.holder, seconds(request.lease))
+            lasts = guard.close(request.holder, seconds(request.lease), request.token)
             return f"closed for {lasts:.3f} s; renew it before"
 
         return self._served(response, switch)

@@ -204,7 +204,7 @@ class MockTactileNode(Node):
             if response.message:
                 return response
             try:
-                self._power.close(request.holder, seconds(request.lease), time.monotonic())
+                self._power.close(request.holder, seconds(request.lease), time.monotonic(), request.token)
             except LeaseRefused as refusal:
                 response.message = str(refusal)
                 return response

@@ -65,7 +65,7 @@ class MockPower:
         self.lease.probed(resistance, voltage, now)
         return resistance, voltage
 
-    def close(self, holder: str, duration: float, now: float) -> None:
+    def close(self, holder: str, duration: float, now: float, token: str = "") -> None:
         """Close or renew.
 
         Raises:
@@ -75,7 +75,7 @@ class MockPower:
             raise LeaseRefused("the board's interlock keeps the contactor open")
         if self.fault:
             raise LeaseRefused(f"fault {self.fault} is latched; open the contactor to clear it")
-        self.lease.take(holder, duration, now)
+        self.lease.take(holder, duration, now, token)
         if not self.closed:
             self.closed, self._closed_at = True, now
 

@@ -69,6 +69,43 @@ def test_another_holder_cannot_close() -> None:
     assert lease.holder == "dock"
 
 
+def test_only_who_knows_the_token_renews() -> None:
+    lease = probed()
+    lease.take("dock", 0.25, 0.0, "secret")
+    for token in ("", "guess", "secret "):
+        with pytest.raises(LeaseRefused, match="'dock' holds"):
+            lease.take("dock", 0.25, 0.1, token)
+    assert lease.until == 0.25
+    assert lease.take("dock", 0.25, 0.1, "secret") == 0.35
+
+
+def test_a_lease_without_a_token_is_renewed_by_its_name() -> None:
+    lease = probed()
+    lease.take("dock", 0.25, 0.0)
+    assert lease.take("dock", 0.25, 0.1, "any") == 0.35
+    assert lease.take("dock", 0.25, 0.2) == 0.45
+
+
+def test_an_opening_forgets_the_token() -> None:
+    lease = probed()
+    lease.take("dock", 0.25, 0.0, "secret")
+    lease.opened()
+    lease.probed(25.0, 24.0, 0.2)
+    lease.take("dock", 0.25, 0.3, "another")
+    lease.take("dock", 0.25, 0.4, "another")
+
+
+@pytest.mark.parametrize(
+    "names", [("x" * 65, ""), ("dock", "x" * 65), ("x" * 5_000_000, ""), ("dock", "é" * 5_000_000)]
+)
+def test_endless_names_are_refused_and_not_repeated(names: tuple[str, str]) -> None:
+    lease = probed()
+    with pytest.raises(LeaseRefused, match="at most 64") as refusal:
+        lease.take(names[0], 0.25, 0.0, names[1])
+    assert len(str(refusal.value)) < 100
+    assert not lease.is_live(0.0)
+
+
 def test_a_lapsed_lease_serves_nobody_until_opened() -> None:
     lease = probed()
     lease.take("dock", 0.25, 0.0)

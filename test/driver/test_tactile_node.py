@@ -37,6 +37,8 @@ from ..nodes import call, options
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
+AT_ONCE = 8  # requests; a service keeps ten that it has not taken yet
+
 
 class Client(Node):
     """What docking_node is to tactile_node."""
@@ -69,9 +71,16 @@ class Client(Node):
     def probing(self) -> Any:
         return self._probe.call_async(Probe.Request())
 
-    def contactor(self, close: bool, holder: str = "dock", lease: float = 0.25) -> Any:
-        duration = Duration(sec=int(lease), nanosec=int(lease % 1.0 * 1e9))
-        return call(self._contactor, SetContactor.Request(close=close, holder=holder, lease=duration))
+    def contactor(self, close: bool, holder: str = "dock", lease: float = 0.25, token: str = "") -> Any:
+        return call(self._contactor, contactor_request(close, holder, lease, token))
+
+    def contacting(self) -> Any:
+        return self._contactor.call_async(contactor_request(True, "dock", 0.25, ""))
+
+
+def contactor_request(close: bool, holder: str, lease: float, token: str) -> SetContactor.Request:
+    duration = Duration(sec=int(lease), nanosec=int(lease % 1.0 * 1e9))
+    return SetContactor.Request(close=close, holder=holder, lease=duration, token=token)
 
 
 class Rig:
@@ -280,11 +289,74 @@ def test_a_probe_while_closed_is_refused(rig: Rig) -> None:
     assert "keeps the contactor closed" in answer.message
 
 
+def test_a_close_waits_for_a_strangers_probe_and_goes_before_the_next(rig: Rig) -> None:
+    rig.dock()
+    probes = [rig.client.probing()]
+    probe = rig.node._keeper.guard._probe
+    wait_until(lambda: probe.is_running, "a probe under way")
+    closing = rig.client.contacting()
+    wait_until(lambda: probe._priority, "the close to wait")
+    probes += [rig.client.probing() for _ in range(AT_ONCE)]
+    wait_until(lambda: closing.done() and all(each.done() for each in probes), "all answers")
+    assert closing.result().success, closing.result().message
+    assert probes[0].result().success  # the one under way
+    assert rig.client.contactor(False).success
+
+
+def test_probes_at_once_share_one_measurement(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    link, measured = rig.node._keeper.link, list[float]()
+    measure = link.probe
+
+    def probe() -> Any:
+        measured.append(time.monotonic())
+        return measure()
+
+    monkeypatch.setattr(link, "probe", probe)
+    probes = [rig.client.probing() for _ in range(AT_ONCE)]
+    wait_until(lambda: all(each.done() for each in probes), "all answers")
+    assert {(each.result().success, each.result().resistance) for each in probes} == {(True, 2.0)}
+    assert len(measured) < AT_ONCE // 2  # one, but where requests came late
+
+
+def test_only_who_knows_the_token_renews_and_anybody_opens(rig: Rig) -> None:
+    rig.dock()
+    assert rig.client.contactor(True, token="secret").success
+    answer = rig.client.contactor(True)
+    assert not answer.success
+    assert "'dock' holds the contactor" in answer.message
+    assert rig.client.contactor(True, token="secret").success
+    assert rig.client.contactor(False, "somebody else").success
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        {"lease": -1.0},
+        {"lease": -(2.0**31)},
+        {"lease": 0.0},
+        {"holder": ""},
+        {"holder": "x" * 5_000_000},
+        {"token": "x" * 5_000_000},
+    ],
+)
+def test_impossible_closes_are_refused_counted_and_followed_by_a_good_one(rig: Rig, request_: dict[str, Any]) -> None:
+    rig.dock()
+    refused = int(rig.node._keeper.guard.lease_record()["refused_closes"])  # type: ignore[call-overload]
+    answer = rig.client.contactor(True, **request_)
+    assert not answer.success
+    assert len(answer.message) < 200
+    assert rig.node._keeper.guard.lease_record()["refused_closes"] == refused + 1
+    assert not rig.board.contactor_commanded
+    answer = rig.client.contactor(True, lease=2.0**31 - 1)  # an endless lease is cut
+    assert answer.success, answer.message
+    assert rig.node._keeper.guard.remaining() <= 0.25
+
+
 def test_an_open_does_not_wait_for_a_probe(rig: Rig) -> None:
     answers: list[Any] = []
     prober = threading.Thread(target=lambda: answers.append(rig.client.probe()))
     prober.start()
-    wait_until(lambda: rig.node._keeper.guard._probing.locked())
+    wait_until(lambda: rig.node._keeper.guard._probe.is_running)
     began = time.monotonic()
     assert rig.client.contactor(False).success
     assert time.monotonic() - began < 0.12

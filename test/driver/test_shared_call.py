@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A call that many share: one at a time, one outcome for all who wait for it, and who must go first does."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import pytest
+
+from deltacharger_driver.board.shared_call import SharedCall
+
+from ..waiting import DEADLINE, wait_until
+
+
+class Slow:
+    """An action that ends when it is told to, and counts its calls."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+        self.go_on = threading.Event()
+        self.error: Exception | None = None
+
+    def __call__(self) -> int:
+        self.calls += 1
+        assert self.go_on.wait(DEADLINE)
+        if self.error is not None:
+            raise self.error
+        return self.calls
+
+
+@pytest.fixture
+def slow() -> Slow:
+    return Slow()
+
+
+def together(shared: SharedCall[int], pool: ThreadPoolExecutor, count: int) -> list[Future[int]]:
+    """Let `count` threads call, and return once all wait."""
+    jobs = [pool.submit(shared) for _ in range(count)]
+    wait_until(lambda: shared._running is not None and shared._running.callers == count, "all callers")
+    return jobs
+
+
+def test_who_comes_while_it_runs_shares_its_result(slow: Slow) -> None:
+    shared = SharedCall(slow, 0.0)
+    with ThreadPoolExecutor(8) as pool:
+        jobs = together(shared, pool, 8)
+        slow.go_on.set()
+        assert [job.result(DEADLINE) for job in jobs] == [1] * 8
+    assert shared() == 2
+
+
+def test_they_share_an_error_and_the_next_calls_anew(slow: Slow) -> None:
+    shared = SharedCall(slow, DEADLINE)
+    slow.error = ValueError("no")
+    with ThreadPoolExecutor(3) as pool:
+        jobs = together(shared, pool, 3)
+        slow.go_on.set()
+        for job in jobs:
+            with pytest.raises(ValueError, match="no"):
+                job.result(DEADLINE)
+    slow.error = None
+    assert shared() == 2
+
+
+def test_a_result_lasts_only_where_several_waited_and_until_it_is_forgotten(slow: Slow) -> None:
+    shared = SharedCall(slow, DEADLINE)
+    slow.go_on.set()
+    assert [shared(), shared()] == [1, 2]
+    slow.go_on.clear()
+    with ThreadPoolExecutor(2) as pool:
+        jobs = together(shared, pool, 2)
+        slow.go_on.set()
+        assert [job.result(DEADLINE) for job in jobs] == [3, 3]
+    assert shared() == 3
+    shared.forget()
+    assert shared() == 4
+
+
+def test_who_must_go_first_waits_for_the_one_under_way_and_comes_before_the_next(slow: Slow) -> None:
+    shared = SharedCall(slow, 0.0)
+    entered, leave = threading.Event(), threading.Event()
+
+    def go_first() -> int:
+        with shared:
+            entered.set()
+            assert leave.wait(DEADLINE)
+            return slow.calls
+
+    with ThreadPoolExecutor(3) as pool:
+        (under_way,) = together(shared, pool, 1)
+        first = pool.submit(go_first)
+        wait_until(lambda: shared._priority, "its turn to be asked for")
+        assert not entered.is_set()
+        slow.go_on.set()
+        assert under_way.result(DEADLINE) == 1
+        assert entered.wait(DEADLINE)
+        late = pool.submit(shared)
+        leave.set()
+        assert first.result(DEADLINE) == 1
+        assert late.result(DEADLINE) == 2
