@@ -10,6 +10,7 @@ lease: if that thread hangs, the lease lapses.
 from __future__ import annotations
 
 import math
+import secrets
 import threading
 import time
 from collections.abc import Sequence
@@ -65,6 +66,7 @@ class DockingNode(Node):
         self._slowest_tick = 0.0
         self._inputs = Inputs(self)
         self._calls = Services(self, self._age)
+        self._secret = secrets.token_hex(16)  # shows servo_node that trajectories come from this process
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", QoSProfile(depth=1))
         self._reports = Reports(self, self._settings.servo_age_max)
         self._goals = Goals(
@@ -197,7 +199,7 @@ class DockingNode(Node):
         if command.trajectory is not None:
             # Not the instant of sending: planning a line takes milliseconds, and times count from the observation.
             now = self.get_clock().now() - Duration(seconds=time.monotonic() - observation.time)
-            self._trajectory.publish(io.trajectory(command.trajectory, now.to_msg()))
+            self._trajectory.publish(io.trajectory(command.trajectory, now.to_msg(), self._secret))
         for request in command.requests:
             self._calls.call(request)
 

@@ -43,14 +43,16 @@ def unknown() -> Misalignment:
     return message
 
 
-def trajectory(waypoints: Sequence[Waypoint], stamp: Any) -> JointTrajectory:
+def trajectory(waypoints: Sequence[Waypoint], stamp: Any, secret: str = "") -> JointTrajectory:
     """Return waypoints as a JointTrajectory whose efforts (N·m) bound each servo's torque.
 
     The velocities are for whoever interpolates with them; servo_node goes straight from point to point, and they are
-    dense enough for that.
+    dense enough for that. The frame_id, which angles do not need, is the sender's secret: servo_node knows by it who
+    leads the arm.
     """
     message = JointTrajectory(joint_names=list(JOINTS))
     message.header.stamp = stamp
+    message.header.frame_id = secret
     message.points = [
         JointTrajectoryPoint(
             positions=array("d", point.angles),

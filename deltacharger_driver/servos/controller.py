@@ -23,7 +23,7 @@ from deltacharger_driver.servos.report import ServoMemory, ServoPhase, ServoRepo
 from deltacharger_driver.servos.requests import Contactor, NoContactor, ServoRequest, ServoRequests, wait_until_open
 from deltacharger_driver.servos.restarts import ServoRestarts
 from deltacharger_driver.servos.snapshot import BusSettings, BusSnapshot
-from deltacharger_driver.servos.trajectory import Trajectory
+from deltacharger_driver.servos.trajectory import HOLD, Trajectory
 
 STOP_TIME = 0.5  # s from "goal := present position" to torque off
 OPENING_TIME = 0.3  # s that torque stays on at most, by request, until the contactor is seen open
@@ -133,6 +133,11 @@ class ServoController:
                 raise TrajectoryRefused(f"{self._phase.value}{reason}; call set_torque first")
             self._submitted = trajectory, start
 
+    def freeze(self) -> None:
+        """Stay at the present goal; in the servos' thread only."""
+        if self._submitted is not None or self._goals.are_moving:
+            self._submitted = HOLD, math.inf
+
     def request(self, action: str) -> ServoRequest:
         """Ask for "torque_on", "torque_off" or "reboot"; the servos' thread carries it out and finishes the request."""
         return self._requests.put(action)
@@ -238,8 +243,7 @@ class ServoController:
 
     def _go_on_after_silence(self, what: str) -> None:
         self.watchdog_trips += 1
-        now = time.monotonic()
-        self._trips.append(now)
+        self._trips.append(now := time.monotonic())
         if now - self._trips[0] < _TRIPS_WITHIN:
             self.stop(f"{what} again and again; this computer is overloaded")
         else:
@@ -313,9 +317,8 @@ class ServoController:
                 self._notify("warning", "torque off; the contactor was not seen open before, check tactile_node")
             elif was is not ServoPhase.OFF:
                 self._notify("info", "torque off")
-        self._requests.finish_held(
-            True, "torque is off" + ("; the contactor was not seen open before" if unseen else "")
-        )
+        doubt = "; the contactor was not seen open before" if unseen else ""
+        self._requests.finish_held(True, f"torque is off{doubt}")
 
     def _reboot(self, request: ServoRequest) -> None:
         if self._phase is ServoPhase.OFF:

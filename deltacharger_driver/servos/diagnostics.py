@@ -33,16 +33,39 @@ class DiagnosticEntry(NamedTuple):
     part: str
 
 
+class RefusedTrajectories(NamedTuple):
+    """Trajectories that were refused.
+
+    Attributes:
+        now: since the last diagnostic.
+        total: since the start.
+        forbidden: those of the total that the state of the contactor forbade.
+        last: why the last was.
+        by: who sent those that were forbidden since the last diagnostic.
+    """
+
+    now: int
+    total: int
+    forbidden: int
+    last: str
+    by: str
+
+
 def bus_entry(
-    report: ServoReport, controller: ServoController, refused: int, last_refusal: str, rate: float, late: int
+    report: ServoReport,
+    controller: ServoController,
+    contactor: str,
+    refusals: RefusedTrajectories,
+    rate: float,
+    late: int,
 ) -> DiagnosticEntry:
     """Return the state of the bus as a whole.
 
     Args:
         report: of the last cycle.
         controller: for its counters.
-        refused: trajectories refused since the last diagnostic.
-        last_refusal: why.
+        contactor: what is known of it.
+        refusals: of trajectories.
         rate: cycles per second since the last diagnostic, Hz.
         late: cycles that began late, since the start.
     """
@@ -56,14 +79,17 @@ def bus_entry(
         **asdict(controller.bus.counters),
         "watchdog_trips": controller.watchdog_trips,
         "reconnections": controller.reconnections,
-        "last_refusal": last_refusal,
+        "contactor": contactor,
+        "refused_trajectories": refusals.total,
+        "forbidden_trajectories": refusals.forbidden,
+        "last_refusal": refusals.last,
     }
     if report.faults:
         level, message = ERROR, "; ".join(report.faults)
     elif report.phase is ServoPhase.STOPPING:
         level, message = WARN if controller.is_releasing else ERROR, controller.stop_reason
-    elif refused:
-        level, message = WARN, last_refusal
+    elif refusals.now:
+        level, message = WARN, f"{refusals.last}{f'; sent by {refusals.by}' if refusals.by else ''}"
     elif report.phase is ServoPhase.OFF and controller.unasked_stop:
         level, message = WARN, f"torque off: {controller.unasked_stop}"
     else:

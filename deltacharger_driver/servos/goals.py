@@ -29,6 +29,11 @@ class ServoGoals:
         self._torque_constant = torque_constant
         self._running: tuple[Trajectory, tuple[float, ...], float] | None = None  # what, from where, since when
 
+    @property
+    def are_moving(self) -> bool:
+        """Whether a trajectory is under way."""
+        return self._running is not None
+
     def begin_at(self, angles: tuple[float, ...]) -> None:
         """Hold `angles` (rad) with the default bounds."""
         self.angles, self.bounds, self._running = angles, self.default, None

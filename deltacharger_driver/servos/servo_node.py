@@ -2,7 +2,7 @@
 """servo_node: the arm's three servos on ROS.
 
 Publishes: servo_state (reliable, depth 1, at `rate`), joint_states, /diagnostics (1 Hz and at every refusal).
-Subscribes: joint_trajectory (reliable, depth 1), charger_power.
+Subscribes: joint_trajectory and charger_power (reliable, depth 64; the newest that counts is followed).
 Serves: set_torque, reboot_servos. Calls: set_contactor, where somebody serves it.
 Parameters: port, baud_rate, ids, rate, zero_ticks, direction, torque_constant, current_bound, current_max, joint_min,
 joint_max, reply_margin.
@@ -15,11 +15,13 @@ the node ends and says why.
 
 A trajectory's times count from its stamp (from its arrival without one), and its last point holds. A line may be sent
 piece by piece under one stamp, each piece replacing the one before.
+
+Nobody moves the arm while charger_power says that the contactor is closed; while its state is unknown, only who led the
+arm before (motion_guard). Who is refused is named in the diagnostics, and the charge goes on.
 """
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Sequence
@@ -28,21 +30,21 @@ from typing import Any
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_driver.errors import DriverError, TrajectoryRefused
+from deltacharger_driver.errors import DriverError
 from deltacharger_driver.parameters import ServoNodeParameters
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_driver.servos.controller import ServoController
-from deltacharger_driver.servos.diagnostics import bus_entry, servo_entry
+from deltacharger_driver.servos.diagnostics import RefusedTrajectories, bus_entry, servo_entry
+from deltacharger_driver.servos.motion_guard import ContactorState
 from deltacharger_driver.servos.report import ServoPhase, ServoReport
-from deltacharger_driver.servos.servo_node_io import ContactorClient, StatePublishers, age, waypoint
+from deltacharger_driver.servos.servo_node_io import ContactorClient, StatePublishers, publishers
 from deltacharger_driver.servos.snapshot import BusSettings
-from deltacharger_driver.servos.trajectory import JointLimits, check, check_age
+from deltacharger_driver.servos.trajectory import JointLimits
+from deltacharger_driver.servos.trajectory_node_io import TrajectoryInbox
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import Diagnostics
-from deltacharger_ros.on_demand import LatestMessage
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import LATEST
 
@@ -64,13 +66,12 @@ class ServoNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("servo_node", **kwargs)
-        self._contactor = ContactorClient(self, LATEST)
+        self._contactor = ContactorClient(self)
         self._controller, self._limits = self._configure()
         self._states = StatePublishers(self, LATEST, self._torque_constant)
         self._diagnostics = Diagnostics(self)
-        self._refused = 0
-        self._last_refusal = ""
-        self._followed: tuple[int, int] | None = None  # stamp of the line that is being followed
+        self._contactor_state = ContactorState.UNKNOWN
+        self._refused = 0  # trajectories that the diagnostics have told
         self._cycles = RateMeter(time.monotonic)
         self._stop = threading.Event()
         self._ready = threading.Event()
@@ -84,7 +85,7 @@ class ServoNode(Node):
             self.destroy_node()
             raise node_support.StartupError(f"servo_node: {self._start_error}") from self._start_error
         # Only now, so that nobody is heard before the servos are known.
-        self._trajectories = LatestMessage(self, JointTrajectory, "joint_trajectory", LATEST)
+        self._inbox = TrajectoryInbox(self, self._limits)
         self._listening.set()
         group = ReentrantCallbackGroup()
         self.create_service(SetBool, "set_torque", self._on_set_torque, callback_group=group)
@@ -156,42 +157,47 @@ class ServoNode(Node):
             if self.context.ok():
                 self._states.publish(report)
             now = time.monotonic()
-            if now - diagnosed >= (_REFUSAL_PERIOD if self._refused else _DIAGNOSTICS_PERIOD):
+            refused = self._listening.is_set() and self._inbox.refused > self._refused
+            if now - diagnosed >= (_REFUSAL_PERIOD if refused else _DIAGNOSTICS_PERIOD):
                 diagnosed = now
                 self._publish_diagnostics(report)
             due = max(due + self._period, now)  # late: go on from here rather than hurry through what was missed
             time.sleep(due - now)
 
     def _publish_diagnostics(self, report: ServoReport) -> None:
-        refused, self._refused = self._refused, 0
         ids = self._controller.bus.settings.ids
         rate, late = self._cycles.rate(), self._cycles.late
-        entries = [bus_entry(report, self._controller, refused, self._last_refusal, rate, late)]
+        if report.phase is not ServoPhase.ON:
+            self._contactor_state = self._contactor.state()
+        entries = [bus_entry(report, self._controller, self._contactor_state.name, self._refusals(), rate, late)]
         entries += [servo_entry(report, index, ids[index], joint) for index, joint in enumerate(JOINTS)]
         port = self._controller.bus.settings.port
         self._diagnostics.publish(*(self._diagnostics.status(*entry, port) for entry in entries))
 
+    def _refusals(self) -> RefusedTrajectories:
+        """Return what was refused since the last call."""
+        if not self._listening.is_set():
+            return RefusedTrajectories(0, 0, 0, "", "")
+        inbox = self._inbox
+        new, self._refused = inbox.refused - self._refused, inbox.refused
+        by = publishers(self, inbox.topic, inbox.strangers) if inbox.strangers else ""
+        inbox.strangers.clear()
+        return RefusedTrajectories(new, inbox.refused, inbox.forbidden, inbox.last_refusal, by)
+
     def _take_trajectory(self) -> None:
-        """Hand the trajectory that has come, if any, to the controller, or refuse it."""
-        message = self._trajectories.take() if self._listening.is_set() else None
-        if message is None:
+        """Hand the trajectory that has come, if any, to the controller, or refuse it; hold while current may flow."""
+        if not self._listening.is_set():
             return
-        stamp = message.header.stamp
-        line = stamp.sec, stamp.nanosec
-        try:
-            points = [waypoint(point) for point in message.points]
-            trajectory = check(message.joint_names, points, self._limits)
-            old = age(self, stamp)
-            # A further piece of a line under way is as old as its end; the line itself may last longer than a stamp.
-            check_age(max(old - trajectory.duration, 0.0) if line == self._followed else old)
-            start = time.monotonic() - old if any(line) else math.inf
-            self._controller.submit(trajectory, start)
-            self._followed = line
-        except TrajectoryRefused as error:
-            self._followed = None
-            self._last_refusal = str(error)
-            self._refused += 1
-            self.get_logger().warning(str(error), throttle_duration_sec=1.0)
+        controller, inbox = self._controller, self._inbox
+        state = ContactorState.OPEN  # without torque all is refused, whoever sends it
+        if controller.phase is ServoPhase.ON:
+            self._contactor_state = state = self._contactor.state()
+        before = inbox.refused
+        inbox.serve(controller, self._contactor.guard, state)
+        if state is ContactorState.CLOSED:
+            controller.freeze()
+        if inbox.refused > before:
+            self.get_logger().warning(inbox.last_refusal, throttle_duration_sec=1.0)
 
     def _on_set_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         return self._ask("torque_on" if request.data else "torque_off", response)

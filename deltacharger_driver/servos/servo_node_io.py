@@ -5,24 +5,27 @@ from __future__ import annotations
 
 import contextlib
 import math
+import time
 from array import array
+from collections.abc import Collection
 from typing import Any
 
 from deltacharger.msg import ChargerPower, ServoState
 from deltacharger.srv import SetContactor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
-from rclpy.time import Time
 from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
+from deltacharger_driver.board.protocol import PROBE_LIFETIME
+from deltacharger_driver.servos.motion_guard import ContactorState, MotionGuard, stamp_age
 from deltacharger_driver.servos.report import ServoReport
-from deltacharger_driver.servos.trajectory import ServoWaypoint
+from deltacharger_ros.bounded_topic import BoundedTopic
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
-from deltacharger_ros.messages import seconds
-from deltacharger_ros.on_demand import LatestMessage
+
+KEPT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=64, reliability=ReliabilityPolicy.RELIABLE)
+"""charger_power and joint_trajectory: read in every cycle, so that no flood of a stranger hides who leads or tells."""
 
 _FRAME = "charger_base"
 _STATE_FIELDS = (
@@ -38,21 +41,27 @@ _STATE_FIELDS = (
 )
 _LISTENERS_EVERY = 10  # cycles between two looks whether anybody listens to joint_states
 _HOLDER = "servo_node"  # anyone may open; the name only says who did
+_LARGEST_POWER = 1024  # bytes of a charger_power; ours has 80
 _OPEN_CURRENT = 0.5  # A, below it a charge current counts as none (docs/docking.md)
 
 
 class ContactorClient:
-    """The contactor for `ServoController`, over set_contactor and charger_power. Used by one thread.
+    """The contactor for `ServoController` and the guard of motion, over set_contactor and charger_power.
+
+    Used by one thread.
 
     Args:
         node: the client; its executor takes the answers, and nobody waits for them.
-        qos: of charger_power.
+
+    Attributes:
+        guard: says who may move the arm.
     """
 
-    def __init__(self, node: Node, qos: QoSProfile) -> None:
+    def __init__(self, node: Node) -> None:
+        self.guard = MotionGuard()
         self._node = node
         self._client: Any = node.create_client(SetContactor, "set_contactor")
-        self._power = LatestMessage(node, ChargerPower, "charger_power", qos)
+        self._power = BoundedTopic(node, ChargerPower, "charger_power", KEPT)
         self._pending: Future[Any] | None = None
         self._asked = 0  # ns, the node's clock; 0 where nobody was there to be asked
         self._open = True
@@ -70,12 +79,38 @@ class ContactorClient:
 
     def is_open(self) -> bool:
         """Return whether it was measured open and without current after the last `ask_open`, or nobody serves one."""
-        while not self._open and (power := self._power.take()) is not None:
-            stamp = power.header.stamp
-            measured = stamp.sec * 1_000_000_000 + stamp.nanosec
-            flows = abs(power.charge_current) >= _OPEN_CURRENT  # NaN = not measured: the contactor alone decides
-            self._open = measured > self._asked and not power.contactor_closed and not flows
+        if not self._open:
+            self._hear()
         return self._open
+
+    def state(self) -> ContactorState:
+        """Return what is known of it now."""
+        with contextlib.suppress(RuntimeError):  # ROS is shutting down
+            self._hear()
+        announced = not self.guard.was_heard and self._is_announced()
+        return self.guard.state(time.monotonic(), announced)
+
+    def _is_announced(self) -> bool:
+        with contextlib.suppress(RuntimeError):
+            return bool(self._client.service_is_ready() or self._node.count_publishers(self._power.name))
+        return True
+
+    def _hear(self) -> None:
+        received = self._power.take()
+        if not received:
+            return
+        now, clock = time.monotonic(), self._node.get_clock().now().nanoseconds
+        for each in {one.publisher: one for one in received}.values():  # the newest of each
+            power = each.read() if len(each.data) <= _LARGEST_POWER else None
+            if power is None:
+                continue
+            stamp = power.header.stamp
+            flows = abs(power.charge_current) >= _OPEN_CURRENT  # NaN = not measured: the contactor alone decides
+            later = stamp.sec * 1_000_000_000 + stamp.nanosec > self._asked
+            self._open |= later and not power.contactor_closed and not flows
+            armed = power.probe_age < PROBE_LIFETIME and math.isfinite(power.probe_resistance)
+            age = stamp_age(stamp.sec, stamp.nanosec, clock)
+            self.guard.observe(each.publisher, power.contactor_closed, armed, age, now)
 
 
 class StatePublishers:
@@ -127,12 +162,14 @@ class StatePublishers:
             self._joints.publish(report.time, position, velocity, effort)
 
 
-def waypoint(point: JointTrajectoryPoint) -> ServoWaypoint:
-    """Return a point of a message."""
-    return ServoWaypoint(seconds(point.time_from_start), point.positions, point.effort)
-
-
-def age(node: Node, stamp: Any) -> float:
-    """Return how long ago, s, a stamp was on the node's clock; 0 for a stamp that is not set."""
-    when = Time.from_msg(stamp, clock_type=node.get_clock().clock_type)
-    return float((node.get_clock().now() - when).nanoseconds) * 1e-9 if when.nanoseconds else 0.0
+def publishers(node: Node, topic: str, ids: Collection[bytes]) -> str:
+    """Return the names of a topic's publishers: of those with these ids, and of all where one of them has no id."""
+    with contextlib.suppress(RuntimeError):  # ROS is shutting down
+        found = node.get_publishers_info_by_topic(topic)
+        named = {
+            f"{each.node_namespace.rstrip('/')}/{each.node_name}"
+            for each in found
+            if b"" in ids or bytes(each.endpoint_gid) in ids
+        }
+        return ", ".join(sorted(named)) or "a node that is gone"
+    return ""

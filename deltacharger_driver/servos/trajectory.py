@@ -10,6 +10,9 @@ from dataclasses import dataclass
 from deltacharger_driver.errors import TrajectoryRefused
 
 STALE_AFTER = 0.5  # s, age of a stamp beyond which a trajectory is refused
+MOST_POINTS = 1000
+"""of a trajectory; a line across the whole workspace at a crawl has 400"""
+_QUOTED = 60  # characters of what a sender wrote that a message repeats
 
 
 @dataclass(frozen=True)
@@ -103,13 +106,17 @@ class Trajectory:
         """Return what is left of it after `elapsed` s, as a trajectory that starts then; nothing left means hold."""
         left = [index for index, time in enumerate(self.times) if time > elapsed]
         if not left:
-            return Trajectory((), (), ())
+            return HOLD
         first = left[0]
         return Trajectory(
             tuple(time - elapsed for time in self.times[first:]),
             self.angles[first:],
             (self.torque_at(elapsed), *self.torques[first + 1 :]),
         )
+
+
+HOLD = Trajectory((), (), ())
+"""Stay at the present goal."""
 
 
 def check(names: Sequence[str], points: Sequence[ServoWaypoint], limits: JointLimits) -> Trajectory:
@@ -121,11 +128,13 @@ def check(names: Sequence[str], points: Sequence[ServoWaypoint], limits: JointLi
         limits: what may be asked for.
 
     Raises:
-        TrajectoryRefused: a joint is unknown, doubled or missing, a number is missing or not finite, an angle or a
-            torque bound is outside its limits, or the times do not rise.
+        TrajectoryRefused: there are too many points, a joint is unknown, doubled or missing, a number is missing or not
+            finite, an angle or a torque bound is outside its limits, or the times do not rise.
     """
+    if len(points) > MOST_POINTS:
+        raise TrajectoryRefused(f"it has {len(points)} points; send at most {MOST_POINTS} at once")
     if not points and not names:
-        return Trajectory((), (), ())
+        return HOLD
     order = _order(names, limits)
     times: list[float] = []
     angles: list[tuple[float, ...]] = []
@@ -143,25 +152,28 @@ def check(names: Sequence[str], points: Sequence[ServoWaypoint], limits: JointLi
 
 
 def check_age(age: float) -> None:
-    """Refuse a trajectory stamped `age` s ago; a negative age is a stamp in the future.
+    """Refuse a trajectory stamped `age` s ago; a negative age is a stamp in the future, NaN no stamp.
 
     Raises:
-        TrajectoryRefused: older, or further in the future, than `STALE_AFTER`.
+        TrajectoryRefused: older, or further in the future, than `STALE_AFTER`, or NaN.
     """
     if age > STALE_AFTER:
         raise TrajectoryRefused(f"its stamp is {age:.2f} s old, more than {STALE_AFTER} s")
+    if math.isnan(age):
+        raise TrajectoryRefused("its stamp lies before 1970; stamp it by the ROS clock, or not at all")
     if age < -STALE_AFTER:
         raise TrajectoryRefused(f"its stamp is {-age:.2f} s in the future; compare the clocks of both computers")
 
 
 def _order(names: Sequence[str], limits: JointLimits) -> list[int]:
     """Return the column of each servo."""
-    unknown = [name for name in names if name not in limits.names]
+    unknown = next((name for name in names if name not in limits.names), "")
     if unknown:
-        raise TrajectoryRefused(f"unknown joint '{unknown[0]}'; known: {', '.join(limits.names)}")
+        raise TrajectoryRefused(f"unknown joint '{unknown[:_QUOTED]}'; known: {', '.join(limits.names)}")
     if sorted(names) != sorted(limits.names):
+        told = ", ".join(names)[:_QUOTED]
         raise TrajectoryRefused(
-            f"it names {len(names)} joints ({', '.join(names)}); name each of the {len(limits.names)} exactly once"
+            f"it names {len(names)} joints ({told}); name each of the {len(limits.names)} exactly once"
         )
     return [list(names).index(name) for name in limits.names]
 

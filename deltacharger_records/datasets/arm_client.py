@@ -8,6 +8,7 @@ serves a goal, or has docked, the arm is left alone.
 from __future__ import annotations
 
 import math
+import secrets
 import threading
 import time
 from collections import deque
@@ -55,6 +56,7 @@ class ArmClient(ArmGuest):
         self._planner = Planner(DockingParameters(), geometry)
         self._kinematics = ScalarDelta(geometry)
         self._commanded: Vector | None = None
+        self._secret = secrets.token_hex(16)  # by which servo_node knows who leads the arm
         self._switched_on = False
         self._lock = threading.Lock()
         self._state: ServoState | None = None
@@ -187,7 +189,7 @@ class ArmClient(ArmGuest):
             return np.array([angles for _, angles in self._angles])
 
     def _publish(self, waypoints: Any) -> None:
-        self._publisher.publish(trajectory(waypoints, self.node.get_clock().now().to_msg()))
+        self._publisher.publish(trajectory(waypoints, self.node.get_clock().now().to_msg(), self._secret))
 
     def _call_torque(self, on: bool) -> str:
         """Return '' where servo_node switched the torque, else why not."""

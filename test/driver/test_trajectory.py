@@ -6,7 +6,7 @@ import math
 import pytest
 
 from deltacharger_driver.errors import DriverError, TrajectoryRefused
-from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check, check_age
+from deltacharger_driver.servos.trajectory import MOST_POINTS, JointLimits, ServoWaypoint, check, check_age
 
 NAMES = ("a", "b", "c")
 LIMITS = JointLimits(NAMES, -1.0, 1.2, 4.0)
@@ -118,3 +118,22 @@ def test_stale_stamps():
         check_age(0.51)
     with pytest.raises(TrajectoryRefused, match="future"):
         check_age(-0.6)
+
+
+def test_too_many_points_are_refused() -> None:
+    points = [ServoWaypoint(0.01 * number, (0.0, 0.0, 0.0)) for number in range(MOST_POINTS + 1)]
+    assert len(check(NAMES, points[:-1], LIMITS).times) == MOST_POINTS
+    with pytest.raises(TrajectoryRefused, match=f"{MOST_POINTS + 1} points"):
+        check(NAMES, points, LIMITS)
+
+
+@pytest.mark.parametrize("names", [["x" * 100_000], ["a"] * 100_000])
+def test_a_refusal_repeats_little_of_what_was_sent(names: list[str]) -> None:
+    with pytest.raises(TrajectoryRefused) as refusal:
+        check(names, [ServoWaypoint(0.0, (0.0, 0.0, 0.0))], LIMITS)
+    assert len(str(refusal.value)) < 200
+
+
+def test_a_stamp_before_1970_is_refused() -> None:
+    with pytest.raises(TrajectoryRefused, match="1970"):
+        check_age(math.nan)

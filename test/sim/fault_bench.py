@@ -98,10 +98,11 @@ class Bench:
 
     def reach(self, phase: Phase) -> None:
         """Bring the charger to where `phase` is going on, from wherever it is, by what a client may ask of it."""
-        if phase is not Phase.CHARGING:
+        if phase is not Phase.CHARGING or not self._is_pressed():  # nobody moves the arm while the contactor is closed
             self.client.let_open()
             if self.world.circuit.closed:
                 self.ask("set_contactor", close=False)
+            self.wait(lambda: not self.client.power.contactor_closed, "the opening to be told")
         self.wait(lambda: all(self.client.servo.valid), "all servos to answer")
         heard = self.client.heard["frame"]
         self.wait(lambda: self.client.heard["frame"] > heard, "tactile frames")
@@ -109,7 +110,8 @@ class Bench:
         if phase is Phase.MOVING:
             self._shuttle()
             return
-        self._press()
+        if not self._is_pressed():
+            self._press()
         if phase is Phase.CHARGING and not self.is_charging():
             self.ask("probe")
             answer = self.client.keep_closed()
@@ -171,10 +173,12 @@ class Bench:
         self.client.send([(float(at), self._angles(float(z))) for at, z in zip(times, places, strict=True)])
         self.wait(lambda: self.is_moving(since + 0.1), "the arm to move")
 
+    def _is_pressed(self) -> bool:
+        return np.allclose(self.world._reference, self._angles(_PRESSED), atol=0.002)
+
     def _press(self) -> None:
-        goal = self._angles(_PRESSED)
-        self.client.send([(0.4, goal)])
-        self.wait(lambda: np.allclose(self.world._reference, goal, atol=0.002), "the goal behind the target's face")
+        self.client.send([(0.4, self._angles(_PRESSED))])
+        self.wait(self._is_pressed, "the goal behind the target's face")
         self.wait(lambda: np.nanmax(self.client.taxels()) >= _TOUCH, "the pads to feel the target")
         self.wait(lambda: max(map(abs, self.world.mechanics.rates)) < _AT_REST, "the arm at rest")
 

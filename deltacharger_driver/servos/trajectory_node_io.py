@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which of the trajectories that have come the servos follow: the newest that is allowed and without fault.
+
+Anybody may publish on joint_trajectory. However much comes, and whatever, one cycle looks at a bounded part of it, the
+newest first: a stranger's message is refused and counted, and the one behind it is looked at.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+from rclpy.node import Node
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from deltacharger_driver.errors import TrajectoryRefused
+from deltacharger_driver.servos.controller import ServoController
+from deltacharger_driver.servos.motion_guard import ContactorState, MotionGuard, Sender, stamp_age
+from deltacharger_driver.servos.report import ServoPhase
+from deltacharger_driver.servos.servo_node_io import KEPT
+from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check, check_age
+from deltacharger_ros.bounded_topic import BoundedTopic, Received
+from deltacharger_ros.messages import seconds
+
+LONGEST_SECRET = 64  # characters of header.frame_id
+_LARGEST = 256 * 1024  # bytes of a trajectory; 1000 points have 130 000
+_LARGEST_HOLD = 512  # bytes of a trajectory without points
+_READ = 4  # trajectories that one cycle reads whole
+_STRANGERS = 8  # publishers that are kept to be named
+
+_Line = tuple[Sender, int, int]
+
+
+class TrajectoryInbox:
+    """Takes trajectories for a `ServoController`. Used by its thread.
+
+    Args:
+        node: subscribes.
+        limits: what may be asked for.
+
+    Attributes:
+        refused: trajectories refused since the start.
+        forbidden: those of them that were refused because of the contactor.
+        last_refusal: why.
+        strangers: publishers of the forbidden ones by their ids; whoever names them clears it.
+    """
+
+    def __init__(self, node: Node, limits: JointLimits) -> None:
+        self.refused = self.forbidden = 0
+        self.last_refusal = ""
+        self.strangers: set[bytes] = set()
+        self._node = node
+        self._limits = limits
+        self._topic = BoundedTopic(node, JointTrajectory, "joint_trajectory", KEPT)
+        self._followed: _Line | None = None  # the line that is being followed
+
+    @property
+    def topic(self) -> str:
+        """Full name of the topic."""
+        return self._topic.name
+
+    def serve(self, controller: ServoController, guard: MotionGuard, state: ContactorState) -> None:
+        """Hand the newest good trajectory that has come, if any, to the controller, and refuse the newer ones.
+
+        Args:
+            controller: gets it.
+            guard: says who may move the arm.
+            state: of the contactor, now.
+        """
+        good, holds = _READ, _READ  # how many are read yet of those that may move the arm, and of others
+        for received in reversed(self._topic.take()):
+            sender = _sender(received)
+            if sender is None:
+                self._refuse(f"its header cannot be read, or its frame_id is longer than {LONGEST_SECRET} characters")
+                continue
+            allowed = guard.may_move(sender, state)
+            if not allowed and (len(received.data) > _LARGEST_HOLD or not holds):
+                self._forbid(received, state)
+                continue
+            if not good:  # so many newer ones were no better
+                return
+            good, holds = (good - 1, holds) if allowed else (good, holds - 1)
+            try:
+                message = _read(received)
+                if message.points and not allowed:
+                    self._forbid(received, state)
+                    continue
+                self._follow(controller, message, sender)
+            except TrajectoryRefused as error:
+                self._refuse(error.reason)
+                continue
+            if message.points:
+                guard.led(sender, state)
+            return
+
+    def _follow(self, controller: ServoController, message: Any, sender: Sender) -> None:
+        """Submit a trajectory, or raise TrajectoryRefused."""
+        if controller.phase is not ServoPhase.ON:
+            self._followed = None
+        trajectory = check(message.joint_names, [_waypoint(point) for point in message.points], self._limits)
+        stamp = message.header.stamp
+        old = self._age(stamp)
+        line = (sender, stamp.sec, stamp.nanosec)
+        # A further piece of a line under way is as old as its end; the line itself may last longer than a stamp.
+        check_age(max(old - trajectory.duration, 0.0) if line == self._followed else old)
+        start = time.monotonic() - old if stamp.sec or stamp.nanosec else math.inf
+        controller.submit(trajectory, start)
+        self._followed = line if not trajectory.is_hold else self._followed
+
+    def _age(self, stamp: Any) -> float:
+        """Return how long ago (s) a stamp was on the node's clock; 0 for one that is not set, NaN for none."""
+        if not (stamp.sec or stamp.nanosec):
+            return 0.0
+        return stamp_age(stamp.sec, stamp.nanosec, self._node.get_clock().now().nanoseconds)
+
+    def _forbid(self, received: Received, state: ContactorState) -> None:
+        self.forbidden += 1
+        if len(self.strangers) < _STRANGERS:
+            self.strangers.add(received.publisher)
+        self._refuse(state.value)
+
+    def _refuse(self, reason: str) -> None:
+        self.refused += 1
+        self.last_refusal = str(TrajectoryRefused(reason))
+
+
+def _sender(received: Received) -> Sender | None:
+    """Return who sent it; None where it does not say so in bounds."""
+    secret = received.frame_id(LONGEST_SECRET)
+    return None if secret is None else Sender(secret, received.publisher)
+
+
+def _read(received: Received) -> Any:
+    """Return the message.
+
+    Raises:
+        TrajectoryRefused: it is too large, or no JointTrajectory.
+    """
+    size = len(received.data)
+    if size > _LARGEST:
+        raise TrajectoryRefused(f"it has {size} bytes, more than {_LARGEST}; send fewer points and short names")
+    message = received.read()
+    if message is None:
+        raise TrajectoryRefused("its bytes are no JointTrajectory")
+    return message
+
+
+def _waypoint(point: JointTrajectoryPoint) -> ServoWaypoint:
+    return ServoWaypoint(seconds(point.time_from_start), point.positions, point.effort)

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who may move the arm, in every state of the contactor."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from deltacharger_driver.servos.motion_guard import AHEAD, FRESH, ContactorState, MotionGuard, Sender, stamp_age
+
+DOCKING, STRANGER, NOBODY = Sender("a" * 32, b"1"), Sender("", b"2"), Sender()
+OPEN, ARMED, CLOSED = (
+    {"closed": False, "armed": False},
+    {"closed": False, "armed": True},
+    {"closed": True, "armed": True},
+)
+
+
+def guard(*reports: dict[str, bool], publisher: bytes = b"board", age: float = 0.0, now: float = 0.0) -> MotionGuard:
+    guard = MotionGuard()
+    for report in reports:
+        guard.observe(publisher, **report, age=age, now=now)
+    return guard
+
+
+def led(report: dict[str, bool], **keys: float) -> MotionGuard:
+    """Return a guard that saw docking lead while the contactor was open, and then `report`."""
+    guard_ = guard(OPEN)
+    guard_.led(DOCKING, ContactorState.OPEN)
+    guard_.observe(b"board", **report, **{"age": 0.0, "now": 0.0, **keys})
+    return guard_
+
+
+@pytest.mark.parametrize(
+    ("state", "allowed"),
+    [
+        (ContactorState.ABSENT, (DOCKING, STRANGER, NOBODY)),
+        (ContactorState.OPEN, (DOCKING, STRANGER, NOBODY)),
+        (ContactorState.ARMED, (DOCKING,)),
+        (ContactorState.UNKNOWN, (DOCKING,)),
+        (ContactorState.CLOSED, ()),
+    ],
+)
+def test_who_may_move_the_arm(state: ContactorState, allowed: tuple[Sender, ...]) -> None:
+    found = led(OPEN)
+    assert tuple(sender for sender in (DOCKING, STRANGER, NOBODY) if found.may_move(sender, state)) == allowed
+
+
+def test_the_state_follows_charger_power_while_it_is_fresh() -> None:
+    for report, state in ((OPEN, ContactorState.OPEN), (ARMED, ContactorState.ARMED), (CLOSED, ContactorState.CLOSED)):
+        found = guard(OPEN, report)
+        assert found.state(0.0, False) is state
+        assert found.state(FRESH, False) is state
+        assert found.state(FRESH * 1.01, False) is ContactorState.UNKNOWN
+
+
+def test_without_a_board_the_arm_is_free_and_with_one_that_is_silent_it_is_not() -> None:
+    assert MotionGuard().state(0.0, is_announced=False) is ContactorState.ABSENT
+    assert MotionGuard().state(0.0, is_announced=True) is ContactorState.UNKNOWN
+    assert guard(OPEN).state(99.0, is_announced=False) is ContactorState.UNKNOWN  # it was there
+
+
+@pytest.mark.parametrize("age", [math.nan, -AHEAD * 2.0, -1e9, FRESH * 1.01, 1e9])
+def test_an_impossible_or_old_stamp_never_frees_the_arm(age: float) -> None:
+    assert guard(OPEN, age=age).state(0.0, False) is ContactorState.UNKNOWN
+    later = guard(CLOSED)
+    later.observe(b"board", **OPEN, age=age, now=0.05)
+    assert later.state(0.05, False) is ContactorState.CLOSED
+
+
+@pytest.mark.parametrize("age", [math.nan, -AHEAD * 2.0, -1e9])
+def test_a_closed_contactor_is_believed_whatever_its_stamp(age: float) -> None:
+    assert led(CLOSED, age=age).state(0.0, False) is ContactorState.CLOSED
+
+
+def test_who_says_open_cannot_talk_over_who_says_closed() -> None:
+    found = guard(CLOSED)
+    for number in range(100):
+        found.observe(b"liar", **OPEN, age=0.0, now=0.001 * number)
+    assert found.state(0.1, False) is ContactorState.CLOSED
+
+
+def test_a_board_that_was_restarted_counts_once_its_past_is_stale() -> None:
+    found = guard(CLOSED)
+    found.observe(b"restarted", **OPEN, age=0.0, now=0.15)
+    assert found.state(0.15, False) is ContactorState.CLOSED
+    assert found.state(FRESH + 0.05, False) is ContactorState.OPEN
+
+
+def test_publishers_are_kept_in_bounds() -> None:
+    found = guard()
+    for number in range(10_000):
+        found.observe(str(number).encode(), **OPEN, age=0.0, now=0.0)
+    assert len(found._reports) < 10
+
+
+def test_only_who_moves_an_arm_that_is_known_to_be_free_leads() -> None:
+    found = led(OPEN)
+    for state in set(ContactorState) - {ContactorState.OPEN}:
+        found.led(STRANGER, state)
+        assert not found.may_move(STRANGER, ContactorState.UNKNOWN)
+    found.led(STRANGER, ContactorState.OPEN)
+    assert found.may_move(STRANGER, ContactorState.UNKNOWN)
+
+
+@pytest.mark.parametrize("other", [Sender("a" * 32, b"2"), Sender("b" * 32, b"1"), Sender("", b"1"), Sender("a" * 32)])
+def test_secret_and_publisher_must_both_be_the_same(other: Sender) -> None:
+    assert DOCKING.is_same(DOCKING)
+    assert not DOCKING.is_same(other)
+    assert not other.is_same(DOCKING)
+
+
+def test_of_whom_nothing_is_known_is_nobody() -> None:
+    assert not NOBODY.is_same(NOBODY)
+    assert Sender("a").is_same(Sender("a"))  # where rclpy tells no publisher
+    assert STRANGER.is_same(STRANGER)  # who gives no secret is known by the publisher alone
+
+
+@pytest.mark.parametrize(
+    ("stamp", "age"), [((1, 500_000_000), 0.5), ((0, 0), 2.0), ((2**31 - 1, 2**32 - 1), -2147483649.3)]
+)
+def test_the_age_of_a_stamp(stamp: tuple[int, int], age: float) -> None:
+    assert stamp_age(*stamp, 2_000_000_000) == pytest.approx(age)
+
+
+def test_a_stamp_before_1970_has_no_age() -> None:
+    assert math.isnan(stamp_age(-1, 0, 2_000_000_000))
