@@ -67,6 +67,7 @@ class Rig:
         self.charger = RecordedCharger.build(self._scene, namespace)
         self.pulse = Pulse()
         self._processes: dict[str, Process] = {}
+        self._sent: dict[str, int] = {}  # the last signal
         self.state: Any = None
         self.outcome: Outcome | None = None
         self.error = ""
@@ -110,14 +111,16 @@ class Rig:
     def send(self, name: str, number: int) -> float:
         """Send a signal to a node and return when, s of the world."""
         at = self.charger.world.time
+        self._sent[name] = number
         os.kill(self._processes[name].process.pid, number)
         return at
 
     def restart(self, name: str) -> None:
         """Start a node anew that was killed, or let one go on that was stopped."""
         process = self._processes[name].process
+        if self._sent.pop(name, None) == signal.SIGKILL:
+            self.reap(name)
         process.send_signal(signal.SIGCONT)
-        time.sleep(0.02)
         if process.poll() is not None:
             self.start(name)
 
