@@ -20,7 +20,7 @@ from deltacharger_scenes.composition import Composition
 
 from ..chargers import DEADLINE
 from ..marks import slow
-from ..quick import SCENE, quick_simulation
+from ..quick import SCENE, STEPS, quick_simulation
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
@@ -102,7 +102,8 @@ def test_sigint_cancels_and_exits_with_130(
     start: Callable[..., Any], deltacharger: tuple[str, ...], phase: str, namespace: str, tmp_path: Path
 ) -> None:
     scene = tmp_path / "quick.yaml"
-    scene.write_text(yaml.safe_dump({**SCENE, "goal": {"z": HERE.z}}), encoding="utf-8")
+    steps = {"docking_node": {**STEPS, "charge_stable_time": 2.0}}  # so that a signal finds it energising
+    scene.write_text(yaml.safe_dump({**SCENE, "goal": {"z": HERE.z}, "parameters": steps}), encoding="utf-8")
     process = start(*deltacharger, "dock", "--json", "--namespace", namespace, "--scene", str(scene))
     process.wait_for_line(f" s  {phase} ", process.err)
     assert process.end(signal.SIGINT) == 130
