@@ -23,7 +23,7 @@ def stay_apart() -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # threads that spin for each other starve what runs beside them
-    worker = os.environ.get("PYTEST_XDIST_WORKER")
+    worker = os.environ.pop("PYTEST_XDIST_WORKER", None)  # a pytest that a test starts is none
     if worker is None:
         return
     number = int(os.environ["ROS_DOMAIN_ID"]) + APART * (1 + int(worker.removeprefix("gw")))
