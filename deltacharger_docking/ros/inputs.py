@@ -69,7 +69,7 @@ class Inputs:
 
     def __init__(self, node: Node) -> None:
         self.refused = Refusals()
-        self._clock = node.get_clock()
+        self._clock, self._logger = node.get_clock(), node.get_logger()
         self._lock = threading.Lock()
         self._servo = LatestMessage(node, ServoState, "servo_state", QoSProfile(depth=1))
         self._power = LatestMessage(node, ChargerPower, "charger_power", QoSProfile(depth=1))
@@ -92,8 +92,12 @@ class Inputs:
     def look(self, period: float) -> None:
         """Look for second sources, where the last look is longer than `period` s ago."""
         now = time.monotonic()
-        if now - self._looked >= period:
-            self._looked, self._double = now, self._duplicates.look()
+        if now - self._looked < period:
+            return
+        before = self._double
+        self._looked, self._double = now, self._duplicates.look()
+        if self._double and self._double != before:
+            self._logger.warning(f"two say what only one may, so no contactor closes: {self._double}")
 
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:
         """Return what is known now; from any thread. An estimate that nobody can vouch for is refused here."""

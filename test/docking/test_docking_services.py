@@ -3,15 +3,20 @@
 
 from __future__ import annotations
 
+import math
+import time
 from typing import Any
 
 import pytest
+from deltacharger.srv import DetectElectrodes, PredictMisalignment, Probe
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from deltacharger_core.texts import MESSAGE_MAX
 from deltacharger_docking.observation import Reply, Request, Service
 from deltacharger_docking.ros.services import Services
+from deltacharger_docking.ros.witness import Witness
 
 from ..chargers import Spin, wait_until
 from ..nodes import options
@@ -26,7 +31,7 @@ def node(context: Any, namespace: str, spin: Spin) -> Node:
 
 @pytest.fixture
 def services(node: Node) -> Services:
-    return Services(node, lambda stamp: 0.0)
+    return Services(node, lambda stamp: time.time() - stamp.sec)
 
 
 def reply(services: Services) -> Reply:
@@ -83,3 +88,60 @@ def _hear(heard: list[bool], request: SetBool.Request, answer: SetBool.Response)
     heard.append(request.data)
     answer.success = True
     return answer
+
+
+LONG = "x" * 1_000_000
+NAN, INF = math.nan, math.inf
+
+
+def estimate(response: Any, value: float) -> None:
+    felt = response.misalignment
+    felt.contact = felt.sure = felt.in_range = True
+    for name in ("angle", "vertical", "horizontal", "angle_stddev", "vertical_stddev", "horizontal_stddev"):
+        setattr(felt, name, value)
+    response.sequences = [2**64 - 1] * 100_000
+
+
+def detection(response: Any, value: float) -> None:
+    pose, response.detection.roll = response.detection.pose, value
+    pose.pose.position.x, pose.covariance[35] = value, value
+    response.detection.header.stamp.sec, response.detection.header.stamp.nanosec = -(2**31), 2**32 - 1
+
+
+def probe(response: Any, value: float) -> None:
+    response.resistance = response.target_voltage = value
+
+
+ASKED: dict[Service, tuple[str, Any, Any]] = {
+    Service.ESTIMATE: ("predict_misalignment", PredictMisalignment, estimate),
+    Service.DETECT: ("detect_electrodes", DetectElectrodes, detection),
+    Service.PROBE: ("probe", Probe, probe),
+    Service.TARE: ("tare", Trigger, lambda response, value: None),
+    Service.TORQUE_OFF: ("set_torque", SetBool, lambda response, value: None),
+}
+
+
+@pytest.mark.parametrize("service", ASKED)
+def test_answers_as_nobody_should_give_them_are_refused_or_tell_nothing(
+    node: Node, services: Services, service: Service
+) -> None:
+    """Success with words without end, and with nothing, NaN or endless numbers as its payload."""
+    name, kind, fill = ASKED[service]
+    values = iter((None, NAN, INF, -INF, 1e308))
+
+    def lie(request: Any, response: Any) -> Any:
+        response.success, response.message = True, LONG
+        if (value := next(values)) is not None:
+            fill(response, value)
+        return response
+
+    node.create_service(kind, name, lie, callback_group=ReentrantCallbackGroup())
+    witness = Witness()
+    for number in range(1, 6):
+        services.call(Request(number, service, frames=4, timeout=5.0))
+        answer = witness.checked(reply(services))
+        assert answer.number == number
+        assert len(answer.message) < 2 * MESSAGE_MAX
+        assert answer.estimate is None, "no frames stand behind it"
+        if answer.detection is not None:
+            assert not (answer.detection.age <= 1.0 and all(map(math.isfinite, answer.detection.position)))
