@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
 
 from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError
@@ -36,7 +37,7 @@ def file_to_write(flag: str, name: str, kind: str = "", overwrite: bool = True) 
     if not path.parent.is_dir():
         problem = f"{flag} {name}: the folder {path.parent} does not exist; make it"
         raise CommandError(problem, WRONG_INPUT, file=name)
-    if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):
+    if path.is_dir() or not (os.access(path, os.W_OK) if path.exists() else _takes_files(path.parent)):
         raise CommandError(f"{flag} {name}: cannot be written; give another file", WRONG_INPUT, file=name)
     if path.exists() and not overwrite:
         problem = f"{path} exists: choose another name, or overwrite it with --force"
@@ -60,6 +61,15 @@ def folder_to_write(flag: str, name: str) -> Path:
         raise CommandError(
             f"{flag} {name}: cannot be a folder ({error.strerror}); give another", WRONG_INPUT
         ) from error
-    if not os.access(folder, os.W_OK | os.X_OK):
+    if not _takes_files(folder):
         raise CommandError(f"{flag} {name}: the folder cannot be written to; give another", WRONG_INPUT)
     return folder
+
+
+def _takes_files(folder: Path) -> bool:
+    """Whether a file can be made there; permissions tell root yes where a file system makes none."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False

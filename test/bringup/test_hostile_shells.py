@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import configparser
 import contextlib
 import io
 import itertools
@@ -109,6 +110,60 @@ def test_a_shell_that_takes_nothing_away_from_a_command_but_its_words(typed: str
         assert ended.stdout == b""
     elif typed in ("json", "wrong") and shell != "a reader that leaves":
         assert isinstance(json.loads(ended.stdout.decode()), dict)
+    assert list(tmp_path.iterdir()) == []
+
+
+def _executables() -> list[str]:
+    setup = configparser.ConfigParser()
+    setup.read(ROOT / "setup.cfg", encoding="utf-8")
+    words = setup["options.entry_points"]["console_scripts"].split()
+    return sorted(word.partition(":")[0] for word in words if ":main" in word and "cli" not in word)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shell", ["full", "all closed", "full errors", "C", "optimised", "a home that cannot be"])
+@pytest.mark.parametrize("module", _executables())
+def test_a_node_that_cannot_start_says_so_in_every_shell(module: str, shell: str, tmp_path: Path) -> None:
+    words = [sys.executable, *(["-O"] if shell == "optimised" else []), "-m", module]
+    line = SHELLS[shell].format(shlex.join([*words, "--ros-args", "-p", "no_such_parameter:=1"]))
+    ended = subprocess.run(
+        ["bash", "-c", line],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        check=False,
+        timeout=60,
+    )
+    said = ended.stderr.decode()
+    assert (ended.returncode, ended.stdout) == (2, b""), said
+    assert "Traceback" not in said
+    assert "Exception ignored" not in said
+    assert bool(said.strip()) is (shell not in NO_ERRORS)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(("calibrate", "kinematics", "--plan", f"{folder}/plan.csv") for folder in ("/proc", "/sys", "/etc/passwd")),
+        ("tactile", "generate", "--out", "/proc/data.npz"),
+        ("dock", "--picture", "/proc/run.png"),
+        ("view", "--save", "/proc/view.rrd"),
+        ("simulate", "--directory", "never", "--record", "/proc/record.json"),
+        *(("report", "kinematics", "--quick", "--out", out) for out in ("/proc/report", "/sys", "/etc/passwd/report")),
+        ("campaign", "--out", "/proc/campaign"),
+    ],
+    ids=" ".join,
+)
+def test_where_nothing_can_be_written_is_told_before_anything_is_done(
+    capsys: pytest.CaptureFixture[str], words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if words[0] == "view":
+        pytest.importorskip("rerun", reason="deltacharger[view]")
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(capsys, *words)
+    assert (code, out) == (2, "")
+    assert words[-1] in err
     assert list(tmp_path.iterdir()) == []
 
 
