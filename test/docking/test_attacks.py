@@ -15,6 +15,7 @@ from deltacharger_docking.observation import DockGoal, Observation, Reply, Servi
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import CircuitParameters, ContactParameters
 
+from ..marks import slow
 from .dockings import quick_charger
 
 NAN = math.nan
@@ -277,7 +278,7 @@ def two_speak(observation: Observation) -> Observation:
     return replace(observation, duplicate_sources=NAMES)
 
 
-@pytest.mark.parametrize("begins", [State.APPROACH, State.MEASURE, State.ENERGISE])
+@pytest.mark.parametrize("begins", [slow(State.APPROACH), State.MEASURE, slow(State.ENERGISE)])
 def test_no_contactor_closes_while_two_speak(begins: State) -> None:
     """Whenever the second comes; docking goes on up to there, waits for it to go, says so, and goes home."""
     run = quick_charger(parameters={"duplicate_source_timeout": 2.0})
@@ -292,7 +293,7 @@ def test_no_contactor_closes_while_two_speak(begins: State) -> None:
     until_idle(run)
 
 
-@pytest.mark.parametrize("begins", [State.CONTACT, State.MEASURE])
+@pytest.mark.parametrize("begins", [slow(State.CONTACT), State.MEASURE])
 def test_what_was_felt_while_two_spoke_lets_no_current_flow(begins: State) -> None:
     """A second that is gone when the contactor would close may have spoken for the estimate: it is made anew."""
     run = quick_charger()

@@ -26,6 +26,7 @@ from deltacharger_ros.outcomes import DockRequest
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import dock_at_last, wait_until
+from ..marks import slow
 from ..nodes import options
 from .hostile import PLACE, TOPICS, Hostile
 from .test_hostile_messages import POWER
@@ -148,7 +149,7 @@ def test_docking_waits_for_a_second_to_go_and_one_that_comes_later_is_told(hosti
     hostile.heal()
 
 
-@pytest.mark.parametrize("beside", [True, False], ids=["beside misalignment_node", "in its place"])
+@pytest.mark.parametrize("beside", [True, slow(False)])
 def test_a_liar_about_the_angle_never_closes_the_contactor(quick_scene: Scene, context: Any, beside: bool) -> None:
     """The target is tilted past the rule. Beside the true server it may name frames; in its place it names none."""
     tilted = ("mock_servo_node", "mock_tactile_node")

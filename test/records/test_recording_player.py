@@ -225,7 +225,7 @@ def text(folder: Path, content: str) -> Path:
     [
         (lambda folder: "", "--recording FILE"),
         (lambda folder: folder / "none.mcap", "there is no such file"),
-        (lambda folder: folder, "Is a directory"),
+        (lambda folder: folder, "it is a folder"),
         (lambda folder: text(folder, ""), "is empty"),
         (lambda folder: text(folder, "a scene: {}\n" * 9), "is no MCAP file"),
         (lambda folder: write(folder / "other.mcap", [decision(1.0, 0, "x")]), "tells no docking_state"),  # type: ignore[arg-type]

@@ -95,6 +95,15 @@ def pads(context: Any, spin: Spin) -> Pads:
     return client
 
 
+def test_an_answer_names_the_frames_behind_it_and_a_refusal_none(pads: Pads) -> None:
+    assert list(pads.ask(4).sequences) == []
+    pads.streaming = True
+    first = list(pads.ask(12).sequences)
+    second = list(pads.ask(12).sequences)
+    assert len(first) == len(second) == 12
+    assert sorted({*first, *second}) == first + second, "each once and rising, the second's all later"
+
+
 def test_answers_from_fresh_frames_and_publishes(pads: Pads) -> None:
     pads.streaming = True
     asked = pads.get_clock().now().nanoseconds
