@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Who publishes or serves beside another what only one may: read from the ROS graph.
 
-One look costs 6 µs a name while nobody is double (`count_publishers`, `count_services`); names are asked for only then.
+A look costs 10 µs a name (`count_publishers`, `count_services`); who is double is asked for only where somebody is.
 A node that was killed stays in the graph until its middleware's lease is over: 20 s with Fast DDS.
 """
 

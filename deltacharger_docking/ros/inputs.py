@@ -111,16 +111,17 @@ class Inputs:
 
     def _newest_frame(self) -> TactileFrame | None:
         """Hear all frames that came; return the newest."""
-        now = seconds_of(self._clock.now().to_msg())
+        taken = list(self._frames.take())
+        instant, now = self._instant()
         newest = b""
-        for data, _ in self._frames.take():
+        for data, _ in taken:
             try:
                 stamp, sequence = frame_head(data)
                 _check_ahead(stamp - now)
             except MessageRefused as refusal:
                 self.refused.add("tactile_frame", str(refusal))
                 continue
-            self._witness.hear(sequence, time.monotonic() - (now - stamp))
+            self._witness.hear(sequence, instant - (now - stamp))
             newest = data
         if not newest:
             return None
@@ -136,7 +137,7 @@ class Inputs:
         known = self._heard.get(kind)
         if known is not None and message.header.stamp == known.header.stamp:
             return
-        now = seconds_of(self._clock.now().to_msg())
+        instant, now = self._instant()
         try:
             stamp = seconds_of(message.header.stamp)
             _check_ahead(stamp - now)
@@ -147,8 +148,16 @@ class Inputs:
             self.refused.add(_NAMES[kind], str(refusal))
             return
         if kind is not ServoState or all(message.valid):
-            self._measured[kind] = time.monotonic() - max(now - stamp, 0.0)
+            self._measured[kind] = instant - max(now - stamp, 0.0)
         self._heard[kind] = message
+
+    def _instant(self) -> tuple[float, float]:
+        """Return one instant in s, monotonic and on the node's clock.
+
+        In this order, and after messages were taken: where the thread is interrupted in between, data seem older than
+        they are, never fresher and never of the future.
+        """
+        return time.monotonic(), seconds(self._clock.now().to_msg())
 
     def _compose(self, replies: tuple[Reply, ...], contactor_refusal: str) -> Observation:
         now = time.monotonic()
