@@ -146,7 +146,8 @@ def _about(content: bytes) -> dict[str, str] | None:
     from mcap.stream_reader import StreamReader
 
     try:
-        records = StreamReader(io.BytesIO(content), record_size_limit=_HEAD).records
+        # Chunks stay as they are: what is packed in a few bytes may be gigabytes.
+        records = StreamReader(io.BytesIO(content), emit_chunks=True, record_size_limit=_HEAD).records
         header, about = next(records), next(records)
     except Exception:  # what mcap raises for bytes that are none of its own, and the end of few
         return None

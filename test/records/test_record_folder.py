@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import shutil
 import socket
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
@@ -265,3 +266,46 @@ def test_a_copied_folder_is_a_folder_of_records(tmp_path: Path) -> None:
     made = [make(folder, number, 10, ends=True)[0] for number in range(3)]
     shutil.copytree(tmp_path / "a", tmp_path / "b")
     assert [path.name for path in RecordFolder(tmp_path / "b", 1, 10**9).prune()] == [path.name for path in made[:2]]
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(0, 255)), min_size=1, max_size=4), st.floats(0.0, 1.0))
+def test_a_head_that_is_damaged_is_looked_at_in_peace(
+    tmp_path_factory: pytest.TempPathFactory, changes: list[tuple[float, int]], share: float
+) -> None:
+    path = tmp_path_factory.mktemp("records") / NAME
+    _record(path)
+    data = bytearray(path.read_bytes())
+    for place, value in changes:
+        data[int(place * (len(data) - 1))] = value
+    path.write_bytes(data[: int(share * len(data))])
+    assert isinstance(look(path).problem, str)
+
+
+def _unpacked(path: Path, size: int) -> None:
+    """Put a chunk behind the header that would be `size` bytes when unpacked."""
+    import zstandard
+    from mcap.data_stream import RecordBuilder
+    from mcap.records import Chunk, Header
+
+    packer = zstandard.ZstdCompressor(level=1).compressobj(size=size)
+    packed = b"".join(packer.compress(bytes(2**20)) for _ in range(size // 2**20)) + packer.flush()
+    builder = RecordBuilder()
+    Header("ros2", "deltacharger").write(builder)
+    Chunk("zstd", packed, 0, 0, 0, size).write(builder)
+    path.write_bytes(b"\x89MCAP0\r\n" + builder.end())
+
+
+def test_what_is_large_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / NAME).open("wb") as file:
+        file.truncate(2**40)
+    bomb = tmp_path / f"x{NAME}"
+    _unpacked(bomb, 2**28)
+    assert bomb.stat().st_size < 32_768
+    tracemalloc.start()
+    try:
+        for path in (tmp_path / NAME, bomb):
+            assert look(path).problem == "docking_recorder_node did not write it"
+        assert tracemalloc.get_traced_memory()[1] < 10 * 2**20
+    finally:
+        tracemalloc.stop()
