@@ -11,7 +11,7 @@ from deltacharger_driver.errors import TrajectoryRefused
 
 STALE_AFTER = 0.5  # s, age of a stamp beyond which a trajectory is refused
 MOST_POINTS = 1000
-"""of a trajectory; a line across the whole workspace at a crawl has 400"""
+"""Of a trajectory: 20 s of a line as the planner spaces it. What is longer goes piece by piece."""
 _QUOTED = 60  # characters of what a sender wrote that a message repeats
 
 

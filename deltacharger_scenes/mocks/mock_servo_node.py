@@ -25,7 +25,6 @@ from typing import Any
 from deltacharger.msg import ServoState
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -33,6 +32,7 @@ from trajectory_msgs.msg import JointTrajectory
 from deltacharger_core.machine import JOINTS, NOMINAL_VOLTAGE, STALL_TORQUE, TORQUE_CONSTANT
 from deltacharger_driver.errors import TrajectoryRefused
 from deltacharger_driver.servos.goals import ServoGoals
+from deltacharger_driver.servos.motion_guard import stamp_age
 from deltacharger_driver.servos.trajectory import JointLimits, ServoWaypoint, check, check_age
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_ros import node_support, qos
@@ -155,8 +155,9 @@ class MockServoNode(Node):
         self._joints.publish(joints)
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
-        stamp = Time.from_msg(message.header.stamp, clock_type=self.get_clock().clock_type)
-        age = (self.get_clock().now() - stamp).nanoseconds * 1e-9 if stamp.nanoseconds else 0.0
+        stamp = message.header.stamp
+        unset = not (stamp.sec or stamp.nanosec)
+        age = 0.0 if unset else stamp_age(stamp.sec, stamp.nanosec, self.get_clock().now().nanoseconds)
         points = [ServoWaypoint(seconds(each.time_from_start), each.positions, each.effort) for each in message.points]
         try:
             check_age(age)

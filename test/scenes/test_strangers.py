@@ -25,8 +25,9 @@ from deltacharger_ros.executor import Spinner
 from deltacharger_ros.outcomes import DockRequest, Pose
 from deltacharger_ros.qos import STATE
 from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.mocks.mock_servo_node import MockServoNode
 
-from ..chargers import DEADLINE, dock_at_last, wait_until
+from ..chargers import DEADLINE, Spin, dock_at_last, wait_until
 from ..marks import slow
 from ..nodes import options
 from ..quick import quick_simulation
@@ -163,3 +164,24 @@ def test_probes_and_tares_without_end_fail_no_docking(
             each.close()
     assert all(each.answers > 10 for each in callers)
     assert world(charger).record.parted_live == 0
+
+
+@pytest.mark.parametrize("sec", [-1, -(2**31), 1, 2**31 - 1])
+def test_the_mock_refuses_impossible_stamps_as_well_and_serves_the_next(
+    context: Any, namespace: str, spin: Spin, sec: int
+) -> None:
+    mock = spin(MockServoNode(**options(context, namespace)))
+    sender = spin(Node("sender", **options(context, namespace)))
+    points = sender.create_publisher(JointTrajectory, "joint_trajectory", QoSProfile(depth=1))
+    wait_until(points.get_subscription_count, "discovery")
+    message = JointTrajectory(joint_names=list(JOINTS), points=[JointTrajectoryPoint(positions=array("d", HOME))])
+    message.header.stamp.sec = sec
+    points.publish(message)
+    message.header.stamp.sec = 0
+
+    def followed() -> bool:
+        points.publish(message)
+        time.sleep(0.01)  # the sender's pace
+        return bool(mock._goals.angles == HOME)
+
+    wait_until(followed, "the good one's goal")
