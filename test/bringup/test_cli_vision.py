@@ -226,7 +226,7 @@ def test_wrong_intrinsics_are_named(files: Path, tmp_path: Path, run: Run, other
         ("--color a.png --depth none.npy --camera-info k.yaml", "none.npy: there is no such file"),
         ("--color k.yaml --camera-info k.yaml", "k.yaml: is no image"),
         ("--color empty.png --camera-info k.yaml", "empty.png: is empty"),
-        ("--color . --camera-info k.yaml", "directory"),
+        ("--color . --camera-info k.yaml", "it is a folder"),
         ("--color a.png --camera-info a.png", "a.png: not valid YAML"),
         ("--color a.png --camera-info k.yaml --terminal none.yaml", "none.yaml: there is no such file"),
         ("--color a.png --camera-info k.yaml --terminal k.yaml", "k.yaml: camera_matrix: unknown key"),
