@@ -16,7 +16,6 @@ from typing import Any
 
 from rclpy.context import Context
 from rclpy.duration import Duration
-from rclpy.time import Time
 from std_srvs.srv import Trigger
 
 from deltacharger_docking.observation import Command, DockingOutcome, Observation, Request, Service
@@ -29,6 +28,7 @@ from deltacharger_records.datasets.arm_guest import ArmError, ArmGuest
 from deltacharger_records.datasets.keeper import TOPICS, Tape
 from deltacharger_records.datasets.machine import RecordingMachine
 from deltacharger_records.node_parameters import docking_settings
+from deltacharger_ros.messages import seconds
 from deltacharger_ros.raw_topics import listen
 
 _TICK = 0.02  # s; pace where servo_state does not come
@@ -220,4 +220,4 @@ class RecordingCharger(ArmGuest):
         return self._wait(lambda: not self._observe().torque_enabled, _ANSWER, patient=True)
 
     def _age(self, stamp: Any) -> float:
-        return float((self.node.get_clock().now() - Time.from_msg(stamp)).nanoseconds) * 1e-9
+        return seconds(self.node.get_clock().now().to_msg()) - seconds(stamp)

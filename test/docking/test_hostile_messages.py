@@ -15,7 +15,9 @@ from typing import Any
 
 import pytest
 from deltacharger.msg import ServoState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from deltacharger_core.machine import JOINTS
 from deltacharger_ros.messages import CODES
 from deltacharger_scenes.scene import Scene
 
@@ -286,3 +288,15 @@ def test_what_is_refused_is_counted_and_takes_nothing_from_the_true_ones(
     assert hostile.is_closed
     assert refused.last.startswith(topic)
     assert defects.told == []
+
+
+@pytest.mark.slow
+def test_a_trajectory_whose_stamp_is_none_ends_no_node(hostile: Hostile) -> None:
+    publisher = hostile.client.node.create_publisher(JointTrajectory, "joint_trajectory", 1)
+    wait_until(lambda: publisher.get_subscription_count() == 1, "the mock of servo_node")
+    wrong = JointTrajectory(joint_names=list(JOINTS), points=[JointTrajectoryPoint(positions=[0.5] * 3)])
+    publisher.publish(stamped(-5, 0)(wrong))
+    assert publisher.wait_for_all_acked()
+    hostile.client.node.destroy_publisher(publisher)
+    wait_until(lambda: not hostile.states[-1].duplicate_sources, "nobody else")
+    hostile.charge()
