@@ -28,7 +28,6 @@ from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.mocks.mock_servo_node import MockServoNode
 
 from ..chargers import DEADLINE, Spin, dock_at_last, wait_until
-from ..marks import slow
 from ..nodes import options
 from ..quick import quick_simulation
 
@@ -36,6 +35,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 NAMESPACE = "strangers"
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
+DOCKINGS = 5
 PULL = 4.0  # N·m of each servo, more than the magnets hold
 HOME = (-0.2, -0.2, -0.2)  # rad; far from the target
 
@@ -149,13 +149,13 @@ class Callers:
             spinner.close()
 
 
-@pytest.mark.parametrize("dockings", [1, slow(5)])
+@pytest.mark.slow
 def test_probes_and_tares_without_end_fail_no_docking(
-    charger: Composition, client: ChargerClient, context: Any, dockings: int
+    charger: Composition, client: ChargerClient, context: Any
 ) -> None:
     callers = [Callers(context, Probe, "probe", 3), Callers(context, Trigger, "tare", 2)]
     try:
-        for _ in range(dockings):
+        for _ in range(DOCKINGS):
             outcome = client.dock(GOAL, deadline=DEADLINE)
             assert outcome.success, outcome
             assert client.undock(deadline=DEADLINE).success
