@@ -89,6 +89,8 @@ bench: $(INSTALLED)  ## what charger and driver keep up with, about 20 minutes; 
 	-$(BIN)/python benchmarks/driver_kill.py --tactile $(if $(QUICK),2 --dockings 0,5 --dockings 1)
 	@echo '== $(if $(QUICK),50 000,a million) damaged packets per codec: $(if $(QUICK),seconds,2 minutes)'
 	-$(BIN)/python benchmarks/driver_fuzz.py --packets $(if $(QUICK),50000,1000000)
+	@echo '== changed files of every kind, $(if $(QUICK),1000,5000) each: $(if $(QUICK),half a minute,2 minutes)'
+	-$(BIN)/python benchmarks/files_fuzz.py --files $(if $(QUICK),1000,5000)
 
 $(INSTALLED): $(SOURCES)
 	python3 -m venv $(VENV)

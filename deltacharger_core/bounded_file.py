@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 MEGABYTE = 2**20
 LARGEST_TEXT = MEGABYTE
 """Bytes of a file that people write, and of JSON."""
-_DEEPEST = 50
+_DEEPEST, _LONGEST_KEY = 50, 300
 _BLOCK = MEGABYTE
 _KINDS = {
     stat.S_IFDIR: "a folder",
@@ -85,7 +85,10 @@ def size_text(count: int) -> str:
 def read_bytes(path: str | Path, largest: int) -> bytes:
     """Return what a regular file holds; arguments and errors as of `open_file`."""
     with open_file(path, largest) as file:
-        content = file.read(largest + 1)
+        try:
+            content = file.read(largest + 1)
+        except OSError as error:  # which does not name the file
+            raise FileRefused(path, f"cannot be read: {error.strerror}") from error
     if len(content) > largest:  # it grows, or tells no size, as files of /proc
         raise FileRefused(path, f"it holds more than the {size_text(largest)} of its kind")
     return content
@@ -118,8 +121,8 @@ def parse_json(text: str, largest: int = LARGEST_TEXT) -> Any:
         largest: characters that it may have.
 
     Raises:
-        ValueError: it is not JSON, larger, nested deeper than 50 levels, or gives a key twice or a number of more than
-            64 bits.
+        ValueError: it is not JSON, larger, nested deeper than 50 levels, or gives a key twice, one of more than 300
+            characters, or a number of more than 64 bits.
     """
     import json
 
@@ -136,6 +139,8 @@ def parse_json(text: str, largest: int = LARGEST_TEXT) -> Any:
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
+    if any(len(name) > _LONGEST_KEY for name in found):
+        raise ValueError(f"its JSON gives a key of more than {_LONGEST_KEY} characters")
     if len(found) != len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)

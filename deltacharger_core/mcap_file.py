@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deltacharger_core.bounded_file import open_file
+from deltacharger_core.bounded_file import FileRefused, open_file
 from deltacharger_core.mcap_records import (
     ATTACHMENT,
     CHANNEL,
@@ -94,7 +94,10 @@ class McapFile:
         self.first = self.last = 0
         self.damage = ""
         with open_file(path, LARGEST_FILE) as stream:
-            empty = not stream.read(1)
+            try:
+                empty = not stream.read(1)
+            except OSError as error:  # which does not name the file
+                raise FileRefused(path, f"cannot be read: {error.strerror}") from error
         if empty:
             raise RecordingError(f"{path} is empty: its recorder was stopped before it had written anything")
         if not self._read_index():

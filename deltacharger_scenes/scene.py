@@ -221,7 +221,7 @@ def _nodes(scene: Scene) -> Problems:
     for index, name in enumerate(scene.nodes):
         key = f"nodes[{index}]"
         if name not in NODES:
-            yield key, f"unknown node '{name}'{did_you_mean(name, NODES)}; known: {', '.join(NODES)}"
+            yield key, f"unknown node {brief(name)}{did_you_mean(name, NODES)}; known: {', '.join(NODES)}"
         if name in scene.nodes[:index]:
             yield key, f"'{name}' is listed twice"
         for other in scene.nodes:

@@ -258,7 +258,7 @@ class PoseEstimator:
         try:
             model = _restore(header, arrays)
             _try(model)
-        except (KeyError, IndexError, ValueError, TypeError, AttributeError) as error:
+        except Exception as error:  # whatever a stranger's arrays lead to
             raise ModelError(str(path), "its arrays and description do not fit together") from error
         return model
 

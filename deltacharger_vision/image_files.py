@@ -24,6 +24,7 @@ _DEPTHS = (".png", ".npy")
 _LARGEST, _LARGEST_DECODED = 64 * 2**20, 48 * 2**20  # bytes; the second is 4096 × 4096 px of colour
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # markers of the segments that tell the size
+_MOST_CHUNKS = 20_000  # a PNG of 64 MB has 8192 as libpng writes them
 _SCAN, _MOST_SCANS = b"\xff\xda", 100  # a progressive JPEG is decoded anew with each scan
 
 
@@ -202,7 +203,7 @@ def _decoded(path: Path) -> NDArray[Any]:
 
 def _claimed(data: bytes) -> tuple[int, int, int]:
     """Return width, height and decoded bytes per pixel as the header of a PNG or JPEG says; 0, 0, 0 of other data."""
-    if data.startswith(_PNG) and data[12:16] == b"IHDR" and len(data) >= 26:
+    if data.startswith(_PNG) and data[12:16] == b"IHDR" and _is_whole_png(data):
         width, height, bits, colors = struct.unpack_from(">IIBB", data, 16)
         return width, height, (1 if colors == 0 else 3 if colors == 2 else 4) * (2 if bits == 16 else 1)
     at = 2 if data.startswith(b"\xff\xd8") and data.count(_SCAN) <= _MOST_SCANS else len(data)
@@ -213,6 +214,19 @@ def _claimed(data: bytes) -> tuple[int, int, int]:
             return width, height, 3
         at += 1 if marker == 0xFF else 2 + length
     return 0, 0, 0
+
+
+def _is_whole_png(data: bytes) -> bool:
+    """Whether each chunk ends within the file: OpenCV takes as much memory as one claims."""
+    at = len(_PNG)
+    for _ in range(_MOST_CHUNKS):
+        if at + 12 > len(data):
+            break
+        kind = data[at + 4 : at + 8]
+        at += 12 + int.from_bytes(data[at : at + 4], "big")
+        if kind == b"IEND":
+            return at <= len(data)
+    return False
 
 
 def _array(path: Path) -> NDArray[Any]:

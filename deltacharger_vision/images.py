@@ -200,6 +200,7 @@ def _depth(array: NDArray[Any]) -> NDArray[np.float32]:
         raise ImageError("depth", f"holds {float(known.min()):g} m; unknown is 0, inf or NaN, never negative")
     if known.size and (middle := float(np.median(known))) > _MILLIMETRES_ABOVE:
         raise ImageError("depth", f"its median is {middle:g} m; float depth is in metres: divide millimetres by 1000")
-    metres = array.astype(np.float32)
-    metres[unknown] = np.nan
+    with np.errstate(over="ignore"):
+        metres = array.astype(np.float32)
+    metres[~np.isfinite(metres) | (metres == 0.0)] = np.nan  # also what float64 tells and float32 cannot
     return metres

@@ -47,7 +47,7 @@ KNOWN = (*(name for group in POSITION_COLUMNS for name in group), *TICKS, *DEGRE
 
 LARGEST_FILE = 4 * 2**20
 """Bytes of a file; far beyond what anybody measures."""
-_MOST_LINES, _MOST_ROWS, _LONGEST_LINE = 100_000, 10_000, 10_000
+_MOST_LINES, _MOST_ROWS, _LONGEST_LINE = 100_000, 10_000, 2000
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _STATEMENT = re.compile(r"#\s*(zero_ticks|direction)\b(.*)")
 

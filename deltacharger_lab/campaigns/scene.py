@@ -70,7 +70,7 @@ def _whole(content: Any, name: str, above: tuple[str, ...] = ()) -> Any:
         return content
     base = content[_BASE]
     packaged = packaged_campaigns()
-    if base not in packaged or base in (*above, name):
+    if not isinstance(base, str) or base not in packaged or base in (*above, name):
         raise ParameterError(
             _BASE, base, f"no other packaged campaign{did_you_mean(base, packaged)}: {', '.join(packaged)}"
         )

@@ -173,7 +173,7 @@ class Journal:
 
     def _read(self) -> None:
         path = self.folder / _HEADER
-        if not path.is_file():
+        if not os.path.lexists(path):
             return
         try:
             content = parse_json(read_text(path))

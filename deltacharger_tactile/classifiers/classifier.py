@@ -203,7 +203,7 @@ class Classifier:
             shares = model.predict_proba(np.ones((1, PADS, ROWS, COLUMNS)))
         except ModelError as error:
             raise ModelError(str(path), error.reason) from error
-        except (KeyError, IndexError, ValueError, TypeError, AttributeError) as error:
+        except Exception as error:  # whatever a stranger's arrays lead to
             raise ModelError(str(path), "its arrays and description do not fit together") from error
         if shares.shape != (1, labels.classes(model.target)) or not np.isclose(shares.sum(), 1.0):
             raise ModelError(str(path), "it does not give probabilities")

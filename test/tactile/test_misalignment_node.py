@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import os
 import threading
+import zipfile
 from array import array
 from pathlib import Path
 from typing import Any
@@ -223,10 +225,16 @@ def broken_files(folder: Path) -> dict[str, list[str]]:
     (folder / "cut.npz").write_bytes(model.read_bytes()[:5000])
     generate_paper(rigs=(1,), seed=1).save(folder / "data.npz")
     TactileCalibration().save(folder / "pads.yaml")
-    common = ["missing", "data.npz", "."]
+    (folder / "zero").symlink_to("/dev/zero")
+    os.mkfifo(folder / "pipe")
+    with zipfile.ZipFile(model) as good, zipfile.ZipFile(folder / "header.npz", "w") as bad:
+        for name in good.namelist():  # as nobody can evaluate it, in an archive that is whole
+            bad.writestr(name, good.read(name).replace(b"'descr'", b"'" + b"(" * 6))
+    (folder / "laughs.yaml").write_text("a: &a [1]\n" + "".join(f"b{n}: *a\n" for n in range(9)))
+    common = ["missing", "data.npz", ".", "zero", "pipe"]
     return {
-        "model": [*common, "cut.npz", "pads.yaml"],
-        "calibration": [*common, "model.npz"],
+        "model": [*common, "cut.npz", "pads.yaml", "header.npz"],
+        "calibration": [*common, "model.npz", "laughs.yaml"],
         "classifiers": [*common, "model.npz", "cut.npz"],
     }
 

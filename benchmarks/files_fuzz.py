@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the readers of files do with damage and malice: `python benchmarks/files_fuzz.py [--files 1000000] [--json]`.
+
+Good files of every kind, by our own writers, are changed at random and read. Ends with 1 where a law is broken: nothing
+but a named refusal, 2 s of CPU and 200 MB more at most per file, and nothing false accepted. Each file follows from its
+number: `--kind KIND --first NUMBER --files 1` repeats it. A million of each kind take hours; `--processes` shares them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from pathlib import Path
+from typing import Any
+
+KINDS = ("yaml", "csv", "npz", "npy", "picture", "mcap", "json", "parquet")
+SECONDS, MEGABYTES, STUCK = 2.0, 200.0, 30
+LONGEST_MESSAGE = 3000
+MOST_SHOWN = 20
+MAY_BE_TAKEN = ("two documents", "a chunk in a chunk", "metadata without end", "a summary that is everywhere")
+"""Attacks that a reader may survive by what stands before: an echoed topic, recordings up to their damage."""
+
+
+def peak() -> float:
+    """Return the most memory that this process has had, MB."""
+    text = Path("/proc/self/status").read_text()
+    return int(text[text.index("VmHWM:") + 6 :].split(None, 1)[0]) / 1024
+
+
+def forget_peak() -> None:
+    """Let `peak` begin anew; where the kernel does not allow it, memory is judged by the largest so far."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def judge(reader: Any, path: Path, before: float) -> tuple[str, str]:
+    """Read a file; return "taken" or "refused", and which law is broken, '' = none."""
+    outcome, broken, started = "taken", "", time.process_time()
+    signal.alarm(STUCK)
+    try:
+        found = reader.read(path)
+    except reader.refusals as error:
+        outcome, text = "refused", str(error)
+        named = not reader.names or path.name in text or str(path.parent) in text
+        if not text or len(text) > LONGEST_MESSAGE or not named:
+            broken = f"a refusal that tells {len(text)} characters: {text[:300]}"
+    except Exception as error:
+        broken = f"{type(error).__name__}: {str(error)[:300]}\n{''.join(traceback.format_exception(error)[-3:])}"
+    else:
+        try:
+            reader.sound(found)
+        except Exception as error:
+            broken = f"false accept: {type(error).__name__}: {str(error)[:300]} {traceback.format_exc(limit=-1)}"
+    signal.alarm(0)
+    took, more = time.process_time() - started, peak() - before
+    if took > SECONDS:
+        broken = broken or f"took {took:.1f} s"
+    if more > MEGABYTES:
+        broken = broken or f"took {more:.0f} MB more"
+    return outcome, broken
+
+
+def work(kind: str, first: int, count: int, seed: int, beat: int) -> dict[str, Any]:
+    """Read `count` changed files of a kind in this process."""
+    import fuzz_mutations
+    from fuzz_files import readers
+
+    warnings.simplefilter("ignore")
+    told: dict[str, Any] = {"files": 0, "taken": 0, "refused": 0, "seconds": 0.0, "megabytes": 0.0, "broken": []}
+    with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as given:
+        known = readers(Path(made), kind)
+        paths = []
+        for index, reader in enumerate(known):
+            path = Path(given) / str(index) / reader.place
+            path.parent.mkdir(parents=True)
+            paths.append(path)
+            for name, content in reader.beside.items():
+                (Path(given) / str(index) / name).write_bytes(content)
+            for good in reader.good:  # which also loads what is loaded once
+                path.write_bytes(good)
+                reader.sound(reader.read(path))
+        before, started = peak(), time.monotonic()
+        for number in range(first, first + count):
+            which = number % len(known)
+            os.pwrite(beat, f"{number:20}".encode(), 0)
+            told["files"] += 1
+            data = fuzz_mutations.mutated(f"{kind} {seed} {number}", known[which].good, known[which].changes)
+            paths[which].write_bytes(data)
+            begun = time.process_time()
+            outcome, broken = judge(known[which], paths[which], before)
+            told[outcome] += 1
+            told["seconds"] = max(told["seconds"], time.process_time() - begun)
+            if broken:
+                forget_peak()
+                told["broken"].append(f"{known[which].name}, --kind {kind} --seed {seed} --first {number}: {broken}")
+                if len(told["broken"]) >= MOST_SHOWN:
+                    break
+        told["megabytes"], told["wall"] = peak() - before, time.monotonic() - started
+    return told
+
+
+def attack(kind: str, beat: int) -> dict[str, Any]:
+    """Put every attack where each reader of a kind looks for its file."""
+    import shutil
+
+    from fuzz_attacks import attacks
+    from fuzz_files import readers
+
+    warnings.simplefilter("ignore")
+    told: dict[str, Any] = {"files": 0, "taken": 0, "refused": 0, "seconds": 0.0, "megabytes": 0.0, "broken": []}
+    with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as given:
+        known, way = readers(Path(made), kind), attacks(kind)
+        for reader in known:
+            place = Path(given) / reader.name / reader.place
+            for name, put in (("the good file", lambda path: path.write_bytes(known[0].good[0])), *way.items()):
+                shutil.rmtree(Path(given) / reader.name, ignore_errors=True)
+                place.parent.mkdir(parents=True)
+                for other, content in reader.beside.items():
+                    (Path(given) / reader.name / other).write_bytes(content)
+                place.unlink(missing_ok=True)
+                put(place)
+                os.pwrite(beat, f"{reader.name}: {name}".encode().ljust(100), 0)
+                if name == "the good file":
+                    place.write_bytes(reader.good[0])
+                    reader.read(place)
+                    continue
+                forget_peak()
+                before, begun = peak(), time.process_time()
+                outcome, broken = judge(reader, place, before)
+                told["seconds"] = max(told["seconds"], time.process_time() - begun)
+                told["megabytes"] = max(told["megabytes"], peak() - before)
+                told["files"] += 1
+                told[outcome] += 1
+                if outcome == "taken" and name not in MAY_BE_TAKEN:
+                    broken = broken or "taken"
+                if broken:
+                    told["broken"].append(f"{reader.name}, {name}: {broken}")
+    return told
+
+
+def start(kind: str, first: int, count: int, arguments: argparse.Namespace, folder: Path) -> tuple[Any, Path, Path]:
+    beat, out = folder / f"{kind}-{first}.beat", folder / f"{kind}-{first}.json"
+    words = [sys.executable, __file__, "--worker", "--kind", kind, "--first", first, "--files", count]
+    words += ["--seed", arguments.seed, *["--attacks"] * arguments.attacks]
+    log = (folder / f"{kind}-{first}.log").open("wb")
+    process = subprocess.Popen([*map(str, words), "--beat", str(beat), "--out", str(out)], stdout=log, stderr=log)
+    return process, beat, out
+
+
+def finish(process: Any, beat: Path, out: Path, kind: str) -> dict[str, Any]:
+    """Wait for a worker and return what it tells; one that died tells the file that it died of."""
+    if process.wait() == 0:
+        told: dict[str, Any] = json.loads(out.read_text())
+        return told
+    at = beat.read_text().strip() if beat.exists() else "the beginning"
+    end = beat.with_suffix(".log").read_text(errors="replace")[-1500:]
+    broken = f"--kind {kind} --first {at}: the process ended with {process.returncode}: {end}"
+    return {"files": 0, "taken": 0, "refused": 0, "seconds": 0.0, "megabytes": 0.0, "broken": [broken]}
+
+
+def campaign(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
+    share = max(1, -(-arguments.files // arguments.processes))
+    result: dict[str, Any] = {}
+    for kind in [arguments.kind] if arguments.kind else KINDS:
+        begun = time.monotonic()
+        firsts = range(arguments.first, arguments.first + arguments.files, share)
+        counts = [min(share, arguments.first + arguments.files - first) for first in firsts]
+        workers = [start(kind, first, count, arguments, folder) for first, count in zip(firsts, counts, strict=True)]
+        while arguments.progress and any(process.poll() is None for process, _, _ in workers):
+            with contextlib.suppress(OSError, ValueError):
+                done = sum(int(beat.read_text()) - first for (_, beat, _), first in zip(workers, firsts, strict=True))
+                print(f"\r{kind}: {done} of {arguments.files}", end="", file=sys.stderr, flush=True)
+            time.sleep(1.0)
+        told = [finish(*worker, kind) for worker in workers]
+        total: dict[str, Any] = {key: sum(each[key] for each in told) for key in ("files", "taken", "refused")}
+        total |= {key: round(max(each[key] for each in told), 3) for key in ("seconds", "megabytes")}
+        total["per_second"] = round(total["files"] / max(time.monotonic() - begun, 1e-9))
+        total["broken"] = [line for each in told for line in each["broken"]]
+        result[kind] = total
+        if arguments.progress:
+            print(f"\r{kind}: {json.dumps({**total, 'broken': len(total['broken'])})}", file=sys.stderr)
+    return result
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--files", type=int, default=1_000_000, help="of each kind (default 1000000)")
+    parser.add_argument("--kind", choices=KINDS, help="this one alone")
+    parser.add_argument("--first", type=int, default=0, help="number of the first file")
+    parser.add_argument("--attacks", action="store_true", help="in place of chance: benchmarks/fuzz_attacks.py")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--progress", action="store_true", help="tell how far it is, to stderr")
+    parser.add_argument("--json", action="store_true", help="one JSON object instead of text")
+    for hidden in ("--beat", "--out"):
+        parser.add_argument(hidden, help=argparse.SUPPRESS)
+    parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.attacks:
+        arguments.files = 1
+    if arguments.worker:
+        resource.setrlimit(resource.RLIMIT_AS, (8 * 2**30, 8 * 2**30))  # so that a bomb ends this process alone
+        beat = os.open(arguments.beat, os.O_WRONLY | os.O_CREAT, 0o600)
+        if arguments.attacks:
+            told = attack(arguments.kind, beat)
+        else:
+            told = work(arguments.kind, arguments.first, arguments.files, arguments.seed, beat)
+        Path(arguments.out).write_text(json.dumps(told))
+        return 0
+    with tempfile.TemporaryDirectory() as folder:
+        result = campaign(arguments, Path(folder))
+    if arguments.json:
+        print(json.dumps(result))
+    else:
+        for kind, figures in result.items():
+            print(f"{kind}: {json.dumps(figures, indent=2)}")
+    return 1 if any(figures["broken"] for figures in result.values()) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
