@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A program of somebody else in a charger's namespace, which says, asks and answers what it likes."""
+
+from __future__ import annotations
+
+import math
+import random
+import threading
+import time
+from array import array
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+
+from deltacharger_ros.executor import Spinner
+
+from ..nodes import options
+
+PACE = 0.01  # s between two acts
+BURST = 50  # messages of a flood
+LATE = 0.7  # s, older than anything that docking still believes
+LONG = 100_000  # characters of a long name
+_KEPT = 200  # genuine messages of the last seconds
+_NUMBERS = (0.0, -1.0, 1.0, 0.08, math.pi, 1e9, -1e300, 1e-300, math.nan, math.inf, -math.inf)
+
+
+def lie(kind: type[Any], dice: random.Random, depth: int = 0) -> Any:
+    """Return a message of a class, of values that are allowed by its type and by nothing else."""
+    message = kind()
+    for name, told in kind.get_fields_and_field_types().items():
+        present = getattr(message, name)
+        if hasattr(type(present), "get_fields_and_field_types"):
+            setattr(message, name, lie(type(present), dice, depth + 1))
+        elif isinstance(present, str):
+            setattr(message, name, dice.choice(("", "docking_node", "charger_base", "x" * LONG, "\n\x1b[2J", "é€")))
+        elif isinstance(present, bool):
+            setattr(message, name, dice.random() < 0.5)
+        elif isinstance(present, float):
+            setattr(message, name, _fitting(dice.choice(_NUMBERS), told))
+        elif isinstance(present, int):
+            setattr(message, name, _whole(told, dice))
+        elif isinstance(present, array):
+            count = dice.choice((0, 1, 3, 9, 100, 5000))
+            values = (
+                [_fitting(dice.choice(_NUMBERS), told) for _ in range(count)]
+                if present.typecode in "fd"
+                else [_whole(told, dice) for _ in range(count)]
+            )
+            setattr(message, name, array(present.typecode, values))
+    return message
+
+
+def broken(data: bytes, dice: random.Random) -> bytes:
+    """Return a serialised message with some of its bytes changed and perhaps its end cut off."""
+    told = bytearray(data)
+    for _ in range(dice.randrange(1, 20)):
+        told[dice.randrange(len(told))] = dice.randrange(256)
+    return bytes(told[: dice.choice((len(told), dice.randrange(len(told) + 1)))])
+
+
+def _fitting(value: float, told: str) -> float:
+    return max(min(value, 3e38), -3e38) if "float" in told and "32" in told and math.isfinite(value) else value
+
+
+def _whole(told: str, dice: random.Random) -> int:
+    bits = next((bits for bits in (64, 32, 16) if str(bits) in told), 8)
+    unsigned = "uint" in told or told in ("byte", "octet")
+    low, high = (0, 2**bits - 1) if unsigned else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    return dice.choice((0, 1, low, high, 120))
+
+
+class Stranger(Node):
+    """Acts a hundred times a second until it leaves: it lies, breaks bytes, repeats, is late, says it twice or floods.
+
+    Args:
+        context: a running rclpy context.
+        namespace: of the charger.
+        seed: of its dice.
+    """
+
+    def __init__(self, context: Any, namespace: str, seed: int = 0) -> None:
+        super().__init__("stranger", **options(context, namespace))
+        self.dice = random.Random(seed)
+        self.acts = 0
+        self._acting: list[Callable[[], None]] = []
+        self._end = threading.Event()
+        self._spinner = Spinner(self)
+        self._thread = threading.Thread(target=self._act, name="stranger", daemon=True)
+
+    def begin(self) -> Stranger:
+        """Act from now on."""
+        self._thread.start()
+        return self
+
+    def leave(self) -> None:
+        """Leave the graph. Safe to call twice."""
+        self._end.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        if self._spinner.is_alive():
+            self._spinner.close()
+
+    def speaks(self, kind: type[Any], topic: str) -> None:
+        """Publish what others publish, as it likes."""
+        publisher = self.create_publisher(kind, topic, QoSProfile(depth=10))
+        genuine: deque[tuple[float, Any]] = deque(maxlen=_KEPT)
+        best = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self.create_subscription(kind, topic, lambda message: genuine.append((time.monotonic(), message)), best)
+
+        def act() -> None:
+            heard = list(genuine)
+            late = [message for when, message in heard if time.monotonic() - when > LATE]
+            act = self.dice.choice(("lie", "broken", "repeat", "late", "twice", "flood"))
+            message = lie(kind, self.dice)
+            if act == "broken" and heard:
+                message = broken(serialize_message(heard[-1][1]), self.dice)
+            elif act != "lie" and heard:
+                message = late[-1] if act == "late" and late else heard[-1][1]
+            for _ in range({"twice": 2, "flood": BURST}.get(act, 1)):
+                publisher.publish(message)
+
+        self._acting.append(act)
+
+    def asks(self, kind: type[Any], service: str) -> None:
+        """Call a service again and again, never waiting for an answer."""
+        client: Any = self.create_client(kind, service)
+        calls: deque[Any] = deque()
+
+        def act() -> None:
+            for _ in range(2 if self.dice.random() < 0.1 else 1):
+                if client.service_is_ready():
+                    calls.append(client.call_async(lie(kind.Request, self.dice)))
+            while len(calls) > BURST:
+                client.remove_pending_request(calls.popleft())
+
+        self._acting.append(act)
+
+    def answers(self, kind: type[Any], service: str) -> None:
+        """Serve what others serve, with lies, at once or late."""
+
+        def serve(request: Any, response: Any) -> Any:
+            if self.dice.random() < 0.3:
+                self._end.wait(LATE)
+            answer = lie(kind.Response, self.dice)
+            if hasattr(answer, "success"):
+                answer.success = self.dice.random() < 0.8
+            return answer
+
+        self.create_service(kind, service, serve, callback_group=ReentrantCallbackGroup())
+
+    def _act(self) -> None:
+        while not self._end.wait(PACE):
+            for act in self._acting:
+                act()
+            self.acts += 1

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A stranger at every topic and service of a running simulated charger: no harm done, and the next goal is served.
+
+The charger is real but for its world: drivers, bytes, nodes. The world knows the truth. While the stranger stands
+where docking hears or asks, no contactor closes; elsewhere a docking may succeed or fail, by a code and never by a
+defect, and no current ever flows where it must not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import random
+from collections.abc import Callable, Iterator
+from typing import Any, TypeAlias
+
+import pytest
+from deltacharger.action import Dock
+from deltacharger.msg import ChargerPower, DockingState, ServoState, TactileFrame
+from deltacharger.srv import (
+    PredictMisalignment,
+    Probe,
+    SetContactor,
+    SolveForwardKinematics,
+    SolveInverseKinematics,
+)
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from deltacharger_ros.client import ChargerClient, ClientError
+from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
+from deltacharger_ros.qos import STATE
+from deltacharger_scenes.composition import Composition
+
+from ..chargers import DEADLINE, new_namespace, wait_until
+from ..marks import slow
+from ..quick import quick_simulation
+from .strangers import Stranger, lie
+
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
+GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
+Wire: TypeAlias = Callable[[Stranger], None]
+Come: TypeAlias = Callable[[Wire], Stranger]
+
+ACTS = 100  # of a stranger beside live electrodes
+WAITS = {"duplicate_source_timeout": 0.5}
+TOPICS = {
+    "servo_state": ServoState,
+    "tactile_frame": TactileFrame,
+    "charger_power": ChargerPower,
+    "joint_trajectory": JointTrajectory,
+}
+SERVICES = {
+    "predict_misalignment": PredictMisalignment,
+    "probe": Probe,
+    "set_contactor": SetContactor,
+    "set_torque": SetBool,
+    "tare": Trigger,
+}
+ASKED = {
+    **SERVICES,
+    "reboot_servos": Trigger,
+    "solve_inverse_kinematics": SolveInverseKinematics,
+    "solve_forward_kinematics": SolveForwardKinematics,
+}
+
+
+class Charger:
+    """A simulated charger, its client, and what its world knows."""
+
+    def __init__(self, context: Any) -> None:
+        self.namespace = new_namespace()
+        self.context = context
+        self.composition = Composition(quick_simulation("simulated", WAITS), context, self.namespace).start()
+        self.client = ChargerClient(self.namespace, context)
+        self.codes: set[int] = set()
+        self.client.node.create_subscription(
+            DockingState, "docking_state", lambda state: self.codes.add(state.error_code), STATE
+        )
+        assert self.client.wait_until_ready(DEADLINE)
+
+    @property
+    def world(self) -> Any:
+        assert self.composition.charger is not None
+        return self.composition.charger.world
+
+    def assert_unharmed(self) -> None:
+        record = self.world.record
+        assert record.parted_live == 0, "electrodes were torn apart while live"
+        assert record.energised_shorts == 0
+        assert record.energised_unsafe == 0.0
+        assert self.composition.failed() == []
+
+    def serves(self, ask: Callable[[], Outcome]) -> None:
+        """Ask until it is done, as a fleet would; an answer may be lost while somebody leaves the graph."""
+
+        def served() -> bool:
+            with contextlib.suppress(ClientError):
+                return ask().success
+            return False
+
+        wait_until(served, "the next goal's success")
+
+    def goes_home(self) -> None:
+        self.serves(lambda: self.client.undock(deadline=DEADLINE))
+        assert not self.world.snapshot().contactor_closed
+
+    def close(self) -> None:
+        self.composition.close()
+        self.client.close()
+
+
+@pytest.fixture(scope="module")
+def charger(context: Any) -> Iterator[Charger]:
+    charger = Charger(context)
+    yield charger
+    charger.close()
+
+
+@pytest.fixture
+def stranger(charger: Charger) -> Iterator[Come]:
+    """Let a stranger come, who does what it is wired to do; who has not left goes at the end."""
+    came: list[Stranger] = []
+
+    def come(wire: Wire) -> Stranger:
+        came.append(Stranger(charger.context, charger.namespace, seed=len(came)))
+        wire(came[-1])
+        return came[-1].begin()
+
+    yield come
+    for each in came:
+        each.leave()
+
+
+def all_slow_but(brief: str, names: Any) -> list[Any]:
+    return [name if name == brief else slow(name) for name in names]
+
+
+def dock_beside(charger: Charger, come: Come, wire: Wire) -> tuple[Outcome, float]:
+    """Dock beside a stranger, without it, and let it come again while current flows.
+
+    Returns:
+        How the first docking ended, and for how long (s) current flowed meanwhile.
+    """
+    energised = charger.world.record.energised
+    visitor = come(wire)
+    outcome = charger.client.dock(GOAL, deadline=DEADLINE)
+    current = charger.world.record.energised - energised
+    visitor.leave()
+    charger.assert_unharmed()
+    charger.goes_home()
+    charger.serves(lambda: charger.client.dock(GOAL, deadline=DEADLINE))
+    assert charger.world.snapshot().contactor_closed
+    visitor = come(wire)
+    wait_until(lambda: visitor.acts >= ACTS, "the stranger's acts")
+    visitor.leave()
+    charger.assert_unharmed()
+    charger.goes_home()
+    assert outcome.error_name != "INTERNAL", outcome
+    assert Dock.Result.INTERNAL not in charger.codes
+    return outcome, current
+
+
+@pytest.mark.parametrize("topic", all_slow_but("joint_trajectory", TOPICS))
+def test_no_contactor_closes_beside_a_second_publisher(charger: Charger, stranger: Come, topic: str) -> None:
+    outcome, current = dock_beside(charger, stranger, lambda each: each.speaks(TOPICS[topic], topic))
+    assert not outcome.success
+    assert current == 0.0
+
+
+@pytest.mark.parametrize("service", all_slow_but("predict_misalignment", SERVICES))
+def test_no_contactor_closes_beside_a_second_server(charger: Charger, stranger: Come, service: str) -> None:
+    outcome, current = dock_beside(charger, stranger, lambda each: each.answers(SERVICES[service], service))
+    assert not outcome.success
+    assert current == 0.0
+
+
+@pytest.mark.parametrize("service", [slow(name) for name in ASKED])
+def test_who_asks_what_nobody_would_does_no_harm(charger: Charger, stranger: Come, service: str) -> None:
+    dock_beside(charger, stranger, lambda each: each.asks(ASKED[service], service))
+
+
+def test_lies_are_of_all_kinds() -> None:
+    dice = random.Random(1)
+    told = [lie(ServoState, dice) for _ in range(100)]
+    assert {len(message.position) for message in told} >= {0, 1, 3, 100}
+    assert any(message.header.stamp.sec < 0 for message in told)
+    assert any(len(message.header.frame_id) > 1000 for message in told)
