@@ -10,6 +10,9 @@ from typing import Generic, TypeVar
 
 Result = TypeVar("Result")
 
+_REFUSAL = 0.05  # s from the beginning of a call until its error is told: who calls again and again costs little
+_LATER = 16  # callers for whom one result counts later
+
 
 class SharedCall(Generic[Result]):
     """Calls an action for any number of threads, never twice at a time. Thread-safe.
@@ -40,8 +43,10 @@ class SharedCall(Generic[Result]):
         """Return the action's result, or raise its error."""
         with self._changed:
             run = self._running
-            if run is None and self._last is not None and time.monotonic() - self._last.ended < self._lasts:
-                return self._last.outcome()
+            last = self._last
+            if run is None and last and last.later < _LATER and time.monotonic() - last.ended < self._lasts:
+                last.later += 1
+                return last.outcome()
             if run is None:
                 self._changed.wait_for(lambda: not self._priority or self._running)
                 run = self._running
@@ -52,6 +57,8 @@ class SharedCall(Generic[Result]):
         if begins:
             self._call(run)
         run.done.wait()
+        if run.error is not None:
+            time.sleep(max(run.began + _REFUSAL - time.monotonic(), 0.0))
         return run.outcome()
 
     def forget(self) -> None:
@@ -86,14 +93,14 @@ class SharedCall(Generic[Result]):
 
 
 class _Run(Generic[Result]):
-    """One call, how many wait for it, its outcome and when it ended (s)."""
+    """One call: how many wait for it, how many have got its result later, its outcome, when it began and ended (s)."""
 
     def __init__(self) -> None:
         self.done = threading.Event()
         self.result: Result | None = None
         self.error: BaseException | None = None
-        self.callers = 0
-        self.ended = 0.0
+        self.callers = self.later = 0
+        self.began, self.ended = time.monotonic(), 0.0
 
     def outcome(self) -> Result:
         """Return the result or raise the error."""

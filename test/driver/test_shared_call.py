@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import pytest
@@ -99,3 +100,15 @@ def test_who_must_go_first_waits_for_the_one_under_way_and_comes_before_the_next
         leave.set()
         assert first.result(DEADLINE) == 1
         assert late.result(DEADLINE) == 2
+
+
+def test_who_is_refused_again_and_again_is_answered_at_a_bounded_rate(slow: Slow) -> None:
+    shared = SharedCall(slow, 0.0)
+    slow.error = ValueError("no")
+    slow.go_on.set()
+    began = time.monotonic()
+    for _ in range(5):
+        with pytest.raises(ValueError, match="no"):
+            shared()
+        assert not shared.is_running  # who must go first does not wait for the answer
+    assert time.monotonic() - began >= 0.25

@@ -129,7 +129,9 @@ class Callers:
     def __init__(self, context: Any, kind: Any, name: str, count: int) -> None:
         self.answers = 0
         self._over = threading.Event()
-        self._spinners = [Spinner(Node(f"caller_{index}", **options(context, NAMESPACE))) for index in range(count)]
+        self._spinners = [
+            Spinner(Node(f"{name}_caller_{index}", **options(context, NAMESPACE))) for index in range(count)
+        ]
         self._clients = [spinner.node.create_client(kind, name) for spinner in self._spinners]
         for each in self._clients:
             assert each.wait_for_service(DEADLINE)
