@@ -185,13 +185,14 @@ def _calibrated(folder: Path) -> Iterator[Reader]:
 
 
 def _arrays(folder: Path) -> Iterator[Reader]:
-    from deltacharger_tactile import MODEL_PATH
+    from deltacharger_tactile import MODEL_PATH, default_model
     from deltacharger_tactile.classifiers import files
     from deltacharger_tactile.classifiers.classifier import Classifier
     from deltacharger_tactile.dataset import Dataset
     from deltacharger_tactile.errors import DatasetError, ModelError
     from deltacharger_tactile.estimator import PoseEstimator
     from deltacharger_tactile.generator import generate_paper
+    from deltacharger_tactile.perception import Perception
 
     random = np.random.default_rng(1)
     about = {"name": "logistic", "target": "vertical", "threshold": 0.5, "kind": "linear", "seed": 1}
@@ -212,7 +213,7 @@ def _arrays(folder: Path) -> Iterator[Reader]:
     rows = generate_paper(rigs=(320,), seed=5)
     few = {name: value[:6] for name, value in vars(rows).items() if name != "meta"}
     data = [written(folder, "d.npz", Dataset(**few, meta=rows.meta).save)]
-    frames = np.random.default_rng(2).uniform(0.0, 3.0, (2, 10, 10))
+    frames, model = np.random.default_rng(2).uniform(0.0, 3.0, (2, 10, 10)), default_model()
 
     def sound_model(found: Any) -> None:
         told = found.predict(*frames)
@@ -220,9 +221,10 @@ def _arrays(folder: Path) -> Iterator[Reader]:
         assert not told.sure or (np.isfinite([told.angle, told.vertical, told.angle_stddev]).all() and told.in_range)
 
     def sound_classifier(found: Any) -> None:
-        shares = found.predict_proba(frames[None])
-        finite(shares)
-        assert abs(shares.sum() - 1.0) < 1e-6
+        told = Perception(model, None, {found.target: found}).predict(*frames)
+        for shares in (told.angle_probability, told.vertical_probability, told.horizontal_probability):
+            finite(shares)
+            assert abs(shares.sum() - 1.0) < 1e-5
 
     def sound_data(found: Any) -> None:
         finite(found.left, found.right, found.angle, found.vertical, found.horizontal)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from deltacharger_core.arrays import Array
 from deltacharger_tactile import MODEL_PATH
 from deltacharger_tactile.calibration.rig import TactileCalibration
 from deltacharger_tactile.classifiers.classifier import Classifier
@@ -118,8 +119,18 @@ class Perception:
         if estimate.contact:
             frames = np.stack(pads)[None]  # as they were trained: without the rig's calibration
             for target, classifier in self.classifiers.items():
-                changed[f"{target}_probability"] = classifier.predict_proba(frames)[0]
+                shares = _shares(classifier, frames)
+                changed |= {"sure": False} if shares is None else {f"{target}_probability": shares}
         return dataclasses.replace(estimate, **changed) if changed else estimate
+
+
+def _shares(classifier: Classifier, frames: Array) -> Array | None:
+    """Return what a classifier says of one frame pair; None where a file of others made one that cannot say it."""
+    try:
+        shares = np.asarray(classifier.predict_proba(frames)[0])
+    except Exception:  # arrays that fit where loading tried them need not fit here
+        return None
+    return shares if np.all(shares >= 0.0) and np.isclose(shares.sum(), 1.0) else None
 
 
 def _read(parameter: str, load: Any, path: str | Path) -> Any:

@@ -139,6 +139,8 @@ def replay(path: Path, namespace: str | None = None) -> Replay:
         recording.read(reader.take)
         found = Replay(recording, settings[0], reader.build.run)
         reader.complete(found)
+        if any(phase.end < phase.start for phase in found.phases):
+            raise RecordingError(f"{path} goes back in time, which no recorder does; record it anew")
         found.as_dict()  # what else it tells is looked at here, where it can still be refused
     except (RecordingError, OSError):
         raise
