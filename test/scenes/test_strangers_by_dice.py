@@ -132,10 +132,6 @@ def stranger(charger: Charger) -> Iterator[Come]:
         each.leave()
 
 
-def all_slow_but(brief: str, names: Any) -> list[Any]:
-    return [name if name == brief else slow(name) for name in names]
-
-
 def dock_beside(charger: Charger, come: Come, wire: Wire) -> tuple[Outcome, float]:
     """Dock beside a stranger, without it, and let it come again while current flows.
 
@@ -161,14 +157,14 @@ def dock_beside(charger: Charger, come: Come, wire: Wire) -> tuple[Outcome, floa
     return outcome, current
 
 
-@pytest.mark.parametrize("topic", all_slow_but("joint_trajectory", TOPICS))
+@pytest.mark.parametrize("topic", [slow(name) for name in TOPICS])
 def test_no_contactor_closes_beside_a_second_publisher(charger: Charger, stranger: Come, topic: str) -> None:
     outcome, current = dock_beside(charger, stranger, lambda each: each.speaks(TOPICS[topic], topic))
     assert not outcome.success
     assert current == 0.0
 
 
-@pytest.mark.parametrize("service", all_slow_but("predict_misalignment", SERVICES))
+@pytest.mark.parametrize("service", [name if name == "predict_misalignment" else slow(name) for name in SERVICES])
 def test_no_contactor_closes_beside_a_second_server(charger: Charger, stranger: Come, service: str) -> None:
     outcome, current = dock_beside(charger, stranger, lambda each: each.answers(SERVICES[service], service))
     assert not outcome.success
