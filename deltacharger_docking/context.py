@@ -58,7 +58,7 @@ class Context:
         self.slept = 0.0  # s that this observation came later than expected, or its clock was set back
         self.energise = False
         self.live = False  # the contactor was told to close and has not been seen open since
-        self.doubtful = False  # since the last estimate was asked for, two have said what only one may
+        self.doubtful = False  # there was a second source since the last estimate was asked for
         self.energy = 0.0
         self.commanded: Vector = NAN3
         self.goal_angles: Vector = NAN3  # at which the servos' goals end up, where that is known

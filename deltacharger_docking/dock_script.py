@@ -124,7 +124,7 @@ class TargetVisit:
         context, desk = self._context, self._desk
         while context.doubtful and self._alignment is not None:
             yield from hear_one_of_each(context)
-            yield from self._align(self._alignment, stay=True)  # what was felt while two spoke lets no current flow
+            yield from self._align(self._alignment, stay=True)  # felt again, without the second source
         yield from energise(context)
         context.status.charging = True
         context.enter(State.CHARGING, math.inf)

@@ -42,7 +42,7 @@ def hear_one_of_each(context: Context) -> Script[None]:
     context.enter(State.MEASURE, math.inf)  # what this state watches over is watched over meanwhile
     begun = context.time
     if names := context.observation.duplicate_sources:
-        context.decide("wait", f"no contactor closes while two say what only one may: {names}", limit_s=limit)
+        context.decide("wait", f"no contactor closes beside a second source: {names}", limit_s=limit)
     while names := context.observation.duplicate_sources:
         if context.time - begun > limit:
             raise _duplicate(names)
@@ -51,7 +51,7 @@ def hear_one_of_each(context: Context) -> Script[None]:
 
 def _duplicate(names: str) -> DuplicateSource:
     return DuplicateSource(
-        f"the contactor stays open, because two say what only one may: {names}; stop the second node, or give it its "
+        f"the contactor stays open, because there is a second source: {names}; stop the second node, or give it its "
         "own namespace or ROS_DOMAIN_ID"
     )
 

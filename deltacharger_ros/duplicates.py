@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who publishes or serves beside another what only one may: read from the ROS graph.
+"""Second sources: who publishes or serves beside another what only one node may, as the ROS graph tells.
 
 A look costs 10 µs a name (`count_publishers`, `count_services`); who is double is asked for only where somebody is.
 A node that was killed stays in the graph until its middleware's lease is over: 20 s with Fast DDS.

@@ -97,7 +97,7 @@ class Inputs:
         before = self._double
         self._looked, self._double = now, self._duplicates.look()
         if self._double and self._double != before:
-            self._logger.warning(f"two say what only one may, so no contactor closes: {self._double}")
+            self._logger.warning(f"second source, so no contactor closes: {self._double}")
 
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:
         """Return what is known now; from any thread. An estimate that nobody can vouch for is refused here."""

@@ -103,7 +103,7 @@ class Reports:
         if status.code:
             level, text = WARN, f"{status.code.name}: {status.message}"
         if status.duplicate_sources:
-            level, text = WARN, f"two say what only one may, so no contactor closes: {status.duplicate_sources}"
+            level, text = WARN, f"second source, so no contactor closes: {status.duplicate_sources}"
         if observation.servo_age > self._servo_age_max:
             level, text = ERROR, "servo_state is missing or stale"
         entries = {
