@@ -206,7 +206,7 @@ REMEDIES: dict[Code, str] = {
     Code.REJECTED: "correct the goal, or wait for the running one",
     Code.CANCELED: "",
     Code.TIMEOUT: "see the phase in the message",
-    Code.DUPLICATE_SOURCE: "stop the second node, or give it its own namespace or ROS_DOMAIN_ID",
+    Code.DUPLICATE_SOURCE: "stop the second node, or give it its own namespace or `ROS_DOMAIN_ID`",
     Code.ELECTRODES_NOT_FOUND: "move the robot so that the camera sees the electrodes, or give coordinates",
     Code.DETECTION_STALE: "check the camera's rate and clocks",
     Code.UNREACHABLE: "move the robot to `suggested_base_pose`",
