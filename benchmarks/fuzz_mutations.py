@@ -109,6 +109,8 @@ def zip_members(mutate: Callable[[random.Random, bytes, Sequence[bytes]], bytes]
             members = {name: archive.read(name) for name in archive.namelist()}
         with zipfile.ZipFile(io.BytesIO(source.choice(others))) as archive:
             strange = [archive.read(name) for name in archive.namelist()[:5]]
+        if not members:  # an earlier change has taken the last one out
+            return data
         name = source.choice(list(members))
         kind = source.randrange(6)
         if kind == 0:

@@ -22,6 +22,7 @@ _DEEPEST, _LONGEST_KEY = 50, 300
 _BLOCK = MEGABYTE
 _KINDS = {
     stat.S_IFDIR: "a folder",
+    stat.S_IFLNK: "a link",
     stat.S_IFIFO: "a pipe",
     stat.S_IFSOCK: "a socket",
     stat.S_IFCHR: "a device",
@@ -70,11 +71,15 @@ def open_file(path: str | Path, largest: int) -> BinaryIO:
 
 
 def _check(path: str | Path, found: os.stat_result, largest: int) -> None:
-    kind = stat.S_IFMT(found.st_mode)
-    if kind != stat.S_IFREG:
-        raise FileRefused(path, f"it is {_KINDS.get(kind, 'no file')}; give the path of a file")
+    if not stat.S_ISREG(found.st_mode):
+        raise FileRefused(path, f"it is {kind_text(found.st_mode)}; give the path of a file")
     if found.st_size > largest:
         raise FileRefused(path, f"its {size_text(found.st_size)} are more than the {size_text(largest)} of its kind")
+
+
+def kind_text(mode: int) -> str:
+    """Return what a path leads to by its mode, where that is no regular file, for a message."""
+    return _KINDS.get(stat.S_IFMT(mode), "no file")
 
 
 def size_text(count: int) -> str:

@@ -106,7 +106,7 @@ NODES: dict[str, NodeSpec] = {
         ),
         may_restart=True,
         lacks="no images but those of a camera's own driver",
-        needs_when_used=("depthai", "mcap"),
+        needs_when_used=("depthai", "lz4", "mcap", "zstandard"),
     ),
     "simulated_camera_node": NodeSpec(
         "deltacharger_sim.charger.simulated_camera_node.SimulatedCameraNode",
@@ -141,13 +141,13 @@ NODES: dict[str, NodeSpec] = {
         told_scene=True,
         may_restart=True,
         lacks="dockings leave no record, unless --record asks for them",
-        needs_when_used=("mcap",),
+        needs_when_used=("lz4", "mcap", "zstandard"),
     ),
     "recording_player_node": NodeSpec(
         "deltacharger_records.recording.recording_player_node.RecordingPlayerNode",
         parameters=("deltacharger_records.parameters.RecordingPlayerNodeParameters",),
         plays=("servo_node", "tactile_node", "kinematics_node", "electrode_detector_node", "docking_node"),
-        needs_when_used=("mcap",),
+        needs_when_used=("lz4", "mcap", "zstandard"),
     ),
     "mock_navigator_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_navigator_node.MockNavigatorNode",

@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from deltacharger_core.bounded_file import kind_text
 from deltacharger_core.mcap_file import require_mcap
 
 SUFFIX = ".mcap"
@@ -31,14 +32,6 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9_.]+")
 _ID_MAX = 60  # characters of a request id in a name
 _TOLD_MAX = 1000  # characters of one word about a record
 _HEAD = 32_768  # bytes that are read of a file to see whose it is; more than the longest head that is written
-_KINDS = {
-    stat.S_IFDIR: "a folder",
-    stat.S_IFLNK: "a link",
-    stat.S_IFIFO: "a pipe",
-    stat.S_IFSOCK: "a socket",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-}
 
 
 def safe_id(request_id: str) -> str:
@@ -104,9 +97,9 @@ def look(path: Path, known: Look | None = None) -> Look:
         RecordingError: mcap is not installed.
     """
     try:
-        kind = stat.S_IFMT(path.lstat().st_mode)
-        if kind != stat.S_IFREG:  # opening a pipe waits for its other end
-            return Look(f"it is {_KINDS.get(kind, 'no file')}")
+        mode = path.lstat().st_mode
+        if not stat.S_ISREG(mode):  # opening a pipe waits for its other end
+            return Look(f"it is {kind_text(mode)}")
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NOCTTY)
     except FileNotFoundError:
         raise

@@ -162,8 +162,10 @@ def _bag(path: Path, library: str, told: str = "") -> None:
 
 
 def _socket(path: Path) -> None:
+    folder = os.open(path.parent, os.O_RDONLY)  # by its descriptor: the whole path may be longer than a socket's may be
     with socket.socket(socket.AF_UNIX) as made:
-        made.bind(f"/proc/self/cwd/{os.path.relpath(path)}" if len(str(path)) > 100 else str(path))
+        made.bind(f"/proc/self/fd/{folder}/{path.name}")
+    os.close(folder)
 
 
 def _record(path: Path) -> None:

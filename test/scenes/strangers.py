@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.action.client import ActionClient
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -23,6 +24,7 @@ from ..nodes import options
 
 PACE = 0.01  # s between two acts
 BURST = 50  # messages of a flood
+GOALS_EVERY = 10  # acts; each goal that is taken has a feedback and a result
 LATE = 0.7  # s, older than anything that docking still believes
 LONG = 100_000  # characters of a long name
 _KEPT = 200  # genuine messages of the last seconds
@@ -88,12 +90,14 @@ class Stranger(Node):
         self.dice = random.Random(seed)
         self.acts = 0
         self._acting: list[Callable[[], None]] = []
+        self._actions: list[Any] = []
         self._end = threading.Event()
-        self._spinner = Spinner(self)
+        self._spinner: Spinner | None = None
         self._thread = threading.Thread(target=self._act, name="stranger", daemon=True)
 
     def begin(self) -> Stranger:
         """Act from now on."""
+        self._spinner = Spinner(self)
         self._thread.start()
         return self
 
@@ -102,8 +106,9 @@ class Stranger(Node):
         self._end.set()
         if self._thread.is_alive():
             self._thread.join()
-        if self._spinner.is_alive():
-            self._spinner.close()
+        if self._spinner is not None:
+            self._spinner.close(*self._actions)
+            self._spinner = None
 
     def speaks(self, kind: type[Any], topic: str) -> None:
         """Publish what others publish, as it likes."""
@@ -137,6 +142,17 @@ class Stranger(Node):
                     calls.append(client.call_async(lie(kind.Request, self.dice)))
             while len(calls) > BURST:
                 client.remove_pending_request(calls.popleft())
+
+        self._acting.append(act)
+
+    def sends_goals(self, kind: type[Any], name: str) -> None:
+        """Send goals again and again, never waiting for a result."""
+        client: Any = ActionClient(self, kind, name)
+        self._actions.append(client)
+
+        def act() -> None:
+            if client.server_is_ready() and self.acts % GOALS_EVERY == 0:
+                client.send_goal_async(lie(kind.Goal, self.dice))
 
         self._acting.append(act)
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, TypeAlias
 
 import pytest
-from deltacharger.action import Dock
+from deltacharger.action import Dock, Undock
 from deltacharger.msg import ChargerPower, DockingState, ServoState, TactileFrame
 from deltacharger.srv import (
     PredictMisalignment,
@@ -174,6 +174,12 @@ def test_no_contactor_closes_beside_a_second_server(charger: Charger, stranger: 
 @pytest.mark.parametrize("service", [slow(name) for name in ASKED])
 def test_who_asks_what_nobody_would_does_no_harm(charger: Charger, stranger: Come, service: str) -> None:
     dock_beside(charger, stranger, lambda each: each.asks(ASKED[service], service))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("action", [Dock, Undock])
+def test_goals_by_dice_do_no_harm(charger: Charger, stranger: Come, action: Any) -> None:
+    dock_beside(charger, stranger, lambda each: each.sends_goals(action, action.__name__.lower()))
 
 
 def test_lies_are_of_all_kinds() -> None:
