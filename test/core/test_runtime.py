@@ -73,7 +73,8 @@ def test_of_processes_that_ask_at_the_same_instant_exactly_one_wins(holder: Call
         each.go_on()
     answers = [each.said() for each in asking]
     winner = asking[answers.index("won")]
-    assert sorted(answers)[:-1] == [f"refused: {winner.process.pid}"] * 5
+    assert answers.count("won") == 1
+    assert set(answers) <= {"won", f"refused: {winner.process.pid}", "refused:"}  # it may not have written its id yet
 
 
 def test_each_domain_and_namespace_has_a_lock_of_its_own(holder: Callable[[str], Holder]) -> None:
