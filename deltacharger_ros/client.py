@@ -153,7 +153,9 @@ class ChargerClient(Guest):
             if on_progress is not None:
                 on_progress(to_progress(message.feedback, time.monotonic() - started))
 
-        running = _Goal(client, goal, on_feedback)
+        running = _Goal()
+        spinner: Any = self.node.executor
+        spinner.call_soon(running.send, client, goal, on_feedback)
         stop = cancel or threading.Event()
         lost_since = canceled_at = math.inf
         while not running.finished.wait(_POLL):
@@ -186,12 +188,15 @@ class ChargerClient(Guest):
 class _Goal:
     """One goal on its way; every step runs in callbacks, `finished` is set at the end of any of them."""
 
-    def __init__(self, client: ActionClient[Any, Any, Any], goal: Any, on_feedback: Callable[[Any], None]) -> None:
+    def __init__(self) -> None:
         self.finished = threading.Event()
         self.result: Any = None
         self.error: BaseException | None = None
         self._handle: Any = None
         self._cancel_wanted = self._cancel_sent = False
+
+    def send(self, client: ActionClient[Any, Any, Any], goal: Any, on_feedback: Callable[[Any], None]) -> None:
+        """Send it; an answer that comes before this returns would be lost."""
         client.send_goal_async(goal, feedback_callback=on_feedback).add_done_callback(self._on_response)
 
     @property

@@ -94,6 +94,14 @@ class Spinner:
         self._submit(None, run)
         return task
 
+    def call_soon(self, callback: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        """Let the thread that serves run a callback, which must not wait, and return the future of its result.
+
+        So goals are sent: an answer that comes before rclpy's `send_goal_async` has returned is lost (ros2/rclpy#1123),
+        and the thread that sends cannot take one meanwhile.
+        """
+        return self._events.create_task(callback, *args, **kwargs)
+
     def add_node(self, node: Node) -> bool:
         """Do nothing: one executor, one node. rclpy calls it."""
         return False

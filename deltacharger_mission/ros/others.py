@@ -63,6 +63,7 @@ class ActionCaller:
         read: Callable[[int, End, Any, Any], TaskReply],
         lost_timeout: float,
     ) -> None:
+        self._node: Any = node
         self._client: ActionClient[Any, Any, Any] = ActionClient(node, kind, name)
         self._put = put
         self._read = read
@@ -119,8 +120,11 @@ class ActionCaller:
         def on_feedback(message: Any) -> None:
             call.heard = message.feedback
 
-        sent = self._client.send_goal_async(call.goal, feedback_callback=on_feedback)
-        sent.add_done_callback(lambda future: self._on_response(call, future))
+        def send() -> None:
+            sent = self._client.send_goal_async(call.goal, feedback_callback=on_feedback)
+            sent.add_done_callback(lambda future: self._on_response(call, future))
+
+        self._node.executor.call_soon(send)
 
     def _on_response(self, call: _Call, future: Any) -> None:
         handle = _value(future)

@@ -26,6 +26,7 @@ from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, dock_at_last, new_namespace, wait_until
+from ..nodes import answer
 from ..records.docking_tapes import patient
 
 pytestmark = pytest.mark.ros
@@ -109,15 +110,14 @@ def test_a_held_charger_moves_nothing_and_serves_the_goals_that_wait_once_it_is_
         goals = ActionClient(client.node, Dock, "dock")
         request = Dock.Goal()
         fill_pose(request.electrodes, Pose(0.0, 0.0, 0.080))
-        sent = goals.send_goal_async(request)
-        wait_until(sent.done, "the goal to be accepted")
+        goal = answer(answer(client.node.executor.call_soon(goals.send_goal_async, request)))
         torque: list[bool] = []
         client.node.create_subscription(
             ServoState, "servo_state", lambda state: torque.append(any(state.torque_enabled)), QoSProfile(depth=1)
         )
         wait_until(lambda: len(torque) >= 20, "servo_state")
         assert not any(torque)
-        ended = sent.result().get_result_async()
+        ended = goal.get_result_async()
         assert not ended.done()
         composition.release()
         wait_until(ended.done, "the docking")

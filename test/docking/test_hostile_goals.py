@@ -61,7 +61,7 @@ class Charger:
     def send(self, goal: Any) -> Any:
         """Send a goal and return its handle; every goal is accepted."""
         client = self.docks if isinstance(goal, Dock.Goal) else self.undocks
-        handle = answer(client.send_goal_async(goal))
+        handle = answer(answer(self.client.node.executor.call_soon(client.send_goal_async, goal)))
         assert handle.accepted
         return handle
 

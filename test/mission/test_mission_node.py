@@ -47,12 +47,14 @@ REAL = Path(__file__).with_name("mission.yaml")
 class Errand:
     """A ChargeRobot goal on its way: its stages as they are told, and its result."""
 
-    def __init__(self, client: ActionClient[Any, Any, Any], goal: ChargeRobot.Goal) -> None:
+    def __init__(self) -> None:
         self.stages: list[Stage] = []
         self.status = 0
         self.result: Any = None
         self._handle: Any = None
         self._done = threading.Event()
+
+    def send(self, client: ActionClient[Any, Any, Any], goal: ChargeRobot.Goal) -> None:
         sent = client.send_goal_async(goal, feedback_callback=self._on_feedback)
         sent.add_done_callback(self._on_response)
 
@@ -102,7 +104,9 @@ class Robot:
         goal = ChargeRobot.Goal(request_id=request_id, stop_after=duration(stop_after))
         goal.target.header.frame_id = frame
         goal.target.pose.position.x, goal.target.pose.orientation.z, goal.target.pose.orientation.w = 1.0, 1.0, 0.0
-        return Errand(self._client, goal)
+        errand = Errand()
+        self._spinner.call_soon(errand.send, self._client, goal)
+        return errand
 
     def run(self, **fields: Any) -> tuple[Any, Errand]:
         errand = self.send(**fields)

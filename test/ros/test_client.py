@@ -10,12 +10,14 @@ from typing import Any
 
 import pytest
 from deltacharger.action import Dock, Undock
+from rclpy.action import client as action_client
 from rclpy.action.server import ActionServer, GoalResponse
 from rclpy.node import Node
 
 from deltacharger_ros import client as client_module
 from deltacharger_ros.client import ChargerClient, ClientError
 from deltacharger_ros.executor import Spinner
+from deltacharger_ros.outcomes import DockRequest, Pose
 
 from ..chargers import DEADLINE
 from ..nodes import options
@@ -64,3 +66,25 @@ def test_a_cancel_does_not_wait_for_a_goal_that_nobody_answers(silent_charger: s
         with pytest.raises(ClientError, match="did not answer the goal 'undock'"):
             client.undock(cancel=cancel)
         assert time.monotonic() - started < 3.0
+
+
+def test_an_answer_that_comes_while_the_goal_is_still_being_sent_is_heard(
+    context: Any, namespace: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Late(action_client.Future):  # type: ignore[misc]
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            time.sleep(0.1)  # a stall between the request and the place where its answer is looked for
+            super().__init__(*args, **kwargs)
+
+    def execute(handle: Any) -> Dock.Result:
+        handle.succeed()
+        return Dock.Result(success=True)
+
+    node = Node("docking_node", **options(context, namespace))
+    servers = [ActionServer(node, kind, name, execute) for kind, name in ((Dock, "dock"), (Undock, "undock"))]
+    spinner = Spinner(node)
+    with ChargerClient(namespace, context) as client:
+        assert client.wait_until_it_answers(DEADLINE)
+        monkeypatch.setattr(action_client, "Future", Late)
+        assert client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), deadline=DEADLINE).success
+    spinner.close(*servers)

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 from deltacharger_ros.executor import Spinner
 
 from ..chargers import DEADLINE, wait_until
-from ..nodes import options
+from ..nodes import answer, options
 
 pytestmark = pytest.mark.ros
 
@@ -107,7 +107,7 @@ def test_goals_wait_beside_each_other_and_are_answered(node: Node) -> None:
     spinner = Spinner(node)
     try:
         assert client.wait_for_server(DEADLINE)
-        sent = [client.send_goal_async(Dock.Goal()) for _ in range(2)]
+        sent = [answer(spinner.call_soon(client.send_goal_async, Dock.Goal())) for _ in range(2)]
         for _ in sent:
             assert begun.acquire(timeout=DEADLINE)
         wait_until(lambda: all(each.done() for each in sent), "both accepted")
