@@ -6,6 +6,7 @@ Each reader names the refusals that it may raise, and judges what it took: finit
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import io
 import json
@@ -330,10 +331,12 @@ def _recordings(folder: Path) -> Iterator[Reader]:
 
     def look(path: Path) -> Any:
         file = McapFile(path)
-        return file, sum(1 for _ in file.messages()), file.attachments()
+        with contextlib.suppress(KeyError):  # no file of this name: all were looked at
+            file.attachment("")
+        return file, sum(1 for _ in file.messages())
 
     def sound_look(found: Any) -> None:
-        file, count, _ = found
+        file, count = found
         assert 0 <= count <= 2**20
         assert all(isinstance(text, str) for text in (*file.types, *file.types.values(), *file.definitions.values()))
         assert all(type(value) is int and value >= 0 for value in (*file.counts.values(), file.first, file.last))

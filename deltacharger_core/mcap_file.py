@@ -7,12 +7,13 @@ Messages stay the bytes that came over the wire (CDR); who has ROS decodes them.
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from deltacharger_core.bounded_file import FileRefused, open_file
+from deltacharger_core.bounded_file import open_file
 from deltacharger_core.mcap_records import (
     ATTACHMENT,
     CHANNEL,
@@ -94,10 +95,7 @@ class McapFile:
         self.first = self.last = 0
         self.damage = ""
         with open_file(path, LARGEST_FILE) as stream:
-            try:
-                empty = not stream.read(1)
-            except OSError as error:  # which does not name the file
-                raise FileRefused(path, f"cannot be read: {error.strerror}") from error
+            empty = not os.fstat(stream.fileno()).st_size
         if empty:
             raise RecordingError(f"{path} is empty: its recorder was stopped before it had written anything")
         if not self._read_index():
@@ -120,13 +118,17 @@ class McapFile:
             elif opcode == MESSAGE and record.channel in names:
                 yield Raw(names[record.channel], record.received, record.published, bytes(record.data))
 
-    def attachments(self) -> dict[str, bytes]:
-        """Return the attached files by name.
+    def attachment(self, name: str) -> bytes:
+        """Return the attached file of a name.
 
         Raises:
-            DamagedRecording: they cannot be read.
+            DamagedRecording: the file is damaged before it.
+            KeyError: there is none.
         """
-        return {record.name: record.data for _, record in self._walk((ATTACHMENT,))}
+        for _, record in self._walk((ATTACHMENT,)):
+            if record.name == name:
+                return bytes(record.data)
+        raise KeyError(name)
 
     def _read_index(self) -> bool:
         """Take what stands at the end of a file that was ended; return whether it tells everything."""

@@ -18,11 +18,20 @@ STATISTICS, METADATA_INDEX = 0x0B, 0x0D
 _FOOTER, _CHUNK, _DATA_END = 0x02, 0x06, 0x0F
 LARGEST_FILE = 2**40
 """Bytes of a recording."""
-_LARGEST_TOLD = 4 * 2**20  # bytes of all schemas, channels and metadata
+_LARGEST_TOLD = 4 * 2**20  # bytes of all schemas, channels, metadata and of what tells where they are
+_LARGEST_SUMMARY = 16 * 2**20  # bytes; with 80 for a chunk, a recording of 200 000 chunks
 _LARGEST_RECORD = 48 * 2**20  # bytes, of a chunk also unpacked; an image of 4096 × 3072 px in colour has 38 MB
 _EACH = 200  # bytes that a record takes beside its content
 _DENSEST = 2000  # bytes that a byte of the file may unpack to; images of nothing are packed to a thousandth
 _MAGIC = b"\x89MCAP0\r\n"
+_CLASSES = {  # in mcap.records
+    SCHEMA: "Schema",
+    CHANNEL: "Channel",
+    ATTACHMENT: "Attachment",
+    STATISTICS: "Statistics",
+    METADATA: "Metadata",
+    METADATA_INDEX: "MetadataIndex",
+}
 _HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, unpacked size and CRC-32; length of the compression's name
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, received, published
@@ -127,7 +136,7 @@ class Records:
             raise DamagedMcap("its footer is damaged")
         if not start:
             return {}
-        if foot - start > _LARGEST_RECORD:
+        if foot - start > _LARGEST_SUMMARY:
             raise DamagedMcap("its summary is too large")
         self._stream.seek(start)
         section = self._stream.read(foot - start)
@@ -135,7 +144,8 @@ class Records:
             raise DamagedMcap("its summary does not have the checksum that it states")
         found: dict[int, list[Any]] = {}
         for opcode, content in _split(memoryview(section)[: offsets - start] if offsets else memoryview(section)):
-            found.setdefault(opcode, []).append(self._record(content, opcode))
+            if opcode in _CLASSES:
+                found.setdefault(opcode, []).append(self._record(content, opcode))
         return found
 
     def _head(self) -> tuple[int, int, bytes]:
@@ -173,13 +183,13 @@ class Records:
             raise DamagedMcap("a chunk does not unpack to what it states")
         for opcode, content in _split(data):
             self._count += 1
-            if self._count > self._size:  # none is packed to less than a byte
+            if self._count > self._size:  # each takes at least a byte of the file, packed too
                 raise DamagedMcap("it holds more messages than bytes")
             if opcode in (SCHEMA, CHANNEL, MESSAGE):
                 yield opcode, self._record(content, opcode)
 
     def _record(self, content: memoryview, opcode: int) -> Any:
-        if opcode not in (MESSAGE, ATTACHMENT):
+        if opcode in _CLASSES and opcode != ATTACHMENT:
             number = int.from_bytes(content[:2], "little") if opcode in (SCHEMA, CHANNEL) else len(self._told)
             size = len(content) + _EACH
             self._all_told += size - self._told.get((opcode, number), 0)  # chunks tell schemas and channels again
@@ -222,15 +232,9 @@ def _parsed(content: memoryview, opcode: int) -> Any:
         return Message(channel, received, published, content[_MESSAGE.size :])
     if opcode == ATTACHMENT and int.from_bytes(content[-4:], "little") not in (0, zlib.crc32(content[:-4])):
         raise DamagedMcap("an attachment does not have the checksum that it states")
+    if opcode not in _CLASSES:
+        return None
     from mcap import records
     from mcap.data_stream import ReadDataStream
 
-    kinds: dict[int, Any] = {
-        SCHEMA: records.Schema,
-        CHANNEL: records.Channel,
-        METADATA: records.Metadata,
-        ATTACHMENT: records.Attachment,
-        STATISTICS: records.Statistics,
-        METADATA_INDEX: records.MetadataIndex,
-    }
-    return kinds[opcode].read(ReadDataStream(io.BytesIO(content))) if opcode in kinds else None
+    return getattr(records, _CLASSES[opcode]).read(ReadDataStream(io.BytesIO(content)))

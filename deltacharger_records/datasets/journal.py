@@ -225,7 +225,7 @@ def _docking(path: Path) -> Docking:
         if file.damage:
             raise ValueError(file.damage)
         values = {key: parse_json(text) for key, text in file.told(_RECORD)[0].items()}
-        content = file.attachments()[_FRAMES]
+        content = file.attachment(_FRAMES)
         frames = read_array(io.BytesIO(content), len(content))
         if frames.ndim != 4 or frames.shape[1:] != (2, 10, 10) or frames.dtype.kind != "f" or np.isinf(frames).any():
             raise ValueError(f"frames of shape {frames.shape}, {frames.dtype}")

@@ -17,13 +17,13 @@ from deltacharger_core.mcap_file import CUT_SHORT, DamagedRecording, McapFile, R
 MESSAGES = [Raw(f"/{'ab'[n % 2]}", 1000 + n, 900 + n, f"message {n}".ljust(50).encode()) for n in range(100)]
 
 
-def write(path: Path, **options: Any) -> Path:
+def write(path: Path, chunk_size: int = 600, messages: list[Raw] = MESSAGES, **options: Any) -> Path:
     with path.open("wb") as stream:
-        writer = Writer(stream, chunk_size=600, compression=CompressionType.NONE, **options)
+        writer = Writer(stream, chunk_size, CompressionType.NONE, **options)
         writer.start(profile="ros2", library="test")
         schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
         channels = {"/a": writer.register_channel("/a", "cdr", schema), "/b": writer.register_channel("/b", "cdr", 0)}
-        for message in MESSAGES:
+        for message in messages:
             writer.add_message(channels[message.topic], message.received, message.data, message.published)
         writer.add_metadata("about", {"scene": "tape"})
         writer.add_attachment(0, 0, "note.txt", "text/plain", b"hello")
@@ -53,8 +53,15 @@ def test_all_that_stands_in_a_file_is_told_however_it_was_written(tmp_path: Path
     assert file.told("nothing") == []
 
 
+@pytest.mark.parametrize("index_types", [IndexType.ALL, IndexType.MESSAGE])
+def test_a_long_recording_in_small_chunks_is_read_to_its_end(tmp_path: Path, index_types: IndexType) -> None:
+    file = McapFile(write(tmp_path / "a.mcap", 1, 200 * MESSAGES, index_types=index_types))
+    assert (file.damage, file.counts.total()) == ("", 200 * len(MESSAGES))
+    assert sum(1 for _ in file.messages()) == file.counts.total()
+
+
 def test_attachments_come_by_name(tmp_path: Path) -> None:
-    assert McapFile(write(tmp_path / "a.mcap")).attachments() == {"note.txt": b"hello"}
+    assert McapFile(write(tmp_path / "a.mcap")).attachment("note.txt") == b"hello"
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7, 0.99])

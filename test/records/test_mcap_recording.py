@@ -72,7 +72,7 @@ def test_a_stranger_reads_what_was_written(tmp_path: Path) -> None:
         assert [each.metadata for each in reader.iter_metadata()] == [{"attempt": "3"}]
         assert [each.data for each in reader.iter_attachments()] == [b"hello"]
     file = McapFile(path)
-    assert (file.told("docking"), file.attachments()) == ([{"attempt": "3"}], {"note.txt": b"hello"})
+    assert (file.told("docking"), file.attachment("note.txt")) == ([{"attempt": "3"}], b"hello")
     assert [deserialize_message(each.data, DockingState) for each in file.messages("/a/docking_state")] == [state]
 
 
