@@ -26,7 +26,7 @@ LIBRARY = "deltacharger"
 ABOUT = "deltacharger"
 """Name of the metadata that stand behind the header: version, scene, namespace, request id, when it began."""
 _STAMP = "%Y%m%dT%H%M%SZ"
-_LIKE = re.compile(r"\.?\d{8}T\d{6}Z(-[^/]+)?\.mcap(\.partial)?", re.DOTALL)
+_LIKE = re.compile(r"\d{8}T\d{6}Z(-[^/]+)?\.mcap|\.?\d{8}T\d{6}Z(-[^/]+)?\.mcap\.partial", re.DOTALL)
 _ENDING = re.compile(r"(-\d+)?(-[A-Z_]+|-\d+)?(-\d+)?\.mcap(\.partial)?")
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.]+")
 _ID_MAX = 60  # characters of a request id in a name

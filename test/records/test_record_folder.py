@@ -146,6 +146,15 @@ def test_what_a_recorder_left_that_was_killed_while_it_packed_goes_alone(tmp_pat
     assert packing.closed
 
 
+def test_a_record_that_somebody_hid_is_theirs(tmp_path: Path) -> None:
+    folder = RecordFolder(tmp_path, 1, 10**9)
+    path, _ = make(folder, 0, 10, ends=True)
+    hidden = path.rename(path.with_name(f".{path.name}"))
+    make(folder, 1, 10, ends=True)
+    folder.prune()
+    assert hidden.exists()
+
+
 def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
     (tmp_path / "records").write_text("a file")
     with pytest.raises(OSError, match="records"):
