@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import socket
 import struct
@@ -91,6 +92,7 @@ JSON = {
     "a number of a million digits": b'{"n": ' + b"9" * 1_000_000 + b"}",
     "a key of a megabyte": b'{"' + b"x" * 1_000_000 + b'": 1}',
     "a doubled key": b'{"n": 1, "n": 2}',
+    "a doubled key behind many": json.dumps({f"{n}": 0 for n in range(80_000)}).encode()[:-1] + b', "79999": 1}',
     "a list": b"[]",
     "values": b"[" + b"0," * 450_000 + b"0]",
 }
@@ -155,7 +157,7 @@ def pictures() -> dict[str, bytes]:
         "a PNG of 50 000 × 50 000": png(50_000, 50_000, bytes(1000)),
         "a PNG of 20 000 × 20 000": png(20_000, 20_000, bytes(1000)),
         "a JPEG of 65 500 × 65 500": jpeg,
-        "a JPEG without end": b"\xff\xd8" + b"\xff" * MEGABYTE,
+        "a JPEG without end": b"\xff\xd8" + b"\xff" * (63 * MEGABYTE),
         "a JPEG of many scans": b"\xff\xd8\xff\xc2" + jpeg[4:] + b"\xff\xda\x00\x02" * 10_000,
         "a bitmap": b"BM" + struct.pack("<IIIIIIHHIIIIII", 54, 0, 54, 40, 40_000, 40_000, 1, 24, 0, 0, 0, 0, 0, 0),
         "another picture's format": b"P6 40000 40000 255\n" + bytes(100),

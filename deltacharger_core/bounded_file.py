@@ -12,6 +12,7 @@ import os
 import reprlib
 import stat
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -94,7 +95,7 @@ def read_bytes(path: str | Path, largest: int) -> bytes:
             content = file.read(largest + 1)
         except OSError as error:  # which does not name the file
             raise FileRefused(path, f"cannot be read: {error.strerror}") from error
-    if len(content) > largest:  # it grows, or tells no size, as files of /proc
+    if len(content) > largest:  # it grew while it was read, or says 0, as files of /proc do
         raise FileRefused(path, f"it holds more than the {size_text(largest)} of its kind")
     return content
 
@@ -147,8 +148,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if any(len(name) > _LONGEST_KEY for name in found):
         raise ValueError(f"its JSON gives a key of more than {_LONGEST_KEY} characters")
     if len(found) != len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
+        twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
         raise ValueError(f"its JSON gives the key {brief(twice)} twice")
     return found
 

@@ -24,7 +24,7 @@ _DEPTHS = (".png", ".npy")
 _LARGEST, _LARGEST_DECODED = 64 * 2**20, 48 * 2**20  # bytes; the second is 4096 × 4096 px of colour
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG_SIZES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # markers of the segments that tell the size
-_MOST_CHUNKS = 20_000  # a PNG of 64 MB has 8192 as libpng writes them
+_MOST_CHUNKS = 20_000  # a PNG of 64 MB has 8192 as libpng writes them; as many segments and fill bytes of a JPEG
 _SCAN, _MOST_SCANS = b"\xff\xda", 100  # a progressive JPEG is decoded anew with each scan
 
 
@@ -190,7 +190,7 @@ def _decoded(path: Path) -> NDArray[Any]:
         raise ImageError(str(path), "is empty; take the image anew")
     width, height, each = _claimed(data)
     if width * height * each > _LARGEST_DECODED:
-        allowed = f"{_LARGEST_DECODED // 2**20} MB: more than any camera takes; give a smaller image"
+        allowed = f"{_LARGEST_DECODED // 2**20} MB; give a smaller image"
         raise ImageError(str(path), f"has {width} × {height} px of {each} bytes, and decodes to more than {allowed}")
     try:
         pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED) if each else None
@@ -207,7 +207,9 @@ def _claimed(data: bytes) -> tuple[int, int, int]:
         width, height, bits, colors = struct.unpack_from(">IIBB", data, 16)
         return width, height, (1 if colors == 0 else 3 if colors == 2 else 4) * (2 if bits == 16 else 1)
     at = 2 if data.startswith(b"\xff\xd8") and data.count(_SCAN) <= _MOST_SCANS else len(data)
-    while at + 9 <= len(data) and data[at] == 0xFF:
+    for _ in range(_MOST_CHUNKS):
+        if at + 9 > len(data) or data[at] != 0xFF:
+            break
         marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4], "big")
         if marker in _JPEG_SIZES:
             height, width = struct.unpack_from(">HH", data, at + 5)
