@@ -50,6 +50,11 @@ class FileRefused(OSError):
         return f"{self.filename}: {self.strerror}"
 
 
+def given_path(text: str) -> Path:
+    """Return the path that a person gave; a `~user` whom this computer does not know stays as it is."""
+    return Path(os.path.expanduser(text))
+
+
 def open_file(path: str | Path, largest: int) -> BinaryIO:
     """Open a regular file for reading, without waiting for anybody.
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
-from pathlib import Path
 from typing import Any
 
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
-from deltacharger_core.bounded_file import parse_json
+from deltacharger_core.bounded_file import given_path, parse_json
 from deltacharger_core.mcap_file import McapFile, RecordingError
 from deltacharger_core.parameters import from_mapping
 from deltacharger_docking.parameters import DockingParameters
@@ -59,7 +58,7 @@ class ParameterReader:
 def with_geometry(told: Mapping[str, Any]) -> dict[str, Any]:
     """Return docking_node's parameters with the content of its geometry file, where that can be read here."""
     try:
-        return {**told, _GEOMETRY: geometry_to_mapping(load_geometry(Path(told[_FILE]).expanduser()))}
+        return {**told, _GEOMETRY: geometry_to_mapping(load_geometry(given_path(told[_FILE])))}
     except (LookupError, OSError, ValueError):
         return dict(told)
 
@@ -74,7 +73,7 @@ def docking_settings(told: Mapping[str, Any]) -> tuple[DockingParameters, DeltaG
     if _GEOMETRY in told:
         base = from_mapping(told[_GEOMETRY], DeltaGeometry)
     else:
-        base = load_geometry(Path(told[_FILE]).expanduser()) if told.get(_FILE) else DeltaGeometry()
+        base = load_geometry(given_path(told[_FILE])) if told.get(_FILE) else DeltaGeometry()
     lengths = {name: _plain(value) for name, value in _of(DeltaGeometry, told).items() if name != "limbs"}
     return DockingParameters(**_of(DockingParameters, told)), replace(base, **lengths)
 

@@ -11,6 +11,7 @@ import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
+from deltacharger_core.bounded_file import given_path
 from deltacharger_core.parameters import words
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import Scene, SceneError
@@ -92,14 +93,14 @@ def _with_file(scene: Scene, key: str, file: str, node: str, parameter: str) -> 
         return scene
     if node not in scene.nodes:
         raise SceneError(scene.file, key, f"this scene starts no {node}; leave it out, or choose a scene with one")
-    path = Path(file).expanduser().absolute()
+    path = given_path(file).absolute()
     if not path.is_file():
         raise SceneError(scene.file, key, f"'{file}': there is no such file")
     return _with_parameter(scene, node, parameter, str(path))
 
 
 def _with_record(scene: Scene, record: str) -> Scene:
-    if record and Path(record).expanduser().is_file():
+    if record and given_path(record).is_file():
         raise SceneError(scene.file, "record", f"'{record}' is a file; give a folder, true or false")
     return with_recorder(scene, record)
 
@@ -119,7 +120,7 @@ def with_recorder(scene: Scene, folder: str | None) -> Scene:
         scene = dataclasses.replace(scene, nodes=(*scene.nodes, RECORDER))
     if folder.lower() in _TRUE:
         return scene
-    return _with_parameter(scene, RECORDER, "folder", str(Path(folder).expanduser().absolute()))
+    return _with_parameter(scene, RECORDER, "folder", str(given_path(folder).absolute()))
 
 
 def recorder_alone(scene: Scene, folder: str) -> Scene:

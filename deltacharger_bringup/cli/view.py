@@ -30,6 +30,7 @@ from deltacharger_bringup.cli.parser import DEFAULT_SCENE, namespace_option
 from deltacharger_bringup.cli.scene import load_for_command
 from deltacharger_bringup.cli.types import POSITIVE
 from deltacharger_core import environment
+from deltacharger_core.bounded_file import given_path
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_scenes.scene import Scene
@@ -168,7 +169,7 @@ def mount_of(scene: Scene) -> NDArray[np.float64]:
     given = scene.parameters.get("electrode_detector_node", {})
     with wrong_input(OSError, ValueError, before=f"{scene.file}: parameters.electrode_detector_node: "):
         if given.get("mount_file"):
-            return Mount.load(Path(given["mount_file"]).expanduser()).pose
+            return Mount.load(given_path(given["mount_file"])).pose
         return (Mount.from_numbers(given["mount"]) if "mount" in given else Mount.default()).pose
 
 

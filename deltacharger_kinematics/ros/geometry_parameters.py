@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 from rclpy.node import Node
 
+from deltacharger_core.bounded_file import given_path
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.geometry_file import load_geometry
 from deltacharger_kinematics.parameters import GeometryFileParameters, GeometryParameters
@@ -43,7 +43,7 @@ def declare_geometry(node: Node) -> DeltaGeometry:
 
 
 def _load(node: Node, file: str) -> DeltaGeometry:
-    where = Path(file).expanduser().absolute()
+    where = given_path(file).absolute()
     try:
         return load_geometry(where)
     except OSError as error:

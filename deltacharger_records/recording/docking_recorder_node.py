@@ -19,6 +19,7 @@ from deltacharger.action import Dock, Undock
 from rclpy.node import Node
 
 from deltacharger_core import environment
+from deltacharger_core.bounded_file import given_path
 from deltacharger_core.mcap_file import Raw, RecordingError, require_mcap
 from deltacharger_core.version import package_version
 from deltacharger_records.node_parameters import ParameterReader
@@ -48,7 +49,7 @@ class DockingRecorderNode(Node):
         super().__init__("docking_recorder_node", **kwargs)
         given = declare_all(self, DockingRecorderNodeParameters)
         reject_unknown(self)
-        self._folder_path = Path(given.folder).expanduser()
+        self._folder_path = given_path(given.folder)
         largest = given.max_megabytes * 10**6
         environment.prepare()
         try:

@@ -15,7 +15,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -23,6 +22,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from deltacharger_core import environment
+from deltacharger_core.bounded_file import given_path
 from deltacharger_core.mcap_file import CUT_SHORT, RecordingError
 from deltacharger_records.parameters import RecordingPlayerNodeParameters
 from deltacharger_records.recording.docking_topics import STATE, TOPICS
@@ -183,7 +183,7 @@ def _survey(file: str, charger: str) -> tuple[Recording, int, int]:
         raise node_support.StartupError(
             f"{who} is empty: name a record, `deltacharger up --scene replay --recording FILE`"
         )
-    path = Path(file).expanduser()
+    path = given_path(file)
     try:
         recording = Recording(path, charger or None)
         times = [received for _, received, _ in recording.messages()]

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
+from deltacharger_core.bounded_file import given_path
 from deltacharger_core.parameters import Bounded, entries, number, words
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.geometry_file import load_geometry
@@ -31,7 +31,7 @@ class Simulation(Bounded):
         Raises:
             OSError, ValueError: the file cannot be read, or is refused.
         """
-        return load_geometry(Path(self.geometry_file).expanduser()) if self.geometry_file else DeltaGeometry()
+        return load_geometry(given_path(self.geometry_file)) if self.geometry_file else DeltaGeometry()
 
     def build_world(self) -> World:
         """Return the world behind the ports, with the pads of its rig."""

@@ -64,6 +64,7 @@ def test_the_settings_are_those_of_docking_node_also_where_its_file_is_elsewhere
     with pytest.raises(OSError, match=r"arm\.yaml"):
         docking_settings(told)
     assert known_settings(told) == (parameters, DeltaGeometry(arm=0.103))
+    assert known_settings({**told, "geometry_file": "~nobody-here/arm.yaml"}) == known_settings(told)
     assert known_settings({}) == (DockingParameters(), DeltaGeometry())
 
 
