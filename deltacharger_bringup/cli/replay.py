@@ -91,10 +91,7 @@ def _entry(path: Path) -> dict[str, Any]:
     entry: dict[str, Any] = {"file": path.name, "bytes": 0, "problem": "", "left_alone": ""}
     nothing = {"time": math.nan, "duration": math.nan, "outcome": "", "request_id": ""}
     try:
-        seen = look(path)
-        entry |= {"bytes": seen.size, "left_alone": seen.problem}
-        if not seen.identity:  # nothing that can be read
-            return entry | {"problem": seen.problem} | nothing
+        entry |= {"bytes": path.stat().st_size, "left_alone": look(path).problem}
         file = McapFile(path)
     except (RecordingError, OSError) as error:
         return entry | {"problem": str(error)} | nothing

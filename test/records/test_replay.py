@@ -158,18 +158,20 @@ def test_a_folder_is_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     charged(tmp_path)
     (tmp_path / "bad.mcap").write_bytes(b"no")
     os.mkfifo(tmp_path / "pipe.mcap")
+    (tmp_path / "link.mcap").symlink_to("tilted.mcap")
     (tmp_path / "notes.txt").write_text("not listed")
     code, out, _ = run(capsys, str(tmp_path), "--json")
     records = {each["file"]: each for each in json.loads(out)["records"]}
     assert code == 0
-    assert set(records) == {"tilted.mcap", "charged.mcap", "bad.mcap", "pipe.mcap"}
-    assert records["pipe.mcap"]["problem"] == "it is a pipe"
+    assert set(records) == {"tilted.mcap", "charged.mcap", "bad.mcap", "pipe.mcap", "link.mcap"}
+    assert "it is a pipe" in records["pipe.mcap"]["problem"]
+    assert records["link.mcap"]["bytes"] == records["tilted.mcap"]["bytes"] > 0
     assert all(each["left_alone"] for each in records.values()), "none has the name that a recorder gives"
     assert records["tilted.mcap"]["request_id"] == "r/1"
     assert records["tilted.mcap"]["duration"] == pytest.approx(4.0, abs=0.1)
     assert "no MCAP" in records["bad.mcap"]["problem"]
     code, out, _ = run(capsys, str(tmp_path))
-    assert len(out.splitlines()) == 4
+    assert len(out.splitlines()) == 5
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9, 0.999])
