@@ -39,8 +39,8 @@ class RecordFolder:
         max_bytes: that they take.
 
     Attributes:
-        passed_by: what bears a record's name and is left alone, as it is none of ours or cannot be removed: the reason
-            by its name, of the last look.
+        passed_by: files named like records that are left alone, as they are none of ours or cannot be removed: their
+            names, and why; of the last look.
     """
 
     def __init__(self, path: Path, max_files: int, max_bytes: int) -> None:
@@ -191,7 +191,7 @@ def _numbered(base: str, suffix: str) -> Iterator[str]:
 def _open_new(path: Path) -> BinaryIO:
     """Return a file that was not there, locked for as long as it is open."""
     stream = path.open("xb")
-    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    fcntl.flock(stream, fcntl.LOCK_EX)  # who looks whether somebody has it open holds it for a moment
     return stream
 
 

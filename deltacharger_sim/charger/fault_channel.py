@@ -91,7 +91,7 @@ def answer(faults: Faults, request: Any) -> Answer:
 
 
 class ControlServer:
-    """Answer requests on a Unix socket from a thread of its own. Who says nothing is let go, and holds up nobody.
+    """Answer requests on a Unix socket from a thread of its own. A silent client is dropped and delays nobody.
 
     Args:
         path: of the socket; an older one is replaced.
@@ -232,7 +232,7 @@ def ask(path: Path, request: Answer, timeout: float = 10.0) -> Answer:
     try:
         with socket.socket(socket.AF_UNIX) as connection, _short(path) as address:
             _connect(connection, address, end)
-            connection.settimeout(timeout)
+            connection.settimeout(max(end - time.monotonic(), _PAUSE))
             connection.sendall(json.dumps(request).encode() + b"\n")
             line = _line(connection, end)
     except FileNotFoundError as error:
