@@ -28,7 +28,7 @@ SECONDS, MEGABYTES, STUCK = 2.0, 200.0, 30
 LONGEST_MESSAGE = 3000
 MOST_SHOWN = 20
 MAY_BE_TAKEN = ("two documents", "a chunk in a chunk", "metadata without end", "a summary that is everywhere")
-"""Attacks that a reader may survive by what stands before: an echoed topic, recordings up to their damage."""
+"""Attacks that a reader may accept, since what stands before the damage is good: an echoed topic, a recording."""
 
 
 def peak() -> float:

@@ -6,7 +6,7 @@ Publishes: end_effector_pose (charger_base) and contact_wrench (force on the end
 weight removed), one of each per servo_state while somebody listens and with its stamp, so that their age is that of the
 measurement; nothing while a servo is not valid, and no wrench while a torque is off.
 Serves: solve_inverse_kinematics, solve_forward_kinematics, with a status per point; an incomplete last point is
-INVALID_INPUT. More than POINTS_MAX at once are answered by nothing.
+INVALID_INPUT. A request for more than POINTS_MAX gets an empty answer.
 Parameters: geometry_file or the arm's single dimensions, gravity, torque_constant.
 """
 
@@ -36,7 +36,7 @@ from deltacharger_ros.parameters import declare_all, reject_unknown
 
 _DEFAULT_DEPTH = 10
 POINTS_MAX = 1_000_000
-"""Points that one request may hold; a request of more is answered by nothing, and all of it would take seconds."""
+"""Points that one request may hold; a request for more gets an empty answer, since it would take seconds."""
 _LOOK = 0.2  # s between looks for who wants pose or wrench
 
 

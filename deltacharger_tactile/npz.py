@@ -18,7 +18,7 @@ LARGEST_MODEL = 256 * 2**20
 LARGEST_DATASET = 8 * 2**30
 """Bytes that the arrays of a data set may take."""
 _SMALL, _DENSEST = 64 * 2**20, 100
-"""Bytes that any file may unpack to, and how much more a byte of a file: recorded frames pack to a fifteenth."""
+"""Bytes that any file may unpack to, and how many more for each of its own; recorded frames pack to a 15th."""
 _LONGEST_READ = 2**18  # bytes; the list of a zip file's members is read at once
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # what numpy writes; others unpack without bounds
 _ENDING = ".npy"

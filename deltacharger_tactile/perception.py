@@ -125,7 +125,7 @@ class Perception:
 
 
 def _shares(classifier: Classifier, frames: Array) -> Array | None:
-    """Return what a classifier says of one frame pair; None where a file of others made one that cannot say it."""
+    """Return what a classifier says of one frame pair; None where a classifier of a file gives none."""
     try:
         shares = np.asarray(classifier.predict_proba(frames)[0])
     except Exception:  # arrays that fit where loading tried them need not fit here

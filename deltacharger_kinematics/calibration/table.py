@@ -158,7 +158,10 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Yield the number and the text of each line."""
     for line, text in enumerate(io.StringIO(_decoded(path), newline=None), start=1):
         if line > _MOST_LINES or len(text) > _LONGEST_LINE:
-            raise CalibrationError(f"line {line} is too long or one too many: is this a table of poses?", [line])
+            raise CalibrationError(
+                f"line {line}: more than {_LONGEST_LINE} characters or {_MOST_LINES} lines: is this a table of poses?",
+                [line],
+            )
         yield line, text.removesuffix("\n")
 
 

@@ -175,7 +175,7 @@ def read_parts(folder: Path, names: Sequence[str]) -> Iterator[dict[str, list[An
 def _read_part(pyarrow: Any, stream: BinaryIO, names: list[str]) -> dict[str, list[Any]]:
     """Return the named columns of a file, whose metadata are compared with what such a file may be before it is read.
 
-    Texts are read as numbers of an own list of texts, so that one that comes again a million times takes no memory.
+    Texts are read dictionary-encoded, so that one that comes again a million times takes no memory.
     """
     file = pyarrow.parquet.ParquetFile(stream, **_LIMITS)
     meta, kinds = file.metadata, file.schema_arrow

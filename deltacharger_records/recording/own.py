@@ -53,7 +53,7 @@ def base_name(began: int, request_id: str) -> str:
 
 
 def head(about: Mapping[str, str], began: int, request_id: str) -> dict[str, str]:
-    """Return the metadata at the head of a record, no word of it longer than `look` reads.
+    """Return the metadata at the head of a record, each value cut to what `look` reads.
 
     Args:
         about: version, scene and namespace.
