@@ -52,27 +52,10 @@ def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
     """Return shape, whether columns stand together, type, and the bytes that the header took."""
-    counted = _Counted(stream)
-    version = np.lib.format.read_magic(counted)
-    if version not in ((1, 0), (2, 0)):
+    begun = stream.tell()
+    if np.lib.format.read_magic(stream) != (1, 0):  # others have headers that are too long
         raise ValueError("version")
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, by_columns, kind = read(counted, max_header_size=_LONGEST_HEADER)
+    shape, by_columns, kind = np.lib.format.read_array_header_1_0(stream, max_header_size=_LONGEST_HEADER)
     if min(shape, default=0) < 0:
         raise ValueError("shape")
-    return shape, by_columns, kind, counted.count
-
-
-class _Counted:
-    """A stream that counts what is read of it, and refuses to read more than a header at once."""
-
-    def __init__(self, stream: IO[bytes]) -> None:
-        self.stream = stream
-        self.count = 0
-
-    def read(self, count: int = -1, /) -> bytes:
-        if not 0 <= count <= _LONGEST_HEADER:
-            raise ValueError("a header that is too long")
-        found = self.stream.read(count)
-        self.count += len(found)
-        return found
+    return shape, by_columns, kind, stream.tell() - begun
