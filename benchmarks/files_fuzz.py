@@ -13,6 +13,7 @@ import contextlib
 import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,13 +21,16 @@ import tempfile
 import time
 import traceback
 import warnings
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
+Case: TypeAlias = tuple[int, str, Callable[[Path], Any]]  # which reader, a name, and what puts the file there
 KINDS = ("yaml", "csv", "npz", "npy", "picture", "mcap", "json", "parquet")
 SECONDS, MEGABYTES, STUCK = 2.0, 200.0, 30
 LONGEST_MESSAGE = 3000
 MOST_SHOWN = 20
+NOTHING = {"files": 0, "taken": 0, "refused": 0, "seconds": 0.0, "megabytes": 0.0}
 MAY_BE_TAKEN = ("two documents", "a chunk in a chunk", "metadata without end", "a summary that is everywhere")
 """Attacks that a reader may accept, since what stands before the damage is good: an echoed topic, a recording."""
 
@@ -70,87 +74,77 @@ def judge(reader: Any, path: Path, before: float) -> tuple[str, str]:
     return outcome, broken
 
 
-def work(kind: str, first: int, count: int, seed: int, beat: int) -> dict[str, Any]:
-    """Read `count` changed files of a kind in this process."""
-    import fuzz_mutations
+def changed(known: Sequence[Any], given: argparse.Namespace) -> Iterator[Case]:
+    """Yield good files that are changed at random."""
+    from fuzz_mutations import mutated
+
+    for number in range(given.first, given.first + given.files):
+        which = number % len(known)
+        data = mutated(f"{given.kind} {given.seed} {number}", known[which].good, known[which].changes)
+        yield which, str(number), lambda path, data=data: path.write_bytes(data)
+
+
+def attacking(known: Sequence[Any], given: argparse.Namespace) -> Iterator[Case]:
+    """Yield every attack, for each reader."""
+    from fuzz_attacks import attacks
+
+    for which in range(len(known)):
+        for name, put in attacks(given.kind).items():
+            yield which, name, put
+
+
+def work(given: argparse.Namespace, beat: int) -> dict[str, Any]:
+    """Read the files of one worker in this process."""
     from fuzz_files import readers
 
     warnings.simplefilter("ignore")
-    told: dict[str, Any] = {"files": 0, "taken": 0, "refused": 0, "seconds": 0.0, "megabytes": 0.0, "broken": []}
-    with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as given:
-        known = readers(Path(made), kind)
-        paths = []
-        for index, reader in enumerate(known):
-            path = Path(given) / str(index) / reader.place
-            path.parent.mkdir(parents=True)
-            paths.append(path)
+    told: dict[str, Any] = dict(NOTHING, broken=[])
+    with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as folder:
+        known = readers(Path(made), given.kind)
+        places = [Path(folder) / str(which) / reader.place for which, reader in enumerate(known)]
+        for which, (reader, place) in enumerate(zip(known, places, strict=True)):
+            place.parent.mkdir(parents=True)
             for name, content in reader.beside.items():
-                (Path(given) / str(index) / name).write_bytes(content)
+                (Path(folder) / str(which) / name).write_bytes(content)
             for good in reader.good:  # which also loads what is loaded once
-                path.write_bytes(good)
-                reader.sound(reader.read(path))
-        before, started = peak(), time.monotonic()
-        for number in range(first, first + count):
-            which = number % len(known)
-            os.pwrite(beat, f"{number:20}".encode(), 0)
-            told["files"] += 1
-            data = fuzz_mutations.mutated(f"{kind} {seed} {number}", known[which].good, known[which].changes)
-            paths[which].write_bytes(data)
+                place.write_bytes(good)
+                reader.sound(reader.read(place))
+        before = peak()
+        for which, name, put in (attacking if given.attacks else changed)(known, given):
+            reader, place = known[which], places[which]
+            remove(place)
+            put(place)
+            os.pwrite(beat, f"{reader.name}: {name}".encode().ljust(200), 0)
+            if given.attacks:
+                forget_peak()
+                before = peak()
             begun = time.process_time()
-            outcome, broken = judge(known[which], paths[which], before)
+            outcome, broken = judge(reader, place, before)
+            told["files"] += 1
             told[outcome] += 1
             told["seconds"] = max(told["seconds"], time.process_time() - begun)
+            told["megabytes"] = max(told["megabytes"], peak() - before)
+            if given.attacks and outcome == "taken" and name not in MAY_BE_TAKEN:
+                broken = broken or "taken"
             if broken:
                 forget_peak()
-                told["broken"].append(f"{known[which].name}, --kind {kind} --seed {seed} --first {number}: {broken}")
+                told["broken"].append(f"{reader.name}, {given.kind} {name}: {broken}")
                 if len(told["broken"]) >= MOST_SHOWN:
                     break
-        told["megabytes"], told["wall"] = peak() - before, time.monotonic() - started
     return told
 
 
-def attack(kind: str, beat: int) -> dict[str, Any]:
-    """Put every attack where each reader of a kind looks for its file."""
-    import shutil
-
-    from fuzz_attacks import attacks
-    from fuzz_files import readers
-
-    warnings.simplefilter("ignore")
-    told: dict[str, Any] = {"files": 0, "taken": 0, "refused": 0, "seconds": 0.0, "megabytes": 0.0, "broken": []}
-    with tempfile.TemporaryDirectory() as made, tempfile.TemporaryDirectory() as given:
-        known, way = readers(Path(made), kind), attacks(kind)
-        for reader in known:
-            place = Path(given) / reader.name / reader.place
-            for name, put in (("the good file", lambda path: path.write_bytes(known[0].good[0])), *way.items()):
-                shutil.rmtree(Path(given) / reader.name, ignore_errors=True)
-                place.parent.mkdir(parents=True)
-                for other, content in reader.beside.items():
-                    (Path(given) / reader.name / other).write_bytes(content)
-                place.unlink(missing_ok=True)
-                put(place)
-                os.pwrite(beat, f"{reader.name}: {name}".encode().ljust(100), 0)
-                if name == "the good file":
-                    place.write_bytes(reader.good[0])
-                    reader.read(place)
-                    continue
-                forget_peak()
-                before, begun = peak(), time.process_time()
-                outcome, broken = judge(reader, place, before)
-                told["seconds"] = max(told["seconds"], time.process_time() - begun)
-                told["megabytes"] = max(told["megabytes"], peak() - before)
-                told["files"] += 1
-                told[outcome] += 1
-                if outcome == "taken" and name not in MAY_BE_TAKEN:
-                    broken = broken or "taken"
-                if broken:
-                    told["broken"].append(f"{reader.name}, {name}: {broken}")
-    return told
+def remove(path: Path) -> None:
+    """Remove whatever stands there."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def start(kind: str, first: int, count: int, arguments: argparse.Namespace, folder: Path) -> tuple[Any, Path, Path]:
     beat, out = folder / f"{kind}-{first}.beat", folder / f"{kind}-{first}.json"
-    words = [sys.executable, __file__, "--worker", "--kind", kind, "--first", first, "--files", count]
+    words = [sys.executable, __file__, "--kind", kind, "--first", first, "--files", count]
     words += ["--seed", arguments.seed, *["--attacks"] * arguments.attacks]
     log = (folder / f"{kind}-{first}.log").open("wb")
     process = subprocess.Popen([*map(str, words), "--beat", str(beat), "--out", str(out)], stdout=log, stderr=log)
@@ -164,8 +158,7 @@ def finish(process: Any, beat: Path, out: Path, kind: str) -> dict[str, Any]:
         return told
     at = beat.read_text().strip() if beat.exists() else "the beginning"
     end = beat.with_suffix(".log").read_text(errors="replace")[-1500:]
-    broken = f"--kind {kind} --first {at}: the process ended with {process.returncode}: {end}"
-    return {"files": 0, "taken": 0, "refused": 0, "seconds": 0.0, "megabytes": 0.0, "broken": [broken]}
+    return dict(NOTHING, broken=[f"{kind} {at}: the process ended with {process.returncode}: {end}"])
 
 
 def campaign(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
@@ -178,7 +171,10 @@ def campaign(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
         workers = [start(kind, first, count, arguments, folder) for first, count in zip(firsts, counts, strict=True)]
         while arguments.progress and any(process.poll() is None for process, _, _ in workers):
             with contextlib.suppress(OSError, ValueError):
-                done = sum(int(beat.read_text()) - first for (_, beat, _), first in zip(workers, firsts, strict=True))
+                done = sum(
+                    int(beat.read_text().split()[-1]) - first
+                    for (_, beat, _), first in zip(workers, firsts, strict=True)
+                )
                 print(f"\r{kind}: {done} of {arguments.files}", end="", file=sys.stderr, flush=True)
             time.sleep(1.0)
         told = [finish(*worker, kind) for worker in workers]
@@ -204,18 +200,13 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="one JSON object instead of text")
     for hidden in ("--beat", "--out"):
         parser.add_argument(hidden, help=argparse.SUPPRESS)
-    parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.attacks:
         arguments.files = 1
-    if arguments.worker:
+    if arguments.out:  # a worker
         resource.setrlimit(resource.RLIMIT_AS, (8 * 2**30, 8 * 2**30))  # so that a bomb ends this process alone
         beat = os.open(arguments.beat, os.O_WRONLY | os.O_CREAT, 0o600)
-        if arguments.attacks:
-            told = attack(arguments.kind, beat)
-        else:
-            told = work(arguments.kind, arguments.first, arguments.files, arguments.seed, beat)
-        Path(arguments.out).write_text(json.dumps(told))
+        Path(arguments.out).write_text(json.dumps(work(arguments, beat)))
         return 0
     with tempfile.TemporaryDirectory() as folder:
         result = campaign(arguments, Path(folder))
