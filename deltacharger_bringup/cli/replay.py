@@ -56,7 +56,7 @@ def _file(options: argparse.Namespace, path: Path) -> int:
         write_json({**found.as_dict(), "story": lines, "why": closing, "picture": str(picture) if picture else None})
         return DONE
     outcome = found.outcome()
-    tell(f"{_when(found.began)}  {found.request_id or 'no request id'}  {outcome['name']}")
+    tell(f"{_when(found.began)}  {streams.plain(found.request_id) or 'no request id'}  {outcome['name']}")
     if found.recording.damage:
         tell(f"incomplete: {found.recording.damage}")
     tell("\n".join([*lines, "", closing]))

@@ -80,7 +80,7 @@ def electrodes(message: PoseStamped, mount: DockingNodeParameters) -> ElectrodeP
         return None
     if frame not in ("charger_base", mount.base_frame):
         known = f"charger_base, {mount.base_frame}"
-        raise Rejected(f"unknown frame '{frame[:_QUOTED]}': give {known}, or '' to use the camera")
+        raise Rejected(f"unknown frame {frame[:_QUOTED]!a}: give {known}, or '' to use the camera")
     turn, point = message.pose.orientation, message.pose.position
     position, axes = np.array([point.x, point.y, point.z]), np.array(rotation(turn.x, turn.y, turn.z, turn.w))
     if not np.isfinite(position).all() or not np.isfinite(axes).all():

@@ -23,11 +23,11 @@ class ContactorState(enum.Enum):
 
     ABSENT = "there is none"
     OPEN = "open"
-    ARMED = "the contactor may close at any moment: only who led the arm before the probe moves it"
+    ARMED = "the contactor may close at any moment: only the node that moved the arm before the probe may move it"
     CLOSED = "the contactor is closed: nobody moves the arm until it is open"
     UNKNOWN = (
-        "nobody tells whether the contactor is closed: only who led the arm before moves it; look at tactile_node and "
-        "at the stamps of charger_power"
+        "the contactor may be closed, because charger_power is silent or wrongly stamped: only the node that last "
+        "moved the arm while it was open may move it; look at tactile_node"
     )
 
 

@@ -39,12 +39,13 @@ from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.diagnostics import RefusedTrajectories, bus_entry, servo_entry
 from deltacharger_driver.servos.motion_guard import ContactorState
 from deltacharger_driver.servos.report import ServoPhase, ServoReport
-from deltacharger_driver.servos.servo_node_io import ContactorClient, StatePublishers, publishers
+from deltacharger_driver.servos.servo_node_io import ContactorClient, StatePublishers
 from deltacharger_driver.servos.snapshot import BusSettings
 from deltacharger_driver.servos.trajectory import JointLimits
 from deltacharger_driver.servos.trajectory_node_io import TrajectoryInbox
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import Diagnostics
+from deltacharger_ros.duplicates import publishers
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import LATEST
 
@@ -180,7 +181,7 @@ class ServoNode(Node):
             return RefusedTrajectories(0, 0, 0, "", "")
         inbox = self._inbox
         new, self._refused = inbox.refused - self._refused, inbox.refused
-        by = publishers(self, inbox.topic, inbox.strangers) if inbox.strangers else ""
+        by = publishers(self, inbox.topic, inbox.strangers) if inbox.strangers and self.context.ok() else ""
         inbox.strangers.clear()
         return RefusedTrajectories(new, inbox.refused, inbox.forbidden, inbox.last_refusal, by)
 

@@ -7,7 +7,6 @@ import contextlib
 import math
 import time
 from array import array
-from collections.abc import Collection
 from typing import Any
 
 from deltacharger.msg import ChargerPower, ServoState
@@ -19,7 +18,7 @@ from sensor_msgs.msg import JointState
 
 from deltacharger_core.machine import JOINTS
 from deltacharger_driver.board.protocol import PROBE_LIFETIME
-from deltacharger_driver.servos.motion_guard import ContactorState, MotionGuard, stamp_age
+from deltacharger_driver.servos.motion_guard import AHEAD, ContactorState, MotionGuard, stamp_age
 from deltacharger_driver.servos.report import ServoReport
 from deltacharger_ros.bounded_topic import BoundedTopic
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
@@ -80,7 +79,8 @@ class ContactorClient:
     def is_open(self) -> bool:
         """Return whether it was measured open and without current after the last `ask_open`, or nobody serves one."""
         if not self._open:
-            self._hear()
+            with contextlib.suppress(RuntimeError):
+                self._hear()
         return self._open
 
     def state(self) -> ContactorState:
@@ -100,17 +100,25 @@ class ContactorClient:
         if not received:
             return
         now, clock = time.monotonic(), self._node.get_clock().now().nanoseconds
-        for each in {one.publisher: one for one in received}.values():  # the newest of each
+        opened = flows = False
+        # The newest of each publisher; all where rclpy does not tell it.
+        for each in {one.publisher or one.data: one for one in received}.values():
             power = each.read() if len(each.data) <= _LARGEST_POWER else None
             if power is None:
                 continue
             stamp = power.header.stamp
-            flows = abs(power.charge_current) >= _OPEN_CURRENT  # NaN = not measured: the contactor alone decides
-            later = stamp.sec * 1_000_000_000 + stamp.nanosec > self._asked
-            self._open |= later and not power.contactor_closed and not flows
-            armed = power.probe_age < PROBE_LIFETIME and math.isfinite(power.probe_resistance)
             age = stamp_age(stamp.sec, stamp.nanosec, clock)
-            self.guard.observe(each.publisher, power.contactor_closed, armed, age, now)
+            later = stamp.sec * 1_000_000_000 + stamp.nanosec > self._asked and age >= -AHEAD
+            opened |= later and not power.contactor_closed
+            flows |= abs(power.charge_current) >= _OPEN_CURRENT  # NaN = not measured: the contactor alone decides
+            armed = power.probe_age < PROBE_LIFETIME and math.isfinite(power.probe_resistance)
+            publisher = each.publisher or self._nameless(power.contactor_closed)
+            self.guard.observe(publisher, power.contactor_closed, armed, age, now)
+        self._open |= opened and not flows and self.guard.state(now, False) is not ContactorState.CLOSED
+
+    def _nameless(self, closed: bool) -> bytes:
+        """Return an id where rclpy tells none: of several publishers, who says open is kept from who says closed."""
+        return b"closed" if closed and self._node.count_publishers(self._power.name) > 1 else b""
 
 
 class StatePublishers:
@@ -160,16 +168,3 @@ class StatePublishers:
         if self._joints_wanted and not math.isnan(sum(report.angle)):
             effort = array("d", [current * self._torque_constant for current in report.current])
             self._joints.publish(report.time, position, velocity, effort)
-
-
-def publishers(node: Node, topic: str, ids: Collection[bytes]) -> str:
-    """Return the names of a topic's publishers: of those with these ids, and of all where one of them has no id."""
-    with contextlib.suppress(RuntimeError):  # ROS is shutting down
-        found = node.get_publishers_info_by_topic(topic)
-        named = {
-            f"{each.node_namespace.rstrip('/')}/{each.node_name}"
-            for each in found
-            if b"" in ids or bytes(each.endpoint_gid) in ids
-        }
-        return ", ".join(sorted(named)) or "a node that is gone"
-    return ""

@@ -169,7 +169,7 @@ def _order(names: Sequence[str], limits: JointLimits) -> list[int]:
     """Return the column of each servo."""
     unknown = next((name for name in names if name not in limits.names), "")
     if unknown:
-        raise TrajectoryRefused(f"unknown joint '{unknown[:_QUOTED]}'; known: {', '.join(limits.names)}")
+        raise TrajectoryRefused(f"unknown joint {unknown[:_QUOTED]!a}; known: {', '.join(limits.names)}")
     if sorted(names) != sorted(limits.names):
         told = ", ".join(names)[:_QUOTED]
         raise TrajectoryRefused(

@@ -67,7 +67,7 @@ class TrajectoryInbox:
             guard: says who may move the arm.
             state: of the contactor, now.
         """
-        budget = _LARGEST
+        budget = _LARGEST + KEPT.depth * _LARGEST_HOLD
         for received in reversed(self._topic.take()):
             sender = _sender(received)
             if sender is None:

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from deltacharger.msg import ChargerPower
+from deltacharger.srv import SetContactor
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -25,6 +26,8 @@ from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.servos.motion_guard import ContactorState
 from deltacharger_driver.servos.mx64 import TICK
 from deltacharger_driver.servos.servo_node import ServoNode
+from deltacharger_driver.servos.servo_node_io import ContactorClient
+from deltacharger_ros import bounded_topic
 from deltacharger_ros.executor import Spinner
 
 from ..chargers import Spin, new_namespace
@@ -343,3 +346,32 @@ def test_impossible_reports_of_the_power_stage_end_nothing(charger: Charger, spi
     charger.goes_to([angle + 0.1 for angle in START], charger.leader)
     powers.publish(ChargerPower(contactor_closed=True))  # of 1970: it tells nothing
     charger.goes_to(START, charger.leader)
+
+
+@pytest.mark.parametrize("named", [True, False], ids=["with its id", "as on Jazzy"])
+def test_who_says_open_cannot_talk_over_who_says_closed(
+    context: Any, namespace: str, spin: Spin, monkeypatch: pytest.MonkeyPatch, named: bool
+) -> None:
+    if not named:
+        monkeypatch.setattr(bounded_topic, "_publisher", lambda info: b"")
+    stage = spin(PowerStage(context, namespace))
+    stage.create_service(SetContactor, "set_contactor", lambda request, response: response)
+    stage.closed = True
+    stage.speaks.set()
+    subject = ContactorClient(spin(Node("subject", **options(context, namespace))))
+    liar = spin(Node("liar", **options(context, namespace)))
+    powers = liar.create_publisher(ChargerPower, "charger_power", RELIABLE)
+    wait_until(lambda: powers.get_subscription_count() and subject._client.service_is_ready(), "discovery")
+    wait_until(lambda: subject.state() is ContactorState.CLOSED, "the stage's word")
+    subject.ask_open()
+    for number in range(100):
+        power = ChargerPower(probe_age=math.inf)
+        power.header.stamp = liar.get_clock().now().to_msg()
+        if number % 2:
+            power.header.stamp.sec = 2**31 - 1
+        powers.publish(power)
+        time.sleep(0.01)  # the liar's pace
+        assert not subject.is_open()
+        assert subject.state() is not ContactorState.OPEN
+    stage.closed = False
+    wait_until(subject.is_open, "the opening")

@@ -159,6 +159,7 @@ def test_joints_in_another_order_and_effort_as_bound(client, arm):
     ("names", "efforts", "told"),
     [
         (("limb_0_arm_joint", "limb_1_arm_joint", "elbow"), (), "unknown joint 'elbow'"),
+        (("limb_0_arm_joint", "limb_1_arm_joint", "\x1b[2J"), (), r"unknown joint '\x1b[2J'"),
         (JOINTS, (9.0, 1.0, 1.0), "effort"),
     ],
 )
