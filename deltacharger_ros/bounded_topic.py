@@ -37,7 +37,7 @@ class Received(NamedTuple):
         """Return the message; None where the bytes are none."""
         try:
             return deserialize_message(self.data, self.kind)
-        except Exception:  # each middleware has its own, and text may not be UTF-8
+        except Exception:  # each middleware has its own
             return None
 
     def frame_id(self, longest: int) -> str | None:

@@ -155,7 +155,7 @@ class ChargerClient(Guest):
 
         running = _Goal()
         spinner: Any = self.node.executor
-        spinner.call_soon(running.send, client, goal, on_feedback)
+        spinner.call_soon(client.send_goal_async, goal, on_feedback).add_done_callback(running.on_sent)
         stop = cancel or threading.Event()
         lost_since = canceled_at = math.inf
         while not running.finished.wait(_POLL):
@@ -195,9 +195,11 @@ class _Goal:
         self._handle: Any = None
         self._cancel_wanted = self._cancel_sent = False
 
-    def send(self, client: ActionClient[Any, Any, Any], goal: Any, on_feedback: Callable[[Any], None]) -> None:
-        """Send it; an answer that comes before this returns would be lost."""
-        client.send_goal_async(goal, feedback_callback=on_feedback).add_done_callback(self._on_response)
+    def on_sent(self, future: Any) -> None:
+        """Wait for the answer; `future` is that of sending it."""
+        answer = self._value(future)
+        if answer is not None:
+            answer.add_done_callback(self._on_response)
 
     @property
     def answered(self) -> bool:

@@ -100,7 +100,16 @@ class Spinner:
         So goals are sent: an answer that comes before rclpy's `send_goal_async` has returned is lost (ros2/rclpy#1123),
         and the thread that sends cannot take one meanwhile.
         """
-        return self._events.create_task(callback, *args, **kwargs)
+        done: Future[Any] = Future()
+
+        def run() -> None:
+            try:
+                done.set_result(callback(*args, **kwargs))
+            except Exception as error:  # whoever called it hears of it, and others are served on
+                done.set_exception(error)
+
+        self._events.create_task(run)
+        return done
 
     def add_node(self, node: Node) -> bool:
         """Do nothing: one executor, one node. rclpy calls it."""

@@ -120,11 +120,16 @@ class ActionCaller:
         def on_feedback(message: Any) -> None:
             call.heard = message.feedback
 
-        def send() -> None:
-            sent = self._client.send_goal_async(call.goal, feedback_callback=on_feedback)
-            sent.add_done_callback(lambda future: self._on_response(call, future))
+        sent = self._node.executor.call_soon(self._client.send_goal_async, call.goal, on_feedback)
+        sent.add_done_callback(lambda done: self._on_sent(call, done))
 
-        self._node.executor.call_soon(send)
+    def _on_sent(self, call: _Call, future: Any) -> None:
+        answer = _value(future)
+        if answer is not None:
+            answer.add_done_callback(lambda done: self._on_response(call, done))
+            return
+        with self._lock:
+            self._end(call, End.REFUSED)
 
     def _on_response(self, call: _Call, future: Any) -> None:
         handle = _value(future)

@@ -88,3 +88,11 @@ def test_an_answer_that_comes_while_the_goal_is_still_being_sent_is_heard(
         monkeypatch.setattr(action_client, "Future", Late)
         assert client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), deadline=DEADLINE).success
     spinner.close(*servers)
+
+
+def test_a_goal_that_cannot_be_sent_ends_with_an_error_each_time(silent_charger: str, context: Any) -> None:
+    with ChargerClient(silent_charger, context) as client:
+        assert client.wait_until_it_answers(DEADLINE)
+        for _ in range(2):
+            with pytest.raises(ClientError, match="did not take the goal 'undock'"):
+                client.undock("\udcff")
