@@ -20,7 +20,7 @@ from deltacharger_docking.codes import (
 )
 from deltacharger_docking.contact_script import approach, contact, first_push
 from deltacharger_docking.context import Context, Script
-from deltacharger_docking.energy_script import de_energise, energise, hear_one_of_each
+from deltacharger_docking.energy_script import de_energise, energise, wait_for_single_sources
 from deltacharger_docking.goal_desk import GoalDesk, check_place
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Service
 
@@ -123,7 +123,8 @@ class TargetVisit:
         """Close, report success or hold the goal, watch over charging, and open."""
         context, desk = self._context, self._desk
         while context.doubtful and self._alignment is not None:
-            yield from hear_one_of_each(context)
+            yield from wait_for_single_sources(context)
+            context.status.alignments = 0
             yield from self._align(self._alignment, stay=True)  # felt again, without the second source
         yield from energise(context)
         context.status.charging = True

@@ -32,14 +32,14 @@ _SLEPT = 1.0  # s beyond its pace that docking may stand still; the lease has la
 _FAULT_DELAY = 0.15  # s that a fault may be told later than the refusal it brings about: charger_power comes at 20 Hz
 
 
-def hear_one_of_each(context: Context) -> Script[None]:
+def wait_for_single_sources(context: Context) -> Script[None]:
     """Wait until nobody publishes or serves any more beside another what docking works with.
 
     Raises:
         DuplicateSource: somebody still does after duplicate_source_timeout.
     """
     limit = context.parameters.duplicate_source_timeout
-    context.enter(State.MEASURE, math.inf)  # what this state watches over is watched over meanwhile
+    context.enter(State.MEASURE, math.inf)  # its checks stay on while waiting
     begun = context.time
     if names := context.observation.duplicate_sources:
         context.decide("wait", f"no contactor closes beside a second source: {names}", limit_s=limit)

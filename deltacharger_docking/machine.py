@@ -233,7 +233,7 @@ class DockingMachine:
     def _is_missing(self, age: float, oldest: float) -> bool:
         """Return whether data of this age (s) end the goal; nodes that have just started are waited for.
 
-        They are those not heard since the goal began: a node that was started anew was heard before, too.
+        A node counts as starting where nothing of it was measured since the goal began, even if it was heard before.
         """
         since = self._context.time - self._desk.started
         coming = age > since and self._context.status.state in _BEFORE_MOVING

@@ -166,7 +166,7 @@ class DockingNode(Node):
             self._inputs.wait(_TICK)
 
     def _between_looks(self) -> float:
-        """Return how long (s) not to look for second sources: at rest long, right before the contactor closes never."""
+        """Return the pause (s) between looks for second sources: long at rest, none in ENERGISE."""
         status = self._machine.status
         if status.state is State.ENERGISE:
             return 0.0

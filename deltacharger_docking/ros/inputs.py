@@ -23,8 +23,8 @@ from deltacharger_ros.messages import seconds
 from deltacharger_ros.on_demand import LatestMessage, PolledTopic
 
 AHEAD = 0.1
-"""By how much (s) a stamp may be ahead of this computer's clock: so much staleness it would hide, and press_age_max
-bears no more. Clocks of two computers that are kept by NTP differ by less than a tenth of it."""
+"""By how much (s) a stamp may be ahead of this computer's clock: it hides as much age, and press_age_max allows no
+more. Clocks of two computers that are kept by NTP differ by less than a tenth of it."""
 _SPELL = 64  # tactile frames, half a second: what comes while docking's thread is held up is still heard
 _FRAME_MAX = 16_384  # bytes of a tactile frame; one has 900
 _PER_SERVO = ("position", "current", "hardware_error", "torque_enabled", "valid")

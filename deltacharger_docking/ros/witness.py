@@ -12,7 +12,7 @@ from deltacharger_docking.observation import Reply
 _KEPT = 1024  # frames, 8 s: more than the longest request for an estimate takes
 _SHARE = 0.5  # of an estimate's frames that docking must have heard itself: a topic of best effort loses some
 # The arm has rested longer than that when an estimate is asked for, and the clocks of two computers may differ by so
-# much (`inputs.AHEAD`): a frame of this long before the question is still one of after the last move.
+# much (`inputs.AHEAD`): a frame sampled this long before the question was still sampled after the last move.
 _BEFORE = 0.1  # s
 
 
@@ -46,7 +46,7 @@ class Witness:
         known = len(fresh.intersection(named))
         if known < _SHARE * len(named) or not known:
             return f"docking heard only {known} of its {len(named)} tactile frames itself after asking"
-        first = min(fresh)  # one of before it that is higher is of a tactile_node that was started anew since
+        first = min(fresh)  # an earlier frame with a higher number is from before tactile_node was restarted
         if any(named[0] <= sequence < first for sequence, sampled in self._heard if sampled <= since):
             return "some of its tactile frames were sampled before it was asked for"
         return ""
