@@ -12,8 +12,14 @@ from pathlib import Path
 
 from rclpy.node import Node
 
+from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_lab.pages.parameters import with_every_node
-from deltacharger_lab.pages.topics import Endpoint, everything
+from deltacharger_lab.pages.topics import Endpoint, endpoints, everything
+from deltacharger_records.datasets.arm_client import ArmClient
+from deltacharger_records.datasets.charger import RecordingCharger
+from deltacharger_records.replay.recorder import Recorder
+from deltacharger_ros.client import ChargerClient
+from deltacharger_ros.guest import Guest
 
 FOLDER = Path(__file__).parents[2] / "config" / "security"
 _GRANTS = {
@@ -38,21 +44,22 @@ _EVERY_NODES = {
 _NOT_OF_A_CHARGER = {"recording_player_node"}  # says what others have said
 _FLEET = "fleet"
 _WORKSHOP = "workshop"
-_COMMANDS = {"joint_trajectory", "set_torque", "tare"}  # what measuring and calibrating commands
+_ASKED = ("servo_node/get", "servo_node/list", "tactile_node/get", "tactile_node/list", "misalignment_node/set")
+_ON_DEMAND = {Endpoint("calls", f"{each}_parameters", "") for each in _ASKED}  # by the workshop's commands and people
 
 
 def documents(nodes: Iterable[Node]) -> dict[str, str]:
     """Return the text of each file by its name, from running nodes."""
-    found, _ = everything(nodes)
-    heard = {Endpoint("subscribes to", each.name, "") for ends in found.values() for each in ends if _is_told(each)}
-    goals = {Endpoint("calls the action", each.name, "") for ends in found.values() for each in ends if _is_goal(each)}
-    asked = {
-        Endpoint("publishes" if each.verb == "subscribes to" else "calls", each.name, "")
-        for ends in found.values()
-        for each in ends
-        if each.name in _COMMANDS and each.verb in ("subscribes to", "serves")
-    }
-    profiles = {**found, _FLEET: heard | goals, _WORKSHOP: heard | goals | asked}
+    running = list(nodes)
+    found, _ = everything(running)
+    everywhere: set[Endpoint] = set().union(*found.values())
+    heard = {Endpoint("subscribes to", each.name, "") for each in everywhere if _is_told(each)}
+    goals = {Endpoint("calls the action", each.name, "") for each in everywhere if _is_goal(each)}
+    context, namespace = running[0].context, running[0].get_namespace()
+    fleet = heard | goals | _of(ChargerClient(namespace, context), Recorder(context, namespace))
+    arm, recording = ArmClient(context, DeltaGeometry(), namespace), RecordingCharger(context, namespace)
+    workshop = fleet | _of(arm, recording) | _ON_DEMAND
+    profiles = {**found, _FLEET: fleet, _WORKSHOP: workshop}
     files = {f"{name}.xml": _profile(name, ends) for name, ends in profiles.items()}
     files["every_node.xml"] = _document(f"<profile>\n{_grants(_EVERY_NODES)}</profile>\n")
     return {**files, "policy.xml": _policy(sorted(profiles), sorted({*found, _FLEET} - _NOT_OF_A_CHARGER))}
@@ -64,6 +71,15 @@ def _is_told(each: Endpoint) -> bool:
 
 def _is_goal(each: Endpoint) -> bool:
     return each.verb == "serves the action" and not each.name.startswith("/")
+
+
+def _of(*guests: Guest) -> set[Endpoint]:
+    """Return what the programs of some commands have."""
+    found: set[Endpoint] = set()
+    for guest in guests:
+        with guest:
+            found |= endpoints(guest.node)
+    return found
 
 
 def _profile(name: str, found: set[Endpoint]) -> str:

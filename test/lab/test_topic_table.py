@@ -37,7 +37,9 @@ def test_page_and_policies_are_what_the_nodes_have(context: Any, namespace: str)
     [
         ("topics[@publish]/topic", "joint_trajectory", {"docking_node", "workshop", "recording_player_node"}),
         ("topics[@publish]/topic", "charger_power", {"tactile_node", "recording_player_node"}),
-        ("services[@request]/service", "set_contactor", {"docking_node", "servo_node"}),
+        ("services[@request]/service", "set_contactor", {"docking_node", "servo_node", "workshop"}),
+        ("services[@request]/service", "docking_node/get_parameters", {"docking_recorder_node", "fleet", "workshop"}),
+        ("services[@request]/service", "misalignment_node/set_parameters", {"workshop"}),
         ("services[@request]/service", "set_torque", {"docking_node", "workshop"}),
         ("services[@reply]/service", "predict_misalignment", {"misalignment_node"}),
         ("actions[@execute]/action", "dock", {"docking_node"}),
