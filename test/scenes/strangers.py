@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import random
 import threading
@@ -18,6 +19,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 
+from deltacharger_core.machine import JOINTS
 from deltacharger_ros.executor import Spinner
 
 from ..nodes import options
@@ -31,13 +33,13 @@ _KEPT = 200  # genuine messages of the last seconds
 _NUMBERS = (0.0, -1.0, 1.0, 0.08, math.pi, 1e9, -1e300, 1e-300, math.nan, math.inf, -math.inf)
 
 
-def lie(kind: type[Any], dice: random.Random, depth: int = 0) -> Any:
+def lie(kind: type[Any], dice: random.Random) -> Any:
     """Return a message of a class, of values that are allowed by its type and by nothing else."""
     message = kind()
     for name, told in kind.get_fields_and_field_types().items():
         present = getattr(message, name)
         if hasattr(type(present), "get_fields_and_field_types"):
-            setattr(message, name, lie(type(present), dice, depth + 1))
+            setattr(message, name, lie(type(present), dice))
         elif isinstance(present, str):
             setattr(message, name, dice.choice(("", "docking_node", "charger_base", "x" * LONG, "\n\x1b[2J", "é€")))
         elif isinstance(present, bool):
@@ -47,14 +49,27 @@ def lie(kind: type[Any], dice: random.Random, depth: int = 0) -> Any:
         elif isinstance(present, int):
             setattr(message, name, _whole(told, dice))
         elif isinstance(present, array):
-            count = dice.choice((0, 1, 3, 9, 100, 5000))
+            count = dice.choice((0, 1, 3, 3, 3, 9, 100, 5000))
             values = (
                 [_fitting(dice.choice(_NUMBERS), told) for _ in range(count)]
                 if present.typecode in "fd"
                 else [_whole(told, dice) for _ in range(count)]
             )
             setattr(message, name, array(present.typecode, values))
+        elif isinstance(present, list):
+            setattr(message, name, _several(told.removeprefix("sequence<").rstrip(">"), dice))
     return message
+
+
+def _several(told: str, dice: random.Random) -> list[Any]:
+    """Return what a field of several words, truth values or messages may hold; often the words that are known."""
+    if told == "string":
+        return dice.choice(([], list(JOINTS), list(JOINTS), list(reversed(JOINTS)), ["x" * LONG], [""] * 3))
+    count = dice.choice((0, 1, 3, 3, 100))
+    if told == "boolean":
+        return [dice.random() < 0.5 for _ in range(count)]
+    package, _, kind = told.partition("/")
+    return [lie(getattr(importlib.import_module(f"{package}.msg"), kind), dice) for _ in range(count)]
 
 
 def broken(data: bytes, dice: random.Random) -> bytes:

@@ -184,6 +184,8 @@ def test_goals_by_dice_do_no_harm(charger: Charger, stranger: Come, action: Any)
 
 def test_lies_are_of_all_kinds() -> None:
     dice = random.Random(1)
+    points = [point for _ in range(100) for point in lie(JointTrajectory, dice).points]
+    assert any(len(point.positions) == 3 for point in points)
     told = [lie(ServoState, dice) for _ in range(100)]
     assert {len(message.position) for message in told} >= {0, 1, 3, 100}
     assert any(message.header.stamp.sec < 0 for message in told)
