@@ -15,10 +15,11 @@ LARGEST_DOMAIN = 232
 """Above it the UDP ports of a domain pass 65535."""
 
 _RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-_REACHED = {
+_REACHED = {  # rcl takes an unknown word as LOCALHOST
     "OFF": "this process alone",
     "LOCALHOST": "every program on this computer",
     "SUBNET": "every computer of this network",
+    "SYSTEM_DEFAULT": "whom the profile of the middleware lets in",
 }
 _PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 _PROFILES_HERE = "DEFAULT_FASTDDS_PROFILES.xml"  # which Fast DDS also reads, where it is in the working directory
@@ -63,10 +64,12 @@ def openness() -> str:
     """Return in words who can command the nodes of this process."""
     if os.environ.get("ROS_SECURITY_ENABLE") == "true" and os.environ.get("ROS_SECURITY_STRATEGY") == "Enforce":
         return "nodes with a key of this keystore alone"
-    chosen = "LOCALHOST" if os.environ.get("ROS_LOCALHOST_ONLY") == "1" else os.environ.get(_RANGE) or "SUBNET"
+    if os.environ.get("ROS_LOCALHOST_ONLY") == "1":  # rcl then leaves out the peers, too
+        return _REACHED["LOCALHOST"]
+    chosen = os.environ.get(_RANGE) or "SUBNET"
     peers = os.environ.get("ROS_STATIC_PEERS", "")
     beyond = f" and to {peers}" if peers and chosen not in ("OFF", "SYSTEM_DEFAULT") else ""
-    return _REACHED.get(chosen, "whom the profile of the middleware lets in") + beyond
+    return _REACHED.get(chosen, _REACHED["LOCALHOST"]) + beyond
 
 
 def domain_problem() -> str:

@@ -73,7 +73,7 @@ def _wire(context: LaunchContext) -> list[Any]:
     except argparse.ArgumentTypeError as error:
         raise ValueError(f"namespace: {error}") from error
     scene = override(load_scene(told["scene"]), Overrides(**{item.name: told[item.name] for item in fields(Overrides)}))
-    environment.reach(scene.network)
+    environment.reach(scene.network if scene.touches_hardware else "localhost")
     wired = _nodes if scene.simulation is None else _simulated
     said = [LogInfo(msg=f"open to {environment.openness()}; see docs/security.md")] if scene.touches_hardware else []
     return said + wired(scene, told)

@@ -118,6 +118,7 @@ def _hardware(options: argparse.Namespace) -> _Hardware:
             raise CommandError(f"scene '{scene.name}' brings its own ports; leave --servo-port and --board-port out", 2)
         hardware.simulated = scene
         return hardware
+    environment.reach(scene.network)  # as the command that starts it
     for node, port in (("servo_node", "servo"), ("tactile_node", "board")):
         if node not in scene.nodes:
             hardware.problems.append(ok(f"{port} port", f"scene '{scene.name}' starts no {node} and needs none"))

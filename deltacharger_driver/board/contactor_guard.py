@@ -128,7 +128,7 @@ class ContactorGuard:
         Args:
             holder: who asks.
             duration: s; cut to 0.25.
-            token: the holder's secret, for who begins the lease with one.
+            token: the holder's secret, which renews the lease that it began; '' = the name is enough.
 
         Returns:
             s that the lease lasts from now.
