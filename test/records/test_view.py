@@ -34,7 +34,9 @@ pytest.importorskip("mcap", reason="recordings need deltacharger[record]")
 @pytest.fixture(scope="module")
 def docking(tmp_path_factory: pytest.TempPathFactory, context: Any, quick_scene: Any) -> Path:
     """Return the recording of one docking of the quick scene, from its goal until it charges."""
+    from deltacharger.msg import DockingState
     from rclpy.node import Node
+    from rclpy.serialization import deserialize_message
 
     from deltacharger_core.mcap_file import Raw
     from deltacharger_records.recording.docking_topics import TOPICS
@@ -57,7 +59,12 @@ def docking(tmp_path_factory: pytest.TempPathFactory, context: Any, quick_scene:
                 came.clear()
                 return client.dock(DockRequest(Pose(0.0, 0.0, 0.080)), deadline=DEADLINE).success
 
+            def tells() -> bool:  # the recorder may hear of it later than the client
+                told = [each.data for each in list(came) if each.topic.endswith("/docking_state")]
+                return bool(told) and bool(deserialize_message(told[-1], DockingState).charging)
+
             wait_until(docks, "a docking that succeeds")
+            wait_until(tells, "the state that says so")
         finally:
             spinner.close()
     path = tmp_path_factory.mktemp("docking") / "docking.mcap"
