@@ -186,11 +186,10 @@ class PoseEstimator:
         live = features.fill_dead(frames)
         # A filled taxel inside the contact carries less information: the network is told how many there are.
         filled = (dead & (live >= self.threshold)).sum(axis=(2, 3)).astype(float)
-        images = features.mirrors(live)
-        found = features.extract(images.reshape(-1, *live.shape[1:]), self.threshold)
+        found = features.extract(live, self.threshold)
         counts = np.stack([filled, filled, filled[:, ::-1], filled[:, ::-1]])
-        inputs = np.concatenate([found.values.reshape(4, len(frames), -1), counts], axis=2)
-        force, active = found.force[: len(frames)], found.active[: len(frames)]
+        inputs = np.concatenate([features.mirrored(found.values), counts], axis=2)
+        force, active = found.force, found.active
         usable = dead.sum(axis=(2, 3)) <= self.limits.pad_dead
         holding = (force >= self.limits.pad_force) & (active >= self.limits.pad_active) & usable
         return inputs, holding.all(axis=1), force.sum(axis=1) > 0.0

@@ -6,10 +6,11 @@ Frames are never divided by their own force: how much each pad carries is the ho
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import COLUMNS, ROWS
@@ -25,7 +26,7 @@ _SMALL = 1e-3
 """Added to loads (N) before dividing, so that an untouched pad gives zeros instead of NaN."""
 
 MIRROR_SIGNS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
-"""Signs of (horizontal, vertical, angle) in each image of `mirrors`."""
+"""Signs of (horizontal, vertical, angle) in each image of `mirrored`."""
 
 
 def stack(left: ArrayLike, right: ArrayLike) -> Array:
@@ -48,26 +49,18 @@ def fill_dead(frames: Array) -> Array:
     dead = ~np.isfinite(frames)
     if not dead.any():
         return frames
-    rows = np.flatnonzero(dead.any(axis=(1, 2, 3)))
-    part = np.where(dead[rows], 0.0, frames[rows])
-    live = (~dead[rows]).astype(float)
-    weighted, weights = np.zeros_like(part), np.zeros_like(part)
-    for axis, step, weight in ((3, 1, 3.0), (3, -1, 3.0), (2, 1, 1.0), (2, -1, 1.0)):
-        weighted += weight * _shift(part, axis, step)
-        weights += weight * _shift(live, axis, step)
+    frame, pad, row, column = np.nonzero(dead)
+    around = np.full((*frames.shape[:2], ROWS + 2, COLUMNS + 2), np.nan)  # a margin, so that each has four neighbours
+    around[:, :, 1:-1, 1:-1] = np.where(dead, np.nan, frames)
+    weighted, weights = np.zeros(len(frame)), np.zeros(len(frame))
+    for down, right, weight in ((1, 0, 3.0), (1, 2, 3.0), (0, 1, 1.0), (2, 1, 1.0)):
+        neighbour = around[frame, pad, row + down, column + right]
+        live = np.isfinite(neighbour)
+        weighted += np.where(live, weight * neighbour, 0.0)
+        weights += weight * live
     filled = frames.copy()
-    estimate = weighted / np.maximum(weights, 1.0)
-    filled[rows] = np.where(dead[rows], estimate, part)
+    filled[dead] = weighted / np.maximum(weights, 1.0)
     return filled
-
-
-def _shift(frames: Array, axis: int, step: int) -> Array:
-    result = np.zeros_like(frames)
-    source: list[slice] = [slice(None)] * frames.ndim
-    target = list(source)
-    source[axis], target[axis] = (slice(None, -1), slice(1, None)) if step > 0 else (slice(1, None), slice(None, -1))
-    result[tuple(target)] = frames[tuple(source)]
-    return result
 
 
 @dataclass(frozen=True)
@@ -105,14 +98,13 @@ def names() -> list[str]:
     return [f"{side}_{name}" for side in ("left", "right") for name in per_pad] + across
 
 
-def mirrors(frames: Array) -> Array:
-    """Return the four mirror images (4, N, 2, 10, 10) of frames: as is, y mirrored, x mirrored, both.
+def mirrored(values: Array) -> Array:
+    """Return the features (4, N, F) of the four mirror images of frames: as is, y mirrored, x mirrored, both.
 
-    Mirroring x swaps the pads. The pose follows with MIRROR_SIGNS: a device and its mirror image are equally
-    likely.
+    Mirroring x swaps the pads. The pose follows with MIRROR_SIGNS: a device and its mirror image are equally likely.
+    An image's features are those of the frame in another order and with other signs.
     """
-    flipped = frames[:, :, ::-1, :]
-    return np.stack([frames, flipped, frames[:, ::-1, :, ::-1], flipped[:, ::-1, :, ::-1]])
+    return np.stack([values, *(values[:, column] * sign for column, sign in _IMAGES)])
 
 
 def extract(frames: Array, threshold: float) -> PadFeatures:
@@ -151,3 +143,42 @@ def extract(frames: Array, threshold: float) -> PadFeatures:
         axis=1,
     )
     return PadFeatures(np.concatenate([per_pad, across], axis=1), force, active)
+
+
+_ODD = {  # features whose sign changes where y, and where x is mirrored
+    "u_mm": (False, True),
+    "v_mm": (True, False),
+    "uv_mm2": (True, True),
+    "slope": (True, True),
+    "principal_rad": (True, True),
+    "centre": (True, False),
+    "log_right_left": (False, True),
+    "angle_by_centres": (True, True),
+    "centre_mm": (True, False),
+}
+
+
+def _image_of(name: str, over_y: bool, over_x: bool) -> tuple[str, float]:
+    """Return which feature of the frame stands in an image's place of `name`, and its sign."""
+    side, _, what = name.partition("_")
+    pads = {"left": "right", "right": "left"}
+    if side not in pads:
+        side, what = "", name
+    row_or_column = re.fullmatch(r"(row|column|centre)(\d)_(.*)", what)
+    odd_y, odd_x = _ODD.get(row_or_column[1] if row_or_column else what, (False, False))
+    if row_or_column and (over_y if row_or_column[1] == "row" else over_x):
+        what = f"{row_or_column[1]}{9 - int(row_or_column[2])}_{row_or_column[3]}"
+    source = f"{pads[side] if over_x else side}_{what}" if side else what
+    return source, -1.0 if (over_y and odd_y) != (over_x and odd_x) else 1.0
+
+
+def _images() -> list[tuple[NDArray[np.int64], Array]]:
+    order = {name: index for index, name in enumerate(names())}
+    found = []
+    for over_y, over_x in ((True, False), (False, True), (True, True)):
+        sources = [_image_of(name, over_y, over_x) for name in order]
+        found.append((np.array([order[name] for name, _ in sources]), np.array([sign for _, sign in sources])))
+    return found
+
+
+_IMAGES = _images()
