@@ -44,3 +44,5 @@ BAR_LENGTH, BAR_HEIGHT, BAR_GAP = 0.070, 0.010, 0.0074
 """m; an electrode's bar along x and y, and the gap to the other bar (paper)."""
 MAGNET_FORCE, MAGNET_WIDTH, MAGNET_FLOOR = 60.0, 0.008, 0.2
 """All magnets together: N in contact at zero offset, m of lateral offset that halves it, least share (assumed)."""
+DOCKING_JITTER = 1.0e-3
+"""m; standard deviation of where a docking lands, along x and along y (fitted; see docs/tactile.md)."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from deltacharger_core.machine import (
     BAR_GAP,
     BAR_LENGTH,
+    DOCKING_JITTER,
     GRAVITY,
     SERVO_DAMPING,
     SERVO_STIFFNESS,
@@ -122,7 +123,7 @@ class DockingParameters(Bounded):
     )
     contradiction_each: float = number(4.0, 0.0, 100.0, "", "what each look adds to contradiction_start")
     alignments_max: int = number(15, 1, 50, "", "lateral corrections before alignment ends, as in the paper")
-    docking_jitter: float = number(0.00095, 0.0, 0.01, "m", "scatter of one docking beside its commanded place")
+    docking_jitter: float = number(DOCKING_JITTER, 0.0, 0.01, "m", "scatter of one docking beside its commanded place")
     gain_error: float = number(0.15, 0.0, 1.0, "", "relative error of a misalignment estimate that grows with its size")
     unsure_max: int = number(4, 1, 20, "", "unsure estimates after which alignment ends")
     unsure_here_max: int = number(2, 1, 20, "", "unsure estimates in one place after which alignment ends")

@@ -13,7 +13,7 @@ import json
 import math
 from dataclasses import dataclass, field
 
-from deltacharger_core.machine import COLUMNS, MAGNET_FLOOR, MAGNET_FORCE, MAGNET_WIDTH, PADS, ROWS
+from deltacharger_core.machine import COLUMNS, DOCKING_JITTER, MAGNET_FLOOR, MAGNET_FORCE, MAGNET_WIDTH, PADS, ROWS
 from deltacharger_core.parameters import Bounded, number, words
 
 SHAPE = (PADS, ROWS, COLUMNS)
@@ -49,7 +49,9 @@ class PadDockingParameters(Bounded):
     tilt_per_y: float = number(7.0 * _DEGREE, 0.0, 60.0 * _DEGREE, "rad/m", "tilt about x per vertical offset")
     tilt_spread: float = number(0.009 * _DEGREE, 0.0, 1.0 * _DEGREE, "rad", "spread of both tilts, per docking")
     tilt_bias: float = number(0.003 * _DEGREE, 0.0, 1.0 * _DEGREE, "rad", "spread of both tilts, per rig")
-    position_jitter: float = number(1.0e-3, 0.0, 5e-3, "m", "standard deviation of x and y in contact, per docking")
+    position_jitter: float = number(
+        DOCKING_JITTER, 0.0, 5e-3, "m", "standard deviation of x and y in contact, per docking"
+    )
     angle_jitter: float = number(
         0.19 * _DEGREE, 0.0, 2.0 * _DEGREE, "rad", "standard deviation of the angle, per docking"
     )

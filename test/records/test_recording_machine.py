@@ -11,6 +11,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+from deltacharger_core.machine import DOCKING_JITTER
 from deltacharger_docking.codes import Busy, Code, State, Unreachable
 from deltacharger_docking.observation import Observation, Service
 from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
@@ -109,8 +110,8 @@ def test_what_is_commanded_is_where_the_target_is_felt(degrees: float) -> None:
         x, y, angle = truth.misalignment
         pose = corners[number]
         # A docking's jitter, four times its standard deviation, and what friction holds back.
-        assert abs(x - pose.horizontal) < 4 * 0.00095 + 0.001
-        assert abs(y - pose.vertical) < 4 * 0.00095 + 0.001
+        assert abs(x - pose.horizontal) < 4 * DOCKING_JITTER + 0.001
+        assert abs(y - pose.vertical) < 4 * DOCKING_JITTER + 0.001
         assert abs(angle - roll) < math.radians(0.6)
         assert math.dist(touch.position[:2], truth.position[:2]) < 2e-4
         assert bench.charger.parameters.current_min <= touch.current <= bench.charger.parameters.current_max
