@@ -169,7 +169,7 @@ def measure(
     force = contact_force(docking, actual[:, :2], push, rig.magnets)
     dwell = random.uniform(0.3, 3.0, count)
     tares = np.stack([_tare(parameters, rig, random) for _ in range(SESSIONS)])
-    session = np.sort(random.integers(0, SESSIONS, count))
+    session = random.integers(0, SESSIONS, count)
     model = ContactModel(parameters.contact)
     felt = np.empty((count, rows, *SHAPE))
     for start in range(0, count, _CHUNK):

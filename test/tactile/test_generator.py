@@ -11,7 +11,11 @@ import numpy as np
 import pytest
 
 import deltacharger_tactile
+from deltacharger_docking.parameters import DockingParameters
 from deltacharger_tactile import default_model
+from deltacharger_tactile.classifiers.classifier import Classifier
+from deltacharger_tactile.classifiers.labels import examples
+from deltacharger_tactile.classifiers.splits import by_docking
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError
 from deltacharger_tactile.generator import generate_continuous, generate_paper
@@ -28,10 +32,33 @@ def test_the_defaults_are_the_frozen_ones() -> None:
     assert default_model().about["parameters"] == FROZEN_DEFAULTS
 
 
-def test_the_defaults_put_the_papers_networks_near_the_paper() -> None:
+@pytest.mark.slow
+def test_the_papers_networks_land_near_the_paper_on_rigs_that_fitted_nothing() -> None:
+    pytest.importorskip("torch", reason="trains with deltacharger[train]")
     frozen = json.loads((Path(deltacharger_tactile.__file__).parent / "frozen.json").read_text())
+    sets = [generate_paper(rigs=(rig,), seed=4) for rig in (341, 342, 343)]
     for case, accuracy in frozen["simulated_accuracy_percent"].items():
-        assert abs(accuracy["mean"] - accuracy["paper"]) < 1.5, case
+        name, target = case.split()
+        right = []
+        for data in sets:
+            rows = examples(data, target)
+            learns, judges = by_docking(rows, seed=1)
+            model = Classifier(name, target).fit(rows.frames[learns], rows.labels[learns])
+            right.append(np.mean(model.predict(rows.frames[judges]) == rows.labels[judges]))
+        assert abs(100.0 * np.mean(right) - accuracy["paper"]) < 1.5 + 4.0, (
+            case
+        )  # 4: three rigs and 500 dockings by chance
+
+
+def test_docking_believes_what_the_generator_was_fitted_to() -> None:
+    assert DockingParameters().docking_jitter == TactileParameters().docking.position_jitter
+
+
+def test_sessions_say_nothing_about_poses() -> None:
+    data = generate_paper(rigs=(3,), seed=5)
+    for value in (data.angle, data.horizontal, data.vertical):
+        means = [value[data.session == session].mean() for session in np.unique(data.session)]
+        assert np.ptp(means) < 5.0 * value.std() / np.sqrt(len(data) / 5), "as of dockings in any order"
 
 
 def test_the_papers_protocol() -> None:
