@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from deltacharger_core.texts import cut
+
 
 class TactileError(Exception):
     """Root of every error raised by deltacharger_tactile."""
@@ -34,6 +38,19 @@ class ModelError(TactileError, ValueError):
         self.path = path
         self.reason = reason
         super().__init__(f"{path}: not a usable tactile model: {reason}; train one or use the packaged model")
+
+
+class UnknownModelError(TactileError, LookupError):
+    """There is no packaged model of this name. Example: a path instead of a name.
+
+    Args:
+        name: what was asked for.
+        known: the names that there are.
+    """
+
+    def __init__(self, name: str, known: Sequence[str]) -> None:
+        self.name = name
+        super().__init__(f"there is no packaged model {cut(name, 40)!r}; known are {', '.join(known)}")
 
 
 class _SourcedError(TactileError, ValueError):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.machine import COLUMNS, ROWS
+from deltacharger_core.machine import COLUMNS, PADS, ROWS
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.parameters import PadContactParameters
 
@@ -130,19 +130,19 @@ def extract(frames: Array, threshold: float) -> PadFeatures:
     active = np.count_nonzero(felt, axis=(2, 3)).astype(float)
     principal = 0.5 * np.arctan2(2.0 * uv, uu - vv + 1e-9)
     peak = felt.max(axis=(2, 3))
-    single = np.stack([force, u, v, uu, uv, vv, slope, principal, active, peak], axis=2)
-    per_pad = np.concatenate([single, rows, columns, per_column], axis=2).reshape(count, -1)
+    values = np.empty((count, len(_NAMES)))
+    pads = values[:, : PADS * _PER_PAD].reshape(count, PADS, _PER_PAD)  # a view
+    for index, feature in enumerate((force, u, v, uu, uv, vv, slope, principal, active, peak)):
+        pads[:, :, index] = feature
+    for index, profile in enumerate((rows, columns, per_column)):
+        first = _SINGLE + index * COLUMNS
+        pads[:, :, first : first + COLUMNS] = profile
     lever = _BASELINE + u[:, 0] - u[:, 1]
-    across = np.stack(
-        [
-            force.sum(axis=1),
-            np.log((force[:, 1] + 0.5) / (force[:, 0] + 0.5)),
-            np.arctan((v[:, 0] - v[:, 1]) / lever),
-            0.5 * (v[:, 0] + v[:, 1]),
-        ],
-        axis=1,
-    )
-    return PadFeatures(np.concatenate([per_pad, across], axis=1), force, active)
+    values[:, -4] = force.sum(axis=1)
+    values[:, -3] = np.log((force[:, 1] + 0.5) / (force[:, 0] + 0.5))
+    values[:, -2] = np.arctan((v[:, 0] - v[:, 1]) / lever)
+    values[:, -1] = 0.5 * (v[:, 0] + v[:, 1])
+    return PadFeatures(values, force, active)
 
 
 _ODD = {  # features whose sign changes where y, and where x is mirrored
@@ -181,4 +181,6 @@ def _images() -> list[tuple[NDArray[np.int64], Array]]:
     return found
 
 
+_NAMES = names()
+_SINGLE, _PER_PAD = 10, (len(_NAMES) - 4) // PADS
 _IMAGES = _images()

@@ -153,24 +153,24 @@ class MisalignmentNode(Node):
             response.message = f"{wanted} frames asked for, at most {kept} are kept; ask for fewer"
             return response
         try:
+            perception = self._perception.answering(request.model)
             with self._frames.listening():
                 frames = self._window.fresh(wanted, self._timeout)
-                response.misalignment = self._estimate(frames)
+                response.misalignment = self._estimate(frames, perception)
                 response.sequences = [frame.sequence for frame in frames]
-        except Refused as error:
+        except (PerceptionError, Refused) as error:
             response.message = str(error)
             return response
         response.success = True
         return response
 
-    def _estimate(self, frames: Sequence[Frame]) -> Misalignment:
-        """Average the frames and estimate, with one model from beginning to end.
+    def _estimate(self, frames: Sequence[Frame], perception: Perception) -> Misalignment:
+        """Average the frames and estimate.
 
         Raises:
             Refused: the frames are stale or not tared.
         """
         left, right = self._window.average(frames, self._max_age)
-        perception = self._perception
         return to_message(perception.predict(left, right), perception.name, frames[-1].stamp)
 
     def _publish(self, period: float) -> None:
@@ -182,7 +182,7 @@ class MisalignmentNode(Node):
                 if not frames:
                     continue
                 try:
-                    message = self._estimate(frames)
+                    message = self._estimate(frames, self._perception)
                 except Refused:
                     continue  # a stale or untared estimate is not published: subscribers watch its age
                 self._publisher.publish(message)

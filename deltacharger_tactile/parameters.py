@@ -114,8 +114,8 @@ class MisalignmentNodeParameters(Bounded):
     calibration: str = words("", f"Calibration of this rig's pads (YAML); empty = none. {_LIVE}", live=True)
     classifiers: tuple[str, ...] = words(
         ("",),
-        "Classifiers (npz) whose class probabilities replace the pose model's, one per target at most; "
-        f"[''] = none. {_LIVE}",
+        "Whose class probabilities replace the pose model's: the name of a packaged model, or files (npz), one per "
+        f"target at most; [''] = none. {_LIVE}",
         live=True,
     )
     frames: int = number(12, 1, FRAMES_MAX, "", "Frames averaged where a request says 0.")

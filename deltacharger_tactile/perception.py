@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from deltacharger_core.arrays import Array
 from deltacharger_tactile import MODEL_PATH
 from deltacharger_tactile.calibration.rig import TactileCalibration
+from deltacharger_tactile.classifiers import packaged
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.classifiers.labels import TARGETS
 from deltacharger_tactile.errors import TactileError
@@ -52,11 +53,13 @@ class Perception:
         model: estimates the pose.
         calibration: of the rig; None = none.
         classifiers: by target, replace the class probabilities that the pose model gives.
+        classes: name of the packaged model that they are; '' = none of them.
     """
 
     model: PoseEstimator
     calibration: TactileCalibration | None = None
     classifiers: Mapping[str, Classifier] = dataclasses.field(default_factory=dict)
+    classes: str = ""
 
     @staticmethod
     def load(model: str = "", calibration: str = "", classifiers: Sequence[str] = ()) -> Perception:
@@ -65,31 +68,35 @@ class Perception:
         Args:
             model: npz file of a pose model; empty = the packaged one.
             calibration: YAML file of `deltacharger calibrate tactile`; empty = none.
-            classifiers: npz files of `deltacharger tactile train`, one per target at most; empty names are ignored.
+            classifiers: the name of a packaged model, or npz files of `deltacharger tactile train`, one per target at
+                most; empty names are ignored.
 
         Raises:
             PerceptionError: a file is missing or not what belongs there; the message says what to do.
         """
         pose_model = _read("model", PoseEstimator.load, model or MODEL_PATH)
         known = _read("calibration", TactileCalibration.load, calibration) if calibration else None
-        by_target: dict[str, Classifier] = {}
-        for path in filter(None, classifiers):
-            found = _read("classifiers", Classifier.load, path)
-            if found.target not in TARGETS:
-                raise PerceptionError(
-                    "classifiers", f"{path} tells '{found.target}'; give one for {', '.join(TARGETS)}"
-                )
-            if found.target in by_target:
-                raise PerceptionError(
-                    "classifiers", f"{path} is the second one for {found.target}; give one per target"
-                )
-            by_target[found.target] = found
-        return Perception(pose_model, known, by_target)
+        found = Perception(pose_model, known)
+        named = [name for name in classifiers if name]
+        if len(named) == 1 and named[0] in packaged.MODELS:
+            return found.answering(named[0])
+        return dataclasses.replace(found, classifiers=_by_target(named))
+
+    def answering(self, name: str) -> Perception:
+        """Return the same with the class probabilities of a packaged model; with its own where the name is empty.
+
+        Raises:
+            PerceptionError: there is no such model, or its files are damaged or of another generator.
+        """
+        if not name:
+            return self
+        return dataclasses.replace(self, classifiers=_read("model", packaged.load, name), classes=name)
 
     @property
     def name(self) -> str:
-        """What messages call the model; a calibrated one names its rig."""
-        return self.model.name + (f"+rig{self.calibration.rig}" if self.calibration else "")
+        """What messages call the model; a calibrated one names its rig, one with packaged classes their model."""
+        rig = f"+rig{self.calibration.rig}" if self.calibration else ""
+        return self.model.name + rig + (f"+{self.classes}" if self.classes else "")
 
     @property
     def doubt(self) -> str:
@@ -122,6 +129,18 @@ class Perception:
                 shares = _shares(classifier, frames)
                 changed |= {"sure": False} if shares is None else {f"{target}_probability": shares}
         return dataclasses.replace(estimate, **changed) if changed else estimate
+
+
+def _by_target(paths: Sequence[str]) -> dict[str, Classifier]:
+    by_target: dict[str, Classifier] = {}
+    for path in paths:
+        found = _read("classifiers", Classifier.load, path)
+        if found.target not in TARGETS:
+            raise PerceptionError("classifiers", f"{path} tells '{found.target}'; give one for {', '.join(TARGETS)}")
+        if found.target in by_target:
+            raise PerceptionError("classifiers", f"{path} is the second one for {found.target}; give one per target")
+        by_target[found.target] = found
+    return by_target
 
 
 def _shares(classifier: Classifier, frames: Array) -> Array | None:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the packaged model: `python -m deltacharger_tactile.training` writes models/pose.npz (about a minute).
+"""Makes the packaged pose models, for readings from 0.25 N on and from the paper's 1 N on (about a minute each):
+`python -m deltacharger_tactile.training`, and the same with `--threshold 1`.
 
 The rigs and seeds below belong to training alone; demos, scenes and tests must use others (any rig below 1 000 000).
 """
@@ -17,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
+from deltacharger_tactile import MODEL_PATHS
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError
-from deltacharger_tactile.estimator import PoseEstimator
+from deltacharger_tactile.estimator import THRESHOLD, PoseEstimator
 from deltacharger_tactile.generator import measure
 from deltacharger_tactile.parameters import PadDockingParameters, SensorParameters, TactileParameters
 from deltacharger_tactile.sensor import Rig
@@ -120,6 +122,7 @@ def train(
     count: int = DOCKINGS_PER_RIG,
     seed: int = TRAINING_SEED,
     epochs: int = 12,
+    threshold: float = THRESHOLD,
 ) -> PoseEstimator:
     """Train an estimator and scale its standard deviations on rigs that it has not seen.
 
@@ -129,9 +132,11 @@ def train(
         count: dockings per rig.
         seed: seed of the dockings and of the initial weights.
         epochs: passes over the data.
+        threshold: readings below it count as 0, N.
     """
     learn, check = record(rigs, count, seed), record(held_out, count, seed)
-    model = PoseEstimator("pose-1", epochs=epochs)
+    name = "pose-1" if threshold == THRESHOLD else f"pose-1@{threshold:g}N"
+    model = PoseEstimator(name, threshold, epochs=epochs)
     model.fit(learn.frames, learn.pose, (check.frames, check.pose), seed)
     model.describe(
         {
@@ -177,15 +182,17 @@ def fit_dataset(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Train the packaged model and write it."""
+    """Train a packaged model and write it."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "models" / "pose.npz")
+    parser.add_argument("--threshold", type=float, choices=MODEL_PATHS, default=THRESHOLD, help="N (0.25)")
+    parser.add_argument("--output", type=Path, help="another file than the package's")
     options = parser.parse_args(arguments)
-    if not options.output.parent.is_dir():
-        parser.error(f"--output {options.output}: the folder {options.output.parent} does not exist; make it")
-    model = train()
+    output = options.output or MODEL_PATHS[options.threshold]
+    if not output.parent.is_dir():
+        parser.error(f"--output {output}: the folder {output.parent} does not exist; make it")
+    model = train(threshold=options.threshold)
     try:
-        model.save(options.output)
+        model.save(output)
     except OSError as error:
         parser.error(f"--output: {error}")
     return 0

@@ -69,6 +69,7 @@ COMMANDS = {
     "tactile record": "dock the running charger at known offsets and record what the pads feel; the same call goes on",
     "tactile train": "train a classifier",
     "tactile evaluate": "judge a trained classifier",
+    "tactile models": "list the packaged models that misalignment_node serves: accuracy, size and time",
     "tactile compare": "compare all models on simulated data, the same as `report tactile`",
     "vision detect": "find a terminal's electrodes in one image, in a folder of images or in a recording",
     "campaign": "simulate many dockings in a row, faster than real time and without ROS; the same call goes on",

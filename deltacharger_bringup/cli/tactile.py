@@ -24,7 +24,7 @@ from deltacharger_bringup.cli.output import (
 from deltacharger_bringup.cli.types import SEED, between, whole
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_tactile import npz, pose_judgement
-from deltacharger_tactile.classifiers import judgement
+from deltacharger_tactile.classifiers import judgement, labels, packaged
 from deltacharger_tactile.classifiers.classifier import NAMES, Classifier
 from deltacharger_tactile.classifiers.labels import examples
 from deltacharger_tactile.classifiers.splits import by_docking
@@ -35,7 +35,7 @@ from deltacharger_tactile.generator import generate_continuous, generate_paper
 from deltacharger_tactile.training import fit_dataset
 
 _CALIBRATED = 0.8  # share of the dockings that are learnt from; the rest tells when an answer may be acted on
-
+_TIMED = 30  # predictions, of whose times the median is told
 
 TARGETS = ("angle", "vertical", "horizontal", "pose")
 
@@ -168,6 +168,36 @@ def _tell(found: dict[str, Any]) -> None:
     tell(f"  look unlike training    {100 * found['drift_rate']:.1f} %")
     if found.get("drifted_together", 0.0) > 0.0:
         tell("  all of them together look unlike training: calibrate or train anew")
+
+
+def models(options: argparse.Namespace) -> int:
+    """List the packaged models: what each tells, how well, its size and the time of one prediction on this computer."""
+    with wrong_input(TactileError):
+        rows = [_model_row(name, target) for name in packaged.MODELS for target in labels.TARGETS]
+    if options.json:
+        write_json({"success": True, "models": rows})
+        return DONE
+    tell(f"{'model':<10}{'target':<12}{'right, %':>9}{'kB':>7}{'ms':>8}   on simulated rigs that it has not seen")
+    for row in rows:
+        percent, size, time_ms = 100.0 * row["accuracy"], 1e-3 * row["size_bytes"], 1e3 * row["time_s"]
+        tell(f"{row['name']:<10}{row['target']:<12}{percent:>9.1f}{size:>7.0f}{time_ms:>8.3f}")
+    return DONE
+
+
+def _model_row(name: str, target: str) -> dict[str, Any]:
+    model, frame = packaged.load(name)[target], np.ones((1, 2, 10, 10))
+    times = []
+    for _ in range(_TIMED):
+        began = time.perf_counter()
+        model.predict_proba(frame)
+        times.append(time.perf_counter() - began)
+    return {
+        "name": name,
+        "target": target,
+        "accuracy": model.about[packaged.ACCURACY],
+        "size_bytes": packaged.path(name, target).stat().st_size,
+        "time_s": float(np.median(times)),
+    }
 
 
 def _load(name: str, flag: str = "--data") -> Dataset:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import functools
 import importlib
 import time
 from collections.abc import Callable, Mapping
@@ -16,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, PADS, ROWS
-from deltacharger_tactile import PoseEstimator, default_model, features
-from deltacharger_tactile.classifiers import files, labels, reliability
+from deltacharger_tactile import features
+from deltacharger_tactile.classifiers import files, labels, pretrained, reliability
 from deltacharger_tactile.classifiers.reliability import Reliability
 from deltacharger_tactile.classifiers.runtime import KINDS
 from deltacharger_tactile.errors import ModelError
@@ -54,12 +53,9 @@ NAMES: dict[str, tuple[str, str]] = {
     "lda": ("shallow", "features"),
     "pose": ("shallow", "pose"),
 }
-"""The module that trains each, and what it sees: all taxels, physical features, or features and the estimated pose."""
+"""The module that trains each, and what it sees: all taxels, features, or features and what `pretrained` tells."""
 DEFAULT = "pose"
 """The best of them on the frozen data."""
-POSE = 3
-"""Inputs that are the packaged model's estimate of the pose: mm, mm, degrees."""
-_POSE_UNITS = np.array([1e3, 1e3, 180.0 / np.pi])
 
 
 class Classifier:
@@ -91,6 +87,7 @@ class Classifier:
         self._learnt: Learnt | None = None
         self._kind = ""
         self._arrays: dict[str, NDArray[Any]] = {}
+        self._stored: dict[str, NDArray[Any]] = {}  # as a file holds them, where `shrink` found smaller types
 
     def fit(self, frames: ArrayLike, classes: ArrayLike, seed: int = 0, progress: Progress | None = None) -> Classifier:
         """Learn from frames (N, 2, 10, 10) N and their classes (N,).
@@ -115,7 +112,7 @@ class Classifier:
         started = time.perf_counter()
         self._learnt = module.train(self.name, inputs, known, seed, progress or (lambda share, text: None))
         self.fit_time = time.perf_counter() - started
-        self._kind, self._arrays = self._learnt.kind, dict(self._learnt.arrays)
+        self._kind, self._arrays, self._stored = self._learnt.kind, dict(self._learnt.arrays), {}
         return self
 
     def refer(self, frames: ArrayLike, classes: ArrayLike) -> Classifier:
@@ -173,6 +170,21 @@ class Classifier:
             raise ModelError(self.name, "its trainer is gone: it was loaded")
         return self._learnt.trainer_proba(self._inputs(frames))
 
+    def shrink(self, frames: ArrayLike) -> Classifier:
+        """Keep its arrays in the smallest types with which the class of none of these frames changes.
+
+        Args:
+            frames: (N, 2, 10, 10) N.
+        """
+        whole, known = self._arrays, self.predict(frames)
+        for half in (True, False):
+            self._stored = files.shrunk(whole, half)
+            self._arrays = files.full(self._stored)
+            if np.array_equal(self.predict(frames), known):
+                return self
+        self._stored = self._arrays = whole
+        return self
+
     def save(self, path: str | Path) -> None:
         """Write it as npz, without pickle."""
         about = {
@@ -184,7 +196,7 @@ class Classifier:
         }
         if self.reliability is not None:
             about["reliability"] = self.reliability.to_dict()
-        files.write(path, about, self._arrays)
+        files.write(path, about, self._stored or self._arrays)
 
     @staticmethod
     def load(path: str | Path) -> Classifier:
@@ -211,7 +223,7 @@ class Classifier:
         return model
 
     def _inputs(self, frames: ArrayLike) -> Array:
-        """Return what the model sees: (N, 200) N, (N, F) features, or (N, F + 3) with the pose, NaN unknown."""
+        """Return what the model sees: (N, 200) N, (N, F) features, or features and pretrained inputs, NaN unknown."""
         felt = np.asarray(frames, dtype=float).reshape(-1, PADS, ROWS, COLUMNS)
         sees = NAMES[self.name][1]
         if sees == "taxels":
@@ -219,9 +231,4 @@ class Classifier:
         physical = features.extract(features.fill_dead(felt), self.threshold).values
         if sees == "features":
             return physical
-        return np.column_stack([physical, _packaged().pose(felt[:, 0], felt[:, 1]) * _POSE_UNITS])
-
-
-@functools.cache
-def _packaged() -> PoseEstimator:
-    return default_model()
+        return np.column_stack([physical, pretrained.inputs(felt, self.target, self.threshold)])

@@ -23,6 +23,25 @@ def write(path: str | Path, about: dict[str, Any], arrays: dict[str, NDArray[Any
     np.savez_compressed(path, **every)
 
 
+def shrunk(arrays: dict[str, NDArray[Any]], half: bool) -> dict[str, NDArray[Any]]:
+    """Return arrays in smaller types: whole numbers in the smallest, floating ones in float32, or rounded to `half`.
+
+    Thresholds of trees are rounded down, so that every float32 reading falls to the same side of "at most".
+    """
+    return {name: _shrunk(name, array, half) for name, array in arrays.items()}
+
+
+def _shrunk(name: str, array: NDArray[Any], half: bool) -> NDArray[Any]:
+    if array.dtype == bool:
+        return array
+    if np.issubdtype(array.dtype, np.integer):
+        return array.astype(np.promote_types(np.min_scalar_type(array.min()), np.min_scalar_type(array.max())))
+    small = array.astype(np.float32)
+    if name == "threshold":
+        return np.where(small > array, np.nextafter(small, np.float32(-np.inf)), small)
+    return array.astype(np.float16) if half else small
+
+
 def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read what `write` wrote.
 
@@ -43,7 +62,12 @@ def read(path: str | Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         raise ModelError(str(path), "an array holds NaN or infinity")
     if "feature" in arrays:
         _check_trees(str(path), arrays)
-    return about, arrays
+    return about, full(arrays)
+
+
+def full(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return arrays of float16, which only a file holds, as float32."""
+    return {name: array.astype(np.float32) if array.dtype == np.float16 else array for name, array in arrays.items()}
 
 
 def _check_trees(path: str, arrays: dict[str, NDArray[Any]]) -> None:

@@ -40,6 +40,7 @@ def one_against_rest(arrays: Arrays, inputs: Array) -> Array:
 def neighbours(arrays: Arrays, inputs: Array) -> Array:
     """Share of each class among the `count` nearest of `examples` (M, F) with `labels` (M,), Euclidean."""
     examples, labels, count = arrays["examples"], arrays["labels"], int(arrays["count"])
+    inputs = inputs.astype(examples.dtype)
     squared = np.sum(inputs * inputs, axis=1)[:, None] - 2.0 * inputs @ examples.T + np.sum(examples * examples, axis=1)
     nearest = np.argsort(squared, axis=1, kind="stable")[:, :count]
     votes = np.zeros((len(inputs), int(arrays["classes"])))
@@ -85,21 +86,26 @@ def _leaves(arrays: Arrays, inputs: Array, value: NDArray[Any]) -> Array:
 
 
 def network(arrays: Arrays, inputs: Array) -> Array:
-    """Softmax of a network: 3 × 3 convolutions over two channels where there are any, then dense layers, ReLU between.
+    """Softmax of a network's last dense layer on `hidden`."""
+    last = _numbered(arrays, "dense")[-1]
+    return softmax(np.asarray(hidden(arrays, inputs) @ arrays[last] + arrays[f"{last}_bias"], dtype=float))
+
+
+def hidden(arrays: Arrays, inputs: Array) -> NDArray[Any]:
+    """Last hidden layer (N, H): 3 × 3 convolutions over two channels where there are any, dense layers, each with ReLU.
 
     Batch normalisation is folded into the weights. `convolution<i>` (3, 3, in, out), `dense<i>` (in, out), each with
     its `…_bias`; dense layers see the planes flattened channel by channel, as PyTorch does.
     """
-    values: NDArray[Any] = np.asarray(inputs, dtype=float)
+    values: NDArray[Any] = np.asarray(inputs, dtype=arrays["dense0"].dtype)
     if "convolution0" in arrays:
         planes = values.reshape(len(values), 2, 10, 10).transpose(0, 2, 3, 1)
         for name in _numbered(arrays, "convolution"):
             planes = np.maximum(_convolve(planes, arrays[name]) + arrays[f"{name}_bias"], 0.0)
         values = planes.transpose(0, 3, 1, 2).reshape(len(values), -1)
-    names = _numbered(arrays, "dense")
-    for name in names[:-1]:
+    for name in _numbered(arrays, "dense")[:-1]:
         values = np.maximum(values @ arrays[name] + arrays[f"{name}_bias"], 0.0)
-    return softmax(np.asarray(values @ arrays[names[-1]] + arrays[f"{names[-1]}_bias"]))
+    return values
 
 
 def _convolve(planes: NDArray[Any], kernel: NDArray[Any]) -> NDArray[Any]:

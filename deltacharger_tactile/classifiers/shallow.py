@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
-from deltacharger_tactile.classifiers.classifier import POSE, Learnt, Progress
+from deltacharger_tactile import features
+from deltacharger_tactile.classifiers.classifier import Learnt, Progress
+from deltacharger_tactile.classifiers.pretrained import POSE
 from deltacharger_tactile.classifiers.runtime import softmax
 
 Labels = NDArray[np.int64]
@@ -42,7 +45,7 @@ def _logistic(seed: int) -> Any:
     from sklearn.pipeline import make_pipeline
     from sklearn.preprocessing import StandardScaler
 
-    return make_pipeline(StandardScaler(), LogisticRegressionCV(Cs=5, cv=5, max_iter=300, random_state=seed))
+    return make_pipeline(StandardScaler(), LogisticRegressionCV(Cs=5, cv=5, max_iter=1000, random_state=seed))
 
 
 def _svm(seed: int) -> Any:
@@ -89,17 +92,16 @@ def _lda(seed: int) -> Any:
     return make_pipeline(StandardScaler(), LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto"))
 
 
-class _TwoWitnesses:
-    """Discriminant analyses of the features and of the pose estimate (last three inputs), their odds multiplied.
+class _Witnesses:
+    """Discriminant analyses of the features, the estimated pose and a network's hidden layer, their odds multiplied.
 
     One analysis of all inputs together does not pay: shrinkage, which the features need, spoils the estimate.
     """
 
-    def __init__(self) -> None:
-        self.parts = (slice(None, -POSE), slice(-POSE, None))
-        self.models = [_lda(0), _lda(0)]
-
     def fit(self, inputs: Array, labels: Labels) -> None:
+        ends = [0, len(features.names()), len(features.names()) + POSE, inputs.shape[1]]
+        self.parts = [slice(start, end) for start, end in itertools.pairwise(ends) if start < end]
+        self.models = [_lda(0) for _ in self.parts]
         self.usual = np.nanmean(inputs, axis=0)
         known = self._known(inputs)
         for model, part in zip(self.models, self.parts, strict=True):
@@ -207,6 +209,6 @@ _KNOWN: dict[str, tuple[Callable[[int], Any], Callable[[Any, Array, Labels], tup
     "forest": (_forest, _export_forest),
     "xgboost": (_xgboost, _export_xgboost),
     "lda": (_lda, _export_lda),
-    "pose": (lambda seed: _TwoWitnesses(), _export_witnesses),
+    "pose": (lambda seed: _Witnesses(), _export_witnesses),
 }
 """How each is built, and what it becomes."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 import zipfile
 from array import array
@@ -22,7 +23,7 @@ from rclpy.qos import qos_profile_sensor_data
 from deltacharger_ros.node_support import StartupError
 from deltacharger_tactile import default_model
 from deltacharger_tactile.calibration.rig import TactileCalibration
-from deltacharger_tactile.classifiers import files
+from deltacharger_tactile.classifiers import files, packaged
 from deltacharger_tactile.generator import generate_paper
 from deltacharger_tactile.misalignment_node import MisalignmentNode
 from deltacharger_tactile.source import ContactSource
@@ -69,8 +70,8 @@ class Pads(Node):
             self.publisher.publish(message)
             count += 1
 
-    def ask(self, frames: int = 0) -> Any:
-        return call(self.client, PredictMisalignment.Request(frames=frames))
+    def ask(self, frames: int = 0, model: str = "") -> Any:
+        return call(self.client, PredictMisalignment.Request(frames=frames, model=model))
 
     def set(self, **values: Any) -> Any:
         """Set one parameter of the node and return the result."""
@@ -216,6 +217,54 @@ def test_classifiers_replace_the_probabilities_of_their_target(pads: Pads, tmp_p
     assert np.argmax(pads.ask().misalignment.angle_probability) == 2
     assert pads.set(classifiers=[""]).successful
     assert np.argmax(pads.ask().misalignment.angle_probability) == np.argmax(raw.angle_probability)
+
+
+def test_a_request_names_whose_classes_it_wants(pads: Pads) -> None:
+    pads.frames, pads.streaming = pads.frames[:1], True
+    usual = pads.ask().misalignment
+    answers = {name: pads.ask(model=name).misalignment for name in packaged.MODELS}
+    frame = np.stack(pads.frames[0])[None]
+    for name, found in answers.items():
+        assert found.model == f"{usual.model}+{name}"
+        assert found.angle == pytest.approx(usual.angle, abs=1e-6), "the continuous estimate stays what decides"
+        for target, model in packaged.load(name).items():
+            np.testing.assert_allclose(
+                getattr(found, f"{target}_probability"), model.predict_proba(frame)[0], atol=1e-5
+            )
+    assert pads.set(classifiers=["forest"]).successful
+    told = pads.ask().misalignment
+    assert told.model == answers["forest"].model
+    assert list(told.angle_probability) == list(answers["forest"].angle_probability)
+    assert pads.ask(model="cnn").misalignment.model == answers["cnn"].model
+
+
+@pytest.mark.parametrize("name", ["resnet", "../models/cnn", str(packaged.path("cnn", "angle")), "x" * 100_000])
+def test_a_model_that_is_not_in_the_list_is_answered_with_the_list(pads: Pads, name: str) -> None:
+    pads.streaming = True
+    refused = pads.ask(model=name)
+    assert not refused.success
+    assert "known are logistic, svm, knn, tree, gbdt, forest, xgboost, nn, cnn" in refused.message
+    assert len(refused.message) < 300
+    assert pads.ask().success
+
+
+def test_packaged_files_of_another_generator_are_refused_and_the_node_goes_on(
+    pads: Pads, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = Path(shutil.copytree(packaged.FOLDER, tmp_path / "models"))
+    with zipfile.ZipFile(packaged.path("svm", "angle", folder), "a") as file:
+        file.writestr("weights.npy", b"\x93NUMPY")
+    monkeypatch.setattr(packaged, "FOLDER", folder)
+    pads.streaming = True
+    before = pads.ask().misalignment.model
+    refused = pads.ask(model="svm")
+    assert not refused.success
+    assert "svm-angle.npz" in refused.message
+    told = pads.set(classifiers=["svm"])
+    assert not told.successful
+    assert before in told.reason
+    assert pads.ask().misalignment.model == before
+    assert pads.ask(model="tree").success
 
 
 def broken_files(folder: Path) -> dict[str, list[str]]:

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's nine models as the package ships them: by name, one file for each target."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from pathlib import Path
+
+import deltacharger_tactile
+from deltacharger_core.texts import cut
+from deltacharger_tactile.classifiers.classifier import NAMES, Classifier
+from deltacharger_tactile.classifiers.labels import TARGETS
+from deltacharger_tactile.errors import ModelError, UnknownModelError
+from deltacharger_tactile.parameters import TactileParameters
+
+MODELS = tuple(name for name, (_, sees) in NAMES.items() if sees == "taxels")
+"""Names of the nine, in the paper's order."""
+FOLDER = deltacharger_tactile.MODELS
+GENERATOR, ACCURACY, FIT_TIME = "generator", "accuracy", "fit_s"
+"""What each file says of itself: digest of the generator's parameters; share right, on rigs that taught nothing; s."""
+
+
+def path(name: str, target: str, folder: Path | None = None) -> Path:
+    """Return where a model of a target lies; None = in the package."""
+    return (folder or FOLDER) / f"{name}-{target}.npz"
+
+
+def load(name: str) -> Mapping[str, Classifier]:
+    """Return a model's classifiers by target, each file read once per process.
+
+    Raises:
+        UnknownModelError: there is no such model.
+        ModelError: a file of it is missing, damaged or of another generator.
+    """
+    if name not in MODELS:
+        raise UnknownModelError(name, MODELS)
+    return {target: _load(name, target, path(name, target)) for target in TARGETS}
+
+
+@functools.cache
+def _load(name: str, target: str, file: Path) -> Classifier:
+    try:
+        model = Classifier.load(file)
+    except FileNotFoundError as error:
+        raise ModelError(str(file), "it is missing from the package; install it anew") from error
+    wanted = TactileParameters().digest()
+    if model.about.get(GENERATOR) != wanted:
+        found = cut(str(model.about.get(GENERATOR)), 16)
+        raise ModelError(str(file), f"it was trained on the generator {found} and this version has {wanted}")
+    if (model.name, model.target) != (name, target):
+        raise ModelError(str(file), f"it holds {model.name} for {model.target}")
+    return model

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's nine models as they are shipped: what they weigh, what they tell, and which files are refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deltacharger_tactile.classifiers import labels, packaged
+from deltacharger_tactile.classifiers.classifier import Classifier
+from deltacharger_tactile.classifiers.labels import TARGETS, examples
+from deltacharger_tactile.dataset import Dataset
+from deltacharger_tactile.errors import ModelError, UnknownModelError
+from deltacharger_tactile.generator import generate_paper
+
+LARGEST = 12e6  # bytes of all files together
+MEMORY = 60e6  # bytes of a process that has loaded all
+
+
+@pytest.fixture(scope="module")
+def data() -> Dataset:
+    return generate_paper(rigs=(331, 332), seed=6)
+
+
+@pytest.mark.parametrize("name", packaged.MODELS)
+def test_each_tells_every_target_nearly_as_well_as_it_says(name: str, data: Dataset) -> None:
+    for target, model in packaged.load(name).items():
+        rows = examples(data, target)
+        shares = model.predict_proba(rows.frames)
+        assert shares.shape == (len(rows), labels.classes(target))
+        np.testing.assert_allclose(shares.sum(axis=1), 1.0, atol=1e-6)
+        right = float(np.mean(shares.argmax(axis=1) == rows.labels))
+        assert right > model.about[packaged.ACCURACY] - 0.08, "another two rigs than it was judged on"
+
+
+def test_all_are_small_enough_to_ship() -> None:
+    assert len(packaged.MODELS) == 9
+    files = [packaged.path(name, target) for name in packaged.MODELS for target in TARGETS]
+    assert sum(file.stat().st_size for file in files) < LARGEST
+
+
+def test_a_robot_loads_all_without_any_trainer_in_little_memory() -> None:
+    program = (
+        "import sys, psutil\n"
+        "from deltacharger_tactile.classifiers import packaged\n"
+        "before = psutil.Process().memory_info().rss\n"
+        "models = [packaged.load(name) for name in packaged.MODELS]\n"
+        "print(psutil.Process().memory_info().rss - before)\n"
+        "print(sorted({'torch', 'sklearn', 'xgboost', 'scipy'} & set(sys.modules)))\n"
+    )
+    found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split(
+        "\n"
+    )
+    assert int(found[0]) < MEMORY
+    assert found[1] == "[]"
+
+
+@pytest.mark.parametrize("name", ["", "CNN", "cnn.npz", "../cnn", "/etc/passwd", "pose", "x" * 5_000_000])
+def test_a_name_that_is_not_in_the_list_is_answered_with_the_list(name: str) -> None:
+    with pytest.raises(UnknownModelError, match="logistic, svm, knn, tree, gbdt, forest, xgboost, nn, cnn") as told:
+        packaged.load(name)
+    assert len(str(told.value)) < 300
+
+
+def changed(file: Path, **about: str) -> None:
+    """Give a file another description."""
+    with np.load(file) as content:
+        arrays: Mapping[str, np.ndarray] = {key: content[key] for key in content.files}
+    told = json.loads(str(arrays["about"])) | about
+    np.savez(file, **{**arrays, "about": np.array(json.dumps(told))})
+
+
+@pytest.mark.parametrize("harm", ["generator", "empty", "cut", "another", "missing"])
+def test_a_file_that_is_not_what_it_should_be_is_named(
+    harm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = Path(shutil.copytree(packaged.FOLDER, tmp_path / "models"))
+    monkeypatch.setattr(packaged, "FOLDER", folder)
+    file = packaged.path("tree", "angle")
+    if harm == "generator":
+        changed(file, generator="0123456789abcdef")
+    elif harm == "missing":
+        file.unlink()
+    else:
+        other = packaged.path("tree", "vertical").read_bytes()
+        file.write_bytes({"empty": b"", "cut": file.read_bytes()[:999], "another": other}[harm])
+    with pytest.raises(ModelError, match=file.name) as told:
+        packaged.load("tree")
+    assert harm != "generator" or "0123456789abcdef" in str(told.value)
+    packaged.load("svm")
+
+
+@pytest.mark.parametrize("name", ["logistic", "knn", "forest"])
+def test_a_shrunk_model_tells_the_same_and_its_file_is_smaller(name: str, data: Dataset, tmp_path: Path) -> None:
+    pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
+    rows = examples(data, "vertical")
+    model = Classifier(name, "vertical").fit(rows.frames[::2], rows.labels[::2])
+    known = model.predict(rows.frames)
+    model.save(tmp_path / "whole.npz")
+    model.shrink(rows.frames).save(tmp_path / "small.npz")
+    np.testing.assert_array_equal(Classifier.load(tmp_path / "small.npz").predict(rows.frames), known)
+    np.testing.assert_array_equal(model.predict(rows.frames), known)
+    assert (tmp_path / "small.npz").stat().st_size < 0.7 * (tmp_path / "whole.npz").stat().st_size
