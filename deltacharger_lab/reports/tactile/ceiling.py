@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one docking can tell at best, and what passes that: more dockings, a lower threshold, a hole in the electrode.
+"""What one docking can tell at best, and what passes that: more dockings, a hole in the electrode.
 
 Each row of the section is a function of (rig, seed, plan) that returns accuracies by target; `ROWS` lists them.
 """
@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_lab.reports.tactile.measure import accuracy, fitted, paper_set
 from deltacharger_lab.reports.tactile.plan import TARGETS, TactilePlan, default, title
 from deltacharger_lab.reports.tactile.shifts import changed
@@ -19,7 +18,6 @@ from deltacharger_tactile.classifiers import fusion, labels, splits
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.classifiers.labels import Examples
 from deltacharger_tactile.dataset import Dataset
-from deltacharger_tactile.estimator import THRESHOLD
 from deltacharger_tactile.generator import generate_paper
 from deltacharger_tactile.parameters import TactileParameters
 
@@ -60,14 +58,6 @@ def several_dockings(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
     return rows
 
 
-def thresholds(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
-    """Judge the same model with readings from 0.25 N and from the paper's 1 N on."""
-    known, fresh = paper_set(rig, seed), paper_set(rig, 700 + seed)
-    return [
-        _row(f"LDA, readings from {cut:g} N on", "lda", known, fresh, seed, cut) for cut in (CONTACT_FORCE, THRESHOLD)
-    ]
-
-
 def hole(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
     """Judge with a hole in the electrodes, the paper's idea, and without."""
     found = []
@@ -82,20 +72,20 @@ def hole(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
     return found
 
 
-ROWS: tuple[Callable[[int, int, TactilePlan], list[Row]], ...] = (ceiling, several_dockings, thresholds, hole)
+ROWS: tuple[Callable[[int, int, TactilePlan], list[Row]], ...] = (ceiling, several_dockings, hole)
 """What the section is made of."""
 
 
-def _row(text: str, name: str, known: Dataset, fresh: Dataset, seed: int, cut: float | None = None) -> Row:
+def _row(text: str, name: str, known: Dataset, fresh: Dataset, seed: int) -> Row:
     row: Row = {"name": text, "about": ""}
     for target in TARGETS:
-        row[target] = accuracy(_learnt(name, target, known, seed, cut), labels.examples(fresh, target))
+        row[target] = accuracy(_learnt(name, target, known, seed), labels.examples(fresh, target))
     return row
 
 
-def _learnt(name: str, target: str, known: Dataset, seed: int, cut: float | None = None) -> Classifier:
+def _learnt(name: str, target: str, known: Dataset, seed: int) -> Classifier:
     rows = labels.examples(known, target)
-    return fitted(name, target, rows.part(splits.by_docking(rows, seed)[0]), seed, cut)
+    return fitted(name, target, rows.part(splits.by_docking(rows, seed)[0]), seed)
 
 
 def _fused(model: Classifier, rows: Examples, count: int, seed: int) -> float:

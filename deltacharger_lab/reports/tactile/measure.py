@@ -4,17 +4,19 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, TactilePlan, threshold
+from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, TactilePlan, kind, threshold
 from deltacharger_lab.reports.tactile.shifts import NONE, SHIFTS, dock_again
 from deltacharger_tactile.classifiers import labels, reliability, splits
-from deltacharger_tactile.classifiers.classifier import Classifier
+from deltacharger_tactile.classifiers.classifier import NAMES, Classifier
 from deltacharger_tactile.classifiers.familiarity import WINDOW
 from deltacharger_tactile.classifiers.judgement import evaluate
 from deltacharger_tactile.classifiers.labels import Examples
@@ -25,7 +27,11 @@ BINS = 10
 """Of the predicted probability in the reliability diagrams."""
 WINDOWS = (WINDOW, 2 * WINDOW)
 """Dockings that the drift check judges together."""
+PAPER = tuple(name for name in NAMES if kind(name) != "physical")
+CUDA = ("nn", "cnn")
+"""Of the paper's models those that train on a CUDA device where there is one."""
 _WARM_UP = 20  # predictions that do not count
+_PASSES = 300  # forward passes of which the median counts
 
 
 def paper_set(rig: int, seed: int, rows: int = 1) -> Dataset:
@@ -138,7 +144,9 @@ def predictions(plan: TactilePlan, kept: str) -> list[dict[str, Any]]:
         frames = labels.examples(data, target).frames
         for name in plan.names:
             model = Classifier.load(Path(kept) / f"{name}-{target}.npz")
-            times = np.array([_once(model, frames[index % len(frames)]) for index in range(plan.repeats + _WARM_UP)])
+            times = np.array(
+                [_timed(model.predict_proba, frames[index % len(frames)]) for index in range(plan.repeats + _WARM_UP)]
+            )
             median, slow = np.quantile(times[_WARM_UP:], (0.5, 0.99))
             found.append({"model": name, "target": target, "median_ms": float(median), "p99_ms": float(slow)})
     return found
@@ -153,11 +161,38 @@ def generation() -> float:
 
 def timing(plan: TactilePlan, kept: str) -> dict[str, Any]:
     """Return every run time; the only work of this moment, in a process with one thread."""
+    os.environ["CUDA_VISIBLE_DEVICES"] = ""  # before PyTorch is imported: these are of one core
     generation()  # what is loaded and allocated for the first time does not count
-    return {"predictions": predictions(plan, kept), "generation_s": min(generation() for _ in range(3))}
+    return {
+        "predictions": predictions(plan, kept),
+        "generation_s": min(generation() for _ in range(3)),
+        "trainers": trainers(plan, PAPER),
+    }
 
 
-def _once(model: Classifier, frame: Any) -> float:
+def trainers(plan: TactilePlan, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Return what the paper measures, for the angle: training, s, and one forward pass in the trainer's library, ms."""
+    rows = labels.examples(paper_set(plan.rigs[0], plan.seeds[0]), "angle")
+    learns, judges = splits.by_docking(rows, plan.seeds[0])
+    found = []
+    for name in (name for name in names if name in plan.names):
+        model = fitted(name, "angle", rows.part(learns), plan.seeds[0])
+        times = [_timed(model.trainer_proba, rows.frames[judges[index % len(judges)]]) for index in range(_PASSES)]
+        found.append({"model": name, "fit_s": model.fit_time, "forward_ms": float(np.median(times))})
+    return found
+
+
+def cuda_timing(plan: TactilePlan) -> dict[str, Any]:
+    """Return the same of what can train on CUDA, with the device's name; '' where there is none."""
+    import torch
+
+    if not torch.cuda.is_available():
+        return {"device": "", "trainers": []}
+    return {"device": torch.cuda.get_device_name(), "trainers": trainers(plan, CUDA)}
+
+
+def _timed(predict: Callable[[Any], Any], frame: Any) -> float:
+    """Return the ms that one prediction takes."""
     started = time.perf_counter()
-    model.predict_proba(frame)
+    predict(frame)
     return 1e3 * (time.perf_counter() - started)
