@@ -142,14 +142,17 @@ class PoseEstimator:
         columns += [force[:, 0], force[:, 1]]
         return Estimate(*(shaped(column, shape) for column in columns))
 
-    def pose(self, left: ArrayLike, right: ArrayLike) -> Array:
-        """Estimate the pose alone: (N, 3) m, m, rad, NaN where nothing is felt; half the work of `predict`.
+    def pose(self, frames: Array) -> tuple[Array, Array]:
+        """Return features (N, F), as `features.extract` makes them at `threshold`, and the estimated pose alone.
 
         Args:
-            left: (N, 10, 10) N as in `predict`.
-            right: the same for the pad at −x.
+            frames: (N, 2, 10, 10) N as in `predict`, both pads.
+
+        Returns:
+            features, and (N, 3) m, m, rad, NaN where nothing is felt; half the work of `predict`.
         """
-        return self._feel(features.stack(left, right))[3]
+        inputs, _, _, mean, _ = self._feel(frames)
+        return inputs[0, :, : len(features.names())], mean
 
     def _feel(self, frames: Array) -> tuple[Array, Mask, Mask, Array, Array]:
         """Return inputs of the mirror images, whether both pads hold the ridge, contact, pose and its spread (N, 3)."""

@@ -228,7 +228,6 @@ class Classifier:
         sees = NAMES[self.name][1]
         if sees == "taxels":
             return np.where(felt >= self.threshold, felt, 0.0).reshape(len(felt), -1)  # NaN is not at or above it
-        physical = features.extract(features.fill_dead(felt), self.threshold).values
         if sees == "features":
-            return physical
-        return np.column_stack([physical, pretrained.inputs(felt, self.target, self.threshold)])
+            return features.extract(features.fill_dead(felt), self.threshold).values
+        return pretrained.inputs(felt, self.target, self.threshold)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import CONTACT_FORCE
-from deltacharger_tactile import MODELS, PoseEstimator, default_model
+from deltacharger_tactile import MODELS, PoseEstimator, default_model, features
 from deltacharger_tactile.classifiers import files, runtime
 
 POSE = 3
@@ -21,7 +21,7 @@ _POSE_UNITS = np.array([1e3, 1e3, 180.0 / np.pi])
 
 
 def inputs(frames: Array, target: str, threshold: float) -> Array:
-    """Return (N, 3) the packaged estimate of the pose; from 1 N on also the packaged NN's last hidden layer (N, 128).
+    """Return physical features, the packaged estimate of the pose, and from 1 N on the packaged NN's last hidden layer.
 
     Below 1 N that network, which learnt the paper's readings, adds nothing to the estimate.
 
@@ -29,12 +29,19 @@ def inputs(frames: Array, target: str, threshold: float) -> Array:
         frames: (N, 2, 10, 10) N, NaN where dead.
         target: what is to be told.
         threshold: readings below it count as 0, N.
+
+    Returns:
+        (N, F + 3) or (N, F + 3 + 128); NaN unknown.
     """
-    pose = _estimator(threshold).pose(frames[:, 0], frames[:, 1]) * _POSE_UNITS
-    if threshold < CONTACT_FORCE:
-        return np.asarray(pose)
-    taxels = np.where(frames >= threshold, frames, 0.0).reshape(len(frames), -1)
-    return np.column_stack([pose, runtime.hidden(_network(target), taxels)])
+    estimator = _estimator(threshold)
+    physical, pose = estimator.pose(frames)
+    if estimator.threshold != threshold:
+        physical = features.extract(features.fill_dead(frames), threshold).values
+    known = [physical, pose * _POSE_UNITS]
+    if threshold >= CONTACT_FORCE:
+        taxels = np.where(frames >= threshold, frames, 0.0).reshape(len(frames), -1)
+        known.append(runtime.hidden(_network(target), taxels))
+    return np.concatenate(known, axis=1)
 
 
 @functools.cache

@@ -176,7 +176,8 @@ def trainers(plan: TactilePlan, names: Sequence[str]) -> list[dict[str, Any]]:
     learns, judges = splits.by_docking(rows, plan.seeds[0])
     found = []
     for name in (name for name in names if name in plan.names):
-        model = fitted(name, "angle", rows.part(learns), plan.seeds[0])
+        for _ in range(2):  # the first imports the trainer
+            model = fitted(name, "angle", rows.part(learns), plan.seeds[0])
         times = [_timed(model.trainer_proba, rows.frames[judges[index % len(judges)]]) for index in range(_PASSES)]
         found.append({"model": name, "fit_s": model.fit_time, "forward_ms": float(np.median(times))})
     return found

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,42 +11,58 @@ from numpy.typing import NDArray
 
 from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_lab.reports.tactile.measure import fitted, paper_set
-from deltacharger_lab.reports.tactile.plan import TARGETS, TactilePlan
+from deltacharger_lab.reports.tactile.plan import TARGETS, threshold
 from deltacharger_tactile import default_model
 from deltacharger_tactile.classifiers import labels, splits
 from deltacharger_tactile.classifiers.labels import Examples
 from deltacharger_tactile.estimator import THRESHOLD
 
 ESTIMATE = ""
-WAYS: tuple[tuple[str, str, float], ...] = tuple(
-    (text, model, cut)
-    for cut in (CONTACT_FORCE, THRESHOLD)
-    for text, model in (
-        ("NN, taxels", "nn"),
-        ("CNN, taxels", "cnn"),
-        ("LDA, physical features", "lda"),
-        ("pose: features and pretrained estimate", "pose"),
-        ("the pretrained estimate alone", ESTIMATE),
-    )
+WAYS: tuple[tuple[str, str, float], ...] = (
+    ("NN, taxels", "nn", CONTACT_FORCE),
+    ("CNN, taxels", "cnn", CONTACT_FORCE),
+    ("LDA, physical features", "lda", CONTACT_FORCE),
+    ("pose: features, and what is pretrained", "pose", CONTACT_FORCE),
+    ("the pretrained estimate alone", ESTIMATE, CONTACT_FORCE),
+    ("LDA, physical features", "lda", THRESHOLD),
+    ("pose: features, and what is pretrained", "pose", THRESHOLD),
+    ("the pretrained estimate alone", ESTIMATE, THRESHOLD),
 )
 """What a row is called, which model learns (`ESTIMATE`: none), and the least reading that counts, N."""
 
 
-def compare(rig: int, seed: int, plan: TactilePlan) -> list[dict[str, Any]]:
-    """Return for every way the share told right by target, and the share on which it abstains; each third judged."""
-    known = paper_set(rig, seed)
-    rows: list[dict[str, Any]] = []
-    for text, model, cut in WAYS:
-        if model and model not in plan.names:
+def compare(rig: int, seed: int) -> list[dict[str, Any]]:
+    """Return of every way that the table of all models lacks the share told right by target, and where it abstains."""
+    known, rows = paper_set(rig, seed), []
+    for _, model, cut in WAYS:
+        if model and cut == threshold(model):
             continue
-        row: dict[str, Any] = {"name": text, "model": model, "threshold": cut, "rig": rig}
+        row: dict[str, Any] = {"model": model, "threshold": cut}
         for target in TARGETS:
             examples = labels.examples(known, target)
-            told = _estimated(examples, target, cut) if not model else _learnt(model, examples, target, cut, seed)
+            told = _learnt(model, examples, target, cut, seed) if model else _estimated(examples, target, cut)
             row[target] = float(np.mean(told == examples.labels))
             row[f"{target} abstained"] = float(np.mean(told < 0))
         rows.append(row)
     return rows
+
+
+def table(measured: Sequence[dict[str, Any]], accuracy: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows of all ways: means of what `compare` measured, and what all models reach on the same dockings."""
+    found = []
+    for text, model, cut in WAYS:
+        rows = [row for row in measured if (row["model"], row["threshold"]) == (model, cut)]
+        if rows:
+            shares = {key: float(np.mean([row[key] for row in rows])) for key in rows[0] if key not in _NO_SHARES}
+        elif model in accuracy:
+            shares = {target: accuracy[model][target]["mean"] for target in TARGETS}
+        else:
+            continue
+        found.append({"name": text, "model": model, "threshold": cut, **shares})
+    return found
+
+
+_NO_SHARES = ("model", "threshold")
 
 
 def _learnt(model: str, examples: Examples, target: str, cut: float, seed: int) -> NDArray[np.int64]:

@@ -94,8 +94,8 @@ def _measure(results: dict[str, Any], plan: TactilePlan, progress: Progress) -> 
     results["shifts"] = shifts(raw["shifts"])
     results["diagrams"] = diagrams(raw["diagrams"])
     results["splits"] = joined(found.get("splits", []))
-    results["ceiling"] = mean_rows(joined(found.get("one docking", [])), "name")
-    results["parity"] = mean_rows(joined(found.get("parity", [])), "name", "threshold")
+    results["ceiling"] = mean_rows(joined(found.get("one docking", [])))
+    results["parity"] = parity.table(joined(found.get("parity", [])), results["accuracy"])
     results["trainers"] = {row["model"]: row for row in times["trainers"]}
     results["cuda"] = {"device": cuda["device"], "trainers": {row["model"]: row for row in cuda["trainers"]}}
     results["times"] = {
@@ -119,7 +119,7 @@ def tasks(plan: TactilePlan, kept: str) -> list[ReportTask]:
             for target in TARGETS:
                 found.append(ReportTask("splits", splits.compare, (name, target, plan.split_rigs, plan.seeds[0]), 2.0))
     if default(plan) == "pose":  # all of them need scikit-learn
-        found += [ReportTask("parity", parity.compare, (rig, plan.seeds[0], plan), 4.0) for rig in plan.rigs]
+        found += [ReportTask("parity", parity.compare, (rig, seed), 1.0) for rig in plan.rigs for seed in plan.seeds]
         for rig in plan.ceiling_rigs:
             found += [ReportTask("one docking", row, (rig, plan.seeds[0], plan), 3.0) for row in ROWS]
     return found
@@ -178,13 +178,12 @@ def diagrams(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:
     return dict(found)
 
 
-def mean_rows(rows: Iterable[Row], *keys: str) -> list[Row]:
-    """Return rows with the same values of `keys` as one, with the mean of every share."""
-    found = []
-    for _, members in grouped(rows, *keys):
-        shares = [name for name, value in members[0].items() if isinstance(value, float) and name not in keys]
-        found.append({**members[0], **{name: float(np.mean([row[name] for row in members])) for name in shares}})
-    return found
+def mean_rows(rows: Iterable[Row]) -> list[Row]:
+    """Return rows of the same name as one, with the mean of each target."""
+    return [
+        {**members[0], **{target: float(np.mean([row[target] for row in members])) for target in TARGETS}}
+        for _, members in grouped(rows, "name")
+    ]
 
 
 def best(figures: Row) -> str:
@@ -228,6 +227,7 @@ def targets(results: Row, plan: TactilePlan) -> list[Row]:
     worst = max((row["coverage"] for row in calm), key=lambda value: abs(value - NOMINAL), default=math.nan)
     alarms = max((max(row["drift_rate"], *row["windows"]) for row in calm), default=math.nan)
     slow = max(results["times"][name][target]["p99_ms"] for target in TARGETS)
+    slowest_of_all = max(each[target]["p99_ms"] for each in results["times"].values() for target in TARGETS)
     unseen = [row for row in others if row["verdict"] == NEITHER]
     missed, off = len(unseen) if others else math.nan, 100.0 * abs(worst - NOMINAL)
     return [
@@ -236,7 +236,8 @@ def targets(results: Row, plan: TactilePlan) -> list[Row]:
         at_most(f"{who}, coverage off 95 %, no shift, worst target", off, 100.0 * POINTS, "points"),
         at_most(f"{who}, false drift alarms, frames and windows", 100.0 * alarms, 100.0 * FALSE_ALARMS, "%"),
         at_most(f"{who}, shifts neither covered nor noticed", missed, 0.0, f"of {len(others)}"),
-        at_most(f"{who}, one prediction, p99", slow, 1.0, "ms"),
+        at_most(f"{who}, one prediction, p99", slow, 0.5, "ms"),
+        at_most("slowest model, one prediction, p99", slowest_of_all, 10.0, "ms"),
         at_most("paper-size data set of one rig", results["generation_s"], 1.0, "s"),
         at_most("whole comparison", results["elapsed_s"] / 60.0, 15.0, "min"),
     ]
