@@ -89,7 +89,7 @@ class TargetVisit:
         context, parameters, goal = self._context, self._context.parameters, self._goal
         context.status.alignments = 0
         context.status.estimate = None
-        electrodes = goal.electrodes if goal.electrodes is not None else (yield from self._locate())
+        electrodes = goal.electrodes if goal.electrodes is not None else (yield from locate(context))
         self._check_roll(electrodes)
         yield from prepare(context)
         target, depth = electrodes.position, electrodes.position[2] + parameters.search_depth
@@ -156,23 +156,6 @@ class TargetVisit:
             yield
         return True
 
-    def _locate(self) -> Script[ElectrodePose]:
-        """Ask the camera where the electrodes are."""
-        context, parameters = self._context, self._context.parameters
-        context.enter(State.LOCATE, parameters.locate_timeout + _ANSWER)
-        reply = yield from context.ask(Service.DETECT, ElectrodesNotFound, parameters.locate_timeout)
-        found = reply.detection
-        if not reply.success or found is None:
-            raise ElectrodesNotFound(f"no electrodes were found: {reply.message}")
-        if not found.age <= parameters.detection_age_max:
-            raise DetectionStale(
-                f"the detection is {found.age:.1f} s old, more than {parameters.detection_age_max:.1f} s"
-            )
-        check_place(found, context.planner, parameters)
-        x, y, z = found.position
-        context.decide("located", "the camera sees the electrodes", x_m=x, y_m=y, z_m=z, roll_rad=found.roll)
-        return found
-
     def _check_roll(self, electrodes: ElectrodePose) -> None:
         limit, roll = self._order.critical_angle, electrodes.roll
         if abs(roll) + self._context.parameters.roll_sigmas * electrodes.roll_stddev < limit:
@@ -188,3 +171,19 @@ class TargetVisit:
             f"the electrodes are rolled by {math.degrees(roll):.1f}° already in the given pose; "
             "level the target or the charger"
         )
+
+
+def locate(context: Context) -> Script[ElectrodePose]:
+    """Ask the camera where the electrodes are."""
+    parameters = context.parameters
+    context.enter(State.LOCATE, parameters.locate_timeout + _ANSWER)
+    reply = yield from context.ask(Service.DETECT, ElectrodesNotFound, parameters.locate_timeout)
+    found = reply.detection
+    if not reply.success or found is None:
+        raise ElectrodesNotFound(f"no electrodes were found: {reply.message}")
+    if not found.age <= parameters.detection_age_max:
+        raise DetectionStale(f"the detection is {found.age:.1f} s old, more than {parameters.detection_age_max:.1f} s")
+    check_place(found, context.planner, parameters)
+    x, y, z = found.position
+    context.decide("located", "the camera sees the electrodes", x_m=x, y_m=y, z_m=z, roll_rad=found.roll)
+    return found

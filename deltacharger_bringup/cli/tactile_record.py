@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`deltacharger tactile record`: the paper's data sets from a charger that runs, docking by docking."""
+"""`deltacharger tactile record`: the paper's data sets from a charger that runs, or from a simulated one at once."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from deltacharger_bringup.cli.output import (
     wrong_input,
 )
 from deltacharger_bringup.cli.parser import namespace_option
+from deltacharger_bringup.cli.tactile_protocol import DEFAULT_PLACE, record_protocol
 from deltacharger_bringup.cli.types import MILLIMETRES, SEED, between, whole
 from deltacharger_core import environment
 from deltacharger_docking.codes import Code, Unreachable
@@ -46,6 +47,11 @@ _FRAME = 1.0 / 120.0  # s
 def add_record(parser: argparse.ArgumentParser) -> None:
     """Add the options of `tactile record`."""
     parser.add_argument("--out", required=True, metavar="F.npz", help="data set, made from the folder F.recording")
+    parser.add_argument(
+        "--protocol",
+        choices=("paper",),
+        help="both sets of the paper at once, from a simulated charger in virtual time: no charger runs, no ROS",
+    )
     parser.add_argument("--set", choices=SETS, help="the paper's two, dockings at zero, or random offsets up to 12 mm")
     parser.add_argument("--angle-deg", type=between(-20.0, 20.0), metavar="DEG", help="of the target (angle and sweep)")
     parser.add_argument(
@@ -61,8 +67,9 @@ def add_record(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--compose", action="store_true", help="only write F.npz from what was recorded")
     namespace_option(parser)
     target = parser.add_argument_group("where the target's electrodes stand, in charger_base")
-    for axis, default in (("x", 0.0), ("y", 0.0), ("z", 80.0)):
-        target.add_argument(f"--{axis}-mm", type=MILLIMETRES, default=default, metavar="MM", help=f"({default:g})")
+    for name, default in DEFAULT_PLACE.items():
+        flag = f"--{name.replace('_', '-')}"
+        target.add_argument(flag, type=MILLIMETRES, default=default, metavar="MM", help=f"({default:g})")
     felt = parser.add_argument_group("of the whole file")
     felt.add_argument("--rig", type=whole(0, 2**31 - 1), default=0, metavar="N", help="number of this charger (0)")
     felt.add_argument("--sensor", default="", metavar="ID", help="of its pads, for the record")
@@ -71,12 +78,18 @@ def add_record(parser: argparse.ArgumentParser) -> None:
     felt.add_argument("--threshold", type=between(0.0, 9.0), default=0.25, metavar="N", help="less counts as 0 (0.25)")
     felt.add_argument("--dwell-s", type=between(0.0, 60.0), default=0.5, metavar="S", help="rest before them (0.5)")
     parser.add_argument(
-        "--tare-every", type=whole(1, 10_000), default=25, metavar="N", help="dockings after a tare, a session (25)"
+        "--tare-every",
+        type=whole(1, 10_000),
+        default=25,
+        metavar="N",
+        help="dockings after a tare, a session (25)",
     )
 
 
 def record(options: argparse.Namespace) -> int:
-    """Record what is left of a set, or only compose the data set."""
+    """Record what is left of a set, or only compose the data set; or a whole protocol in virtual time."""
+    if options.protocol is not None:
+        return record_protocol(options)
     out, part = file_to_write("--out", options.out, ".npz"), None if options.compose else _part(options)
     environment.prepare()
     with _refusing():

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from deltacharger_core.parameters import ParameterError
@@ -92,25 +92,37 @@ def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
 def _goal(values: Mapping[str, Value], source: random.Random) -> ElectrodePose:
     """Return what camera and hand-eye calibration make of where the target stands."""
     position = [NOMINAL[index] + float(values.get(f"target.{axis}", 0.0)) for index, axis in enumerate("xyz")]
-    seen, turned = (float(values.get(f"camera.{name}_stddev", 0.0)) for name in ("position", "roll"))
-    place, turn = (float(values.get(f"hand_eye.{name}_stddev", 0.0)) for name in ("position", "rotation"))
-    ax, ay, az = (point - camera for point, camera in zip(position, _CAMERA, strict=True))
+    turned = float(values.get("camera.roll_stddev", 0.0))
+    swing = float(values.get("hand_eye.rotation_stddev", 0.0))
     limit = float(values.get("shift.limit", math.inf))
     moved = float(values.get("shift.x", 0.0)), float(values.get("shift.y", 0.0))
     for _ in range(_REDRAWS):
-        noise = [source.gauss(0.0, 1.0) for _ in range(10)]
-        rx, ry, rz = (turn * each for each in noise[6:9])
-        swung = (ry * az - rz * ay, rz * ax - rx * az, rx * ay - ry * ax)  # a small rotation about the camera
-        x, y, z = (
-            position[index] + seen * noise[index] + place * noise[3 + index] + swung[index] for index in range(3)
-        )
+        (x, y, z), roll = seen_at(values, position, source)
         if max(abs(position[0] + moved[0] - x), abs(position[1] + moved[1] - y)) <= limit:
             break
     else:
         raise ParameterError("shift.limit", limit, "is never kept by these errors of vision; give a larger one")
-    roll = float(values.get("target.roll", 0.0)) + turned * noise[9] + rz
-    stddev = math.hypot(turned, turn)
+    stddev = math.hypot(turned, swing)
+    roll += float(values.get("target.roll", 0.0))
     return ElectrodePose((x, y, z), roll, stddev if stddev > _GOAL_STDDEV_LEAST else 0.0)
+
+
+def seen_at(values: Mapping[str, Value], position: Sequence[float], source: random.Random) -> tuple[Vector, float]:
+    """Return where a camera sees electrodes that stand at `position`, m, and the error of their roll, rad.
+
+    Args:
+        values: of the keys `camera` and `hand_eye`; 0 where one is missing.
+        position: of the electrodes, m, charger_base.
+        source: of the errors.
+    """
+    seen, turned = (float(values.get(f"camera.{name}_stddev", 0.0)) for name in ("position", "roll"))
+    place, turn = (float(values.get(f"hand_eye.{name}_stddev", 0.0)) for name in ("position", "rotation"))
+    ax, ay, az = (point - camera for point, camera in zip(position, _CAMERA, strict=True))
+    noise = [source.gauss(0.0, 1.0) for _ in range(10)]
+    rx, ry, rz = (turn * each for each in noise[6:9])
+    swung = (ry * az - rz * ay, rz * ax - rx * az, rx * ay - ry * ax)  # a small rotation about the camera
+    x, y, z = (position[index] + seen * noise[index] + place * noise[3 + index] + swung[index] for index in range(3))
+    return (x, y, z), turned * noise[9] + rz
 
 
 def _derived(

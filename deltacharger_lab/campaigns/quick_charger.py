@@ -14,8 +14,10 @@ measured in docs/campaigns.md.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deltacharger_core.machine import CONTACT_FORCE, TORQUE_CONSTANT
 from deltacharger_docking.machine import DockingMachine
@@ -57,6 +59,8 @@ class QuickCharger(VirtualCharger):
         rig_seed: which device's pads.
     """
 
+    machine_kind: type[DockingMachine] = DockingMachine
+
     def __init__(
         self,
         world: WorldParameters,
@@ -77,7 +81,7 @@ class QuickCharger(VirtualCharger):
     def _make_machine(self) -> DockingMachine:
         parameters, geometry = self.parameters, DeltaGeometry()
         feed = WholeFeed(parameters.servo_damping / parameters.servo_stiffness)
-        return DockingMachine(parameters, geometry, QuickPlanner(parameters, geometry), feed)
+        return self.machine_kind(parameters, geometry, QuickPlanner(parameters, geometry), feed)
 
     def tick(self) -> None:
         """Advance as far as nothing has to be decided: 10 to 130 ms."""
@@ -178,7 +182,7 @@ class QuickCharger(VirtualCharger):
         known = self._felt_at
         if known is None or not self._is_known(known, pose, force):
             frame = self._pads.frames(self.world.time, pose, force, 1, 0.0, self.world.mechanics.pad_share)[0]
-            self._most_felt = float(np.nanmax(frame - self._tare))
+            self._most_felt = float(np.nanmax(frame - self.baseline))
             self._felt_at = known = (*pose, force, float(self.world.record.contacts))
         return self._most_felt * force >= CONTACT_FORCE * known[3]
 
@@ -192,13 +196,15 @@ class QuickCharger(VirtualCharger):
         far = abs(self._most_felt * force / pressed - CONTACT_FORCE) > _SURELY
         return far or abs(force - pressed) < _SAME_FORCE * pressed
 
+    def feel(self, count: int, period: float) -> NDArray[Any]:
+        """Return `count` frames (count, 2, 10, 10) N, a `period` (s) apart, that end now; not tared, NaN where dead."""
+        world = self.world
+        pressed, share = world.mechanics.contact_force, world.mechanics.pad_share
+        return self._pads.frames(world.time, world.misalignment, pressed, count, period, share)
+
     def _reply(self, pending: Pending) -> Reply:
         if pending.request.service in (Service.TARE, Service.ESTIMATE):
-            count = max(1, round((pending.due - pending.asked) / TICK))
-            world = self.world
-            pressed = world.mechanics.contact_force
-            share = world.mechanics.pad_share
-            raw = self._pads.frames(world.time, world.misalignment, pressed, count, TICK, share)
-            tare = 0.0 if pending.request.service is Service.TARE else self._tare
-            pending.frames = list(raw if pending.request.service is Service.TARE else (raw - tare).clip(min=0.0))
+            raw = self.feel(max(1, round((pending.due - pending.asked) / TICK)), TICK)
+            untared = pending.request.service is Service.TARE
+            pending.frames = list(raw if untared else (raw - self.baseline).clip(min=0.0))
         return super()._reply(pending)

@@ -112,7 +112,7 @@ class VirtualCharger:
         self.states: list[State] = []
         self.outcome: DockingOutcome | None = None
         self.model: PoseModel = packaged_model()
-        self._tare = np.zeros((PADS, ROWS, COLUMNS))
+        self.baseline = np.zeros((PADS, ROWS, COLUMNS))
         self._tared = False
         self._torque = False
         self._trajectory: tuple[Waypoint, ...] = ()
@@ -254,7 +254,7 @@ class VirtualCharger:
             return
         self._frame_at = self.now
         raw = np.stack(self.plant.read_taxels())
-        self._frame = np.maximum(raw - self._tare, 0.0)
+        self._frame = np.maximum(raw - self.baseline, 0.0)
         for pending in self._pending:
             pending.frames.append(raw if pending.request.service is Service.TARE else self._frame)
 
@@ -277,7 +277,7 @@ class VirtualCharger:
             self._torque = service is Service.TORQUE_ON
             self._trajectory, self._goal = (), self._angles()
         elif service is Service.TARE:
-            self._tare, self._tared = np.mean(pending.frames, axis=0), True
+            self.baseline, self._tared = np.mean(pending.frames, axis=0), True
         elif service is Service.PROBE:
             ohm, volt = self.plant.probe()
             return Reply(number, True, resistance=ohm, target_voltage=volt)

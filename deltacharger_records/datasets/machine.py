@@ -18,6 +18,7 @@ from deltacharger_docking.arm_script import lift_off, prepare, retract
 from deltacharger_docking.codes import Busy, DockingError, ServoFailure, State, Unreachable
 from deltacharger_docking.contact_script import approach, contact
 from deltacharger_docking.context import Script
+from deltacharger_docking.dock_script import locate
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Observation
 from deltacharger_kinematics.geometry import Vector
@@ -42,10 +43,12 @@ class Rested:
     Attributes:
         position: of the end effector by its joints (m, charger_base), averaged while frames were taken.
         current: contact current, A.
+        commanded: where it was told to meet the target, m, charger_base.
     """
 
     position: Vector
     current: float
+    commanded: Vector
 
 
 class Keeper(Protocol):
@@ -82,23 +85,30 @@ class RecordingMachine(DockingMachine):
                 raise Unreachable(f"out of the arm's reach, {wrong}; put the target elsewhere and say where it stands")
 
     def start_session(
-        self, commands: Sequence[Vector], dwell: float, holding: float, keeper: Keeper, observation: Observation
+        self,
+        commands: Sequence[Vector],
+        dwell: float,
+        holding: float,
+        keeper: Keeper,
+        observation: Observation,
+        look: bool = False,
     ) -> None:
         """Begin to touch the target once at each of `commands`; `outcome` tells how it ended.
 
         Args:
-            commands: where the end effector shall meet the target, m, charger_base.
+            commands: where the end effector shall meet the target, m, charger_base; or from where it shall look for it.
             dwell: s from rest in contact to the first frame.
             holding: s that the frames take.
             keeper: takes what is felt.
             observation: the present one.
+            look: whether each command is only the start: then the camera is asked, and what it sees is touched.
 
         Raises:
             Busy: a session runs.
         """
         if self.busy:
             raise Busy("a session is running; cancel it or wait for its end")
-        self._start("", observation, lambda: self._session(commands, dwell, holding, keeper))
+        self._start("", observation, lambda: self._session(commands, dwell, holding, keeper, look))
         self._desk.deadline = math.inf
 
     def _problem(self) -> DockingError | None:
@@ -106,15 +116,21 @@ class RecordingMachine(DockingMachine):
         silent = self._context.observation.servo_age > self.parameters.servo_age_max
         return ServoSilence(str(problem)) if silent and isinstance(problem, ServoFailure) else problem
 
-    def _session(self, commands: Sequence[Vector], dwell: float, holding: float, keeper: Keeper) -> Script[None]:
+    def _session(
+        self, commands: Sequence[Vector], dwell: float, holding: float, keeper: Keeper, look: bool
+    ) -> Script[None]:
         context = self._context
         yield from prepare(context)
         for number, command in enumerate(commands):
             keeper.begin(number)
             yield from self._go_before(command)
-            yield from approach(context, command)
-            yield from contact(context, command[2] + context.parameters.search_depth)
-            yield from self._feel(dwell, holding, keeper)
+            place = command
+            if look:
+                place = (yield from locate(context)).position
+                yield from self._go_before(place)
+            yield from approach(context, place)
+            yield from contact(context, place[2] + context.parameters.search_depth)
+            yield from self._feel(place, dwell, holding, keeper)
             context.enter(State.IDLE, math.inf)
             while not keeper.kept():
                 yield
@@ -132,7 +148,7 @@ class RecordingMachine(DockingMachine):
     def _before(self, z: float) -> float:
         return z - self.parameters.standoff - _RUN_UP
 
-    def _feel(self, dwell: float, holding: float, keeper: Keeper) -> Script[None]:
+    def _feel(self, place: Vector, dwell: float, holding: float, keeper: Keeper) -> Script[None]:
         """Rest, let frames be taken, let go, and have it all kept."""
         context, parameters = self._context, self.parameters
         context.enter(State.MEASURE, dwell + 2.0 * holding + parameters.measure_timeout)
@@ -143,7 +159,7 @@ class RecordingMachine(DockingMachine):
             yield
             positions.append(context.position)
         x, y, z = (float(value) for value in np.mean(positions, axis=0))
-        touch = Rested((x, y, z), context.contact.value)
+        touch = Rested((x, y, z), context.contact.value, place)
         context.enter(State.RETRACT, parameters.retract_timeout)
         yield from lift_off(context)
         keeper.keep(touch)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_core.arrays import Array
 from deltacharger_tactile.dataset import (
     POSITION_CLASSES,
     POSITION_LIMIT,
@@ -80,16 +81,21 @@ class Part:
 
         Offsets of the position set come in a new order at each repetition, so that no drift looks like an offset.
         """
-        angle = math.radians(self.angle_deg)
-        random = np.random.default_rng([SETS.index(self.set), self.seed, round(1e3 * self.angle_deg) % 2**32])
+        angle, random = math.radians(self.angle_deg), self._random()
         if self.set == "position":
             grid = 1e-3 * np.array([(x, y) for x in self.offsets_mm for y in self.offsets_mm])
             offsets = np.concatenate([random.permutation(grid) for _ in range(self.repeat)])
         elif self.set == "angle":
-            steps = random.integers(-_START_STEPS, _START_STEPS + 1, (self.repeat, 2))
-            offsets = _LEFT_BY_VISION * _START_STEP * steps
+            offsets = _LEFT_BY_VISION * self.starts()
         elif self.set == "reference":
             offsets = np.zeros((self.repeat, 2))
         else:
             offsets = random.uniform(-POSITION_LIMIT, POSITION_LIMIT, (self.repeat, 2))
         return [CommandedPose(float(x), float(y), angle) for x, y in offsets]
+
+    def starts(self) -> Array:
+        """Return (repeat, 2) m, how far beside the target the arm starts in each docking of the angle set."""
+        return np.asarray(_START_STEP * self._random().integers(-_START_STEPS, _START_STEPS + 1, (self.repeat, 2)))
+
+    def _random(self) -> np.random.Generator:
+        return np.random.default_rng([SETS.index(self.set), self.seed, round(1e3 * self.angle_deg) % 2**32])
