@@ -79,7 +79,7 @@ class _Charger(QuickCharger):
 
 
 @dataclass(frozen=True)
-class _Touch:
+class Touch:
     """One docking: its number in the part, and what its rows are made of; m, rad, N, A."""
 
     number: int
@@ -96,7 +96,7 @@ class _Keeper:
     """Takes what the charger's pads feel, and the truth beside it."""
 
     def __init__(self, charger: _Charger, recording: Recording) -> None:
-        self.touches: list[_Touch] = []
+        self.touches: list[Touch] = []
         self.numbers: Sequence[int] = ()
         self.session = 0
         self.number = 0
@@ -125,13 +125,13 @@ class _Keeper:
 
     def keep(self, touch: Rested) -> None:
         known = {"commanded": touch.commanded, "current": touch.current, **self._felt}
-        self.touches.append(_Touch(self.number, self.session, **known))
+        self.touches.append(Touch(self.number, self.session, **known))
 
     def kept(self) -> bool:
         return True
 
 
-def record_part(recording: Recording, part: Part) -> list[_Touch]:
+def record_part(recording: Recording, part: Part) -> list[Touch]:
     """Make the dockings of one part, in the order of their numbers.
 
     Raises:
@@ -187,10 +187,11 @@ def record_paper(recording: Recording, progress: Callable[[str], None]) -> Datas
     parts = recording.parts()
     tasks = [ReportTask(part.name, record_part, (recording, part), float(len(part.poses()))) for part in parts]
     found = work(tasks, progress)
-    return _dataset(recording, [(part, touch) for part in parts for touch in found[part.name][0]])
+    return dataset(recording, [(part, touch) for part in parts for touch in found[part.name][0]])
 
 
-def _dataset(recording: Recording, touches: Sequence[tuple[Part, _Touch]]) -> Dataset:
+def dataset(recording: Recording, touches: Sequence[tuple[Part, Touch]]) -> Dataset:
+    """Return the rows of dockings, in their order."""
     rows = recording.rows
 
     def column(values: Sequence[Any]) -> NDArray[Any]:

@@ -15,7 +15,7 @@ import numpy as np
 from deltacharger_lab.reports.formats import grouped, percent
 from deltacharger_lab.reports.pool import ReportTask, joined, work
 from deltacharger_lab.reports.report import Progress, Report, at_least, at_most
-from deltacharger_lab.reports.tactile import parity, splits
+from deltacharger_lab.reports.tactile import parity, recorded, splits
 from deltacharger_lab.reports.tactile.ceiling import CEILING, ROWS
 from deltacharger_lab.reports.tactile.measure import WINDOWS, cuda_timing, judge_rig, timing
 from deltacharger_lab.reports.tactile.pictures import PICTURES
@@ -96,6 +96,7 @@ def _measure(results: dict[str, Any], plan: TactilePlan, progress: Progress) -> 
     results["splits"] = joined(found.get("splits", []))
     results["ceiling"] = mean_rows(joined(found.get("one docking", [])))
     results["parity"] = parity.table(joined(found.get("parity", [])), results["accuracy"])
+    results["recorded"] = recorded.table(found.get("recorded", []), raw["accuracy"])
     results["trainers"] = {row["model"]: row for row in times["trainers"]}
     results["cuda"] = {"device": cuda["device"], "trainers": {row["model"]: row for row in cuda["trainers"]}}
     results["times"] = {
@@ -121,6 +122,7 @@ def tasks(plan: TactilePlan, kept: str) -> list[ReportTask]:
     if default(plan) == "pose":  # all of them need scikit-learn
         found += [ReportTask("parity", parity.compare, (rig, seed), 1.0) for rig in plan.rigs for seed in plan.seeds]
         for rig in plan.ceiling_rigs:
+            found.append(ReportTask("recorded", recorded.judge, (rig, plan.seeds[0], plan), 12.0))
             found += [ReportTask("one docking", row, (rig, plan.seeds[0], plan), 3.0) for row in ROWS]
     return found
 
