@@ -41,7 +41,7 @@ LONGEST_LEASE = 0.25
 DOCK_DISTANCE = 0.080
 """m; z of the electrodes where the robot stands right (paper: (0, 0, 80) mm)."""
 BAR_LENGTH, BAR_HEIGHT, BAR_GAP = 0.070, 0.010, 0.0074
-"""m; an electrode's bar along x and y, and the gap to the other bar (paper)."""
+"""m; an electrode's bar along x and y, and the gap to the other bar (assumed: they short at the paper's 12°)."""
 MAGNET_FORCE, MAGNET_WIDTH, MAGNET_FLOOR = 60.0, 0.008, 0.2
 """All magnets together: N in contact at zero offset, m of lateral offset that halves it, least share (assumed)."""
 DOCKING_JITTER = 1.0e-3

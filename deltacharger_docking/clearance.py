@@ -4,7 +4,7 @@
 Both terminals carry two parallel bars, 2h long, with a gap of 2g between them. Tilted by an angle about the midpoint
 and shifted by y across the bars, the nearest corner of a charger bar keeps a distance of
 c(angle, y) = g (1 + cos angle) − h |sin angle| − |y| from the opposite bar. With g = 3.7 mm and h = 35 mm it vanishes
-at 12.07° for y = 0, which is the paper's critical angle, and already at 3.9° for y = 5 mm.
+at 12.07° for y = 0 and already at 3.9° for y = 5 mm; the sizes were chosen for the paper's critical angle, 12°.
 """
 
 from __future__ import annotations

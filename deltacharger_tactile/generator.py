@@ -48,7 +48,8 @@ def generate_paper(
 ) -> Dataset:
     """Generate the paper's protocol on each rig: 600 dockings by angle and 500 by position.
 
-    Angle set: 0, 1, … 5° × 100 dockings; the start varies over ±20 mm in 4 mm steps, of which vision leaves a tenth.
+    Angle set: 0, 1, … 5° × 100 dockings; the start varies over ±20 mm in 4 mm steps, of which a tenth is taken to be
+    left (`tactile record --protocol paper` lets vision and the arm leave what they leave).
     Position set: 5 × 5 offsets × 20 dockings at zero angle.
 
     Args:

@@ -31,9 +31,9 @@ class Terminal(Bounded):
         ParameterError: a length is out of bounds.
     """
 
-    bar_length: float = number(BAR_LENGTH, 0.005, 1.0, "m", "along x (paper)")
-    bar_height: float = number(BAR_HEIGHT, 0.001, 0.5, "m", "of one bar along y (paper)")
-    gap: float = number(BAR_GAP, 0.0005, 0.5, "m", "between the bars along y (paper)")
+    bar_length: float = number(BAR_LENGTH, 0.005, 1.0, "m", "along x (assumed)")
+    bar_height: float = number(BAR_HEIGHT, 0.001, 0.5, "m", "of one bar along y (assumed)")
+    gap: float = number(BAR_GAP, 0.0005, 0.5, "m", "between the bars along y (assumed)")
     bar_thickness: float = number(0.006, 0.0, 0.1, "m", "of the bars above the plate (assumed)")
 
     @property

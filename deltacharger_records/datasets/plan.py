@@ -26,7 +26,7 @@ REPEATS = {"position": 20, "angle": 100, "reference": 10, "sweep": 100}
 TILTED = {"angle": 5.0, "sweep": 20.0}
 """Sets whose target is turned, and by how much at most, degrees."""
 OFFSETS_MM = tuple(1e3 * value for value in POSITION_CLASSES)
-_LEFT_BY_VISION = 0.1  # of the start's offset (paper)
+_LEFT_BY_VISION = 0.1  # of the start's offset (assumed; the paper tells the starts alone)
 _START_STEP, _START_STEPS = 0.004, 5  # m; the start varies by ±20 mm in steps of 4 mm (paper)
 
 
