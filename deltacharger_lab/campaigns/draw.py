@@ -92,27 +92,28 @@ def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
 def _goal(values: Mapping[str, Value], source: random.Random) -> ElectrodePose:
     """Return what camera and hand-eye calibration make of where the target stands."""
     position = [NOMINAL[index] + float(values.get(f"target.{axis}", 0.0)) for index, axis in enumerate("xyz")]
-    turned = float(values.get("camera.roll_stddev", 0.0))
-    swing = float(values.get("hand_eye.rotation_stddev", 0.0))
+    standing = float(values.get("target.roll", 0.0))
     limit = float(values.get("shift.limit", math.inf))
     moved = float(values.get("shift.x", 0.0)), float(values.get("shift.y", 0.0))
     for _ in range(_REDRAWS):
-        (x, y, z), roll = seen_at(values, position, source)
+        (x, y, z), roll = seen_at(values, position, standing, source)
         if max(abs(position[0] + moved[0] - x), abs(position[1] + moved[1] - y)) <= limit:
             break
     else:
         raise ParameterError("shift.limit", limit, "is never kept by these errors of vision; give a larger one")
-    stddev = math.hypot(turned, swing)
-    roll += float(values.get("target.roll", 0.0))
+    stddev = math.hypot(*(float(values.get(f"{key}_stddev", 0.0)) for key in ("camera.roll", "hand_eye.rotation")))
     return ElectrodePose((x, y, z), roll, stddev if stddev > _GOAL_STDDEV_LEAST else 0.0)
 
 
-def seen_at(values: Mapping[str, Value], position: Sequence[float], source: random.Random) -> tuple[Vector, float]:
-    """Return where a camera sees electrodes that stand at `position`, m, and the error of their roll, rad.
+def seen_at(
+    values: Mapping[str, Value], position: Sequence[float], roll: float, source: random.Random
+) -> tuple[Vector, float]:
+    """Return where a camera sees electrodes, m, charger_base, and their roll as it sees it, rad.
 
     Args:
         values: of the keys `camera` and `hand_eye`; 0 where one is missing.
-        position: of the electrodes, m, charger_base.
+        position: where they stand, m, charger_base.
+        roll: how they are turned, rad.
         source: of the errors.
     """
     seen, turned = (float(values.get(f"camera.{name}_stddev", 0.0)) for name in ("position", "roll"))
@@ -122,7 +123,7 @@ def seen_at(values: Mapping[str, Value], position: Sequence[float], source: rand
     rx, ry, rz = (turn * each for each in noise[6:9])
     swung = (ry * az - rz * ay, rz * ax - rx * az, rx * ay - ry * ax)  # a small rotation about the camera
     x, y, z = (position[index] + seen * noise[index] + place * noise[3 + index] + swung[index] for index in range(3))
-    return (x, y, z), turned * noise[9] + rz
+    return (x, y, z), roll + turned * noise[9] + rz
 
 
 def _derived(

@@ -168,9 +168,10 @@ def _seen(reply: Reply, part: Part, number: int, recording: Recording) -> Reply:
     errs = {name: spread.numbers[0] for name, spread in load_campaign_scene(DEFAULT).spreads.items()}
     place = {name: value for name, value in errs.items() if name.startswith("hand_eye.")}
     look = {name: value for name, value in errs.items() if name.startswith("camera.")}
-    believed, _ = seen_at(place, part.target, random.Random(f"{recording.rig} hand_eye"))
-    position, error = seen_at(look, believed, random.Random(f"{recording.rig} {recording.seed} {part.name} {number}"))
-    return dataclasses.replace(reply, detection=ElectrodePose(position, math.radians(part.angle_deg) + error))
+    mounted = random.Random(f"{recording.rig} hand_eye")
+    believed, roll = seen_at(place, part.target, math.radians(part.angle_deg), mounted)
+    errors = random.Random(f"{recording.rig} {recording.seed} {part.name} {number}")
+    return dataclasses.replace(reply, detection=ElectrodePose(*seen_at(look, believed, roll, errors)))
 
 
 def record_paper(recording: Recording, progress: Callable[[str], None]) -> Dataset:
