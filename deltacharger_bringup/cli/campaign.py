@@ -27,12 +27,11 @@ from deltacharger_bringup.cli.parser import add_command
 from deltacharger_bringup.cli.scene import refusing_scenes
 from deltacharger_bringup.cli.types import SEED, whole
 from deltacharger_docking.parameters import APPROACHES
-from deltacharger_lab.campaigns import paper
 from deltacharger_lab.campaigns.compare import compare_campaigns, describe
 from deltacharger_lab.campaigns.compare_picture import draw
 from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
-from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, CampaignSettings, versions_of
+from deltacharger_lab.campaigns.settings import CampaignError, CampaignRefused, CampaignSettings, versions
 from deltacharger_lab.campaigns.store import Store, read_results
 from deltacharger_lab.campaigns.summary import COLUMNS, summarise
 
@@ -172,10 +171,7 @@ def _settings(options: argparse.Namespace) -> CampaignSettings:
         raise CommandError(
             f"-n {count}: {scene.file} lists {len(scene.dockings)} dockings; give at most as many", WRONG_INPUT
         )
-    if paper.are_wanted(scene.content):
-        paper.prepare(_folder(options), say)
-    versions = versions_of(scene.content)
-    return CampaignSettings(count, options.seed, options.approach, options.exact, scene.content, scene.name, versions)
+    return CampaignSettings(count, options.seed, options.approach, options.exact, scene.content, scene.name, versions())
 
 
 def _described(summary: dict[str, Any], settings: CampaignSettings) -> str:

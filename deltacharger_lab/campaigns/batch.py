@@ -14,7 +14,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from typing import Any
 
 from deltacharger_lab.campaigns.docking import dock_once
-from deltacharger_lab.campaigns.settings import CampaignError, scene_of, versions_of
+from deltacharger_lab.campaigns.settings import CampaignError, scene_of, versions
 
 BATCH_MOST = 50  # dockings of a batch, some seconds of work: what a kill -9 may lose of each worker
 _AHEAD = 2  # batches per worker that are handed out
@@ -46,7 +46,7 @@ def run_batch(text: str, numbers: Sequence[int], stop: Callable[[], bool] | None
         CampaignError: this worker's versions are not those of the campaign.
     """
     settings, scene = scene_of(text)
-    ours = versions_of(settings.scene)
+    ours = versions()
     differing = [
         f"{name} {ours.get(name)} instead of {value}"
         for name, value in settings.versions.items()

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import os
 import random
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -41,9 +40,9 @@ class Felt:
         self.last: Kept | None = None
         self.frozen = False
         if errors.paper:
-            from deltacharger_lab.campaigns.paper import FOLDER, paper_classes
+            from deltacharger_lab.campaigns.paper import PaperClasses
 
-            charger.model = paper_classes(os.environ.get(FOLDER, ""))
+            charger.model = PaperClasses()
         charger.answer[Service.ESTIMATE] = self._answer
 
     def _answer(self, reply: Reply) -> Reply | None:

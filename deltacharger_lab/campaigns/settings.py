@@ -113,13 +113,6 @@ def versions() -> dict[str, str]:
     }
 
 
-def versions_of(content: Mapping[str, Any]) -> dict[str, str]:
-    """Return the versions that the rows of a scene follow from: those of the paper's classes too, where it asks."""
-    from deltacharger_lab.campaigns import paper
-
-    return {**versions(), "paper classes": paper.digest()} if paper.are_wanted(content) else dict(versions())
-
-
 def _digest() -> str:
     """Return 16 hexadecimal digits that change with the code, and any model, that a docking follows from."""
     digest = hashlib.sha256()

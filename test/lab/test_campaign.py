@@ -227,7 +227,7 @@ def test_a_crash_becomes_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_worker_with_other_versions_computes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     text = settings(1).to_json()
     others = {"python": "2.7", "numpy": "1", "deltacharger": "0", "code": "x"}
-    monkeypatch.setattr(batch, "versions_of", lambda scene: others)
+    monkeypatch.setattr(batch, "versions", lambda: others)
     with pytest.raises(CampaignError, match=r"python 2\.7 instead of"):
         run_batch(text, [0])
 

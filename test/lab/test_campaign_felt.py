@@ -12,13 +12,11 @@ import pytest
 
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.observation import Reply, Service
-from deltacharger_lab.campaigns import paper
 from deltacharger_lab.campaigns.docking import columns, dock_once
 from deltacharger_lab.campaigns.felt import AXES, Felt
 from deltacharger_lab.campaigns.keys import EstimatorErrors
 from deltacharger_lab.campaigns.scene import parse_campaign_scene
 from deltacharger_lab.campaigns.servo_load import SECONDS
-from deltacharger_lab.campaigns.settings import versions_of
 
 from .campaigns import QUICK
 
@@ -118,24 +116,8 @@ def test_a_row_tells_the_rest_and_the_estimates_beside_the_truth() -> None:
     assert refused["energised"] == 0.0
 
 
-def test_the_papers_classes_are_asked_for_and_their_digest_is_told(tmp_path: Any, monkeypatch: Any) -> None:
+def test_the_papers_classes_are_those_of_the_packaged_cnn() -> None:
     content = {"estimator": {"paper": True}}
-    monkeypatch.delenv(paper.FOLDER, raising=False)
-    assert "paper classes" not in versions_of(QUICK)
-    assert versions_of(content)["paper classes"] == "none"
-    with pytest.raises(FileNotFoundError):
-        paper.paper_classes(str(tmp_path / "nowhere"))
-    pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
-    monkeypatch.setattr(paper, "MODEL", "logistic")
-    monkeypatch.setattr(paper, "RIGS", 1)
-    told: list[str] = []
-    paper.prepare(tmp_path / "campaign", told.append)
-    first = versions_of(content)["paper classes"]
-    assert len(told) == 3
-    assert (tmp_path / paper.NAME / "angle.npz").is_file()
-    paper.prepare(tmp_path / "campaign", told.append)
-    assert len(told) == 3
-    assert versions_of(content)["paper classes"] == first != "none"
     row = dock_once(parse_campaign_scene({**QUICK, **content}, "x"), 3, 0, "guarded")
     assert row["error"] == ""
     assert row["first_angle_stddev"] == 0.0

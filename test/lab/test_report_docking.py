@@ -137,7 +137,7 @@ def test_a_report_runs_what_is_missing_and_tells_what_it_has(
     assert "Everything here is simulated" in page
     assert all(f"| {each['name']} |" in page for each in answer["targets"])
     assert figures["versions"]["random"]["code"] in page
-    monkeypatch.setattr(docking_report, "versions_of", lambda content: {"code": "other"})
+    monkeypatch.setattr(docking_report, "versions", lambda: {"code": "other"})
     code, answer, _ = report(capsys, "--only", "random", "-n", "3", *out)
     assert code == 2
     assert "version of code" in answer["error"]

@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_lab.campaigns import paper
 from deltacharger_lab.campaigns.compare import compare_campaigns
 from deltacharger_lab.campaigns.docking import columns as docking_columns
 from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
-from deltacharger_lab.campaigns.settings import CampaignSettings, scene_of, versions_of
+from deltacharger_lab.campaigns.settings import CampaignSettings, scene_of, versions
 from deltacharger_lab.campaigns.store import Store, read_results, read_settings
 from deltacharger_lab.reports.docking import summary
 from deltacharger_lab.reports.docking.pictures import FORMS, PICTURES, without
@@ -54,12 +53,6 @@ def run(
         if part.name not in plan.chosen:
             continue
         folder = directory / CAMPAIGNS / part.name
-        if paper.are_wanted(load_campaign_scene(part.scene).content):
-            try:
-                paper.prepare(folder, tell)
-            except ModuleNotFoundError as error:
-                tell(f"{part.name} is left out: {error.name} is not installed; install deltacharger[train]")
-                continue
         with Store(folder, _settings(part, plan.seed, folder)) as store:
             missing = store.missing()
             if missing:
@@ -78,9 +71,7 @@ def _settings(part: CampaignPart, seed: int, folder: Path) -> CampaignSettings:
         count = max(count, read_settings(folder).n)
     if scene.dockings:
         count = min(count, len(scene.dockings))
-    return CampaignSettings(
-        count, seed, part.approach, part.exact, scene.content, scene.name, versions_of(scene.content)
-    )
+    return CampaignSettings(count, seed, part.approach, part.exact, scene.content, scene.name, versions())
 
 
 def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) -> dict[str, Any]:
