@@ -88,7 +88,7 @@ def draw_poses(count: int, random: np.random.Generator) -> Array:
     return np.where(random.random((count, 1)) < 0.5, wide, near)
 
 
-def record(rigs: Sequence[int], count: int, seed: int, vary: bool = True) -> RobotFrames:
+def record(rigs: Sequence[int], count: int, seed: int, vary: bool = True, hole: float = 0.0) -> RobotFrames:
     """Dock `count` times on each rig.
 
     Args:
@@ -96,10 +96,12 @@ def record(rigs: Sequence[int], count: int, seed: int, vary: bool = True) -> Rob
         count: dockings per rig.
         seed: seed of the dockings.
         vary: draw each rig's family by `varied` instead of the defaults.
+        hole: diameter of the hole in each of the target's ridges, m.
     """
     frames, poses, forces = [], [], []
     for rig_seed in rigs:
         parameters = varied(rig_seed) if vary else TactileParameters()
+        parameters = dataclasses.replace(parameters, contact=dataclasses.replace(parameters.contact, hole=hole))
         random = np.random.default_rng([0x7EC, seed, rig_seed])
         averaged = int(random.choice([1, 4, 12, 12])) if vary else 12
         rows = measure(parameters, Rig.draw(parameters, rig_seed), draw_poses(count, random), random, averaged, 0.0)
@@ -123,6 +125,7 @@ def train(
     seed: int = TRAINING_SEED,
     epochs: int = 12,
     threshold: float = THRESHOLD,
+    hole: float = 0.0,
 ) -> PoseEstimator:
     """Train an estimator and scale its standard deviations on rigs that it has not seen.
 
@@ -133,8 +136,9 @@ def train(
         seed: seed of the dockings and of the initial weights.
         epochs: passes over the data.
         threshold: readings below it count as 0, N.
+        hole: diameter of the hole in each of the target's ridges, m.
     """
-    learn, check = record(rigs, count, seed), record(held_out, count, seed)
+    learn, check = record(rigs, count, seed, hole=hole), record(held_out, count, seed, hole=hole)
     name = "pose-1" if threshold == THRESHOLD else f"pose-1@{threshold:g}N"
     model = PoseEstimator(name, threshold, epochs=epochs)
     model.fit(learn.frames, learn.pose, (check.frames, check.pose), seed)

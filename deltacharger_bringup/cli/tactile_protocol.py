@@ -25,10 +25,10 @@ def record_protocol(options: argparse.Namespace) -> int:
             flag = f"--{name.replace('_', '-')}"
             raise CommandError(f"{flag} is for a charger that runs; leave it out beside --protocol", WRONG_INPUT)
     out = file_to_write("--out", options.out, ".npz")
-    from deltacharger_lab.campaigns.recording import Recording, record_paper
+    from deltacharger_lab.campaigns.recording import Protocol, record_paper
 
     shared = ("rig", "seed", "frames", "rows", "threshold", "dwell_s", "tare_every")
-    recording = Recording(**{name: getattr(options, name) for name in shared})
+    recording = Protocol(**{name: getattr(options, name) for name in shared})
     try:
         data = record_paper(recording, say)
     except DockingError as error:

@@ -7,10 +7,10 @@ import functools
 import math
 from dataclasses import dataclass, field
 
-from deltacharger_core.parameters import Declaration, declared, flag, number
+from deltacharger_core.parameters import Declaration, declared, flag, like, number
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.parameters import PadContactParameters, TactileParameters
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,13 @@ class _Shift:
     beyond_zero: float | None = number(
         None, -0.2, 0.2, "rad", "roll of the target beyond that of no clearance at its vertical offset, either sign"
     )
+
+
+@dataclass(frozen=True)
+class _Electrode:
+    """What the target's electrodes are like where the pads feel them."""
+
+    hole: float = like(PadContactParameters, "hole")
 
 
 @dataclass(frozen=True)
@@ -95,6 +102,7 @@ class _Campaign:
 
     target: _Target = field(default_factory=_Target)
     shift: _Shift = field(default_factory=_Shift)
+    electrode: _Electrode = field(default_factory=_Electrode)
     camera: _Camera = field(default_factory=_Camera)
     hand_eye: _HandEye = field(default_factory=_HandEye)
     gravity: _Gravity = field(default_factory=_Gravity)
@@ -104,6 +112,7 @@ class _Campaign:
 TAKEN = {
     **{f"world.target.{axis}": f"give target.{axis} (seen) and shift.{axis} (unseen)" for axis in (*"xyz", "roll")},
     **{f"world.gravity_{axis}": "give gravity.tilt and gravity.azimuth" for axis in "xyz"},
+    "tactile.contact.hole": "give electrode.hole",
     "world.step": "a campaign steps the world itself",
     "docking.servo_stiffness": "it follows world.servo.stiffness",
     **{f"docking.gravity_{axis}": "give gravity.tilt and gravity.known" for axis in "xyz"},

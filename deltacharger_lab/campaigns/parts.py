@@ -36,7 +36,9 @@ def build_parts(
     told = gravity if values.get("gravity.known", False) else GRAVITY
     given: dict[str, Any] = {"servo_stiffness": world.servo.stiffness, "approach": approach, **_axes(told)}
     docking = from_mapping(given | nested(values, "docking"), DockingParameters, "docking")
-    return world, from_mapping(nested(values, "tactile"), TactileParameters, "tactile"), docking
+    pads = nested(values, "tactile")
+    pads.setdefault("contact", {}).update(nested(values, "electrode"))
+    return world, from_mapping(pads, TactileParameters, "tactile"), docking
 
 
 def nested(values: Mapping[str, Value], section: str) -> dict[str, Any]:

@@ -40,7 +40,7 @@ _LIMIT = 120.0  # simulated s of one docking
 
 
 @dataclass(frozen=True)
-class Recording:
+class Protocol:
     """What is recorded of one rig.
 
     Attributes:
@@ -79,7 +79,7 @@ class _Charger(QuickCharger):
 
 
 @dataclass(frozen=True)
-class Touch:
+class Pressed:
     """One docking: its number in the part, and what its rows are made of; m, rad, N, A."""
 
     number: int
@@ -95,8 +95,8 @@ class Touch:
 class _Keeper:
     """Takes what the charger's pads feel, and the truth beside it."""
 
-    def __init__(self, charger: _Charger, recording: Recording) -> None:
-        self.touches: list[Touch] = []
+    def __init__(self, charger: _Charger, recording: Protocol) -> None:
+        self.touches: list[Pressed] = []
         self.numbers: Sequence[int] = ()
         self.session = 0
         self.number = 0
@@ -125,13 +125,13 @@ class _Keeper:
 
     def keep(self, touch: Rested) -> None:
         known = {"commanded": touch.commanded, "current": touch.current, **self._felt}
-        self.touches.append(Touch(self.number, self.session, **known))
+        self.touches.append(Pressed(self.number, self.session, **known))
 
     def kept(self) -> bool:
         return True
 
 
-def record_part(recording: Recording, part: Part) -> list[Touch]:
+def record_part(recording: Protocol, part: Part) -> list[Pressed]:
     """Make the dockings of one part, in the order of their numbers.
 
     Raises:
@@ -163,7 +163,7 @@ def record_part(recording: Recording, part: Part) -> list[Touch]:
     return sorted(keeper.touches, key=lambda touch: touch.number)
 
 
-def _seen(reply: Reply, part: Part, number: int, recording: Recording) -> Reply:
+def _seen(reply: Reply, part: Part, number: int, recording: Protocol) -> Reply:
     """Answer where the camera sees the electrodes in a docking."""
     errs = {name: spread.numbers[0] for name, spread in load_campaign_scene(DEFAULT).spreads.items()}
     place = {name: value for name, value in errs.items() if name.startswith("hand_eye.")}
@@ -174,7 +174,7 @@ def _seen(reply: Reply, part: Part, number: int, recording: Recording) -> Reply:
     return dataclasses.replace(reply, detection=ElectrodePose(*seen_at(look, believed, roll, errors)))
 
 
-def record_paper(recording: Recording, progress: Callable[[str], None]) -> Dataset:
+def record_paper(recording: Protocol, progress: Callable[[str], None]) -> Dataset:
     """Record the paper's two sets on one simulated rig, two parts at a time.
 
     Args:
@@ -191,7 +191,7 @@ def record_paper(recording: Recording, progress: Callable[[str], None]) -> Datas
     return dataset(recording, [(part, touch) for part in parts for touch in found[part.name][0]])
 
 
-def dataset(recording: Recording, touches: Sequence[tuple[Part, Touch]]) -> Dataset:
+def dataset(recording: Protocol, touches: Sequence[tuple[Part, Pressed]]) -> Dataset:
     """Return the rows of dockings, in their order."""
     rows = recording.rows
 

@@ -17,7 +17,7 @@ from deltacharger_lab.campaigns.spread import Spread, Value, read_spread
 from deltacharger_scenes.scene import find_file, packaged_files, read_file
 
 DEFAULT = "default"
-SECTIONS = ("target", "shift", "camera", "hand_eye", "gravity", "estimator", "world", "tactile", "docking")
+SECTIONS = ("target", "shift", "electrode", "camera", "hand_eye", "gravity", "estimator", "world", "tactile", "docking")
 _BASE = "based_on"
 _TOP = ("name", "description", _BASE, "dockings", *SECTIONS)
 _LONGEST = 100_000  # dockings of a list

@@ -23,6 +23,7 @@ from deltacharger_lab.campaigns.spread import read_spread
 from deltacharger_scenes.scene import SceneError
 from deltacharger_sim.clearance import overlap
 from deltacharger_sim.parameters import WorldParameters
+from deltacharger_tactile.parameters import TactileParameters
 
 METRES = Declaration("x", float, None, "a place", "m", -0.06, 0.06)
 
@@ -152,6 +153,16 @@ def test_a_tilted_robot_has_tilted_gravity(azimuth: float, expected: tuple[float
     assert docking.gravity == (0.0, -9.81, 0.0)
     _, _, told = build_parts({**values, "gravity.known": True}, "guarded")
     assert told.gravity == pytest.approx((world.gravity_x, world.gravity_y, world.gravity_z))
+
+
+def test_electrodes_have_the_hole_that_the_scene_gives_them() -> None:
+    assert build_parts({"electrode.hole": 0.002}, "guarded")[1].contact.hole == 0.002
+    assert build_parts({}, "guarded")[1] == TactileParameters()
+    holed, plain = (draw(load_campaign_scene(name), 3, 5, "guarded") for name in ("holes", "random"))
+    assert (holed.tactile.contact.hole, plain.tactile.contact.hole) == (0.0022, 0.0)
+    assert (holed.world, holed.goal, holed.rig_seed) == (plain.world, plain.goal, plain.rig_seed)
+    with pytest.raises(ParameterError, match=r"tactile\.contact\.hole.*give electrode\.hole"):
+        parse_campaign_scene({"tactile": {"contact": {"hole": 0.002}}}, "x")
 
 
 def test_a_listed_docking_is_as_listed_and_the_rest_is_drawn() -> None:

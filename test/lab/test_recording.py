@@ -17,11 +17,11 @@ from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT
 from deltacharger_core.machine import DOCKING_JITTER
 from deltacharger_docking.codes import DockingError
 from deltacharger_lab.campaigns import recording
-from deltacharger_lab.campaigns.recording import Recording, record_paper, record_part
+from deltacharger_lab.campaigns.recording import Protocol, record_paper, record_part
 from deltacharger_tactile.classifiers.labels import TARGETS, examples
 from deltacharger_tactile.dataset import SUBSET_ANGLE, Dataset
 
-SMALL = Recording(rig=880, seed=4, repeat=(6, 1))
+SMALL = Protocol(rig=880, seed=4, repeat=(6, 1))
 
 
 def silent(_: str) -> None:
@@ -108,16 +108,16 @@ def test_what_needs_a_running_charger_is_refused_beside_a_protocol(
 def test_the_command_writes_the_data_set_or_says_what_failed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, data: Dataset
 ) -> None:
-    asked: list[Recording] = []
+    asked: list[Protocol] = []
 
-    def record(what: Recording, _: object) -> Dataset:
+    def record(what: Protocol, _: object) -> Dataset:
         asked.append(what)
         return data
 
     monkeypatch.setattr(recording, "record_paper", record)
     words = ["tactile", "record", "--protocol", "paper", "--rig", "880", "--seed", "4", "--rows", "2", "--json"]
     assert main([*words, "--out", str(tmp_path / "data.npz")]) == DONE
-    assert asked == [Recording(rig=880, seed=4, rows=2, threshold=0.25)]
+    assert asked == [Protocol(rig=880, seed=4, rows=2, threshold=0.25)]
     assert json.loads(capsys.readouterr().out)["n"] == len(data) == len(Dataset.load(tmp_path / "data.npz"))
 
     def fail(*_: object) -> Dataset:

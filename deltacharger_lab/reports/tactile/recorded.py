@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_lab.campaigns.recording import Recording, dataset, record_part
+from deltacharger_lab.campaigns.recording import Protocol, dataset, record_part
 from deltacharger_lab.reports.tactile.measure import accuracy, fitted
 from deltacharger_lab.reports.tactile.plan import TARGETS, TactilePlan
 from deltacharger_tactile.classifiers import labels, splits
@@ -21,7 +21,7 @@ def judge(rig: int, seed: int, plan: TactilePlan) -> dict[str, Any]:
         rig; `left` (2,) m, root mean square of what vision left of the starts along x and y; `models`, by name and
         target the share told right.
     """
-    recording = Recording(rig, seed, threshold=0.0)
+    recording = Protocol(rig, seed, threshold=0.0)
     data = dataset(recording, [(part, touch) for part in recording.parts() for touch in record_part(recording, part)])
     found: dict[str, Any] = {"rig": rig, "models": {name: {} for name in plan.names}}
     of_angle = data.subset == SUBSET_ANGLE
