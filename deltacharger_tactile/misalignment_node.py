@@ -28,6 +28,7 @@ from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_ros import node_support
 from deltacharger_ros.on_demand import OnDemandSubscription
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.unknown import unknown_misalignment
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.estimate import Estimate
 from deltacharger_tactile.frame_window import Frame, FrameWindow, Refused
@@ -147,7 +148,7 @@ class MisalignmentNode(Node):
         self, request: PredictMisalignment.Request, response: PredictMisalignment.Response
     ) -> PredictMisalignment.Response:
         wanted = request.frames or self._default_frames
-        response.success = False
+        response.misalignment = unknown_misalignment()
         if wanted > FRAMES_MAX:
             kept = FRAMES_MAX
             response.message = f"{wanted} frames asked for, at most {kept} are kept; ask for fewer"

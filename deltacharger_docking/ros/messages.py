@@ -32,17 +32,6 @@ def estimate(message: Misalignment) -> FeltPose:
     return FeltPose(**{item.name: getattr(message, item.name) for item in fields(FeltPose)})
 
 
-def unknown() -> Misalignment:
-    """Return a message that says nothing was felt."""
-    message = Misalignment()
-    message.header.frame_id = "end_effector"
-    for name in ("angle", "vertical", "horizontal"):
-        setattr(message, name, math.nan)
-        setattr(message, f"{name}_stddev", math.nan)
-    message.left_force = message.right_force = math.nan
-    return message
-
-
 def trajectory(waypoints: Sequence[Waypoint], stamp: Any, secret: str = "") -> JointTrajectory:
     """Return waypoints as a JointTrajectory whose efforts (N·m) bound each servo's torque.
 

@@ -20,8 +20,9 @@ from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_core.texts import cut
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.observation import ElectrodePose, Reply, Request, Service
-from deltacharger_docking.ros.messages import estimate, unknown
+from deltacharger_docking.ros.messages import estimate
 from deltacharger_ros.messages import duration
+from deltacharger_ros.unknown import unknown_misalignment
 
 _RENEWAL = 0.1  # s between renewals of the lease
 _DISCOVERY = 1.5  # s that a service may take to appear: nodes that start together find each other so late
@@ -113,7 +114,7 @@ class Services:
 
     def misalignment(self, value: FeltPose | None) -> Misalignment:
         """Return the message that the machine's last estimate came from; NaN where there is none."""
-        return next((message for felt, message in list(self._felt) if felt is value), unknown())
+        return next((message for felt, message in list(self._felt) if felt is value), unknown_misalignment())
 
     def contactor(self, wanted: bool, closed: bool) -> None:
         """Renew the lease while `wanted`, ten times a second; open at once when it no longer is."""

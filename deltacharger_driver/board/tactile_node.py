@@ -13,7 +13,6 @@ lease ends, the topics fall silent, and the node reopens the port by itself.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -40,6 +39,7 @@ from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import LATEST
+from deltacharger_ros.unknown import unknown
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
 _TARE_SHARED = 0.05  # s that a tare counts for later callers, where several waited for it
@@ -120,7 +120,7 @@ class TactileNode(Node):
         return self._served(response, tare)
 
     def _on_probe(self, request: Probe.Request, response: Probe.Response) -> Probe.Response:
-        response.resistance = response.target_voltage = math.nan
+        unknown(response)
 
         def probe() -> str:
             result = self._keeper.guard.probe()

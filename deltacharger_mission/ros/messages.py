@@ -12,11 +12,11 @@ from geometry_msgs.msg import PoseStamped
 
 from deltacharger_core.texts import cut
 from deltacharger_docking.codes import Code, Rejected, State
-from deltacharger_docking.ros.messages import unknown
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, TaskReply
 from deltacharger_mission.places import Place
 from deltacharger_ros.messages import seconds
+from deltacharger_ros.unknown import unknown_misalignment
 
 _NEAR = 10.0  # m; no camera of the charger tells a terminal farther off
 _FRAME_MAX = 256  # characters of a frame's name
@@ -68,7 +68,7 @@ def _known(code: int) -> Code:
 def unknown_dock() -> Any:
     """Return the result of a docking that never was: what was not measured is NaN."""
     return Dock.Result(
-        misalignment=unknown(), contact_current=math.nan, contact_force=math.nan, charge_current=math.nan
+        misalignment=unknown_misalignment(), contact_current=math.nan, contact_force=math.nan, charge_current=math.nan
     )
 
 

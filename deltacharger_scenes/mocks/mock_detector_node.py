@@ -25,6 +25,7 @@ from rclpy.node import Node
 
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.unknown import unknown
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import DETECTOR_FAULTS, MockDetectorNodeParameters
 
@@ -56,6 +57,7 @@ class MockDetectorNode(Node):
     ) -> DetectElectrodes.Response:
         fault = self._fault.active()
         if fault == "nothing":
+            unknown(response)
             response.message = "no electrodes in the image; turn the robot toward the target or clean the lens"
             return response
         detection = self._detection(fault)

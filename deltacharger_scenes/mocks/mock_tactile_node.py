@@ -42,6 +42,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.unknown import unknown
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import POWER_FAULTS, TACTILE_FAULTS, MockTactileNodeParameters
 from deltacharger_scenes.mocks.power import BATTERY, TARGET, MockPower
@@ -184,6 +185,7 @@ class MockTactileNode(Node):
 
     def _on_probe(self, request: Probe.Request, response: Probe.Response) -> Probe.Response:
         self._stop.wait(_PROBE_TIME)
+        unknown(response)
         with self._lock:
             try:
                 resistance, voltage = self._power.probe(time.monotonic(), self._touching())

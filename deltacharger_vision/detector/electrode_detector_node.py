@@ -29,6 +29,7 @@ from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.unknown import unknown
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.detector.electrode_detector_node_io import Camera, Shot, to_message
@@ -90,6 +91,7 @@ class ElectrodeDetectorNode(Node):
     def _on_detect(
         self, request: DetectElectrodes.Request, response: DetectElectrodes.Response
     ) -> DetectElectrodes.Response:
+        unknown(response)
         limit = seconds(request.timeout)
         if limit < 0.0:
             response.message = f"timeout is {limit:g} s; give 0 for the default of {self._timeout:g} s, or more"

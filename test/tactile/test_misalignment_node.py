@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import threading
@@ -144,6 +145,10 @@ def test_refuses_without_frames_untared_and_stale(pads: Pads) -> None:
     too_many = pads.ask(1000)
     assert not too_many.success
     assert "240" in too_many.message
+    for refused in (silent, untared, stale, too_many):
+        felt = refused.misalignment
+        told = (felt.angle, felt.vertical, felt.horizontal, felt.angle_stddev, felt.left_force, felt.right_force)
+        assert all(map(math.isnan, told))
 
 
 def test_models_change_while_the_node_runs(pads: Pads, tmp_path: Path) -> None:
@@ -245,6 +250,7 @@ def test_a_model_that_is_not_in_the_list_is_answered_with_the_list(pads: Pads, n
     assert not refused.success
     assert "known are logistic, svm, knn, tree, gbdt, forest, xgboost, nn, cnn" in refused.message
     assert len(refused.message) < 300
+    assert math.isnan(refused.misalignment.angle)
     assert pads.ask().success
 
 

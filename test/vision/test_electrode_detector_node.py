@@ -103,6 +103,8 @@ def test_an_empty_scene_is_told_after_the_time_that_was_given(
     assert not answer.success
     assert "no electrodes in the image" in answer.message
     assert "images in 1.0 s" in answer.message
+    assert math.isnan(answer.detection.pose.pose.position.z)
+    assert math.isnan(answer.detection.roll)
 
 
 def test_without_a_camera_it_names_the_topics_and_diagnoses_them(

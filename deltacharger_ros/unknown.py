@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Answers that measured nothing: unknown is NaN, never 0."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from deltacharger.msg import Misalignment
+from std_msgs.msg import Header
+
+
+def unknown(message: Any) -> Any:
+    """Set every number that a message of measurements holds to NaN, those of messages in it too; return it."""
+    for name, kind in message.get_fields_and_field_types().items():
+        value = getattr(message, name)
+        if kind in ("float", "double"):
+            setattr(message, name, math.nan)
+        elif isinstance(value, np.ndarray):
+            value[:] = math.nan
+        elif hasattr(value, "get_fields_and_field_types"):
+            unknown(value)
+    return message
+
+
+def unknown_misalignment() -> Misalignment:
+    """Return a message that says nothing was felt."""
+    return unknown(Misalignment(header=Header(frame_id="end_effector")))

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What failed tells no number."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from deltacharger.msg import Misalignment
+from deltacharger.srv import DetectElectrodes, PredictMisalignment, Probe
+
+from deltacharger_ros.unknown import unknown, unknown_misalignment
+
+
+def numbers(message: Any) -> Iterator[float]:
+    for name, kind in message.get_fields_and_field_types().items():
+        value = getattr(message, name)
+        if hasattr(value, "get_fields_and_field_types"):
+            yield from numbers(value)
+        elif kind.startswith(("float", "double")):
+            yield from np.atleast_1d(value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "count"), [(PredictMisalignment.Response, 8), (DetectElectrodes.Response, 7 + 36 + 3), (Probe.Response, 2)]
+)
+def test_no_number_of_an_answer_without_a_measurement_is_one(kind: Any, count: int) -> None:
+    assert 0.0 in list(numbers(kind()))
+    found = list(numbers(unknown(kind())))
+    assert len(found) == count
+    assert all(map(math.isnan, found))
+
+
+def test_what_is_not_felt_has_a_frame_and_no_contact() -> None:
+    message = unknown_misalignment()
+    assert message.header.frame_id == "end_effector"
+    assert (message.contact, message.sure, message.in_range) == (False, False, False)
+    assert not len(message.angle_probability)
+    assert message.header.stamp == Misalignment().header.stamp
