@@ -37,6 +37,7 @@ HARD = {  # distribution: rosdep key
     "ros-std-srvs": "std_srvs",
     "ros-trajectory-msgs": "trajectory_msgs",
 }
+_INTERFACES = {"ros-builtin-interfaces", "ros-std-srvs"}  # the README says "the ros-…-msgs" of them all
 MODULES = {"yaml", "serial", "rcl_interfaces"} | {name for name in HARD if "-" not in name} | set(HARD.values())
 # rosdep keys, as in ros/rosdistro: packages released in Humble, Jazzy, Kilted and Rolling, then those of
 # rosdep/python.yaml. A key that is added here was looked up there.
@@ -98,6 +99,15 @@ def test_every_extra_has_its_reason() -> None:
         assert re.search(rf"^# .*\.\n{extra} = \[", text, re.MULTILINE), f"say above '{extra}' what it is for"
     for name in ("numpy", "pyyaml", "pyserial", "dynamixel-sdk", "ros-rclpy", "ros-ament-index-python"):
         assert re.search(rf'^  # .*\.\n  "{name}[\["<>]', text, re.MULTILINE), f"say above '{name}' what it is for"
+
+
+def test_the_readme_tells_what_each_library_is_for_and_which_extra_brings_it() -> None:
+    rows = re.findall(r"^\| (.+) \| .+ \| (.+) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    told = {(library, extra) for names, extras in rows for library in names.split(", ") for extra in extras.split(", ")}
+    extras = {**project()["optional-dependencies"], "always": project()["dependencies"]}
+    del extras["dev"]
+    missing = {(distribution(each), extra) for extra, needed in extras.items() for each in needed} - told
+    assert all(library.endswith("-msgs") or library in _INTERFACES for library, _ in missing), missing
 
 
 def test_nothing_else_is_imported_before_it_is_needed() -> None:
