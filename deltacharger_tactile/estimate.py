@@ -75,22 +75,28 @@ class Estimate:
     right_force: Any
 
 
+_ROOT = math.sqrt(2.0)
+_HALVES = np.append(np.radians(np.arange(ANGLE_CLASSES - 1) + 0.5), np.inf)
+_ANGLE_EDGES = np.concatenate([_HALVES, -_HALVES])
+_MIDDLES = np.array(POSITION_CLASSES)
+_POSITION_EDGES = np.concatenate([[-np.inf], 0.5 * (_MIDDLES[1:] + _MIDDLES[:-1]), [np.inf]])
+
+
 def angle_classes(angle: Array, stddev: Array) -> Array:
     """Probabilities (N, 6) that |angle| rounds to 0, 1, … 5°; the last class takes everything above."""
-    edges = np.append(np.radians(np.arange(ANGLE_CLASSES - 1) + 0.5), np.inf)
-    below = _normal((edges - angle[:, None]) / stddev[:, None]) - _normal((-edges - angle[:, None]) / stddev[:, None])
-    return np.diff(below, axis=1, prepend=0.0)
+    upper, lower = np.split(_normal((_ANGLE_EDGES - angle[:, None]) / stddev[:, None]), 2, axis=1)
+    below = upper - lower
+    return np.concatenate([below[:, :1], below[:, 1:] - below[:, :-1]], axis=1)
 
 
 def position_classes(position: Array, stddev: Array) -> Array:
     """Probabilities (N, 5) of the classes −10, −5, 0, 5, 10 mm; the outer two are open."""
-    middle = np.array(POSITION_CLASSES)
-    edges = np.concatenate([[-np.inf], 0.5 * (middle[1:] + middle[:-1]), [np.inf]])
-    return np.diff(_normal((edges - position[:, None]) / stddev[:, None]), axis=1)
+    below = _normal((_POSITION_EDGES - position[:, None]) / stddev[:, None])
+    return below[:, 1:] - below[:, :-1]
 
 
 def _normal(value: Array) -> Array:
-    return np.asarray([0.5 * math.erfc(-x / math.sqrt(2.0)) for x in value.ravel()]).reshape(value.shape)
+    return np.asarray([0.5 * math.erfc(-x / _ROOT) for x in value.ravel().tolist()]).reshape(value.shape)
 
 
 def shaped(column: NDArray[Any], shape: tuple[int, ...]) -> Any:
