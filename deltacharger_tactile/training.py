@@ -18,12 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.arrays import Array
+from deltacharger_core.parameters import ParameterError
 from deltacharger_tactile import MODEL_PATHS
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.errors import DatasetError
 from deltacharger_tactile.estimator import THRESHOLD, PoseEstimator
 from deltacharger_tactile.generator import measure
-from deltacharger_tactile.parameters import PadDockingParameters, SensorParameters, TactileParameters
+from deltacharger_tactile.parameters import (
+    PadContactParameters,
+    PadDockingParameters,
+    SensorParameters,
+    TactileParameters,
+)
 from deltacharger_tactile.sensor import Rig
 
 TRAINING_RIGS = range(1_000_000, 1_000_120)
@@ -140,6 +146,7 @@ def train(
     """
     learn, check = record(rigs, count, seed, hole=hole), record(held_out, count, seed, hole=hole)
     name = "pose-1" if threshold == THRESHOLD else f"pose-1@{threshold:g}N"
+    name += f"-hole-{1e3 * hole:g}mm" if hole else ""
     model = PoseEstimator(name, threshold, epochs=epochs)
     model.fit(learn.frames, learn.pose, (check.frames, check.pose), seed)
     model.describe(
@@ -189,12 +196,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Train a packaged model and write it."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--threshold", type=float, choices=MODEL_PATHS, default=THRESHOLD, help="N (0.25)")
+    parser.add_argument("--hole-mm", type=float, default=0.0, help="hole in each ridge; needs --output (none)")
     parser.add_argument("--output", type=Path, help="another file than the package's")
     options = parser.parse_args(arguments)
     output = options.output or MODEL_PATHS[options.threshold]
     if not output.parent.is_dir():
         parser.error(f"--output {output}: the folder {output.parent} does not exist; make it")
-    model = train(threshold=options.threshold)
+    try:
+        PadContactParameters(hole=1e-3 * options.hole_mm)
+    except ParameterError as error:
+        parser.error(f"--hole-mm: {error}")
+    if options.hole_mm and not options.output:
+        parser.error("--hole-mm: the packaged models know no holes; give --output FILE")
+    model = train(threshold=options.threshold, hole=1e-3 * options.hole_mm)
     try:
         model.save(output)
     except OSError as error:
