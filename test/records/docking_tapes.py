@@ -17,12 +17,12 @@ from rclpy.serialization import serialize_message
 
 from deltacharger_core.mcap_file import Raw
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.ros.messages import unknown
 from deltacharger_records.recording.docking_topics import TOPICS
 from deltacharger_records.recording.folder import PARAMETERS, RESULT
 from deltacharger_records.recording.mcap_recording import McapWriter
 from deltacharger_records.recording.own import ABOUT
 from deltacharger_ros.outcomes import Outcome
+from deltacharger_ros.unknown import unknown_misalignment
 from deltacharger_scenes.scene import Scene
 
 BEGAN = 1_795_000_000 * 10**9  # ns since 1970
@@ -78,7 +78,7 @@ def readings(start: float, end: float, current: float = 0.0, rate: float = 100.0
         if step % 5 == 0:
             power = ChargerPower(contactor_closed=current > 0, charge_current=current, target_voltage=24.0)
             feedback = Dock.Impl.FeedbackMessage(feedback=Dock.Feedback(contact_current=0.45, z=0.08))
-            feedback.feedback.misalignment = unknown()
+            feedback.feedback.misalignment = unknown_misalignment()
             feedback.goal_id.uuid = [7] * 16
             found += [raw(now, "charger_power", power), raw(now, "dock/_action/feedback", feedback)]
     return found
