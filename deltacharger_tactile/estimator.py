@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from deltacharger_core.arrays import Array, Mask
-from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, ROWS
+from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, PADS, ROWS
 from deltacharger_tactile import features, npz
 from deltacharger_tactile.dataset import ANGLE_LIMIT, POSITION_LIMIT
 from deltacharger_tactile.errors import ModelError
@@ -152,7 +152,7 @@ class PoseEstimator:
             features, and (N, 3) m, m, rad, NaN where nothing is felt; half the work of `predict`.
         """
         inputs, _, _, mean, _ = self._feel(frames)
-        return inputs[0, :, : len(features.names())], mean
+        return inputs[0, :, :-PADS], mean  # without the counts of filled taxels
 
     def _feel(self, frames: Array) -> tuple[Array, Mask, Mask, Array, Array]:
         """Return inputs of the mirror images, whether both pads hold the ridge, contact, pose and its spread (N, 3)."""

@@ -63,15 +63,13 @@ class Expert:
     def predict(self, inputs: Array) -> tuple[Array, Array]:
         """Return mean and standard deviation (N, 3) in m, m, rad of mirrored inputs (4, N, F)."""
         flat = inputs.reshape(-1, inputs.shape[-1]).astype(np.float32)
-        scaled = np.clip((flat - self.centre) / self.spread, -_CLIP, _CLIP)
-        means, variances = [], []
-        for network in self.networks:
-            mean, spread = network.predict(scaled)
-            means.append(mean.reshape(*inputs.shape[:2], -1) * features.MIRROR_SIGNS[:, None])
-            variances.append(spread.reshape(*inputs.shape[:2], -1) ** 2)
-        every = np.concatenate(means)
+        scaled = ((flat - self.centre) / self.spread).clip(-_CLIP, _CLIP)
+        told = [network.predict(scaled) for network in self.networks]
+        shape = (len(told), *inputs.shape[:2], -1)
+        means, spreads = (np.concatenate(each).reshape(shape) for each in zip(*told, strict=True))
+        every = (means * features.MIRROR_SIGNS[:, None]).reshape(-1, *means.shape[2:])
         mean = every.mean(axis=0)
-        variance = np.concatenate(variances).mean(axis=0) + every.var(axis=0)
+        variance = (spreads**2).reshape(every.shape).mean(axis=0) + ((every - mean) ** 2).mean(axis=0)
         return mean * _SCALE, np.maximum(np.sqrt(variance) * _SCALE * self.factor, _FLOOR)
 
     def scaled(self, inputs: Array, pose: Array) -> Expert:

@@ -22,6 +22,8 @@ _BASELINE = 2e3 * PadContactParameters().pad_distance
 # Taxel centres in mm: row 0 at +y, column 0 at +x.
 _V = _PITCH * (0.5 * (ROWS - 1) - np.arange(ROWS))
 _U = _PITCH * (0.5 * (COLUMNS - 1) - np.arange(COLUMNS))
+# Neighbours of a taxel in frames with a margin of one: down, right, and how much they count.
+_DOWN, _RIGHT, _WEIGHT = np.array([[1, 1, 0, 2], [0, 2, 1, 1], [3, 3, 1, 1]])[:, :, None]
 _SMALL = 1e-3
 """Added to loads (N) before dividing, so that an untouched pad gives zeros instead of NaN."""
 
@@ -52,14 +54,11 @@ def fill_dead(frames: Array) -> Array:
     frame, pad, row, column = np.nonzero(dead)
     around = np.full((*frames.shape[:2], ROWS + 2, COLUMNS + 2), np.nan)  # a margin, so that each has four neighbours
     around[:, :, 1:-1, 1:-1] = np.where(dead, np.nan, frames)
-    weighted, weights = np.zeros(len(frame)), np.zeros(len(frame))
-    for down, right, weight in ((1, 0, 3.0), (1, 2, 3.0), (0, 1, 1.0), (2, 1, 1.0)):
-        neighbour = around[frame, pad, row + down, column + right]
-        live = np.isfinite(neighbour)
-        weighted += np.where(live, weight * neighbour, 0.0)
-        weights += weight * live
+    neighbours = around[frame, pad, row + _DOWN, column + _RIGHT]
+    live = np.isfinite(neighbours)
+    weights = (live * _WEIGHT).sum(axis=0)
     filled = frames.copy()
-    filled[dead] = weighted / np.maximum(weights, 1.0)
+    filled[dead] = np.where(live, neighbours * _WEIGHT, 0.0).sum(axis=0) / np.maximum(weights, 1.0)
     return filled
 
 
@@ -104,7 +103,7 @@ def mirrored(values: Array) -> Array:
     Mirroring x swaps the pads. The pose follows with MIRROR_SIGNS: a device and its mirror image are equally likely.
     An image's features are those of the frame in another order and with other signs.
     """
-    return np.stack([values, *(values[:, column] * sign for column, sign in _IMAGES)])
+    return values[:, _COLUMNS].swapaxes(0, 1) * _SIGNS
 
 
 def extract(frames: Array, threshold: float) -> PadFeatures:
@@ -172,15 +171,15 @@ def _image_of(name: str, over_y: bool, over_x: bool) -> tuple[str, float]:
     return source, -1.0 if (over_y and odd_y) != (over_x and odd_x) else 1.0
 
 
-def _images() -> list[tuple[NDArray[np.int64], Array]]:
+def _images() -> tuple[NDArray[np.int64], Array]:
+    """Return (4, F) whose feature each is of the frame, and (4, 1, F) its sign."""
     order = {name: index for index, name in enumerate(names())}
-    found = []
-    for over_y, over_x in ((True, False), (False, True), (True, True)):
-        sources = [_image_of(name, over_y, over_x) for name in order]
-        found.append((np.array([order[name] for name, _ in sources]), np.array([sign for _, sign in sources])))
-    return found
+    images = ((False, False), (True, False), (False, True), (True, True))
+    sources = [[_image_of(name, *over) for name in order] for over in images]
+    columns = [[order[name] for name, _ in image] for image in sources]
+    return np.array(columns), np.array([[[sign for _, sign in image]] for image in sources])
 
 
 _NAMES = names()
 _SINGLE, _PER_PAD = 10, (len(_NAMES) - 4) // PADS
-_IMAGES = _images()
+_COLUMNS, _SIGNS = _images()
