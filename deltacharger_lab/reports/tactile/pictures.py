@@ -129,6 +129,7 @@ def _shifts(results: dict[str, Any], path: Path) -> None:
     colours = {"coverage holds": "#cfe8d8", "drift check fires": "#cfe0f0", "NEITHER": "#f3c9a5"}
     width = max(9.0, 2.6 + 0.72 * 3 * len(names))
     with picture(path, width, 6.2, "What is noticed when something changes", about) as figure:
+        figure.set_layout_engine("none")  # the places are given
         axes = figure.add_axes((2.35 / width, 0.03, 1.0 - 2.5 / width, 0.76))
         for column, (target, name) in enumerate((target, name) for target in TARGETS for name in names):
             for line, shift in enumerate(shifts):
