@@ -6,10 +6,11 @@ from __future__ import annotations
 import math
 
 from deltacharger_docking.codes import ServoFailure, State, Stuck, TactileStale
-from deltacharger_docking.context import Context, Script
+from deltacharger_docking.context import Context
 from deltacharger_docking.energy_script import de_energise
 from deltacharger_docking.observation import Service
 from deltacharger_docking.release_script import take_off
+from deltacharger_docking.script import NEXT, Script
 
 _OFF_TIME = 0.1  # s that servo_node needs to switch the torque off: some of its cycles
 
@@ -20,7 +21,7 @@ def prepare(context: Context) -> Script[None]:
     context.enter(State.APPROACH, parameters.approach_timeout)
     end = context.time + parameters.first_data_timeout
     while context.time <= end and (_servos_silent(context) or _pads_silent(context)):
-        yield
+        yield NEXT
     if _servos_silent(context):
         raise ServoFailure("servo_state is missing or stale; is servo_node running and its bus connected?")
     if _pads_silent(context):
@@ -30,7 +31,7 @@ def prepare(context: Context) -> Script[None]:
     if not context.observation.torque_enabled:
         yield from torque_on(context)
         while not context.observation.torque_enabled:
-            yield
+            yield NEXT
     context.commanded = context.position
     # After a restart nobody remembers having docked; the pads do.
     if context.status.docked or (context.observation.tared and context.observation.tactile_contact):
@@ -72,7 +73,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
     yield from de_energise(context)  # has its own limit: no time runs out while electrodes may be live
     context.deadline = context.time + parameters.retract_timeout
     while parameters.press_age_max < context.observation.servo_age <= parameters.servo_age_max:
-        yield
+        yield NEXT
     observation = context.observation
     if observation.servo_age > parameters.servo_age_max or observation.hardware_error:
         context.status.docked &= observation.tactile_contact  # the magnets still hold it

@@ -16,10 +16,11 @@ from deltacharger_docking.codes import (
     PowerStale,
     TactileStale,
 )
-from deltacharger_docking.context import Context, Script
+from deltacharger_docking.context import Context
 from deltacharger_docking.energy_script import Watch, no_current
 from deltacharger_docking.observation import DockGoal, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.script import Script
 
 
 @dataclass
@@ -122,8 +123,7 @@ def charge(context: Context, order: Order) -> Script[str]:
         if reason:
             context.decide("stop", reason, energy_J=context.energy, time_s=context.time - order.since)
             return reason
-        next(checks)
-        yield
+        yield next(checks)
 
 
 def _clearance_checks(context: Context, order: Order) -> Script[None]:

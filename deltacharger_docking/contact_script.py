@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
-from deltacharger_docking.context import Context, Script
+from deltacharger_docking.context import Context
 from deltacharger_docking.release_script import take_off
+from deltacharger_docking.script import NEXT, Script
 from deltacharger_kinematics.geometry import Vector
 
 _RUN_UP = 0.004  # m along +z before the tare; enough for the servos' friction to have the sign of pushing
@@ -93,7 +94,7 @@ def step_to(context: Context, z: float) -> Script[None]:
         NoContact: that command lies beyond the arm's reach.
     """
     while context.observation.servo_age > context.parameters.press_age_max:
-        yield
+        yield NEXT
     x, y, _ = context.commanded
     try:
         yield from context.move((x, y, z), context.parameters.contact_speed)

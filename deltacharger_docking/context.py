@@ -3,11 +3,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Generator
 from dataclasses import replace
-from typing import TypeVar
 
 from deltacharger_docking.codes import DockingError, PhaseTimeout, ServoFailure, State
 from deltacharger_docking.contact_current import ContactCurrent
@@ -23,14 +20,10 @@ from deltacharger_docking.observation import (
     Service,
 )
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.script import NEXT, Calls, Script, Wait
 from deltacharger_docking.trajectory_feed import Piece, TrajectoryFeed
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
-
-T = TypeVar("T")
-# A script is a generator that yields once per tick and finds the world renewed in its context when it goes on, so that
-# Algorithm 1 reads from top to bottom as in the paper and still never blocks.
-Script = Generator[None, None, T]
 
 _READING = 0.01  # s between two of them, the servos' cycle
 _UNCOUNTED = 0.2  # s between two steps beyond which nobody knows how much energy flowed
@@ -63,17 +56,14 @@ class Context:
         self.commanded: Vector = NAN3
         self.goal_angles: Vector = NAN3  # at which the servos' goals end up, where that is known
         self.deadline = math.inf
-        self.idle_until = -math.inf
-        self.reads = False  # the readings up to then count
+        self.waits = NEXT  # what the script waited for when it was stepped last
         self._retreats = False  # the line under way leads away from the target
-        self._numbers = itertools.count(1)
+        self._calls: Calls[Reply] = Calls()
         self._told: Piece | None = None  # in place of the line under way
         self._set_back = 0.0
         self._valid_at = -math.inf
         self._states: list[State] = []
         self._requests: list[Request] = []
-        self._waiting: set[int] = set()
-        self._replies: dict[int, Reply] = {}
         self._decisions: list[Decision] = []
 
     @property
@@ -86,17 +76,17 @@ class Context:
         before, jump = self.time, max(self.observation.time - observation.time, 0.0)
         self._set_back += jump
         self.time = observation.time + self._set_back
-        self.slept = max(jump, self.time - max(before, self.idle_until))
-        self.idle_until, self.reads = -math.inf, False
+        self.slept = max(jump, self.time - max(before, self.waits.until))
+        self.waits = NEXT
+        for reading in observation.earlier:
+            self.contact.update(*reading)
         if observation.servos_valid:
             self._valid_at = self.time - observation.servo_age
             self.contact.update(self.time, observation.angles, observation.currents)
         else:  # what was valid last is as old as it is, whatever has been heard since
             observation = replace(observation, servo_age=max(observation.servo_age, self.time - self._valid_at))
         self.observation = observation
-        for reply in observation.replies:
-            if reply.number in self._waiting:
-                self._replies.setdefault(reply.number, reply)
+        self._calls.hear(observation.replies)
         power = observation.charge_current * observation.target_voltage
         if observation.contactor_closed and math.isfinite(power):
             self.energy += power * min(self.time - before, _UNCOUNTED)
@@ -113,7 +103,7 @@ class Context:
         if trajectory and not self.observation.torque_enabled:
             trajectory = None  # limp servos refuse it
         states, decisions = tuple(self._states), tuple(self._decisions)
-        command = Command(trajectory, tuple(self._requests), self.energise, states, decisions)
+        command = Command(trajectory, tuple(self._requests), self.energise, states, decisions, self.waits)
         self._told = None
         self._requests, self._states, self._decisions = [], [], []
         return command
@@ -142,8 +132,7 @@ class Context:
         """Let `seconds` pass; `reads` where the contact current is judged by the readings of this time."""
         end = self.time + seconds
         while self.time < end:
-            self.idle_until, self.reads = end, reads
-            yield
+            yield Wait(end, reads)
 
     def ask(self, service: Service, error: type[DockingError], timeout: float, frames: int = 0) -> Script[Reply]:
         """Call a service and return its reply, successful or not.
@@ -151,22 +140,19 @@ class Context:
         Raises:
             DockingError: of the given class, where no reply comes within `timeout` seconds.
         """
-        request = Request(next(self._numbers), service, frames, timeout)
-        self._requests.append(request)
-        self._waiting = {request.number}  # nobody waits for an earlier one any more
-        self._replies.clear()
+        self._calls.forget()  # nobody waits for an earlier one any more
+        number = self._calls.number()
+        self._requests.append(Request(number, service, frames, timeout))
         end = self.time + timeout
-        while request.number not in self._replies:
+        while (reply := self._calls.take(number)) is None:
             if self.time > end:
                 raise error(f"no answer from {service.value} within {timeout:.1f} s; is its node running?")
-            self.idle_until = end
-            yield
-        self._waiting.clear()
-        return self._replies.pop(request.number)
+            yield Wait(end)
+        return reply
 
     def tell(self, service: Service) -> None:
         """Call a service without waiting for its reply."""
-        self._requests.append(Request(next(self._numbers), service))
+        self._requests.append(Request(self._calls.number(awaited=False), service))
 
     def decide(self, kind: str, text: str, **values: float) -> None:
         """Tell whoever reads this docking later what was decided, by which numbers; their names end in the unit."""
@@ -206,8 +192,7 @@ class Context:
         self.follow(self.planner.line(start, goal, speed), retreats=goal[2] < start[2])
         self.commanded = goal
         while self.feed.is_under_way(self.time):
-            self.idle_until = self.feed.end
-            yield
+            yield Wait(self.feed.end)
         if settle:
             yield from self.rest()
 
@@ -243,4 +228,4 @@ class Context:
         while not math.isfinite(self.contact.value) or self.observation.servo_age > self.parameters.press_age_max:
             if self.time > end:
                 raise ServoFailure("the servos' currents are not measured; check the servo bus and servo_node")
-            yield
+            yield NEXT

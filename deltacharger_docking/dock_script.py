@@ -19,10 +19,11 @@ from deltacharger_docking.codes import (
     State,
 )
 from deltacharger_docking.contact_script import approach, contact, first_push
-from deltacharger_docking.context import Context, Script
+from deltacharger_docking.context import Context
 from deltacharger_docking.energy_script import de_energise, energise, wait_for_single_sources
 from deltacharger_docking.goal_desk import GoalDesk, check_place
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Service
+from deltacharger_docking.script import NEXT, Script
 
 _ANSWER = 1.0  # s beyond locate_timeout, so that the phase ends with what the detector says
 
@@ -153,7 +154,7 @@ class TargetVisit:
             if desk.is_open and reason:
                 context.decide("stop", reason)
                 desk.succeed(reason)
-            yield
+            yield NEXT
         return True
 
     def _check_roll(self, electrodes: ElectrodePose) -> None:

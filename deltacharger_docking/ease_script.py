@@ -12,8 +12,9 @@ from __future__ import annotations
 import math
 
 from deltacharger_docking.codes import State
-from deltacharger_docking.context import Context, Script
+from deltacharger_docking.context import Context
 from deltacharger_docking.observation import Waypoint
+from deltacharger_docking.script import NEXT, Script
 from deltacharger_kinematics.geometry import Vector
 
 _ROUNDS = 4  # at most: the stiffness is known only so well, and each round corrects it by what it has shown
@@ -96,7 +97,7 @@ def _lead(context: Context, change: Vector, place: Vector) -> Script[bool]:
             context.follow(_ramp(context, here, (back * change[0], back * change[1], back * change[2]), lasts))
             yield from context.wait(lasts)
             return True
-        yield
+        yield NEXT
     return False
 
 

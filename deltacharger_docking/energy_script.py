@@ -24,8 +24,9 @@ from deltacharger_docking.codes import (
     TactileStale,
     VoltageOutOfRange,
 )
-from deltacharger_docking.context import Context, Script
+from deltacharger_docking.context import Context
 from deltacharger_docking.observation import Reply, Service
+from deltacharger_docking.script import NEXT, Script, Wait
 
 _LAST_WORD = 0.2  # s before the phase ends in which it is still told why no current flows
 _SLEPT = 1.0  # s beyond its pace that docking may stand still; the lease has lapsed long before
@@ -46,7 +47,7 @@ def wait_for_single_sources(context: Context) -> Script[None]:
     while names := context.observation.duplicate_sources:
         if context.time - begun > limit:
             raise _duplicate(names)
-        yield
+        yield NEXT
 
 
 def _duplicate(names: str) -> DuplicateSource:
@@ -91,9 +92,7 @@ def energise(context: Context) -> Script[None]:
             context.observation.charge_current >= parameters.charge_current_min
         )
         stable_since = min(stable_since, context.time) if flowing else math.inf
-        if flowing:
-            context.idle_until, context.reads = stable_since + parameters.charge_stable_time, True
-        yield
+        yield Wait(stable_since + parameters.charge_stable_time, reads=True) if flowing else NEXT
     context.decide(
         "charging",
         f"charge current has been stable for {parameters.charge_stable_time:g} s",
@@ -107,7 +106,7 @@ def _clear_fault(context: Context) -> Script[None]:
     yield from context.ask(Service.OPEN, PowerStale, context.parameters.probe_timeout)
     end = context.time + context.parameters.open_timeout
     while context.observation.power_fault and context.time < end:
-        yield
+        yield NEXT
 
 
 def de_energise(context: Context) -> Script[None]:
@@ -128,7 +127,7 @@ def de_energise(context: Context) -> Script[None]:
     while closed and not _is_open(context, begun):
         if context.time > end:
             raise _welded(context)
-        yield
+        yield NEXT
     if closed:
         current = context.observation.charge_current
         context.decide("opened", "no current flows any more", charge_current_A=current, time_s=context.time - begun)

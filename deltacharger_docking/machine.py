@@ -8,7 +8,7 @@ calls it at the servo state's rate and carries the commands out.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 
 from deltacharger_docking.arm_script import let_go, retract
 from deltacharger_docking.codes import (
@@ -25,14 +25,15 @@ from deltacharger_docking.codes import (
     Stuck,
     TactileStale,
 )
-from deltacharger_docking.context import Context, Script
+from deltacharger_docking.context import Context
 from deltacharger_docking.dock_script import TargetVisit
 from deltacharger_docking.goal_desk import GoalDesk, check_goal, check_id
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.script import Runner, Script
 from deltacharger_docking.trajectory_feed import TrajectoryFeed
-from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_kinematics.geometry import DeltaGeometry
 
 _NEEDS_TORQUE = (State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
 _NEEDS_TOUCH = (State.APPROACH, *_NEEDS_TORQUE)
@@ -59,7 +60,7 @@ class DockingMachine:
         self.parameters = parameters
         self._context = Context(parameters, geometry or DeltaGeometry(), planner, feed)
         self._desk = GoalDesk(self._context)
-        self._script: Generator[None, None, None] | None = None
+        self._runner = Runner()
         self._interruptible = False
         self._docking: TargetVisit | None = None
         self._refusal: DockingError | None = None  # what a further goal brings to an end
@@ -81,30 +82,12 @@ class DockingMachine:
     @property
     def busy(self) -> bool:
         """Whether no further Dock goal can be taken; supervision after success leaves the machine free for it."""
-        return self._desk.is_open or (self._script is not None and not self._is_supervising)
+        return self._desk.is_open or (self._runner.is_running and not self._is_supervising)
 
     @property
     def _is_supervising(self) -> bool:
         """Whether the electrodes rest on the target, watched over, with a goal that holds or without one."""
         return self._interruptible and self._docking is not None and self._docking.supervising
-
-    @property
-    def idle_until(self) -> float:
-        """Until when (s) the script only lets time pass, as far as it knows; what interrupts it is looked at in steps.
-
-        A shell in virtual time may take longer steps until then: it must only take them before the pieces of a line
-        run out, and feed the readings between them to `read` where `reads`.
-        """
-        return self._context.idle_until
-
-    @property
-    def reads(self) -> bool:
-        """Whether the script judges by the readings made until `idle_until`."""
-        return self._context.reads
-
-    def read(self, time: float, angles: Vector, currents: Vector) -> None:
-        """Take a reading of the servos (s, rad, A) between two steps."""
-        self._context.contact.update(time, angles, currents)
 
     def start_dock(self, goal: DockGoal, observation: Observation) -> None:
         """Begin to dock, or where the electrodes rest on the target, do what is missing of the goal.
@@ -122,7 +105,7 @@ class DockingMachine:
             self._refusal = self._docking.take(goal)
             return
         self._docking = docking = TargetVisit(self._context, self._desk, goal)
-        self._script = self._serve(docking.run, self.parameters.redockings_max)
+        self._runner.start(self._serve(docking.run, self.parameters.redockings_max))
 
     def start_undock(self, request_id: str, observation: Observation) -> None:
         """Begin to stop charging and take the arm back.
@@ -131,7 +114,7 @@ class DockingMachine:
             Busy: another goal is being served, or the arm is on its way back already.
             Rejected: the request_id is too long.
         """
-        if self._desk.is_open or (self._script is not None and not self._interruptible):
+        if self._desk.is_open or (self._runner.is_running and not self._interruptible):
             raise Busy(self._what_goes_on())
         check_id(request_id)
         self._start(request_id, observation, self._undock)
@@ -150,8 +133,9 @@ class DockingMachine:
         context = self._context
         context.observe(observation)
         context.status.elapsed = context.time - self._desk.started
-        if self._script is not None:
-            self._advance()
+        context.waits = self._runner.step(self._problem() if self._runner.is_running else None)
+        if not self._runner.is_running:
+            self._docking, self._interruptible = None, False
         return context.command()
 
     def emergency(self) -> Command:
@@ -171,12 +155,11 @@ class DockingMachine:
         """Take a goal and begin its script, in place of supervision; the contactor stays as it is."""
         self._desk.begin(request_id, observation)
         self._forget_script()
-        self._script = self._serve(script)
+        self._runner.start(self._serve(script))
 
     def _forget_script(self) -> None:
-        if self._script is not None:
-            self._script.close()
-        self._script = self._docking = self._refusal = None
+        self._runner.stop()
+        self._docking = self._refusal = None
         self._interruptible = False
 
     def _tell_goal(self, goal: DockGoal) -> None:
@@ -188,18 +171,6 @@ class DockingMachine:
         wishes = {"stop_energy_J": goal.stop_energy, "stop_after_s": goal.stop_after, "hold": float(goal.hold)}
         limit = goal.critical_angle or self.parameters.critical_angle
         self._context.decide("accepted", text, **place, critical_angle_rad=limit, **wishes)
-
-    def _advance(self) -> None:
-        assert self._script is not None
-        try:
-            problem = self._problem()
-            if problem is None:
-                next(self._script)
-            else:
-                self._script.throw(problem)
-        except StopIteration:
-            self._script = self._docking = None
-            self._interruptible = False
 
     def _problem(self) -> DockingError | None:
         """Return what must interrupt the script now."""
@@ -239,7 +210,7 @@ class DockingMachine:
         coming = age > since and self._context.status.state in _BEFORE_MOVING
         return age > oldest and not (coming and since < self.parameters.first_data_timeout)
 
-    def _serve(self, script: Callable[[], Script[None]], redockings: int = 0) -> Generator[None, None, None]:
+    def _serve(self, script: Callable[[], Script[None]], redockings: int = 0) -> Script[None]:
         """Run a goal's script; whatever ends it, open the contactor and take the arm back, keeping the first error.
 
         Where a new docking may mend what went wrong, it begins again, at most `redockings` times.

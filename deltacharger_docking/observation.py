@@ -10,11 +10,16 @@ from typing import TypeVar
 
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Code, DockingError, State
+from deltacharger_docking.script import NEXT, Wait
 from deltacharger_kinematics.geometry import Vector
 
 T = TypeVar("T", bound="GoalOutcome")
 
 NAN3: Vector = (math.nan, math.nan, math.nan)
+
+
+Reading = tuple[float, Vector, Vector]
+"""Of the servos: when (s), angles (rad), currents (A)."""
 
 
 class Service(Enum):
@@ -71,7 +76,8 @@ class Reply:
 class Observation:
     """Everything known at `time` (s, monotonic). Ages in s, inf = never; NaN = not measured.
 
-    `duplicate_sources` names who publishes or serves beside another what docking works with; '' = nobody.
+    `duplicate_sources` names who publishes or serves beside another what docking works with; '' = nobody. `earlier` are
+    readings of the servos made since the last observation, where there were more than this one.
     """
 
     time: float
@@ -93,6 +99,7 @@ class Observation:
     contactor_refusal: str = ""
     duplicate_sources: str = ""
     replies: tuple[Reply, ...] = ()
+    earlier: tuple[Reading, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -126,7 +133,9 @@ class Command:
 
     A trajectory replaces what the arm follows; its times count from the observation's, and its last point holds. It is
     only a piece of the way (see `trajectory_feed`): None = go on with the last one, empty = hold. `states` are those
-    entered since the last command, in their order: each is to be published, though some last no tick.
+    entered since the last command, in their order: each is to be published, though some last no tick. `waits` says
+    until when nothing is decided: a shell in virtual time may take longer steps until then. It must only take them
+    before the pieces of a line run out, and give the readings between them with the next observation where they count.
     """
 
     trajectory: tuple[Waypoint, ...] | None = None
@@ -134,6 +143,7 @@ class Command:
     energise: bool = False
     states: tuple[State, ...] = ()
     decisions: tuple[Decision, ...] = ()
+    waits: Wait = NEXT
 
 
 @dataclass(frozen=True)

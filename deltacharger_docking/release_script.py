@@ -7,7 +7,8 @@ import math
 from dataclasses import replace
 
 from deltacharger_docking.codes import DockingError, Stuck
-from deltacharger_docking.context import Context, Script
+from deltacharger_docking.context import Context
+from deltacharger_docking.script import NEXT, Script
 from deltacharger_docking.trajectory_feed import PULL_HORIZON, pull
 from deltacharger_kinematics.geometry import Vector
 
@@ -37,7 +38,7 @@ def take_off(context: Context, z: float) -> Script[None]:
         yield from context.move((x, y, z), parameters.travel_speed, settle=False)
         end = context.time + parameters.settle_time
         while context.position[2] > z + lacks and context.time < end:
-            yield
+            yield NEXT
         if not context.position[2] > z + lacks:
             return
     raise _stuck(context)
@@ -54,7 +55,7 @@ def release(context: Context, travel: float) -> Script[None]:
     """
     parameters, geometry = context.parameters, context.kinematics.geometry
     while not all(map(math.isfinite, context.observation.angles)):
-        yield
+        yield NEXT
     context.feed.stop()
     x, y, z = context.position
     lead = parameters.release_current * parameters.torque_constant / parameters.servo_stiffness
@@ -82,7 +83,7 @@ def release(context: Context, travel: float) -> Script[None]:
     context.follow(line, retreats=True)
     if context.is_blind:
         context.tell_piece((replace(line[-1], time=0.0),))  # here neither
-    yield
+    yield NEXT
 
 
 def _is_off(context: Context, z: float) -> bool:
@@ -106,7 +107,7 @@ def _pull(context: Context, goal: Vector, current: float, z: float, seconds: flo
         known = observation.servos_valid and observation.servo_age <= context.parameters.press_age_max
         if known:
             context.tell_piece(pull(goal, bound, _standing(context), push))
-        yield
+        yield NEXT
         left -= min(context.time - last, PULL_HORIZON) if known else 0.0  # untold, servos pull no longer than that
         last = context.time
 

@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Generator
 from dataclasses import replace
-from typing import TypeVar
 
 from deltacharger_docking.codes import Busy, Code, DockingError, ElectrodesNotFound, PhaseTimeout, Rejected, Unreachable
+from deltacharger_docking.script import NEXT, Calls, Script
 from deltacharger_mission.dialogue import (
     End,
     MissionCommand,
@@ -23,10 +21,6 @@ from deltacharger_mission.dialogue import (
 )
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import Place
-
-T = TypeVar("T")
-# As in docking: a generator that yields once per tick and finds the world renewed in its context when it goes on.
-Script = Generator[None, None, T]
 
 _ANSWER = 2.0  # s beyond its time to look in which the detector may answer
 _UNDOCK_PAUSE = 1.0  # s between two attempts
@@ -73,11 +67,9 @@ class MissionContext:
         self.observation = MissionObservation(0.0)
         self.touched = self.left = False
         self.deadline = math.inf
-        self._numbers = itertools.count(1)
+        self._calls: Calls[TaskReply] = Calls()
         self._requests: list[TaskRequest] = []
         self._cancels: list[int] = []
-        self._open: set[int] = set()
-        self._replies: dict[int, TaskReply] = {}
 
     @property
     def time(self) -> float:
@@ -90,16 +82,12 @@ class MissionContext:
         self.status = MissionStatus(request_id=request_id)
         self.touched = self.left = False
         self.deadline = math.inf
-        self._open.clear()
-        self._replies.clear()
+        self._calls.forget()
 
     def observe(self, observation: MissionObservation) -> None:
         """Take the observation of this tick."""
         self.observation = observation
-        for reply in observation.replies:
-            if reply.number in self._open:
-                self._open.discard(reply.number)
-                self._replies[reply.number] = reply
+        self._calls.hear(observation.replies)
 
     def command(self) -> MissionCommand:
         """Return and forget what was asked for in this tick."""
@@ -116,37 +104,35 @@ class MissionContext:
         """Call off all that is under way."""
         unsent = {request.number for request in self._requests}
         self._requests = []
-        self._cancels.extend(sorted(self._open - unsent))
-        self._open -= unsent
+        self._cancels.extend(sorted(self._calls.open - unsent))
+        self._calls.open -= unsent
 
     def call_off(self) -> Script[None]:
         """Call off all that is under way and wait for its end, for so long."""
         self.deadline = math.inf
         self.drop()
         end = self.time + self.parameters.cancel_timeout
-        while self._open and self.time <= end:
-            yield
-        self._open.clear()
-        self._replies.clear()
+        while self._calls.open and self.time <= end:
+            yield NEXT
+        self._calls.forget()
 
     def wait(self, seconds: float) -> Script[None]:
         """Let `seconds` pass."""
         end = self.time + seconds
         while self.time < end:
-            yield
+            yield NEXT
 
     def send(self, task: Task, **details: Place | MissionGoal | bool | float | None) -> int:
         """Send a request, its details by the names of `TaskRequest`, and return its number."""
-        request = replace(TaskRequest(next(self._numbers), task), **details)  # type: ignore[arg-type]
+        request = replace(TaskRequest(self._calls.number(), task), **details)  # type: ignore[arg-type]
         self._requests.append(request)
-        self._open.add(request.number)
         return request.number
 
     def answer(self, number: int) -> Script[TaskReply]:
         """Wait for a reply; the stage's limit ends the wait."""
-        while number not in self._replies:
-            yield
-        return self._replies.pop(number)
+        while (reply := self._calls.take(number)) is None:
+            yield NEXT
+        return reply
 
     def all_there(self, tasks: list[Task]) -> Script[None]:
         """Wait until everybody needed answers and docking_node has nothing to do.
@@ -163,7 +149,7 @@ class MissionContext:
                 break
             if self.time > end:
                 raise NotServed(_REMEDIES[missing[0]] if missing else "docking_state is not heard: start docking_node")
-            yield
+            yield NEXT
         if not docking.free:
             raise Busy(f"the charger is at work ({docking.state.name}) or docked: undock it, then send the goal again")
 
@@ -175,11 +161,10 @@ class MissionContext:
         """
         number = self.send(Task.DETECT, timeout=self.parameters.look_timeout)
         end = self.time + self.parameters.look_timeout + _ANSWER
-        while number not in self._replies:
+        while (reply := self._calls.take(number)) is None:
             if self.time > end:
                 raise ElectrodesNotFound("detect_electrodes does not answer: look at electrode_detector_node's log")
-            yield
-        reply = self._replies.pop(number)
+            yield NEXT
         if reply.end is End.LOST:
             raise ElectrodesNotFound("detect_electrodes went away: look at electrode_detector_node's log")
         return reply
@@ -189,12 +174,12 @@ class MissionContext:
         self.enter(Stage.DOCK, self.parameters.dock_timeout)
         number = self.send(Task.DOCK, goal=goal)
         self.touched = True
-        while number not in self._replies:
+        while (reply := self._calls.take(number)) is None:
             docking = self.observation.docking
             if self.status.stage is Stage.DOCK and docking is not None and docking.charging:
                 self.enter(Stage.CHARGE, self.parameters.charge_timeout)
-            yield
-        return self._replies.pop(number)
+            yield NEXT
+        return reply
 
     def undock(self) -> Script[None]:
         """Undock, trying more than once: a robot that cannot is stranded. It must not be driven before.
@@ -223,7 +208,7 @@ class MissionContext:
         while self.touched or self.observation.docking is None or not self.observation.docking.free:
             if self.time > end:
                 raise Busy("docking_state says that the charger is docked or at work, so the robot was not driven")
-            yield
+            yield NEXT
         self.left = True
         self.status.place = None
         reply = yield from self.answer(self.send(Task.DRIVE, place=place, precise=precise))

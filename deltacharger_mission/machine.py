@@ -9,13 +9,13 @@ and never blocks. Whatever ends the errand, the way out is the same: call off wh
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
 
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, ElectrodesNotFound, PhaseTimeout, Rejected
 from deltacharger_docking.goal_desk import check_id, check_stops
+from deltacharger_docking.script import NEXT, Runner, Script
 from deltacharger_kinematics.geometry import Vector
-from deltacharger_mission.context import MissionContext, Script, dock_failure
+from deltacharger_mission.context import MissionContext, dock_failure
 from deltacharger_mission.dialogue import (
     End,
     MissionCommand,
@@ -46,7 +46,7 @@ class MissionMachine:
         self._mount = mount
         self._home = home
         self._context = MissionContext(parameters)
-        self._script: Generator[None, None, None] | None = None
+        self._runner = Runner()
         self._cancel = self._interruptible = self._returns = self._charged = False
         self._started = 0.0
         self.outcome: MissionOutcome | None = None
@@ -59,7 +59,7 @@ class MissionMachine:
     @property
     def busy(self) -> bool:
         """Whether a goal is being served."""
-        return self._script is not None
+        return self._runner.is_running
 
     def start(self, goal: MissionGoal, observation: MissionObservation) -> None:
         """Begin a mission.
@@ -77,7 +77,7 @@ class MissionMachine:
         self._started = observation.time
         self._cancel = self._charged = False
         self.outcome = None
-        self._script = self._mission(goal)
+        self._runner.start(self._mission(goal))
 
     def cancel(self) -> None:
         """Let the goal end with CANCELED: undocked and returned; on the way back already, where the robot stands."""
@@ -86,27 +86,16 @@ class MissionMachine:
     def step(self, observation: MissionObservation) -> MissionCommand:
         """Advance by one tick and return what to do."""
         self._context.observe(observation)
-        if self._script is not None:
+        if self.busy:
             self.status.elapsed = observation.time - self._started
-            self._advance()
+            self._runner.step(self._problem())
         return self._context.command()
 
     def emergency(self) -> MissionCommand:
         """Return the command that calls everything off, and forget the goal: for a shell that must end."""
-        self._script = None
+        self._runner.stop()
         self._context.drop()
         return self._context.command()
-
-    def _advance(self) -> None:
-        assert self._script is not None
-        problem = self._problem()
-        try:
-            if problem is None:
-                next(self._script)
-            else:
-                self._script.throw(problem)
-        except StopIteration:
-            self._script = None
 
     def _problem(self) -> DockingError | None:
         """Return what must interrupt the script now."""
@@ -120,7 +109,7 @@ class MissionMachine:
             return PhaseTimeout(f"{stage.name} took longer than {stage.name.lower()}_timeout")
         return None
 
-    def _mission(self, goal: MissionGoal) -> Generator[None, None, None]:
+    def _mission(self, goal: MissionGoal) -> Script[None]:
         """Run the errand; whatever ends it, take the way out and keep the first error."""
         first: DockingError | None = None
         message, returned = "", False
@@ -164,7 +153,7 @@ class MissionMachine:
         """Do what was asked, and return in words how it ended."""
         context, parameters = self._context, self.parameters
         context.enter(Stage.WAIT, math.inf)
-        yield  # so that WAIT is told, too
+        yield NEXT  # so that WAIT is told, too
         yield from context.all_there([task for task in Task if task is not Task.DRIVE or self._home is not None])
         electrodes = goal.electrodes if self._home is not None else None
         distance = parameters.view_distance

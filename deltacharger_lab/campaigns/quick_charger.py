@@ -92,7 +92,7 @@ class QuickCharger(VirtualCharger):
 
     def _stride(self, most: int) -> int:
         """Return how many ticks may pass until the machine or a service has something to do."""
-        until = self.machine.idle_until
+        until = self._waits.until
         for pending in self._pending:
             until = min(until, pending.due)
         left = (until - self.now) / TICK
@@ -153,8 +153,8 @@ class QuickCharger(VirtualCharger):
 
     def _pass(self, ticks: int, standing: bool) -> None:
         """Let `ticks` of 10 ms pass, feeding the machine the readings on which its next decision rests."""
-        machine, world, start = self.machine, self.world, self.now
-        from_then_on = machine.idle_until - (self.parameters.contact_window + _MORE) if machine.reads else math.inf
+        world, start, waits = self.world, self.now, self._waits
+        from_then_on = waits.until - (self.parameters.contact_window + _MORE) if waits.reads else math.inf
         if standing:
             world.step(ticks * TICK)
         most = self._world_ticks()
@@ -166,7 +166,7 @@ class QuickCharger(VirtualCharger):
                 self._servos()
                 stepped = index
             if index < ticks and self.now >= from_then_on:
-                machine.read(self.now, *self._reading())
+                self._earlier.append((self.now, *self._reading()))
 
     def _reading(self) -> tuple[Vector, Vector]:
         servo = self.world.servo

@@ -35,12 +35,14 @@ from deltacharger_docking.observation import (
     DockingOutcome,
     ElectrodePose,
     Observation,
+    Reading,
     Reply,
     Request,
     Service,
     Waypoint,
 )
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.script import NEXT
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_sim.parameters import WorldParameters
@@ -122,6 +124,8 @@ class VirtualCharger:
         self._bound = [CURRENT_BOUND] * 3
         self._pending: list[Pending] = []
         self._replies: list[Reply] = []
+        self._earlier: list[Reading] = []  # of the servos, since the machine was stepped
+        self._waits = NEXT  # what the machine waits for
         self._energised = False
         self._frame = np.zeros((PADS, ROWS, COLUMNS))
         self._frame_at = -math.inf
@@ -136,12 +140,12 @@ class VirtualCharger:
 
     def begin(self, goal: DockGoal) -> None:
         """Start a Dock goal; raises what the machine refuses."""
-        self.outcome = None
+        self.outcome, self._waits = None, NEXT
         self.machine.start_dock(goal, self.observe())
 
     def undock(self, limit: float = 60.0) -> DockingOutcome:
         """Serve an Undock goal to its end."""
-        self.outcome = None
+        self.outcome, self._waits = None, NEXT
         self.machine.start_undock("", self.observe())
         return self.finish(limit)
 
@@ -180,7 +184,8 @@ class VirtualCharger:
     def _step(self) -> None:
         """Let the machine decide, and carry out what it says."""
         command = self.machine.step(self.distort(self.observe()))
-        self._replies = []
+        self._replies, self._earlier = [], []
+        self._waits = command.waits
         self._follow(command)
         if not self.states or self.states[-1] is not self.machine.status.state:
             self.states.append(self.machine.status.state)
@@ -223,6 +228,7 @@ class VirtualCharger:
             target_voltage=target,
             power_fault=fault,
             replies=tuple(self._replies),
+            earlier=tuple(self._earlier),
         )
 
     def _reading(self) -> tuple[Vector, Vector]:

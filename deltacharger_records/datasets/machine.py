@@ -17,10 +17,10 @@ import numpy as np
 from deltacharger_docking.arm_script import lift_off, prepare, retract
 from deltacharger_docking.codes import Busy, DockingError, ServoFailure, State, Unreachable
 from deltacharger_docking.contact_script import approach, contact
-from deltacharger_docking.context import Script
 from deltacharger_docking.dock_script import locate
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Observation
+from deltacharger_docking.script import NEXT, Script
 from deltacharger_kinematics.geometry import Vector
 
 _RUN_UP = 0.006  # m below the standoff from which it is approached along +z
@@ -133,7 +133,7 @@ class RecordingMachine(DockingMachine):
             yield from self._feel(place, dwell, holding, keeper)
             context.enter(State.IDLE, math.inf)
             while not keeper.kept():
-                yield
+                yield NEXT
         yield from retract(context, wanted=True)
         context.enter(State.IDLE, math.inf)
         self._desk.succeed("every docking was recorded")
@@ -156,7 +156,7 @@ class RecordingMachine(DockingMachine):
         keeper.listen()
         positions = [context.position]
         while not keeper.heard():
-            yield
+            yield NEXT
             positions.append(context.position)
         x, y, z = (float(value) for value in np.mean(positions, axis=0))
         touch = Rested((x, y, z), context.contact.value, place)
