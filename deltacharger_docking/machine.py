@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from deltacharger_docking.arm_script import let_go, retract
+from deltacharger_docking.algorithm import TargetVisit
+from deltacharger_docking.arm import let_go, retract
 from deltacharger_docking.codes import (
     SILENT_SERVOS,
     Busy,
@@ -26,8 +27,7 @@ from deltacharger_docking.codes import (
     TactileStale,
 )
 from deltacharger_docking.context import Context
-from deltacharger_docking.dock_script import TargetVisit
-from deltacharger_docking.goal_desk import GoalDesk, check_goal, check_id
+from deltacharger_docking.goals import GoalDesk, check_goal, check_id
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters

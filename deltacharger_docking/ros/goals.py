@@ -16,7 +16,7 @@ from rclpy.node import Node
 
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Busy, DockingError, State
-from deltacharger_docking.goal_desk import suggested_base
+from deltacharger_docking.goals import suggested_base
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingNodeParameters

@@ -14,12 +14,12 @@ from typing import Protocol
 
 import numpy as np
 
-from deltacharger_docking.arm_script import lift_off, prepare, retract
+from deltacharger_docking.algorithm import locate
+from deltacharger_docking.arm import lift_off, prepare, retract
 from deltacharger_docking.codes import Busy, DockingError, ServoFailure, State, Unreachable
-from deltacharger_docking.contact_script import approach, contact
-from deltacharger_docking.dock_script import locate
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Observation
+from deltacharger_docking.press import approach, contact
 from deltacharger_docking.script import NEXT, Script
 from deltacharger_kinematics.geometry import Vector
 

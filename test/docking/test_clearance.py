@@ -8,9 +8,9 @@ import math
 import numpy as np
 import pytest
 
-from deltacharger_docking.align_script import AlignmentFilter
 from deltacharger_docking.clearance import FeltPose, Verdict, clearance, judge
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.touch import AlignmentFilter
 
 GAP, LENGTH = 0.0037, 0.035
 PARAMETERS = DockingParameters()

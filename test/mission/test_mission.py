@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
-from deltacharger_docking.goal_desk import suggested_base
+from deltacharger_docking.goals import suggested_base
 from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, Stage, Task, TaskReply, TaskRequest
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place, views, wrapped

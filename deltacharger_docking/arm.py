@@ -7,9 +7,9 @@ import math
 
 from deltacharger_docking.codes import ServoFailure, State, Stuck, TactileStale
 from deltacharger_docking.context import Context
-from deltacharger_docking.energy_script import de_energise
+from deltacharger_docking.energy import de_energise
 from deltacharger_docking.observation import Service
-from deltacharger_docking.release_script import take_off
+from deltacharger_docking.release import take_off
 from deltacharger_docking.script import NEXT, Script
 
 _OFF_TIME = 0.1  # s that servo_node needs to switch the torque off: some of its cycles

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
 from deltacharger_docking.context import Context
-from deltacharger_docking.release_script import take_off
+from deltacharger_docking.release import take_off
 from deltacharger_docking.script import NEXT, Script
 from deltacharger_kinematics.geometry import Vector
 

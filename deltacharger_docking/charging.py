@@ -17,7 +17,7 @@ from deltacharger_docking.codes import (
     TactileStale,
 )
 from deltacharger_docking.context import Context
-from deltacharger_docking.energy_script import Watch, no_current
+from deltacharger_docking.energy import Watch, no_current
 from deltacharger_docking.observation import DockGoal, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.script import Script

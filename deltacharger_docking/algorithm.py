@@ -5,9 +5,8 @@ from __future__ import annotations
 
 import math
 
-from deltacharger_docking.align_script import Alignment
-from deltacharger_docking.arm_script import prepare
-from deltacharger_docking.charge_script import Order, charge
+from deltacharger_docking.arm import prepare
+from deltacharger_docking.charging import Order, charge
 from deltacharger_docking.clearance import judge
 from deltacharger_docking.codes import (
     CriticalAngle,
@@ -18,12 +17,13 @@ from deltacharger_docking.codes import (
     ServoFailure,
     State,
 )
-from deltacharger_docking.contact_script import approach, contact, first_push
 from deltacharger_docking.context import Context
-from deltacharger_docking.energy_script import de_energise, energise, wait_for_single_sources
-from deltacharger_docking.goal_desk import GoalDesk, check_place
+from deltacharger_docking.energy import de_energise, energise, wait_for_single_sources
+from deltacharger_docking.goals import GoalDesk, check_place
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Service
+from deltacharger_docking.press import approach, contact, first_push
 from deltacharger_docking.script import NEXT, Script
+from deltacharger_docking.touch import Alignment
 
 _ANSWER = 1.0  # s beyond locate_timeout, so that the phase ends with what the detector says
 

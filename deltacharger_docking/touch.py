@@ -8,12 +8,12 @@ from dataclasses import replace
 
 from deltacharger_docking.clearance import FeltPose, Verdict, clearance, clearance_stddev, judge
 from deltacharger_docking.codes import CriticalAngle, EstimateUnsure, Misaligned, NoTactileContact, State, TactileStale
-from deltacharger_docking.contact_script import contact
 from deltacharger_docking.context import Context
-from deltacharger_docking.ease_script import ease
+from deltacharger_docking.ease import ease
 from deltacharger_docking.observation import Service
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.release_script import take_off
+from deltacharger_docking.press import contact
+from deltacharger_docking.release import take_off
 from deltacharger_docking.script import Script
 
 
