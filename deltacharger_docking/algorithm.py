@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dock from its goal on: Algorithm 1, charging, and watching over the docked target until somebody wants otherwise."""
+"""Algorithm 1 of the paper, line by line, and what surrounds it on one target: charging, and staying docked.
+
+1 coordinates of the electrodes; 2 go there; 3 where that pushes too hard already, back off once; 4 press until the
+current lies in its band; 5 measure the misalignment; 6 while it is not zero, and at most 15 times, move and press
+again; start charging. Whatever goes wrong is an exception, and the machine takes the arm back: the paper's line 7.
+"""
 
 from __future__ import annotations
 
 import math
 
-from deltacharger_docking.arm import prepare
 from deltacharger_docking.charging import Order, charge
 from deltacharger_docking.clearance import judge
 from deltacharger_docking.codes import (
@@ -16,16 +20,151 @@ from deltacharger_docking.codes import (
     NoContact,
     ServoFailure,
     State,
+    TactileStale,
 )
 from deltacharger_docking.context import Context
 from deltacharger_docking.energy import de_energise, energise, wait_for_single_sources
 from deltacharger_docking.goals import GoalDesk, check_place
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Service
-from deltacharger_docking.press import approach, contact, first_push
+from deltacharger_docking.press import approach, contact, ease, first_push
+from deltacharger_docking.release import lift_off, take_off
 from deltacharger_docking.script import NEXT, Script
-from deltacharger_docking.touch import Alignment
+from deltacharger_docking.touch import Target, measure
 
 _ANSWER = 1.0  # s beyond locate_timeout, so that the phase ends with what the detector says
+
+
+def dock(context: Context, target: Target, given: ElectrodePose | None) -> Script[None]:
+    """Lay the electrodes on a target, with clearance and the arm at ease.
+
+    Args:
+        context: of the docking.
+        target: what is known of it by touch.
+        given: where its electrodes are; None = the camera is asked.
+    """
+    parameters = context.parameters
+    electrodes = given or (yield from locate(context))  # 1
+    check_roll(context, electrodes, target.critical_angle)
+    yield from prepare(context)
+    yield from approach(context, electrodes.position)  # 2
+    if parameters.approach == "paper":
+        yield from first_push(context, electrodes.position)  # 3
+    target.depth = electrodes.position[2] + parameters.search_depth
+    yield from contact(context, target.depth)  # 4
+    yield from align(context, target)  # 5 and 6
+
+
+def align(context: Context, target: Target, stay: bool = False) -> Script[None]:
+    """Measure, move and press again until the electrodes may rest where they are and current may flow.
+
+    Args:
+        context: of the docking.
+        target: on which the electrodes rest.
+        stay: they have been aligned before and may rest where they are, if they have clearance there.
+    """
+    target.begin()
+    while True:
+        felt = yield from measure(context)  # 5
+        if target.allows_rest(felt, stay) and (yield from stands_at_ease(context, target)):
+            break
+        stay = False
+        x, y = target.correction()  # 6, at most 15 times
+        yield from press_again(context, target.depth, x, y)
+    context.status.docked = True
+
+
+def stands_at_ease(context: Context, target: Target) -> Script[bool]:
+    """Put the arm at ease and return whether the electrodes still have clearance: it may have slipped."""
+    if (yield from ease(context)) and not target.still_allows_rest((yield from measure(context))):
+        return False
+    target.rest()
+    return True
+
+
+def press_again(context: Context, depth: float, x: float, y: float) -> Script[None]:
+    """Lift off, move the command by (x, y) m and press again, down to `depth` (m, charger_base).
+
+    The command moves by what the measured pose is off, so that friction and a soft servo, which keep the platform
+    short of its command, are corrected as well.
+
+    Raises:
+        Unreachable: the way there leaves the arm's reach; the platform was not lifted.
+    """
+    parameters = context.parameters
+    commanded, z = context.commanded, context.position[2]
+    place = commanded[0] + x, commanded[1] + y, z - parameters.lift
+    context.check_way((*context.position[:2], place[2]), place, (*place[:2], z))
+    context.enter(State.ALIGN, parameters.align_timeout)
+    yield from take_off(context, place[2])
+    yield from context.move(place, parameters.travel_speed)
+    yield from contact(context, depth)
+
+
+def locate(context: Context) -> Script[ElectrodePose]:
+    """Ask the camera where the electrodes are."""
+    parameters = context.parameters
+    context.enter(State.LOCATE, parameters.locate_timeout + _ANSWER)
+    reply = yield from context.ask(Service.DETECT, ElectrodesNotFound, parameters.locate_timeout)
+    found = reply.detection
+    if not reply.success or found is None:
+        raise ElectrodesNotFound(f"no electrodes were found: {reply.message}")
+    if not found.age <= parameters.detection_age_max:
+        raise DetectionStale(f"the detection is {found.age:.1f} s old, more than {parameters.detection_age_max:.1f} s")
+    check_place(found, context.planner, parameters)
+    x, y, z = found.position
+    context.decide("located", "the camera sees the electrodes", x_m=x, y_m=y, z_m=z, roll_rad=found.roll)
+    return found
+
+
+def check_roll(context: Context, electrodes: ElectrodePose, limit: float) -> None:
+    """Refuse electrodes that are rolled to the critical angle (`limit`, rad) already, or may be.
+
+    Raises:
+        CriticalAngle: they are.
+    """
+    roll, stddev = electrodes.roll, electrodes.roll_stddev
+    if abs(roll) + context.parameters.roll_sigmas * stddev < limit:
+        return
+    text = "the given roll is too large"
+    context.decide("refused", text, roll_rad=roll, roll_stddev_rad=stddev, limit_rad=limit)
+    raise CriticalAngle(
+        f"the electrodes are rolled by {math.degrees(roll):.1f}° already in the given pose; "
+        "level the target or the charger"
+    )
+
+
+def prepare(context: Context) -> Script[None]:
+    """Switch the torque on and tare the pads, both in free air; nodes that have just started are waited for."""
+    parameters = context.parameters
+    context.enter(State.APPROACH, parameters.approach_timeout)
+    end = context.time + parameters.first_data_timeout
+    while context.time <= end and (_servos_silent(context) or _pads_silent(context)):
+        yield NEXT
+    if _servos_silent(context):
+        raise ServoFailure("servo_state is missing or stale; is servo_node running and its bus connected?")
+    if _pads_silent(context):
+        raise TactileStale("no tactile frames; check the board's cable and tactile_node")
+    yield from de_energise(context)  # nothing is pulled off a contactor that welded in an earlier goal
+    if not context.observation.torque_enabled:
+        yield from context.torque_on()
+        while not context.observation.torque_enabled:
+            yield NEXT
+    context.commanded = context.position
+    # After a restart nobody remembers having docked; the pads do.
+    if context.status.docked or (context.observation.tared and context.observation.tactile_contact):
+        yield from lift_off(context)
+    reply = yield from context.ask(Service.TARE, TactileStale, parameters.service_timeout)
+    if not reply.success:
+        raise TactileStale(f"the pads were not tared: {reply.message}; they must be free before docking")
+    context.decide("tared", "the pads are tared in free air")
+
+
+def _servos_silent(context: Context) -> bool:
+    return context.observation.servo_age > context.parameters.servo_age_max
+
+
+def _pads_silent(context: Context) -> bool:
+    return context.observation.tactile_age > context.parameters.tactile_age_max
 
 
 class TargetVisit:
@@ -39,10 +178,10 @@ class TargetVisit:
         self._context = context
         self._desk = desk
         self._goal = goal  # what brought the arm here
-        self._alignment: Alignment | None = None
-        self._is_new = False  # a further goal waits to be looked at
         limit = goal.critical_angle or context.parameters.critical_angle
         self._order = Order(goal, limit, desk.started)
+        self._target: Target | None = None
+        self._is_new = False  # a further goal waits to be looked at
         self.supervising = False
 
     def take(self, goal: DockGoal) -> DockingError | None:
@@ -52,8 +191,8 @@ class TargetVisit:
         """
         context, order, desk = self._context, self._order, self._desk
         order.goal, order.since = goal, context.time
-        if self._alignment is not None:
-            desk.aligned = self._alignment.aligned
+        if self._target is not None:
+            desk.aligned = self._target.aligned
         if goal.critical_angle and goal.critical_angle < order.critical_angle:
             order.critical_angle = goal.critical_angle
             known = context.status.estimate if context.status.charging else None
@@ -86,47 +225,40 @@ class TargetVisit:
                 yield from self._stand_again()
 
     def _dock(self) -> Script[None]:
-        """Algorithm 1."""
-        context, parameters, goal = self._context, self._context.parameters, self._goal
+        context = self._context
         context.status.alignments = 0
         context.status.estimate = None
-        electrodes = goal.electrodes if goal.electrodes is not None else (yield from locate(context))
-        self._check_roll(electrodes)
-        yield from prepare(context)
-        target, depth = electrodes.position, electrodes.position[2] + parameters.search_depth
-        yield from approach(context, target)
-        if parameters.approach == "paper":
-            yield from first_push(context, target)
-        yield from contact(context, depth)
-        self._alignment = Alignment(context, self._order.critical_angle, depth)
-        yield from self._align(self._alignment)
-
-    def _align(self, alignment: Alignment, stay: bool = False) -> Script[None]:
-        alignment.critical_angle = self._order.critical_angle
-        try:
-            yield from alignment.run(stay)
-        finally:
-            self._desk.aligned = alignment.aligned
-        self._context.status.docked = True
+        self._target = target = Target(context, self._order.critical_angle)
+        yield from self._aligning(target, dock(context, target, self._goal.electrodes))
 
     def _stand_again(self) -> Script[None]:
         """Measure anew where the electrodes rest, and dock anew only where they have no good contact any more."""
         context = self._context
         value, least = context.contact.value, context.parameters.contact_lost_current
-        if self._alignment is None or not (context.observation.tactile_contact and value >= least):
+        if self._target is None or not (context.observation.tactile_contact and value >= least):
             yield from self._dock()
             return
         context.decide("stay", "docked: clearance is measured anew where it stands", contact_current_A=value)
-        context.status.alignments = 0
-        yield from self._align(self._alignment, stay=True)
+        yield from self._feel_again(self._target)
+
+    def _feel_again(self, target: Target) -> Script[None]:
+        self._context.status.alignments = 0
+        target.critical_angle = self._order.critical_angle
+        yield from self._aligning(target, align(self._context, target, stay=True))
+
+    def _aligning(self, target: Target, script: Script[None]) -> Script[None]:
+        """Run a script that aligns, and tell the goal whether it did, however it ends."""
+        try:
+            yield from script
+        finally:
+            self._desk.aligned = target.aligned
 
     def _charge(self) -> Script[None]:
         """Close, report success or hold the goal, watch over charging, and open."""
         context, desk = self._context, self._desk
-        while context.doubtful and self._alignment is not None:
+        while context.doubtful and self._target is not None:
             yield from wait_for_single_sources(context)
-            context.status.alignments = 0
-            yield from self._align(self._alignment, stay=True)  # felt again, without the second source
+            yield from self._feel_again(self._target)  # without the second source
         yield from energise(context)
         context.status.charging = True
         context.enter(State.CHARGING, math.inf)
@@ -156,35 +288,3 @@ class TargetVisit:
                 desk.succeed(reason)
             yield NEXT
         return True
-
-    def _check_roll(self, electrodes: ElectrodePose) -> None:
-        limit, roll = self._order.critical_angle, electrodes.roll
-        if abs(roll) + self._context.parameters.roll_sigmas * electrodes.roll_stddev < limit:
-            return
-        self._context.decide(
-            "refused",
-            "the given roll is too large",
-            roll_rad=roll,
-            roll_stddev_rad=electrodes.roll_stddev,
-            limit_rad=limit,
-        )
-        raise CriticalAngle(
-            f"the electrodes are rolled by {math.degrees(roll):.1f}° already in the given pose; "
-            "level the target or the charger"
-        )
-
-
-def locate(context: Context) -> Script[ElectrodePose]:
-    """Ask the camera where the electrodes are."""
-    parameters = context.parameters
-    context.enter(State.LOCATE, parameters.locate_timeout + _ANSWER)
-    reply = yield from context.ask(Service.DETECT, ElectrodesNotFound, parameters.locate_timeout)
-    found = reply.detection
-    if not reply.success or found is None:
-        raise ElectrodesNotFound(f"no electrodes were found: {reply.message}")
-    if not found.age <= parameters.detection_age_max:
-        raise DetectionStale(f"the detection is {found.age:.1f} s old, more than {parameters.detection_age_max:.1f} s")
-    check_place(found, context.planner, parameters)
-    x, y, z = found.position
-    context.decide("located", "the camera sees the electrodes", x_m=x, y_m=y, z_m=z, roll_rad=found.roll)
-    return found

@@ -150,6 +150,16 @@ class Context:
             yield Wait(end)
         return reply
 
+    def torque_on(self) -> Script[None]:
+        """Enable the servos where they are.
+
+        Raises:
+            ServoFailure: they were not enabled.
+        """
+        reply = yield from self.ask(Service.TORQUE_ON, ServoFailure, self.parameters.service_timeout)
+        if not reply.success:
+            raise ServoFailure(f"the servos were not enabled: {reply.message}")
+
     def tell(self, service: Service) -> None:
         """Call a service without waiting for its reply."""
         self._requests.append(Request(self._calls.number(awaited=False), service))

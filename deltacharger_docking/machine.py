@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable
 
 from deltacharger_docking.algorithm import TargetVisit
-from deltacharger_docking.arm import let_go, retract
 from deltacharger_docking.codes import (
     SILENT_SERVOS,
     Busy,
@@ -31,6 +30,7 @@ from deltacharger_docking.goals import GoalDesk, check_goal, check_id
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.retract import let_go, retract
 from deltacharger_docking.script import Runner, Script
 from deltacharger_docking.trajectory_feed import TrajectoryFeed
 from deltacharger_kinematics.geometry import DeltaGeometry
@@ -69,6 +69,11 @@ class DockingMachine:
     def status(self) -> DockingStatus:
         """Present state, for feedback and docking_state."""
         return self._context.status
+
+    @property
+    def planner(self) -> Planner:
+        """Of the lines that the arm goes."""
+        return self._context.planner
 
     @property
     def outcome(self) -> DockingOutcome | None:
@@ -117,7 +122,20 @@ class DockingMachine:
         if self._desk.is_open or (self._runner.is_running and not self._interruptible):
             raise Busy(self._what_goes_on())
         check_id(request_id)
-        self._start(request_id, observation, self._undock)
+        self._begin(_undock, observation, request_id)
+
+    def start(self, script: Callable[[Context], Script[str]], observation: Observation) -> None:
+        """Begin a script of somebody else's, however long it takes; the text that it returns tells its success.
+
+        What interrupts a docking interrupts it, too, and the arm is taken back as after a docking.
+
+        Raises:
+            Busy: a goal is being served.
+        """
+        if self.busy:
+            raise Busy(self._what_goes_on())
+        self._begin(script, observation)
+        self._desk.deadline = math.inf
 
     def _what_goes_on(self) -> str:
         if self._desk.is_open:
@@ -151,11 +169,17 @@ class DockingMachine:
             self._context.feed.stop()
         return self._context.command()
 
-    def _start(self, request_id: str, observation: Observation, script: Callable[[], Script[None]]) -> None:
+    def _begin(self, script: Callable[[Context], Script[str]], observation: Observation, request_id: str = "") -> None:
         """Take a goal and begin its script, in place of supervision; the contactor stays as it is."""
+
+        def run() -> Script[None]:
+            text = yield from script(self._context)
+            self._context.enter(State.IDLE, math.inf)
+            self._desk.succeed(text)
+
         self._desk.begin(request_id, observation)
         self._forget_script()
-        self._runner.start(self._serve(script))
+        self._runner.start(self._serve(run))
 
     def _forget_script(self) -> None:
         self._runner.stop()
@@ -270,9 +294,8 @@ class DockingMachine:
             status.charging = False
         return False
 
-    def _undock(self) -> Script[None]:
-        context = self._context
-        yield from retract(context, wanted=True)
-        context.status.docked = False
-        context.enter(State.IDLE, math.inf)
-        self._desk.succeed("undocked")
+
+def _undock(context: Context) -> Script[str]:
+    yield from retract(context, wanted=True)
+    context.status.docked = False
+    return "undocked"

@@ -44,6 +44,19 @@ def take_off(context: Context, z: float) -> Script[None]:
     raise _stuck(context)
 
 
+def lift_off(context: Context, pull: bool = False) -> Script[None]:
+    """Pull off the magnets where there is contact or `pull` says so, then go straight back, to move sideways."""
+    parameters = context.parameters
+    x, y, z = context.measured()
+    clear = min(max(z - parameters.lift, parameters.home_z), z)
+    if pull or context.observation.tactile_contact or abs(context.contact.value) > parameters.free_current:
+        yield from take_off(context, clear)
+    else:
+        context.commanded = x, y, z
+        yield from context.move((x, y, clear), parameters.travel_speed, settle=False)
+    context.status.docked = False
+
+
 def release(context: Context, travel: float) -> Script[None]:
     """Pull the electrodes off the magnets, until the platform has come `travel` m back.
 

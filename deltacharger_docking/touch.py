@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps 5 and 6 of Algorithm 1: measure the misalignment, judge it, move, and press again."""
+"""What the pads tell: the misalignment, where the target is, whether the electrodes may rest here, else where to."""
 
 from __future__ import annotations
 
@@ -9,15 +9,46 @@ from dataclasses import replace
 from deltacharger_docking.clearance import FeltPose, Verdict, clearance, clearance_stddev, judge
 from deltacharger_docking.codes import CriticalAngle, EstimateUnsure, Misaligned, NoTactileContact, State, TactileStale
 from deltacharger_docking.context import Context
-from deltacharger_docking.ease import ease
 from deltacharger_docking.observation import Service
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.press import contact
-from deltacharger_docking.release import take_off
 from deltacharger_docking.script import Script
 
+_LEAST = 1e-12  # m²; below it a variance would divide by nothing
 
-class AlignmentFilter:
+
+def measure(context: Context) -> Script[FeltPose]:
+    """Return what the pads feel, sure or not.
+
+    Raises:
+        NoTactileContact: they feel nothing.
+        TactileStale: no estimate came.
+    """
+    parameters = context.parameters
+    context.enter(State.MEASURE, parameters.measure_timeout)
+    context.doubtful = bool(context.observation.duplicate_sources)
+    reply = yield from context.ask(
+        Service.ESTIMATE, TactileStale, parameters.service_timeout, parameters.estimate_frames
+    )
+    felt = reply.estimate
+    if not reply.success or felt is None:
+        raise TactileStale(f"no misalignment estimate: {reply.message}")
+    context.status.estimate = felt
+    context.decide(
+        "measured",
+        "sure" if felt.sure and felt.in_range else "unsure" if felt.in_range else "out of range",
+        angle_rad=felt.angle,
+        angle_stddev_rad=felt.angle_stddev,
+        vertical_m=felt.vertical,
+        vertical_stddev_m=felt.vertical_stddev,
+        horizontal_m=felt.horizontal,
+        horizontal_stddev_m=felt.horizontal_stddev,
+    )
+    if not felt.contact:
+        raise NoTactileContact("the pads lost contact before the misalignment was measured")
+    return felt
+
+
+class PlaceFilter:
     """Kalman filter of a fixed target position (x, y in charger_base) seen by touch.
 
     One docking lands beside its commanded place by `docking_jitter` (a standard deviation, m), and an estimate's error
@@ -47,12 +78,12 @@ class AlignmentFilter:
         for axis, (place, offset, stddev) in enumerate(readings):
             felt = stddev**2 + (parameters.gain_error * offset) ** 2
             variance = parameters.docking_jitter**2 + felt
-            land = self._land(axis, place - offset, offset, max(felt, 1e-12))
+            land = self._land(axis, place - offset, offset, max(felt, _LEAST))
             self.landing = max(self.landing, land, parameters.landing_felt_sigmas * stddev)
-            weight = 1.0 / max(variance, 1e-12)
+            weight = 1.0 / max(variance, _LEAST)
             if self._information[axis] > 0.0:
                 expected = variance + 1.0 / self._information[axis]
-                self._innovations[axis] += (place - self._mean[axis]) ** 2 / max(expected, 1e-12)
+                self._innovations[axis] += (place - self._mean[axis]) ** 2 / max(expected, _LEAST)
             self._information[axis] += weight
             self._mean[axis] += (place - self._mean[axis]) * weight / self._information[axis]
 
@@ -67,7 +98,7 @@ class AlignmentFilter:
         information = self._information[axis]
         mean, weight = offset, 1.0 / variance
         if information > 0.0:
-            known = 1.0 / (self._parameters.docking_jitter**2 + 1.0 / information + 1e-12)
+            known = 1.0 / (self._parameters.docking_jitter**2 + 1.0 / information + _LEAST)
             mean = (weight * offset + known * (self._mean[axis] - platform)) / (weight + known)
             weight += known
         return abs(mean) + self._parameters.landing_sigmas / math.sqrt(weight)
@@ -85,152 +116,116 @@ class AlignmentFilter:
         return x - platform[0], y - platform[1]
 
 
-class Alignment:
-    """The loop of measuring and moving. One instance serves one target, from its first contact until it is left.
+class Target:
+    """What is known of one target by touch, from its first contact until it is left, and what follows from it.
 
     Attributes:
         critical_angle: limit of the goal, rad.
+        depth: largest z (m, charger_base) at which contact is looked for.
         aligned: whether the filtered misalignment lies within the tolerance.
     """
 
-    def __init__(self, context: Context, critical_angle: float, depth: float) -> None:
+    def __init__(self, context: Context, critical_angle: float) -> None:
         self._context = context
         self.critical_angle = critical_angle
-        self._depth = depth
-        self._filter = AlignmentFilter(context.parameters)
-        self._angles: list[float] = []
-        self._unsure = self._unsure_here = 0
-        self._passed = 0
+        self.depth = math.inf
         self.aligned = False
+        self._filter = PlaceFilter(context.parameters)
+        self._off = (math.nan, math.nan)  # filtered misalignment of this contact, m
+        self._landed = False  # this contact lies within landing_limit, as far as is known
+        self.begin()
 
-    def run(self, stay: bool = False) -> Script[None]:
-        """Align until the estimate allows current to flow, with the arm at ease.
+    def begin(self) -> None:
+        """Forget what earlier goals have counted; the target's place stays known."""
+        self._angles: list[float] = []
+        self._passed = 0  # contacts in a row that leave clearance
+        self._unsure = self._unsure_here = 0
+        self._felt: FeltPose | None = None  # in this contact
+
+    def allows_rest(self, felt: FeltPose, stay: bool) -> bool:
+        """Take what is felt in this contact; return whether the electrodes may rest here and current may flow.
 
         Args:
-            stay: the electrodes have been aligned before and may rest where they are, if they have clearance there.
+            felt: sure or not.
+            stay: they have been aligned before and may rest where they are, if they have clearance there.
 
         Raises:
             CriticalAngle: the target is tilted too far.
-            Misaligned: clearance was not reached within the allowed alignments.
-            EstimateUnsure: the estimate stayed unsure.
-            NoTactileContact: the pads feel nothing.
+            EstimateUnsure: what is felt contradicts the arm's own moves.
         """
+        self._felt = felt
+        if not felt.usable:
+            self._passed = 0
+            return False
         context, parameters = self._context, self._context.parameters
-        self._passed, self._angles = 0, []
-        self._unsure = self._unsure_here = 0
-        while True:
-            estimate = yield from self._measure()
-            if not estimate.usable:
-                self._passed, stay = 0, False
-                yield from self._dock_again(*self._look_elsewhere(estimate))
-                continue
-            self._unsure_here = 0
-            place = context.position[0], context.position[1]
-            self._filter.update(place, estimate)
-            if self._filter.contradicts_itself and not stay:
-                context.decide("contradiction", "the pads do not feel the arm's own moves", x_m=estimate.horizontal)
-                raise EstimateUnsure(
-                    "what the pads feel contradicts the arm's own moves; do their frames repeat themselves, or does "
-                    "the target move?"
-                )
-            verdict = self._judge(estimate)
-            x, y = self._filter.misalignment(place)
-            self.aligned = max(abs(x), abs(y)) <= parameters.alignment_tolerance
-            landed = self._filter.landing <= parameters.landing_limit
-            exhausted = context.status.alignments >= parameters.alignments_max
-            settled = stay or (self.aligned and landed) or (exhausted and parameters.charge_when_not_aligned)
-            safe = verdict is Verdict.SAFE or (verdict is Verdict.PROBABLY_SAFE and self._passed >= 2)
-            if stay and not safe:
-                self._filter = AlignmentFilter(parameters)  # the target is not any more where it was
-            stay = False
-            if settled and safe and (yield from self._stands()):
-                text = "the target lies within the tolerance" if self.aligned else "the electrodes have clearance here"
-                context.decide("aligned" if self.aligned else "exhausted", text, x_m=x, y_m=y)
-                return
-            if exhausted:
-                context.decide("exhausted", "no correction is left", x_m=x, y_m=y, moves=context.status.alignments)
-                raise Misaligned(
-                    f"after {context.status.alignments} alignments no clearance is sure; the electrodes are "
-                    f"{1000 * x:.1f} mm horizontally and {1000 * y:.1f} mm vertically off"
-                )
-            context.status.alignments += 1
-            if self.aligned:
-                text = "clearance is not sure yet" if landed else "this landing lies too far beside the target"
-                context.decide("again", f"{text}: docking again", beside_m=self._filter.landing, x_m=x, y_m=y)
-            else:
-                context.decide("move", "the electrodes are taken to where the target was felt", x_m=x, y_m=y)
-            yield from self._dock_again(x, y)
+        self._unsure_here = 0
+        place = context.position[0], context.position[1]
+        self._filter.update(place, felt)
+        if self._filter.contradicts_itself and not stay:
+            context.decide("contradiction", "the pads do not feel the arm's own moves", x_m=felt.horizontal)
+            raise EstimateUnsure(
+                "what the pads feel contradicts the arm's own moves; do their frames repeat themselves, or does the "
+                "target move?"
+            )
+        verdict = self._judge(felt)
+        safe = verdict is Verdict.SAFE or (verdict is Verdict.PROBABLY_SAFE and self._passed >= 2)
+        self._off = x, y = self._filter.misalignment(place)
+        self.aligned = max(abs(x), abs(y)) <= parameters.alignment_tolerance
+        self._landed = self._filter.landing <= parameters.landing_limit
+        settled = stay or (self.aligned and self._landed) or (self._exhausted and parameters.charge_when_not_aligned)
+        if stay and not safe:
+            self._filter = PlaceFilter(parameters)  # the target is not any more where it was
+        return settled and safe
 
-    def _stands(self) -> Script[bool]:
-        """Put the arm at ease and return whether the electrodes still have clearance: it may have slipped."""
-        if not (yield from ease(self._context)):
-            return True
-        estimate = yield from self._measure()
-        if estimate.usable and judge(estimate, self._context.parameters, self.critical_angle).leaves_clearance:
+    def still_allows_rest(self, felt: FeltPose) -> bool:
+        """Take what is felt once the arm is at ease; return whether it has left the clearance."""
+        if felt.usable and judge(felt, self._context.parameters, self.critical_angle).leaves_clearance:
             return True
         self._passed = 0
         return False
 
-    def _measure(self) -> Script[FeltPose]:
-        """Return what the pads feel, sure or not.
+    def rest(self) -> None:
+        """Tell that the electrodes rest here."""
+        text = "the target lies within the tolerance" if self.aligned else "the electrodes have clearance here"
+        self._context.decide("aligned" if self.aligned else "exhausted", text, x_m=self._off[0], y_m=self._off[1])
+
+    def correction(self) -> tuple[float, float]:
+        """Return by how much (m) to move before the next contact, and count it.
 
         Raises:
-            NoTactileContact: they feel nothing.
-            TactileStale: no estimate came.
+            Misaligned: clearance was not reached within the allowed alignments.
+            EstimateUnsure: the estimate stayed unsure.
+            CriticalAngle: it did, and tells a tilt beyond the limit.
         """
-        context, parameters = self._context, self._context.parameters
-        context.enter(State.MEASURE, parameters.measure_timeout)
-        context.doubtful = bool(context.observation.duplicate_sources)
-        reply = yield from context.ask(
-            Service.ESTIMATE, TactileStale, parameters.service_timeout, parameters.estimate_frames
-        )
-        if not reply.success or reply.estimate is None:
-            raise TactileStale(f"no misalignment estimate: {reply.message}")
-        context.status.estimate = reply.estimate
-        self._tell(reply.estimate)
-        if not reply.estimate.contact:
-            raise NoTactileContact("the pads lost contact before the misalignment was measured")
-        return reply.estimate
+        context = self._context
+        if self._felt is not None and not self._felt.usable:
+            return self._look_elsewhere(self._felt)
+        x, y = self._off
+        if self._exhausted:
+            context.decide("exhausted", "no correction is left", x_m=x, y_m=y, moves=context.status.alignments)
+            raise Misaligned(
+                f"after {context.status.alignments} alignments no clearance is sure; the electrodes are "
+                f"{1000 * x:.1f} mm horizontally and {1000 * y:.1f} mm vertically off"
+            )
+        context.status.alignments += 1
+        if self.aligned:
+            text = "clearance is not sure yet" if self._landed else "this landing lies too far beside the target"
+            context.decide("again", f"{text}: docking again", beside_m=self._filter.landing, x_m=x, y_m=y)
+        else:
+            context.decide("move", "the electrodes are taken to where the target was felt", x_m=x, y_m=y)
+        return x, y
 
-    def _look_elsewhere(self, estimate: FeltPose) -> tuple[float, float]:
-        """Return by how much (m) to move before measuring again: where an unsure estimate points, or nowhere.
+    @property
+    def _exhausted(self) -> bool:
+        return self._context.status.alignments >= self._context.parameters.alignments_max
 
-        A pad that has lost its ridge still tells the direction. It only moves the arm; energising needs a sure one.
-        """
+    def _judge(self, felt: FeltPose) -> Verdict:
+        """Judge this contact, and the mean angle once two have been made."""
         parameters = self._context.parameters
-        self._unsure_here += 1
-        self._unsure += 1
-        place = self._context.position
-        x, y = _pointed_at(estimate, parameters.unsure_move_sigmas)
-        lost = estimate.complete and math.hypot(x, y) > parameters.unsure_move_min
-        reachable = lost and not self._context.planner.reachable((place[0] + x, place[1] + y, place[2]))
-        if reachable and self._unsure < parameters.unsure_max:
-            self._unsure_here = 0
-            self._context.status.alignments += 1
-            self._context.decide("elsewhere", "a pad has lost its ridge: it is looked for", x_m=x, y_m=y)
-            return x, y
-        if self._unsure_here >= parameters.unsure_here_max or self._unsure >= parameters.unsure_max:
-            self._give_up(estimate)
-        self._context.decide("again", "the estimate is unsure and is made anew by docking again", times=self._unsure)
-        return 0.0, 0.0
-
-    def _tell(self, estimate: FeltPose) -> None:
-        self._context.decide(
-            "measured",
-            "sure" if estimate.sure and estimate.in_range else "unsure" if estimate.in_range else "out of range",
-            angle_rad=estimate.angle,
-            angle_stddev_rad=estimate.angle_stddev,
-            vertical_m=estimate.vertical,
-            vertical_stddev_m=estimate.vertical_stddev,
-            horizontal_m=estimate.horizontal,
-            horizontal_stddev_m=estimate.horizontal_stddev,
-        )
-
-    def _tell_verdict(self, estimate: FeltPose, verdict: Verdict) -> None:
-        parameters = self._context.parameters
+        self._angles.append(felt.angle)
+        verdict = judge(felt, parameters, self.critical_angle)
         gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
-        left = clearance(estimate.angle, estimate.vertical, gap, length)
-        sigma = clearance_stddev(estimate, gap, length)
+        left, sigma = clearance(felt.angle, felt.vertical, gap, length), clearance_stddev(felt, gap, length)
         self._context.decide(
             "verdict",
             verdict.value,
@@ -238,52 +233,49 @@ class Alignment:
             margin_3_sigma_m=left - 3.0 * sigma - parameters.clearance_min,
             margin_6_sigma_m=left - 6.0 * sigma - parameters.clearance_min,
         )
-
-    def _give_up(self, estimate: FeltPose) -> None:
-        limit = min(self.critical_angle, self._context.parameters.critical_angle)
-        if math.isfinite(estimate.angle) and abs(estimate.angle) >= limit:
-            raise CriticalAngle(_too_tilted(estimate.angle))
-        what = "outside what the estimator knows" if not estimate.in_range else "unsure"
-        raise EstimateUnsure(f"the tactile estimate stayed {what} after {self._unsure} dockings; check pads and target")
-
-    def _judge(self, estimate: FeltPose) -> Verdict:
-        """Judge this docking, and the mean angle once two have been made."""
-        parameters = self._context.parameters
-        self._angles.append(estimate.angle)
-        verdict = judge(estimate, parameters, self.critical_angle)
-        self._tell_verdict(estimate, verdict)
         self._passed = self._passed + 1 if verdict.leaves_clearance else 0
-        if len(self._angles) >= 2:
-            mean = sum(self._angles) / len(self._angles)
-            if judge(replace(estimate, angle=mean, vertical=0.0), parameters, self.critical_angle) is Verdict.CRITICAL:
-                raise CriticalAngle(_too_tilted(mean))
+        mean = sum(self._angles) / len(self._angles)
+        centred = replace(felt, angle=mean, vertical=0.0)
+        if len(self._angles) >= 2 and judge(centred, parameters, self.critical_angle) is Verdict.CRITICAL:
+            raise CriticalAngle(_too_tilted(mean))
         return verdict
 
-    def _dock_again(self, x: float, y: float) -> Script[None]:
-        """Lift off, move the command by (x, y) m and press again.
+    def _look_elsewhere(self, felt: FeltPose) -> tuple[float, float]:
+        """Return by how much (m) to move before measuring again: where an unsure estimate points, or nowhere.
 
-        The command moves by what the measured pose is off, so that friction and a soft servo, which keep the platform
-        short of its command, are corrected as well.
-
-        Raises:
-            Unreachable: the way there leaves the arm's reach; the platform was not lifted.
+        A pad that has lost its ridge still tells the direction. It only moves the arm; energising needs a sure one.
         """
         context, parameters = self._context, self._context.parameters
-        commanded, z = context.commanded, context.position[2]
-        place = commanded[0] + x, commanded[1] + y, z - parameters.lift
-        context.check_way((*context.position[:2], place[2]), place, (*place[:2], z))
-        context.enter(State.ALIGN, parameters.align_timeout)
-        yield from take_off(context, place[2])
-        yield from context.move(place, parameters.travel_speed)
-        yield from contact(context, self._depth)
+        self._unsure_here += 1
+        self._unsure += 1
+        place = context.position
+        x, y = _pointed_at(felt, parameters.unsure_move_sigmas)
+        lost = felt.complete and math.hypot(x, y) > parameters.unsure_move_min
+        reachable = lost and not context.planner.reachable((place[0] + x, place[1] + y, place[2]))
+        if reachable and self._unsure < parameters.unsure_max:
+            self._unsure_here = 0
+            context.status.alignments += 1
+            context.decide("elsewhere", "a pad has lost its ridge: it is looked for", x_m=x, y_m=y)
+            return x, y
+        if self._unsure_here >= parameters.unsure_here_max or self._unsure >= parameters.unsure_max:
+            self._give_up(felt)
+        context.decide("again", "the estimate is unsure and is made anew by docking again", times=self._unsure)
+        return 0.0, 0.0
+
+    def _give_up(self, felt: FeltPose) -> None:
+        limit = min(self.critical_angle, self._context.parameters.critical_angle)
+        if math.isfinite(felt.angle) and abs(felt.angle) >= limit:
+            raise CriticalAngle(_too_tilted(felt.angle))
+        what = "outside what the estimator knows" if not felt.in_range else "unsure"
+        raise EstimateUnsure(f"the tactile estimate stayed {what} after {self._unsure} dockings; check pads and target")
 
 
-def _pointed_at(estimate: FeltPose, sigmas: float) -> tuple[float, float]:
+def _pointed_at(felt: FeltPose, sigmas: float) -> tuple[float, float]:
     """Return where (m) an unsure estimate points: out of range all of it, else along axes known at `sigmas`."""
-    x, y = estimate.horizontal, estimate.vertical
-    if estimate.in_range:
-        x = x if abs(x) > sigmas * estimate.horizontal_stddev else 0.0
-        y = y if abs(y) > sigmas * estimate.vertical_stddev else 0.0
+    x, y = felt.horizontal, felt.vertical
+    if felt.in_range:
+        x = x if abs(x) > sigmas * felt.horizontal_stddev else 0.0
+        y = y if abs(y) > sigmas * felt.vertical_stddev else 0.0
     return x, y
 
 

@@ -34,10 +34,10 @@ from deltacharger_kinematics.geometry import Vector
 from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, SETS, TILTED, Part
 
 if TYPE_CHECKING:
+    from deltacharger_docking.machine import DockingMachine
     from deltacharger_records.datasets.charger import RecordingCharger
     from deltacharger_records.datasets.dataset import Docking, Settings
     from deltacharger_records.datasets.journal import Journal
-    from deltacharger_records.datasets.machine import RecordingMachine
 
 _TRIES = 3  # at one docking whose failure may pass; any other failure wants a person
 _PAUSE = 3.0  # s before another try, in which a silence may pass
@@ -269,15 +269,16 @@ def _commands(part: Part) -> list[Vector]:
     return [(x - pose.horizontal, y - pose.vertical, z) for pose in part.poses()]
 
 
-def _machine(charger: RecordingCharger, part: Part) -> RecordingMachine:
+def _machine(charger: RecordingCharger, part: Part) -> DockingMachine:
     """Return the machine, set as docking_node is, once all places are known to be in reach."""
-    from deltacharger_records.datasets.machine import RecordingMachine
+    from deltacharger_docking.machine import DockingMachine
+    from deltacharger_records.datasets.session import check_places
 
     if not charger.has_docking_node:
         say("docking_node is not running: docking by its default parameters")
-    machine = RecordingMachine(*charger.settings())
+    machine = DockingMachine(*charger.settings())
     with wrong_input(Unreachable):
-        machine.check(_commands(part))
+        check_places(machine, _commands(part))
     return machine
 
 
@@ -285,7 +286,7 @@ class _Sessions:
     """Sessions one after the other, each with its own tare."""
 
     def __init__(
-        self, call: _Call, part: Part, settings: Settings, charger: RecordingCharger, machine: RecordingMachine
+        self, call: _Call, part: Part, settings: Settings, charger: RecordingCharger, machine: DockingMachine
     ) -> None:
         self._call, self._part, self._settings = call, part, settings
         self._charger, self._machine = charger, machine
@@ -320,7 +321,7 @@ class _Sessions:
     def _session(self, numbers: Sequence[int]) -> DockingOutcome:
         """Make the dockings of these numbers; all that is felt is on the disk when this ends."""
         from deltacharger_records.datasets.keeper import SessionKeeper
-        from deltacharger_records.datasets.machine import NotKept
+        from deltacharger_records.datasets.session import NotKept, TouchSession
 
         charger, settings = self._charger, self._settings
         report = self._call.report(self._part)
@@ -330,10 +331,7 @@ class _Sessions:
         places = [self._commands[number] for number in numbers]
         holding = settings.frames * settings.rows * _FRAME
         try:
-            return charger.run(
-                self._machine,
-                lambda now: self._machine.start_session(places, settings.dwell_s, holding, keeper, now),
-            )
+            return charger.run(self._machine, TouchSession(places, settings.dwell_s, holding, keeper))
         finally:
             try:
                 keeper.close()

@@ -29,8 +29,8 @@ from deltacharger_lab.campaigns.parts import NOMINAL
 from deltacharger_lab.campaigns.quick_charger import QuickCharger
 from deltacharger_lab.campaigns.scene import DEFAULT, load_campaign_scene
 from deltacharger_lab.reports.pool import ReportTask, work
-from deltacharger_records.datasets.machine import RecordingMachine, Rested
 from deltacharger_records.datasets.plan import SUBSETS, Part
+from deltacharger_records.datasets.session import Rested, TouchSession, check_places
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_tactile.dataset import ANGLE_CLASSES, VERSION, Dataset
 from deltacharger_tactile.parameters import TactileParameters
@@ -71,13 +71,6 @@ class Protocol:
         return [*angles, Part("position", 0.0, by_place, self.seed, x, y, z)]
 
 
-class _Charger(QuickCharger):
-    """A charger whose machine records."""
-
-    machine: RecordingMachine
-    machine_kind = RecordingMachine
-
-
 @dataclass(frozen=True)
 class Pressed:
     """One docking: its number in the part, and what its rows are made of; m, rad, N, A."""
@@ -95,7 +88,7 @@ class Pressed:
 class _Keeper:
     """Takes what the charger's pads feel, and the truth beside it."""
 
-    def __init__(self, charger: _Charger, recording: Protocol) -> None:
+    def __init__(self, charger: QuickCharger, recording: Protocol) -> None:
         self.touches: list[Pressed] = []
         self.numbers: Sequence[int] = ()
         self.session = 0
@@ -141,20 +134,19 @@ def record_part(recording: Protocol, part: Part) -> list[Pressed]:
     world = WorldParameters(target=TargetParameters(roll=math.radians(part.angle_deg)))
     parameters = DockingParameters(servo_stiffness=world.servo.stiffness)
     seed = random.Random(where).getrandbits(31)
-    charger = _Charger(world, parameters, TactileParameters(), seed, recording.rig)
+    charger = QuickCharger(world, parameters, TactileParameters(), seed, recording.rig)
     keeper, look = _Keeper(charger, recording), part.set == "angle"
     offsets = part.starts() if look else [(pose.horizontal, pose.vertical) for pose in part.poses()]
     x, y, z = part.target
     commands = [(x - float(dx), y - float(dy), z) for dx, dy in offsets]
-    charger.machine.check(commands)
+    check_places(charger.machine, commands)
     charger.answer[Service.DETECT] = lambda reply: _seen(reply, part, keeper.number, recording)
     failures = 0
     while left := sorted(set(range(len(commands))) - {touch.number for touch in keeper.touches}):
         keeper.numbers, before = left[: recording.tare_every], len(keeper.touches)
-        charger.outcome = None
         places = [commands[number] for number in keeper.numbers]
         holding = recording.frames * recording.rows / FRAME_RATE
-        charger.machine.start_session(places, recording.dwell_s, holding, keeper, charger.observe(), look)
+        charger.start(TouchSession(places, recording.dwell_s, holding, keeper, look).run)
         outcome = charger.finish(_LIMIT * len(places))
         keeper.session += 1
         failures = 0 if outcome.success or len(keeper.touches) > before else failures + 1

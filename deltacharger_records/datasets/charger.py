@@ -18,6 +18,7 @@ from rclpy.context import Context
 from rclpy.duration import Duration
 from std_srvs.srv import Trigger
 
+from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Command, DockingOutcome, Observation, Request, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.ros import messages as io
@@ -26,7 +27,7 @@ from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_records.datasets.arm_guest import ArmError, ArmGuest
 from deltacharger_records.datasets.keeper import TOPICS, Tape
-from deltacharger_records.datasets.machine import RecordingMachine
+from deltacharger_records.datasets.session import TouchSession
 from deltacharger_records.node_parameters import docking_settings
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.raw_topics import listen
@@ -40,7 +41,7 @@ _TERMINALS = "/dev/pts/"
 
 
 class RecordingCharger(ArmGuest):
-    """Drives a charger through sessions of a RecordingMachine.
+    """Drives a charger through recording sessions.
 
     Args:
         context: a running rclpy context.
@@ -55,7 +56,7 @@ class RecordingCharger(ArmGuest):
 
     def __init__(self, context: Context, namespace: str = "", stop: threading.Event | None = None) -> None:
         super().__init__("recording", context, namespace, stop)
-        self._machine: RecordingMachine | None = None
+        self._machine: DockingMachine | None = None
         self.is_driving = False
         self.names = {topic.name: self.node.resolve_topic_name(topic.name) for topic in TOPICS}
         self.tape = Tape(self.names["docking_state"])
@@ -162,12 +163,12 @@ class RecordingCharger(ArmGuest):
         self.is_driving = True
         return True
 
-    def run(self, machine: RecordingMachine, start: Callable[[Observation], None]) -> DockingOutcome:
+    def run(self, machine: DockingMachine, session: TouchSession) -> DockingOutcome:
         """Run a session to its end.
 
         Args:
-            machine: whose `start_session` is called by `start`.
-            start: begins the session.
+            machine: of the arm, which serves nothing else.
+            session: what it does.
 
         Returns:
             How it ended; the arm is home and its torque off, as far as the charger still lets it.
@@ -177,7 +178,7 @@ class RecordingCharger(ArmGuest):
         """
         self._machine = machine
         self._check_free()
-        start(self._observe())
+        machine.start(session.run, self._observe())
         while machine.outcome is None:
             self._inputs.wait(_TICK)
             if self._is_taken():

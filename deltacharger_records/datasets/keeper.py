@@ -18,8 +18,8 @@ from deltacharger_core.mcap_file import Raw, RecordingError
 from deltacharger_docking.codes import TactileStale
 from deltacharger_records.datasets.dataset import Docking, Settings
 from deltacharger_records.datasets.journal import Journal
-from deltacharger_records.datasets.machine import NotKept, Rested
 from deltacharger_records.datasets.plan import Part
+from deltacharger_records.datasets.session import NotKept, Rested
 from deltacharger_ros import qos
 from deltacharger_ros.raw_topics import Topic
 

@@ -10,7 +10,7 @@ import pytest
 
 from deltacharger_docking.clearance import FeltPose, Verdict, clearance, judge
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.touch import AlignmentFilter
+from deltacharger_docking.touch import PlaceFilter
 
 GAP, LENGTH = 0.0037, 0.035
 PARAMETERS = DockingParameters()
@@ -66,7 +66,7 @@ def test_the_filter_averages_the_scatter_of_dockings_away() -> None:
     jitter, target = 0.00095, np.array([0.006, -0.004])
     errors = []
     for _ in range(200):
-        tracker = AlignmentFilter(DockingParameters(docking_jitter=jitter, gain_error=0.15))
+        tracker = PlaceFilter(DockingParameters(docking_jitter=jitter, gain_error=0.15))
         place = np.zeros(2)
         for _ in range(8):
             felt_offset = target - place + random.normal(0, jitter, 2)
@@ -77,7 +77,7 @@ def test_the_filter_averages_the_scatter_of_dockings_away() -> None:
 
 
 def test_a_far_first_look_does_not_outweigh_near_ones() -> None:
-    tracker = AlignmentFilter(DockingParameters(docking_jitter=0.0005, gain_error=0.15))
+    tracker = PlaceFilter(DockingParameters(docking_jitter=0.0005, gain_error=0.15))
     tracker.update((0.0, 0.0), FeltPose(0, 0, 0.0, 1e-4, 0.010, 1e-4))  # reads 10 mm where the truth is 8
     tracker.update((0.010, 0.0), FeltPose(0, 0, 0.0, 1e-4, -0.002, 1e-4))
     assert tracker.misalignment((0.008, 0.0))[0] == pytest.approx(0.0, abs=3e-4)

@@ -15,8 +15,8 @@ from deltacharger_core.machine import DOCKING_JITTER
 from deltacharger_docking.codes import Busy, Code, State, Unreachable
 from deltacharger_docking.observation import Observation, Service
 from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
-from deltacharger_records.datasets.machine import NotKept, RecordingMachine, Rested
 from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, SETS, SUBSETS, TILTED, CommandedPose, Part
+from deltacharger_records.datasets.session import NotKept, Rested, TouchSession, check_places
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.world import Snapshot
 
@@ -70,8 +70,7 @@ class Bench:
     def __init__(self, roll: float = 0.0) -> None:
         world = WorldParameters(target=TargetParameters(roll=roll))
         self.charger = VirtualCharger(world)
-        self.machine = RecordingMachine(self.charger.parameters)
-        self.charger.machine = self.machine
+        self.machine = self.charger.machine
         self.ear = Ear(self.charger)
         self.asked: set[Service] = set()
 
@@ -82,9 +81,8 @@ class Bench:
 
     def start(self, poses: list[CommandedPose]) -> None:
         commands = [(-pose.horizontal, -pose.vertical, 0.080) for pose in poses]
-        self.machine.check(commands)
-        self.charger.outcome = None
-        self.machine.start_session(commands, 0.5, FRAMES / 120.0, self.ear, self.charger.observe())
+        check_places(self.machine, commands)
+        self.charger.start(TouchSession(commands, 0.5, FRAMES / 120.0, self.ear).run)
 
     def run(self, poses: list[CommandedPose]) -> Code:
         self.start(poses)

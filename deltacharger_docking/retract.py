@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The safe way out: open, confirm, off the magnets, home, torque off."""
+
+from __future__ import annotations
+
+import math
+
+from deltacharger_docking.codes import ServoFailure, State, Stuck
+from deltacharger_docking.context import Context
+from deltacharger_docking.energy import de_energise
+from deltacharger_docking.observation import Service
+from deltacharger_docking.release import lift_off
+from deltacharger_docking.script import NEXT, Script
+
+_OFF_TIME = 0.1  # s that servo_node needs to switch the torque off: some of its cycles
+
+
+def retract(context: Context, wanted: bool = False) -> Script[None]:
+    """Open, confirm, release the magnets, go home and switch the torque off.
+
+    Args:
+        context: shared state.
+        wanted: whether a client asked for it; then a limp arm away from home is switched on too.
+    """
+    parameters = context.parameters
+    context.enter(State.RETRACT, math.inf)
+    yield from de_energise(context)  # has its own limit: no time runs out while electrodes may be live
+    context.deadline = context.time + parameters.retract_timeout
+    while parameters.press_age_max < context.observation.servo_age <= parameters.servo_age_max:
+        yield NEXT
+    observation = context.observation
+    if observation.servo_age > parameters.servo_age_max or observation.hardware_error:
+        context.status.docked &= observation.tactile_contact  # the magnets still hold it
+        yield from let_go(context)
+        return
+    if not math.isfinite(context.position[2]):
+        raise ServoFailure("the arm's position is unknown, so it was not moved")
+    strayed = wanted and math.dist(context.position, parameters.home) > parameters.lift
+    needed = strayed or observation.tactile_contact
+    if needed and not observation.torque_enabled:
+        yield from context.torque_on()
+    if needed or observation.torque_enabled:
+        yield from lift_off(context, pull=strayed and not observation.torque_enabled)
+        yield from context.move(parameters.home, parameters.travel_speed, settle=False)
+        yield from context.wait(parameters.settle_time)
+        away = math.dist(context.position, parameters.home)
+        context.decide("retracted", "the arm is home" if away <= parameters.lift else "the arm stayed", away_m=away)
+        if away > parameters.lift:
+            raise Stuck(f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand")
+    context.status.docked = False
+    reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, context.parameters.service_timeout)
+    if not reply.success:
+        raise ServoFailure(f"the servos' torque was not switched off: {reply.message}")
+    context.decide("limp", "the servos' torque is off")
+
+
+def let_go(context: Context) -> Script[None]:
+    """Stop, and switch the torque off without insisting on an answer; IDLE follows when it should be off."""
+    context.hold()
+    context.decide("limp", "the servos are told to let go where the arm is")
+    context.tell(Service.TORQUE_OFF)
+    yield from context.wait(_OFF_TIME)

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Docking for its own sake: touch, hold still, let frames be taken, let go; again and again, never energised.
+
+The steps of docking are those of docking_node, and so is what happens when something goes wrong: whatever ends a
+session, the arm is taken back and its torque switched off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from deltacharger_docking.algorithm import locate, prepare
+from deltacharger_docking.codes import DockingError, ServoFailure, State, Unreachable
+from deltacharger_docking.context import Context
+from deltacharger_docking.machine import DockingMachine
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.press import approach, contact
+from deltacharger_docking.release import lift_off
+from deltacharger_docking.retract import retract
+from deltacharger_docking.script import NEXT, Script
+from deltacharger_kinematics.geometry import Vector
+
+_RUN_UP = 0.006  # m below the standoff from which it is approached along +z
+
+
+class NotKept(DockingError):
+    """A docking could not be written. Example: the disk is full."""
+
+
+class ServoSilence(ServoFailure):
+    """servo_state stopped, which may pass by itself. Example: the computer stood still."""
+
+    retriable = True
+
+
+@dataclass(frozen=True)
+class Rested:
+    """How one docking rested.
+
+    Attributes:
+        position: of the end effector by its joints (m, charger_base), averaged while frames were taken.
+        current: contact current, A.
+        commanded: where it was told to meet the target, m, charger_base.
+    """
+
+    position: Vector
+    current: float
+    commanded: Vector
+
+
+class Keeper(Protocol):
+    """Takes what is felt; its methods return at once."""
+
+    def begin(self, number: int) -> None:
+        """Docking `number` of the session (from 0) begins."""
+
+    def listen(self) -> None:
+        """The contact has rested: frames sampled from now on count."""
+
+    def heard(self) -> bool:
+        """Whether there are enough of them; DockingError where they are of no use."""
+
+    def keep(self, touch: Rested) -> None:
+        """The arm has let go: write what was felt."""
+
+    def kept(self) -> bool:
+        """Whether it is written; DockingError where it cannot be."""
+
+
+def check_places(machine: DockingMachine, commands: Sequence[Vector]) -> None:
+    """Refuse places (m, charger_base) that the arm cannot reach, or not from before them.
+
+    Raises:
+        Unreachable: names the first; nothing was moved.
+    """
+    for x, y, z in commands:
+        wrong = machine.planner.reachable((x, y, _before(machine.parameters, z)), (x, y, z))
+        if wrong:
+            raise Unreachable(f"out of the arm's reach, {wrong}; put the target elsewhere and say where it stands")
+
+
+@dataclass(frozen=True)
+class TouchSession:
+    """Touches the target once at each of some places; a docking machine runs it by `start(session.run, …)`.
+
+    Attributes:
+        commands: where the end effector shall meet the target, m, charger_base; or from where it shall look for it.
+        dwell: s from rest in contact to the first frame.
+        holding: s that the frames take.
+        keeper: takes what is felt.
+        look: whether each command is only the start: then the camera is asked, and what it sees is touched.
+    """
+
+    commands: Sequence[Vector]
+    dwell: float
+    holding: float
+    keeper: Keeper
+    look: bool = False
+
+    def run(self, context: Context) -> Script[str]:
+        """Make the dockings of the session.
+
+        Raises:
+            ServoSilence: servo_state stopped.
+            DockingError: as a docking.
+        """
+        try:
+            return (yield from self._run(context))
+        except ServoFailure as error:
+            if context.observation.servo_age > context.parameters.servo_age_max:
+                raise ServoSilence(str(error)) from error
+            raise
+
+    def _run(self, context: Context) -> Script[str]:
+        yield from prepare(context)
+        for number, command in enumerate(self.commands):
+            self.keeper.begin(number)
+            yield from _go_before(context, command)
+            place = command
+            if self.look:
+                place = (yield from locate(context)).position
+                yield from _go_before(context, place)
+            yield from approach(context, place)
+            yield from contact(context, place[2] + context.parameters.search_depth)
+            yield from self._feel(context, place)
+            context.enter(State.IDLE, math.inf)
+            while not self.keeper.kept():
+                yield NEXT
+        yield from retract(context, wanted=True)
+        return "every docking was recorded"
+
+    def _feel(self, context: Context, place: Vector) -> Script[None]:
+        """Rest, let frames be taken, let go, and have it all kept."""
+        parameters, keeper = context.parameters, self.keeper
+        context.enter(State.MEASURE, self.dwell + 2.0 * self.holding + parameters.measure_timeout)
+        yield from context.wait(self.dwell)
+        keeper.listen()
+        positions = [context.position]
+        while not keeper.heard():
+            yield NEXT
+            positions.append(context.position)
+        x, y, z = (float(value) for value in np.mean(positions, axis=0))
+        touch = Rested((x, y, z), context.contact.value, place)
+        context.enter(State.RETRACT, parameters.retract_timeout)
+        yield from lift_off(context)
+        keeper.keep(touch)
+
+
+def _go_before(context: Context, command: Vector) -> Script[None]:
+    """Go sideways in free air, far enough from the target that the approach tares in a motion along +z."""
+    parameters = context.parameters
+    context.enter(State.ALIGN, parameters.align_timeout)
+    x, y, z = command
+    yield from context.move((x, y, _before(parameters, z)), parameters.travel_speed, settle=False)
+
+
+def _before(parameters: DockingParameters, z: float) -> float:
+    return z - parameters.standoff - _RUN_UP
