@@ -44,6 +44,7 @@ class ContactSource:
         self._docking: Dockings | None = None
         self._began: float | None = None
         self._last: float | None = None
+        self._pressed: tuple[tuple[Pose, float, float], Array] | None = None  # by what, and what the taxels bear
 
     def begin_docking(self) -> Pose:
         """Start a new contact: draw its jitter, tilt, hysteresis and offsets.
@@ -52,7 +53,7 @@ class ContactSource:
             Displacement (x m, y m, angle rad) to add to the relative pose until contact ends.
         """
         self._docking = Dockings.draw(self.parameters, self._random)
-        self._began = None
+        self._began = self._pressed = None
         x, y, angle = self._docking.jitter[0]
         return float(x), float(y), float(angle)
 
@@ -99,12 +100,18 @@ class ContactSource:
     def _press(self, pose: Pose | None, force: float, share: float) -> Array | None:
         """Return the forces on the taxels (1, 2, 10, 10) N; None where nothing touches."""
         if pose is None:
-            self._docking, self._began = None, None
+            self._docking = self._began = self._pressed = None
             return None
         if not force > 0.0:
             return None
         if self._docking is None:
             self._docking = Dockings.draw(self.parameters, self._random)
+        if self._pressed is None or self._pressed[0] != (pose, force, share):  # at rest all frames have one
+            self._pressed = (pose, force, share), self._solve(pose, force, share)
+        return self._pressed[1]
+
+    def _solve(self, pose: Pose, force: float, share: float) -> Array:
+        assert self._docking is not None
         poses = np.array([pose])
         tilt = self._docking.tilts(self.parameters, self.rig, poses)
         model, waviness = _model(self.parameters.contact), self.rig.waviness
