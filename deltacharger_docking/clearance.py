@@ -56,7 +56,7 @@ class Verdict(Enum):
 
     @property
     def leaves_clearance(self) -> bool:
-        """Whether three standard deviations do."""
+        """Whether `clearance_sigmas` standard deviations do."""
         return self in (Verdict.SAFE, Verdict.PROBABLY_SAFE)
 
 
@@ -84,11 +84,11 @@ def judge(estimate: FeltPose, parameters: DockingParameters, critical_angle: flo
     sigma = clearance_stddev(estimate, gap, length)
     centred = clearance(estimate.angle, 0.0, gap, length)
     actual = clearance(estimate.angle, estimate.vertical, gap, length)
-    worst_angle = abs(estimate.angle) + 3.0 * estimate.angle_stddev
-    if worst_angle >= limit or centred - 3.0 * sigma < parameters.clearance_min:
+    worst_angle = abs(estimate.angle) + parameters.clearance_sigmas * estimate.angle_stddev
+    if worst_angle >= limit or centred - parameters.clearance_sigmas * sigma < parameters.clearance_min:
         return Verdict.CRITICAL
-    if actual - 3.0 * sigma < parameters.clearance_min:
+    if actual - parameters.clearance_sigmas * sigma < parameters.clearance_min:
         return Verdict.TOO_CLOSE
-    if actual - 6.0 * sigma < parameters.clearance_min:
+    if actual - parameters.clearance_sigmas_sure * sigma < parameters.clearance_min:
         return Verdict.PROBABLY_SAFE
     return Verdict.SAFE

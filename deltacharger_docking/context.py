@@ -26,7 +26,6 @@ from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 
 _READING = 0.01  # s between two of them, the servos' cycle
-_UNCOUNTED = 0.2  # s between two steps beyond which nobody knows how much energy flowed
 _REACHES_OUT = (State.APPROACH, State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
 
 
@@ -89,7 +88,7 @@ class Context:
         self._calls.hear(observation.replies)
         power = observation.charge_current * observation.target_voltage
         if observation.contactor_closed and math.isfinite(power):
-            self.energy += power * min(self.time - before, _UNCOUNTED)
+            self.energy += power * min(self.time - before, self.parameters.energy_gap_max)
         self.doubtful |= bool(observation.duplicate_sources)
         self.status.duplicate_sources = observation.duplicate_sources
         self.status.position = self.position

@@ -29,8 +29,6 @@ from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.script import NEXT, Script, Wait
 
 _LAST_WORD = 0.2  # s before the phase ends in which it is still told why no current flows
-_SLEPT = 1.0  # s beyond its pace that docking may stand still; the lease has lapsed long before
-_FAULT_DELAY = 0.15  # s that a fault may be told later than the refusal it brings about: charger_power comes at 20 Hz
 
 
 def wait_for_single_sources(context: Context) -> Script[None]:
@@ -184,7 +182,7 @@ class Watch:
         """
         observation = self._context.observation
         self._was_closed |= observation.contactor_closed
-        if self._context.slept > _SLEPT:
+        if self._context.slept > self._context.parameters.slept_max:
             return PowerStale(
                 f"docking itself stood still for {self._context.slept:.1f} s while the electrodes were live"
             )
@@ -233,7 +231,7 @@ class Watch:
         if not self.refused:
             self.refused, self._refused_at = refusal, context.time
             context.energise = False
-        if context.time - self._refused_at <= _FAULT_DELAY:
+        if context.time - self._refused_at <= context.parameters.fault_delay:
             return None
         return PowerStale(f"the contactor's lease was not renewed: {self.refused}")
 

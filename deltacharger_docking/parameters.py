@@ -53,6 +53,9 @@ class DockingParameters(Bounded):
     standoff: float = number(
         0.018, 0.005, 0.05, "m", "distance before the expected contact at which the force is tared"
     )
+    run_up: float = number(
+        0.004, 0.0, 0.02, "m", "way along +z before the tare, so that the servos' friction has the sign of pushing"
+    )
     search_depth: float = number(0.025, 0.0, 0.05, "m", "how far beyond the expected contact to search")
     paper_step: float = number(0.005, 0.0005, 0.01, "m", "step of the paper's approach")
     coarse_step: float = number(0.0025, 0.0005, 0.01, "m", "largest step of the guarded approach in free air")
@@ -62,8 +65,15 @@ class DockingParameters(Bounded):
     current_max: float = number(0.5, 0.05, 2.0, "A", "contact current that the servos hold for four hours")
     band_margin: float = number(0.015, 0.0, 0.04, "A", "how far inside the band a reading must lie to be accepted")
     step_share: float = number(0.7, 0.1, 1.0, "", "share of the way to the band that one step may take")
+    step_near: float = number(
+        0.75, 0.1, 1.0, "", "share of the band's lower end from which a step may take the whole way: it misses little"
+    )
+    step_max: float = number(0.015, 0.001, 0.03, "m", "longest step that presses, however soft the contact seems")
     step_current_max: float = number(
         0.6, 0.1, 2.0, "A", "contact current that a step may lead to where the contact is as stiff as expected"
+    )
+    response_told: float = number(
+        0.02, 0.0, 0.2, "A", "change between two readings from which it tells the contact's response"
     )
     response_min: float = number(
         0.4,
@@ -82,11 +92,23 @@ class DockingParameters(Bounded):
         2.8, 0.5, STALL_CURRENT, "A", "current bound of each servo while it pulls off the magnets"
     )
     release_time: float = number(1.0, 0.1, 2.0, "s", "longest pull on the magnets")
+    release_behind: float = number(
+        0.001, 0.0, 0.005, "m", "how far behind the place where it came off the goal is put: nothing draws it back"
+    )
     release_travel: float = number(
         0.001, 0.0002, 0.01, "m", "retreat from which the magnets have let go, where the pads feel nothing any more"
     )
     spring_travel: float = number(
         0.004, 0.0002, 0.02, "m", "retreat that electrodes on springs cannot follow, whatever the pads say"
+    )
+    setting_back_time: float = number(
+        0.05, 0.01, 0.5, "s", "time for the goal to get behind the platform before the pull: some cycles of servo_node"
+    )
+    came_share: float = number(
+        0.5, 0.1, 0.9, "", "share of the way back that shows that the platform came: it comes whole, or not at all"
+    )
+    came_lack: float = number(
+        0.001, 0.0002, 0.01, "m", "what the way back may lack in any case: some counts of the encoders, 0.15 mm each"
     )
     release_pulls_max: int = number(3, 1, 10, "", "pulls after which a platform that does not come is stuck")
     ease_current_max: float = number(0.57, 0.05, 2.0, "A", "common current to which the servos are led at most")
@@ -98,8 +120,14 @@ class DockingParameters(Bounded):
         0.8, 0.1, 10.0, "s", "shortest time in which the servos' currents are led to the common one"
     )
     ease_lags: float = number(8.0, 0.0, 50.0, "", "shortest time of easing in lags of the servos, damping / stiffness")
+    ease_rounds: int = number(
+        4, 1, 20, "", "rounds of easing at most: each corrects the servos' stiffness by what it has shown"
+    )
     slip_max: float = number(0.0004, 0.00015, 0.01, "m", "travel sideways from which the platform slips")
     slip_taken_back: float = number(0.4, 0.0, 1.0, "", "share of what was led that is taken back after a slip")
+    slip_back_time: float = number(
+        0.3, 0.05, 1.0, "", "share of the time of easing that taking back lasts, which is a part of the way"
+    )
     hard_current: float = number(1.0, 0.5, 4.0, "A", "contact current that ends any phase")
     critical_angle: float = number(
         math.radians(12.0), 0.01, math.radians(12.05), "rad", "angle from which the electrodes would short"
@@ -110,6 +138,15 @@ class DockingParameters(Bounded):
     electrode_half_gap: float = number(0.5 * BAR_GAP, 0.0005, 0.02, "m", "half the gap between the two bars")
     electrode_half_length: float = number(0.5 * BAR_LENGTH, 0.005, 0.1, "m", "half the length of a bar")
     clearance_min: float = number(0.0003, 0.0, 0.005, "m", "clearance that must remain at three standard deviations")
+    clearance_sigmas: float = number(
+        3.0, 3.0, 12.0, "", "standard deviations at which clearance must remain wherever current flows"
+    )
+    clearance_sigmas_sure: float = number(
+        6.0, 6.0, 24.0, "", "standard deviations at which one contact is enough; with fewer, several in a row must pass"
+    )
+    clearance_contacts: int = number(
+        2, 2, 10, "", "contacts in a row that must pass then, and after which a mean angle may be critical"
+    )
     alignment_tolerance: float = number(0.001, 0.0001, 0.01, "m", "filtered misalignment that counts as aligned")
     landing_limit: float = number(0.0025, 0.001, 0.02, "m", "misalignment within which this very contact must lie")
     landing_sigmas: float = number(
@@ -166,6 +203,15 @@ class DockingParameters(Bounded):
         0.5, 0.0, 1.0, "", "share of its own mean below which charge current was cut off and has not tapered"
     )
     full_time: float = number(1.0, 0.0, 600.0, "s", "how long tapered current must stay below charge_current_min")
+    fault_delay: float = number(
+        0.15, 0.0, 1.0, "s", "how much later than a refused renewal the fault behind it may be told, at 20 Hz"
+    )
+    slept_max: float = number(
+        1.0, 0.1, 5.0, "s", "how long docking may stand still beside live electrodes; the lease has lapsed long before"
+    )
+    energy_gap_max: float = number(
+        0.2, 0.02, 2.0, "s", "pause between two ticks beyond which nobody knows how much energy flowed"
+    )
     thermal_reserve_min: float = number(5.0, 0.0, 600.0, "s", "thermal reserve of a servo at which charging ends")
     servo_age_max: float = number(0.5, 0.05, 2.0, "s", "age of servo_state that ends docking")
     live_servo_age_max: float = number(
@@ -210,6 +256,9 @@ class DockingParameters(Bounded):
         if not self.target_voltage_min < self.target_voltage_max:
             problem = "target_voltage_min must lie below target_voltage_max"
             raise ParameterError("target_voltage_min", self.target_voltage_min, problem)
+        if not self.clearance_sigmas <= self.clearance_sigmas_sure:
+            problem = "clearance_sigmas must not lie above clearance_sigmas_sure"
+            raise ParameterError("clearance_sigmas", self.clearance_sigmas, problem)
         if not self.release_travel <= self.spring_travel:
             problem = "release_travel must not lie above spring_travel"
             raise ParameterError("release_travel", self.release_travel, problem)

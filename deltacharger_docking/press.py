@@ -12,13 +12,7 @@ from deltacharger_docking.release import take_off
 from deltacharger_docking.script import NEXT, Script
 from deltacharger_kinematics.geometry import Vector
 
-_RUN_UP = 0.004  # m along +z before the tare; enough for the servos' friction to have the sign of pushing
-_NEAR = 0.75  # of the band's lower end; from there on a step may take the whole way, for what it can miss is small
-_LONGEST = 3.0  # paper's steps that one step may be long, however soft the contact seems
-_TOLD = 0.02  # A between two readings that tell a slope from noise
-_ROUNDS = 4  # at most: the stiffness is known only so well, and each round corrects it by what it has shown
 _POINTS = 16  # of the line in joint angles; a receiver goes straight between them, so that more would say no more
-_BACK = 0.3  # of the time of the whole way that the way back takes, which is a part of it
 
 
 def approach(context: Context, target: Vector) -> Script[None]:
@@ -30,7 +24,7 @@ def approach(context: Context, target: Vector) -> Script[None]:
     context.enter(State.APPROACH, parameters.approach_timeout)
     x, y, z = target
     standoff = z - parameters.standoff
-    run_up = min(_RUN_UP, max(standoff - context.position[2], 0.0))
+    run_up = min(parameters.run_up, max(standoff - context.position[2], 0.0))
     yield from context.move((x, y, standoff - run_up), parameters.travel_speed, settle=False)
     yield from context.move((x, y, standoff), parameters.contact_speed)
     context.decide("zero", "the contact current is tared at the standoff", contact_current_A=context.contact.value)
@@ -150,15 +144,15 @@ def _guarded(context: Context, depth: float) -> Script[None]:
         _check_depth(context, depth)
         touching = abs(before) > parameters.free_current or context.observation.tactile_contact
         if touching:
-            share = parameters.step_share if before < _NEAR * low else 1.0
+            share = parameters.step_share if before < parameters.step_near * low else 1.0
             step = share * (parameters.current_target - before) / slope
             stiff = (parameters.step_current_max - before) / expected  # soft springs may bottom within the step
-            step = min(step, _LONGEST * parameters.paper_step, max(stiff, 0.0))
+            step = min(step, parameters.step_max, max(stiff, 0.0))
         else:
             step = min(parameters.coarse_step, parameters.step_share * parameters.current_min / expected)
         yield from step_to(context, z + step)
         after = context.contact.value
-        if touching and before > 0.0 and after - before > _TOLD:
+        if touching and before > 0.0 and after - before > parameters.response_told:
             measured = (after - before) / step
             slope = min(max(measured, parameters.response_min * expected), parameters.response_max * expected)
 
@@ -182,7 +176,7 @@ def ease(context: Context) -> Script[bool]:
     context.enter(State.CONTACT, parameters.contact_timeout)
     place, hottest = context.position, _hottest(context)
     fades, response = True, parameters.servo_stiffness / parameters.torque_constant
-    for _ in range(_ROUNDS):
+    for _ in range(parameters.ease_rounds):
         before = context.contact.currents
         wanted = _wanted(context, fades)
         asked = tuple(goal - now for goal, now in zip(wanted, before, strict=True))
@@ -240,7 +234,7 @@ def _lead(context: Context, change: Vector, place: Vector) -> Script[bool]:
         slip = math.dist(place[:2], context.position[:2])
         if slip > parameters.slip_max:
             done = min((context.time - began) / duration, 1.0)
-            back, lasts = -parameters.slip_taken_back * done, _BACK * duration
+            back, lasts = -parameters.slip_taken_back * done, parameters.slip_back_time * duration
             here = _shifted(start, change, done)
             context.decide("slipped", "friction carries no more", share=done, slip_m=slip)
             context.follow(_ramp(context, here, (back * change[0], back * change[1], back * change[2]), lasts))

@@ -12,11 +12,6 @@ from deltacharger_docking.script import NEXT, Script
 from deltacharger_docking.trajectory_feed import PULL_HORIZON, pull
 from deltacharger_kinematics.geometry import Vector
 
-_SETTING_BACK = 0.05  # s for the goal to get behind the platform before the pull: some cycles of servo_node
-_CAME = 0.5  # of the way back that shows that the platform came along: it comes whole, or stays with the magnets
-_LEAST = 0.001  # m that it may lack in any case: some counts of the encoders, 0.15 mm each
-_BEHIND = 0.001  # m behind where it came off, at which the goal is put so that nothing draws it back
-
 
 def take_off(context: Context, z: float) -> Script[None]:
     """Pull the electrodes off the magnets and go straight back to `z` (m, charger_base).
@@ -29,9 +24,8 @@ def take_off(context: Context, z: float) -> Script[None]:
         Unreachable: it came off where the arm has no way back; it holds there.
         ServoFailure: it is not known where it came off; it holds there.
     """
-    start = context.measured()[2]
-    lacks = max((1.0 - _CAME) * (start - z), _LEAST)
     parameters = context.parameters
+    lacks = max((1.0 - parameters.came_share) * (context.measured()[2] - z), parameters.came_lack)
     for travel in (parameters.release_travel, *[parameters.spring_travel] * (parameters.release_pulls_max - 1)):
         yield from release(context, travel)
         x, y, _ = context.position
@@ -75,7 +69,7 @@ def release(context: Context, travel: float) -> Script[None]:
     a, b, c = (max(angle - lead, geometry.joint_min) for angle in context.observation.angles)
     goal = a, b, c
     begun, pushed = context.time, context.contact.value
-    yield from _pull(context, goal, parameters.push_current, z - travel, _SETTING_BACK)
+    yield from _pull(context, goal, parameters.push_current, z - travel, parameters.setting_back_time)
     yield from _pull(context, goal, parameters.release_current, z - travel, parameters.release_time)
     if not _is_off(context, z - travel):
         raise _stuck(context)
@@ -88,7 +82,7 @@ def release(context: Context, travel: float) -> Script[None]:
     )
     try:
         free = context.measured()
-        context.commanded = (x, y, free[2] - _BEHIND)
+        context.commanded = (x, y, free[2] - parameters.release_behind)
         line = context.planner.line(free, context.commanded, parameters.travel_speed)
     except DockingError:
         context.hold()  # nothing goes on pulling

@@ -168,7 +168,9 @@ class Target:
                 "target move?"
             )
         verdict = self._judge(felt)
-        safe = verdict is Verdict.SAFE or (verdict is Verdict.PROBABLY_SAFE and self._passed >= 2)
+        safe = verdict is Verdict.SAFE or (
+            verdict is Verdict.PROBABLY_SAFE and self._passed >= parameters.clearance_contacts
+        )
         self._off = x, y = self._filter.misalignment(place)
         self.aligned = max(abs(x), abs(y)) <= parameters.alignment_tolerance
         self._landed = self._filter.landing <= parameters.landing_limit
@@ -236,7 +238,10 @@ class Target:
         self._passed = self._passed + 1 if verdict.leaves_clearance else 0
         mean = sum(self._angles) / len(self._angles)
         centred = replace(felt, angle=mean, vertical=0.0)
-        if len(self._angles) >= 2 and judge(centred, parameters, self.critical_angle) is Verdict.CRITICAL:
+        if (
+            len(self._angles) >= parameters.clearance_contacts
+            and judge(centred, parameters, self.critical_angle) is Verdict.CRITICAL
+        ):
             raise CriticalAngle(_too_tilted(mean))
         return verdict
 
