@@ -35,27 +35,19 @@ class DockingParameters(Bounded):
     current_signal: str = choice("contact", SIGNALS, "what counts as current: contact, or the raw maximum or sum")
     servo_stiffness: float = number(SERVO_STIFFNESS, 1.0, 50.0, "N·m/rad", "servo stiffness in position mode")
     servo_damping: float = number(SERVO_DAMPING, 0.0, 10.0, "N·m·s/rad", "servo damping")
-    torque_constant: float = number(
-        TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current of a servo, as servo_node's"
-    )
+    torque_constant: float = number(TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current, as servo_node's")
     gravity_x: float = number(GRAVITY[0], -20.0, 20.0, "m/s²", "gravity along x of charger_base")
     gravity_y: float = number(GRAVITY[1], -20.0, 20.0, "m/s²", "gravity along y of charger_base")
     gravity_z: float = number(GRAVITY[2], -20.0, 20.0, "m/s²", "gravity along z of charger_base")
     contact_window: float = number(0.12, 0.02, 0.5, "s", "time over which the contact current is the median")
-    free_current: float = number(
-        0.06, 0.005, 0.5, "A", "contact current, either way, that tells contact or the magnets' pull from free air"
-    )
+    free_current: float = number(0.06, 0.005, 0.5, "A", "contact current, either way, that is not free air")
     home_x: float = number(0.0, -0.06, 0.06, "m", "where the arm rests, x")
     home_y: float = number(0.0, -0.06, 0.06, "m", "where the arm rests, y")
     home_z: float = number(0.0, 0.0, 0.11, "m", "where the arm rests, z")
     travel_speed: float = number(0.12, 0.005, 0.5, "m/s", "peak speed in free air")
     contact_speed: float = number(0.02, 0.001, 0.1, "m/s", "peak speed of a step toward contact")
-    standoff: float = number(
-        0.018, 0.005, 0.05, "m", "distance before the expected contact at which the force is tared"
-    )
-    run_up: float = number(
-        0.004, 0.0, 0.02, "m", "way along +z before the tare, so that the servos' friction has the sign of pushing"
-    )
+    standoff: float = number(0.018, 0.005, 0.05, "m", "where the force is tared before the expected contact")
+    run_up: float = number(0.004, 0.0, 0.02, "m", "way along +z before the tare: friction then has the sign of pushing")
     search_depth: float = number(0.025, 0.0, 0.05, "m", "how far beyond the expected contact to search")
     paper_step: float = number(0.005, 0.0005, 0.01, "m", "step of the paper's approach")
     coarse_step: float = number(0.0025, 0.0005, 0.01, "m", "largest step of the guarded approach in free air")
@@ -65,99 +57,49 @@ class DockingParameters(Bounded):
     current_max: float = number(0.5, 0.05, 2.0, "A", "contact current that the servos hold for four hours")
     band_margin: float = number(0.015, 0.0, 0.04, "A", "how far inside the band a reading must lie to be accepted")
     step_share: float = number(0.7, 0.1, 1.0, "", "share of the way to the band that one step may take")
-    step_near: float = number(
-        0.75, 0.1, 1.0, "", "share of the band's lower end from which a step may take the whole way: it misses little"
-    )
+    step_near: float = number(0.75, 0.1, 1.0, "", "share of the band's lower end from which a step goes all the way")
     step_max: float = number(0.015, 0.001, 0.03, "m", "longest step that presses, however soft the contact seems")
-    step_current_max: float = number(
-        0.6, 0.1, 2.0, "A", "contact current that a step may lead to where the contact is as stiff as expected"
-    )
-    response_told: float = number(
-        0.02, 0.0, 0.2, "A", "change between two readings from which it tells the contact's response"
-    )
-    response_min: float = number(
-        0.4,
-        0.05,
-        1.0,
-        "",
-        "least multiple of the expected response of contact or servos that a measured one is taken for",
-    )
-    response_max: float = number(
-        2.5, 1.0, 20.0, "", "largest multiple of the expected response that a measured one is taken for"
-    )
+    step_current_max: float = number(0.6, 0.1, 2.0, "A", "contact current that a step on a stiff contact may reach")
+    response_told: float = number(0.02, 0.0, 0.2, "A", "change between two readings that tells the contact's response")
+    response_min: float = number(0.4, 0.05, 1.0, "", "least multiple of the expected response that is believed")
+    response_max: float = number(2.5, 1.0, 20.0, "", "largest multiple of the expected response that is believed")
     overshoots_max: int = number(3, 0, 20, "", "overshoots of the band after which contact is given up")
     overshoot_back_off: float = number(0.35, 0.05, 1.0, "A", "contact current to give back after an overshoot")
     push_current: float = number(0.6, 0.1, 2.0, "A", "current bound of each servo above its free-motion current")
-    release_current: float = number(
-        2.8, 0.5, STALL_CURRENT, "A", "current bound of each servo while it pulls off the magnets"
-    )
+    release_current: float = number(2.8, 0.5, STALL_CURRENT, "A", "bound of each servo that pulls off the magnets")
     release_time: float = number(1.0, 0.1, 2.0, "s", "longest pull on the magnets")
-    release_behind: float = number(
-        0.001, 0.0, 0.005, "m", "how far behind the place where it came off the goal is put: nothing draws it back"
-    )
-    release_travel: float = number(
-        0.001, 0.0002, 0.01, "m", "retreat from which the magnets have let go, where the pads feel nothing any more"
-    )
-    spring_travel: float = number(
-        0.004, 0.0002, 0.02, "m", "retreat that electrodes on springs cannot follow, whatever the pads say"
-    )
-    setting_back_time: float = number(
-        0.05, 0.01, 0.5, "s", "time for the goal to get behind the platform before the pull: some cycles of servo_node"
-    )
-    came_share: float = number(
-        0.5, 0.1, 0.9, "", "share of the way back that shows that the platform came: it comes whole, or not at all"
-    )
-    came_lack: float = number(
-        0.001, 0.0002, 0.01, "m", "what the way back may lack in any case: some counts of the encoders, 0.15 mm each"
-    )
+    release_behind: float = number(0.001, 0.0, 0.005, "m", "how far behind where it came off the goal is put")
+    release_travel: float = number(0.001, 0.0002, 0.01, "m", "retreat that shows release, where the pads feel nothing")
+    spring_travel: float = number(0.004, 0.0002, 0.02, "m", "retreat that electrodes on springs cannot follow")
+    setting_back_time: float = number(0.05, 0.01, 0.5, "s", "time for the goal to get behind the platform")
+    came_share: float = number(0.5, 0.1, 0.9, "", "share of the way back that shows that the platform came along")
+    came_lack: float = number(0.001, 0.0002, 0.01, "m", "what the way back may lack in any case: some encoder counts")
     release_pulls_max: int = number(3, 1, 10, "", "pulls after which a platform that does not come is stuck")
     ease_current_max: float = number(0.57, 0.05, 2.0, "A", "common current to which the servos are led at most")
-    ease_spared_max: float = number(
-        0.03, 0.0, 0.5, "A", "how far below the middle of the band ease_current_max may take the common current"
-    )
+    ease_spared_max: float = number(0.03, 0.0, 0.5, "A", "how far below the band's middle ease_current_max may lead")
     ease_tolerance: float = number(0.015, 0.001, 0.2, "A", "how far off its share a servo's current may be at ease")
-    ease_time_min: float = number(
-        0.8, 0.1, 10.0, "s", "shortest time in which the servos' currents are led to the common one"
-    )
+    ease_time_min: float = number(0.8, 0.1, 10.0, "s", "shortest time of one easing of the servos' currents")
     ease_lags: float = number(8.0, 0.0, 50.0, "", "shortest time of easing in lags of the servos, damping / stiffness")
-    ease_rounds: int = number(
-        4, 1, 20, "", "rounds of easing at most: each corrects the servos' stiffness by what it has shown"
-    )
+    ease_rounds: int = number(4, 1, 20, "", "rounds of easing at most: each corrects the stiffness")
     slip_max: float = number(0.0004, 0.00015, 0.01, "m", "travel sideways from which the platform slips")
     slip_taken_back: float = number(0.4, 0.0, 1.0, "", "share of what was led that is taken back after a slip")
-    slip_back_time: float = number(
-        0.3, 0.05, 1.0, "", "share of the time of easing that taking back lasts, which is a part of the way"
-    )
+    slip_back_time: float = number(0.3, 0.05, 1.0, "", "share of the time of easing that taking back lasts")
     hard_current: float = number(1.0, 0.5, 4.0, "A", "contact current that ends any phase")
     critical_angle: float = number(
-        math.radians(12.0), 0.01, math.radians(12.05), "rad", "angle from which the electrodes would short"
+        math.radians(12.0), 0.01, math.radians(12.05), "rad", "angle from which electrodes would short"
     )
-    roll_sigmas: float = number(
-        2.0, 0.0, 6.0, "", "standard deviations at which a given or detected roll must lie below the critical angle"
-    )
+    roll_sigmas: float = number(2.0, 0.0, 6.0, "", "standard deviations that a given roll keeps from critical_angle")
     electrode_half_gap: float = number(0.5 * BAR_GAP, 0.0005, 0.02, "m", "half the gap between the two bars")
     electrode_half_length: float = number(0.5 * BAR_LENGTH, 0.005, 0.1, "m", "half the length of a bar")
     clearance_min: float = number(0.0003, 0.0, 0.005, "m", "clearance that must remain at three standard deviations")
-    clearance_sigmas: float = number(
-        3.0, 3.0, 12.0, "", "standard deviations at which clearance must remain wherever current flows"
-    )
-    clearance_sigmas_sure: float = number(
-        6.0, 6.0, 24.0, "", "standard deviations at which one contact is enough; with fewer, several in a row must pass"
-    )
-    clearance_contacts: int = number(
-        2, 2, 10, "", "contacts in a row that must pass then, and after which a mean angle may be critical"
-    )
+    clearance_sigmas: float = number(3.0, 3.0, 12.0, "", "standard deviations without which no current flows")
+    clearance_sigmas_sure: float = number(6.0, 6.0, 24.0, "", "standard deviations at which one contact is enough")
+    clearance_contacts: int = number(2, 2, 10, "", "contacts in a row that must pass where one is not enough")
     alignment_tolerance: float = number(0.001, 0.0001, 0.01, "m", "filtered misalignment that counts as aligned")
     landing_limit: float = number(0.0025, 0.001, 0.02, "m", "misalignment within which this very contact must lie")
-    landing_sigmas: float = number(
-        2.15, 0.0, 6.0, "", "standard deviations at which a contact must lie within landing_limit"
-    )
-    landing_felt_sigmas: float = number(
-        1.65, 0.0, 6.0, "", "standard deviations at which what the pads feel of a contact must do so alone"
-    )
-    contradiction_start: float = number(
-        25.0, 1.0, 1000.0, "", "sum of squared innovations (variances) above which looks contradict the arm's moves"
-    )
+    landing_sigmas: float = number(2.15, 0.0, 6.0, "", "standard deviations at which landing_limit must be kept")
+    landing_felt_sigmas: float = number(1.65, 0.0, 6.0, "", "the same by what the pads feel alone")
+    contradiction_start: float = number(25.0, 1.0, 1000.0, "", "squared innovations that contradict the arm's moves")
     contradiction_each: float = number(4.0, 0.0, 100.0, "", "what each look adds to contradiction_start")
     alignments_max: int = number(15, 1, 50, "", "lateral corrections before alignment ends, as in the paper")
     docking_jitter: float = number(DOCKING_JITTER, 0.0, 0.01, "m", "scatter of one docking beside its commanded place")
@@ -165,72 +107,42 @@ class DockingParameters(Bounded):
     unsure_max: int = number(4, 1, 20, "", "unsure estimates after which alignment ends")
     unsure_here_max: int = number(2, 1, 20, "", "unsure estimates in one place after which alignment ends")
     unsure_move_min: float = number(0.002, 0.0, 0.02, "m", "offset from which an unsure estimate is followed")
-    unsure_move_sigmas: float = number(
-        3.0, 0.0, 10.0, "", "standard deviations from zero at which an unsure estimate tells where to, in each axis"
-    )
+    unsure_move_sigmas: float = number(3.0, 0.0, 10.0, "", "standard deviations at which an unsure offset is followed")
     charge_when_not_aligned: bool = flag(
         True, "start charging after the last alignment as published; clearance is always required"
     )
-    redockings_max: int = number(
-        0, 0, 10, "", "how often docking begins again by itself after what a new docking may mend; 0 = never"
-    )
+    redockings_max: int = number(0, 0, 10, "", "how often docking begins again by itself; 0 = never")
     estimate_frames: int = number(24, 1, 240, "", "tactile frames averaged in one estimate")
     charge_current_min: float = number(0.5, 0.05, 18.0, "A", "charge current that counts as charging")
     charge_stable_time: float = number(1.0, 0.1, 10.0, "s", "how long charge current must stay before docking succeeds")
     charge_current_max: float = number(18.5, 1.0, 30.0, "A", "charge current that opens the contactor")
     zero_current: float = number(0.5, 0.05, 2.0, "A", "charge current below which the contactor counts as open")
     open_timeout: float = number(1.0, 0.1, 10.0, "s", "limit for current to be gone after an opening")
-    opening_time: float = number(
-        0.1, 0.0, 1.0, "s", "time that an order to open is under way; what was measured before says nothing about it"
-    )
+    opening_time: float = number(0.1, 0.0, 1.0, "s", "time that an order to open is under way")
     target_voltage_min: float = number(10.0, 0.0, 60.0, "V", "lowest voltage of a target that may be charged")
     target_voltage_max: float = number(30.0, 1.0, 60.0, "V", "highest voltage of a target that may be charged")
     probe_resistance_min: float = number(1.0, 0.1, 100.0, "Ω", "probed resistance below which it is a short")
-    contact_lost_current: float = number(
-        0.15, 0.0, 1.0, "A", "contact current below which the electrodes no longer rest on the target"
-    )
-    contact_lost_retreat: float = number(
-        0.0015, 0.0003, 0.01, "m", "retreat that means lost contact while live, whatever the current"
-    )
+    contact_lost_current: float = number(0.15, 0.0, 1.0, "A", "contact current below which contact is lost")
+    contact_lost_retreat: float = number(0.0015, 0.0003, 0.01, "m", "retreat that means lost contact while live")
     clearance_period: float = number(2.0, 0.2, 60.0, "s", "how often clearance is measured again while charging")
-    clearance_frames: int = number(
-        12, 1, 240, "", "tactile frames averaged in one look at the clearance while charging"
-    )
+    clearance_frames: int = number(12, 1, 240, "", "tactile frames averaged in one look while charging")
     unsafe_max: int = number(2, 1, 20, "", "successive looks that find no clearance, after which charging ends")
     blind_max: int = number(3, 1, 20, "", "successive looks that fail or stay unsure, after which charging ends")
     taper_time: float = number(2.0, 0.1, 600.0, "s", "time constant of the charge current's own mean")
-    taper_share: float = number(
-        0.5, 0.0, 1.0, "", "share of its own mean below which charge current was cut off and has not tapered"
-    )
+    taper_share: float = number(0.5, 0.0, 1.0, "", "share of its mean below which charge current was cut off")
     full_time: float = number(1.0, 0.0, 600.0, "s", "how long tapered current must stay below charge_current_min")
-    fault_delay: float = number(
-        0.15, 0.0, 1.0, "s", "how much later than a refused renewal the fault behind it may be told, at 20 Hz"
-    )
-    slept_max: float = number(
-        1.0, 0.1, 5.0, "s", "how long docking may stand still beside live electrodes; the lease has lapsed long before"
-    )
-    energy_gap_max: float = number(
-        0.2, 0.02, 2.0, "s", "pause between two ticks beyond which nobody knows how much energy flowed"
-    )
+    fault_delay: float = number(0.15, 0.0, 1.0, "s", "how much later than a refused renewal its fault is told")
+    slept_max: float = number(1.0, 0.1, 5.0, "s", "how long docking may stand still beside live electrodes")
+    energy_gap_max: float = number(0.2, 0.02, 2.0, "s", "pause between ticks beyond which energy is not counted")
     thermal_reserve_min: float = number(5.0, 0.0, 600.0, "s", "thermal reserve of a servo at which charging ends")
     servo_age_max: float = number(0.5, 0.05, 2.0, "s", "age of servo_state that ends docking")
-    live_servo_age_max: float = number(
-        0.2, 0.02, 0.5, "s", "age of servo_state that opens a closed contactor, besides what lease and ramp take"
-    )
-    press_age_max: float = number(
-        0.1,
-        0.02,
-        1.0,
-        "s",
-        "age of servo_state, and of tactile frames on the way to the target, above which the arm is held",
-    )
+    live_servo_age_max: float = number(0.2, 0.02, 0.5, "s", "age of servo_state that opens a closed contactor")
+    press_age_max: float = number(0.1, 0.02, 1.0, "s", "age of servo_state and tactile frames that holds the arm")
     tactile_age_max: float = number(0.5, 0.05, 2.0, "s", "age of tactile frames that ends docking")
     power_age_max: float = number(0.5, 0.1, 2.0, "s", "age of charger_power that ends charging")
     detection_age_max: float = number(1.0, 0.1, 10.0, "s", "age of a camera detection that may be used")
     first_data_timeout: float = number(3.0, 0.0, 60.0, "s", "limit for nodes that have just started to be heard")
-    service_timeout: float = number(
-        3.0, 0.1, 60.0, "s", "limit for an answer of set_torque, tare, and predict_misalignment while aligning"
-    )
+    service_timeout: float = number(3.0, 0.1, 60.0, "s", "limit for set_torque, tare and a predict_misalignment")
     probe_timeout: float = number(2.0, 0.25, 60.0, "s", "limit for an answer of probe, above the board's own")
     locate_timeout: float = number(10.0, 1.0, 120.0, "s", "limit for LOCATE")
     approach_timeout: float = number(20.0, 1.0, 120.0, "s", "limit for APPROACH")
@@ -239,11 +151,7 @@ class DockingParameters(Bounded):
     align_timeout: float = number(45.0, 1.0, 120.0, "s", "limit for one ALIGN")
     energise_timeout: float = number(10.0, 1.0, 120.0, "s", "limit for ENERGISE until current flows stably")
     duplicate_source_timeout: float = number(
-        25.0,
-        0.0,
-        120.0,
-        "s",
-        "limit for second sources to be gone before the contactor closes; a killed node stays in the graph up to 20 s",
+        25.0, 0.0, 120.0, "s", "limit for second sources to go before the contactor closes"
     )
     retract_timeout: float = number(20.0, 1.0, 120.0, "s", "limit for RETRACT")
     goal_timeout: float = number(300.0, 5.0, 3600.0, "s", "limit for a whole docking until it succeeds")
@@ -297,9 +205,5 @@ class DockingNodeParameters(Bounded):
         "charger_base in base_frame: x, y, z in m, then the quaternion x, y, z, w",
     )
     lean_max: float = number(
-        math.radians(30.0),
-        0.0,
-        0.5 * math.pi,
-        "rad",
-        "largest lean of a goal's electrodes from the z axis of charger_base",
+        math.radians(30.0), 0.0, 0.5 * math.pi, "rad", "largest lean of a goal's electrodes from charger_base's z axis"
     )
