@@ -91,7 +91,7 @@ class DockingParameters(Bounded):
     roll_sigmas: float = number(2.0, 0.0, 6.0, "", "standard deviations that a given roll keeps from critical_angle")
     electrode_half_gap: float = number(0.5 * BAR_GAP, 0.0005, 0.02, "m", "half the gap between the two bars")
     electrode_half_length: float = number(0.5 * BAR_LENGTH, 0.005, 0.1, "m", "half the length of a bar")
-    clearance_min: float = number(0.0003, 0.0, 0.005, "m", "clearance that must remain at three standard deviations")
+    clearance_min: float = number(0.0003, 0.0, 0.005, "m", "clearance that must remain at clearance_sigmas")
     clearance_sigmas: float = number(3.0, 3.0, 12.0, "", "standard deviations without which no current flows")
     clearance_sigmas_sure: float = number(6.0, 6.0, 24.0, "", "standard deviations at which one contact is enough")
     clearance_contacts: int = number(2, 2, 10, "", "contacts in a row that must pass where one is not enough")

@@ -232,8 +232,8 @@ class Target:
             "verdict",
             verdict.value,
             clearance_m=left,
-            margin_3_sigma_m=left - 3.0 * sigma - parameters.clearance_min,
-            margin_6_sigma_m=left - 6.0 * sigma - parameters.clearance_min,
+            margin_3_sigma_m=left - parameters.clearance_sigmas * sigma - parameters.clearance_min,
+            margin_6_sigma_m=left - parameters.clearance_sigmas_sure * sigma - parameters.clearance_min,
         )
         self._passed = self._passed + 1 if verdict.leaves_clearance else 0
         mean = sum(self._angles) / len(self._angles)

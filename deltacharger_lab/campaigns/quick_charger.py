@@ -20,10 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.machine import CONTACT_FORCE, TORQUE_CONSTANT
-from deltacharger_docking.motion import Planner
+from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Reply, Service, Waypoint
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.trajectory_feed import TrajectoryFeed
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_lab.campaigns.quick_motion import QuickPlanner, WholeFeed
 from deltacharger_lab.campaigns.virtual_charger import TICK, Pending, VirtualCharger, counts
@@ -77,10 +76,10 @@ class QuickCharger(VirtualCharger):
         self._most_felt = 0.0  # N on the taxel that felt most
         self._felt_at: tuple[float, ...] | None = None  # pose (m, m, rad), force (N) and number of the contact
 
-    def _ways(self) -> tuple[DeltaGeometry, Planner, TrajectoryFeed]:
+    def _make_machine(self) -> DockingMachine:
         parameters, geometry = self.parameters, DeltaGeometry()
         feed = WholeFeed(parameters.servo_damping / parameters.servo_stiffness)
-        return geometry, QuickPlanner(parameters, geometry), feed
+        return DockingMachine(parameters, geometry, QuickPlanner(parameters, geometry), feed)
 
     def tick(self) -> None:
         """Advance as far as nothing has to be decided: 10 to 130 ms."""

@@ -30,7 +30,6 @@ from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import State
 from deltacharger_docking.context import Context
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import (
     Command,
     DockGoal,
@@ -45,9 +44,8 @@ from deltacharger_docking.observation import (
 )
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.script import NEXT, Script
-from deltacharger_docking.trajectory_feed import TrajectoryFeed
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT
-from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_kinematics.geometry import Vector
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.shared_world import SharedWorld
 from deltacharger_sim.world import TactileSource, World
@@ -111,7 +109,7 @@ class VirtualCharger:
         self.parameters = parameters or DockingParameters(servo_stiffness=world.servo.stiffness)
         self.world = World(world, tactile or ContactSource(None, rig_seed, seed), seed)
         self.plant = SharedWorld(self.world, clock=lambda: self.now)
-        self.machine = DockingMachine(self.parameters, *self._ways())
+        self.machine = self._make_machine()
         self.distort: Callable[[Observation], Observation] = lambda observation: observation
         self.answer: dict[Service, Callable[[Reply], Reply | None]] = {}
         self.states: list[State] = []
@@ -133,9 +131,8 @@ class VirtualCharger:
         self._frame = np.zeros((PADS, ROWS, COLUMNS))
         self._frame_at = -math.inf
 
-    def _ways(self) -> tuple[DeltaGeometry, Planner, TrajectoryFeed] | tuple[()]:
-        """Return how the machine plans and tells its lines; () = as in the node."""
-        return ()
+    def _make_machine(self) -> DockingMachine:
+        return DockingMachine(self.parameters)
 
     def dock(self, goal: DockGoal | None = None, limit: float = 240.0) -> DockingOutcome:
         """Serve a Dock goal to its end."""

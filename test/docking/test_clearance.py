@@ -85,7 +85,10 @@ def test_a_far_first_look_does_not_outweigh_near_ones() -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("critical_angle", 0.5), ("push_current", -1.0), ("approach", "wild"), ("current_max", 0.4), ("lift", math.nan)],
+    [
+        *(("critical_angle", 0.5), ("push_current", -1.0), ("approach", "wild"), ("current_max", 0.4)),
+        *(("lift", math.nan), ("clearance_sigmas", 7.0), ("clearance_sigmas_sure", 5.0)),
+    ],
 )
 def test_impossible_parameters_are_refused_by_name(name: str, value: object) -> None:
     with pytest.raises(ValueError, match=name):

@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
+import pytest
 
+from deltacharger_tactile.contact import ContactModel
 from deltacharger_tactile.parameters import SensorParameters, TactileParameters
 from deltacharger_tactile.sensor import Dockings, Rig, Sensor
 from deltacharger_tactile.source import ContactSource
@@ -84,3 +87,28 @@ def test_the_same_seeds_give_the_same_run_and_others_do_not() -> None:
     assert np.array_equal(run(1, 2), run(1, 2), equal_nan=True)
     assert not np.array_equal(run(1, 2), run(1, 3), equal_nan=True)
     assert not np.array_equal(run(1, 2), run(2, 2), equal_nan=True)
+
+
+def test_frames_at_rest_share_one_solution_and_feel_what_solving_each_would(monkeypatch: pytest.MonkeyPatch) -> None:
+    solved = []
+    solve = ContactModel.solve
+
+    def counted(*args: Any, **options: Any) -> Any:
+        solved.append(args)
+        return solve(*args, **options)
+
+    monkeypatch.setattr(ContactModel, "solve", counted)
+
+    def run(forget: bool) -> list[Any]:
+        source, felt = ContactSource(rig_seed=4, seed=9), []
+        for contact in range(2):
+            x, y, turn = source.begin_docking()
+            for index, force in enumerate((50.0, 50.0, 50.0, 60.0, 50.0)):
+                source._pressed = None if forget else source._pressed
+                felt.append(source.sample(contact + index / 120, (x, y, turn), force))
+            source.sample(contact + 0.5, None, 0.0)
+        return felt
+
+    shared, each = run(False), run(True)
+    assert np.array_equal(shared, each, equal_nan=True)
+    assert len(solved) == 2 * 3 + 2 * 5

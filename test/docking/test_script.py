@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The runtime of docking's and the mission's scripts: what they wait for, what is thrown into them, who is answered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+
+from deltacharger_docking.script import NEXT, Calls, Runner, Script, Wait
+
+
+@dataclass(frozen=True)
+class Told:
+    number: int
+    text: str = ""
+
+
+def test_a_script_goes_on_step_by_step_and_says_what_it_waits_for() -> None:
+    done = []
+
+    def script() -> Script[None]:
+        yield Wait(3.0, reads=True)
+        done.append("waited")
+        yield NEXT
+
+    runner = Runner()
+    assert runner.step(None) == NEXT
+    runner.start(script())
+    assert runner.step(None) == Wait(3.0, reads=True)
+    assert not done
+    assert runner.step(None) == NEXT
+    assert done == ["waited"]
+    assert runner.is_running
+    assert runner.step(None) == NEXT
+    assert not runner.is_running
+
+
+def test_a_problem_is_thrown_into_a_script_where_it_waits() -> None:
+    def script() -> Script[None]:
+        try:
+            yield Wait(1e9)
+        except TimeoutError:
+            yield Wait(5.0)
+
+    runner = Runner()
+    runner.start(script())
+    runner.step(None)
+    assert runner.step(TimeoutError()) == Wait(5.0)
+    with pytest.raises(KeyError):
+        runner.step(KeyError())
+
+
+def test_a_script_that_is_replaced_or_forgotten_is_closed() -> None:
+    closed = []
+
+    def script(name: str) -> Script[None]:
+        try:
+            yield NEXT
+        finally:
+            closed.append(name)
+
+    runner = Runner()
+    for name in ("first", "second"):
+        runner.start(script(name))
+        runner.step(None)
+    assert closed == ["first"]
+    runner.stop()
+    assert closed == ["first", "second"]
+    assert not runner.is_running
+
+
+def test_only_what_somebody_waits_for_is_taken_and_only_its_first_reply() -> None:
+    calls: Calls[Told] = Calls()
+    asked, untold = calls.number(), calls.number(awaited=False)
+    calls.hear([Told(untold), Told(asked, "first"), Told(asked, "second"), Told(99)])
+    assert calls.take(asked) == Told(asked, "first")
+    assert calls.take(asked) is None
+    assert calls.take(untold) is None
+    assert calls.take(99) is None
+
+
+def test_what_is_forgotten_is_answered_to_nobody() -> None:
+    calls: Calls[Told] = Calls()
+    early, late = calls.number(), calls.number()
+    calls.hear([Told(early)])
+    calls.forget()
+    calls.hear([Told(late)])
+    assert calls.take(early) is None
+    assert calls.take(late) is None
+    assert not calls.open
