@@ -20,7 +20,7 @@ import math
 import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,6 +37,8 @@ from deltacharger_kinematics.status import NO_ANSWER, KinematicsError, Status
 REFUSED = NO_ANSWER | Status.WRONG_ASSEMBLY | Status.NEAR_TYPE_2 | Status.JOINT_LIMIT | Status.SWING_LIMIT
 """What no point of a line may be, unless the caller says otherwise. Outside the workspace box and near the edge of
 reach (NEAR_TYPE_1) the platform is still held firmly."""
+
+T = TypeVar("T", float, Array)
 
 PEAK_SPEED = 1.875  # of ds/du, at u = 1/2
 _CHECKED = 512  # intervals in which limits are looked for: no more than 0.4 % of the line between two points
@@ -167,31 +169,36 @@ def plan_line(
     )
 
 
+def way_done(share: T) -> T:
+    """Return the share of the way that is done at `share` of a line's time, both 0 to 1."""
+    return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+
+
 class _Motion:
     """The line at time shares u (n,): positions, angles, and their first two derivatives by u."""
 
     def __init__(self, delta: Delta, start: Array, goal: Array, u: Array, refuse: Status) -> None:
-        way = (u**3 * (10.0 - 15.0 * u + 6.0 * u**2))[:, None]
-        self.positions = (1.0 - way) * start + way * goal
+        done = way_done(u)[:, None]
+        self.positions = (1.0 - done) * start + done * goal
         solved = delta.inverse(self.positions)
         self.angles = solved.angles
         status = np.asarray(solved.status)
-        self._refuse(status, (status & np.uint32(refuse)) != 0, way)
+        self._refuse(status, (status & np.uint32(refuse)) != 0, done)
         turned = np.zeros(len(u), dtype=bool)  # past ±π the angle starts again on the other side, and so would the arm
         turned[1:] = (np.abs(np.diff(self.angles, axis=0)) > math.pi).any(axis=1)
-        self._refuse(status | np.uint32(Status.JOINT_LIMIT), turned, way)
-        self._refuse(status | np.uint32(Status.NEAR_TYPE_1), np.asarray(solved.margin) < _STRETCHED, way)
+        self._refuse(status | np.uint32(Status.JOINT_LIMIT), turned, done)
+        self._refuse(status | np.uint32(Status.NEAR_TYPE_1), np.asarray(solved.margin) < _STRETCHED, done)
         slope, bend = _derivatives(delta, self.positions, self.angles, goal - start)
         speed = (30.0 * u**2 * (1.0 - u) ** 2)[:, None]
         self.velocities = slope * speed
         self.accelerations = bend * speed**2 + slope * (60.0 * u * (1.0 - u) * (1.0 - 2.0 * u))[:, None]
 
-    def _refuse(self, status: NDArray[np.uint32], bad: Mask, way: Array) -> None:
+    def _refuse(self, status: NDArray[np.uint32], bad: Mask, done: Array) -> None:
         indices = np.flatnonzero(bad)
         if len(indices):
             x, y, z = self.positions[indices[0]].tolist()
             statuses = [Status(int(value)) for value in status[indices]]
-            raise LineRefused(indices.tolist(), statuses, (x, y, z), float(way[indices[0], 0]))
+            raise LineRefused(indices.tolist(), statuses, (x, y, z), float(done[indices[0], 0]))
 
 
 def _derivatives(delta: Delta, positions: Array, angles: Array, direction: Array) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from deltacharger_docking.observation import Waypoint
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.trajectory_feed import Piece, TrajectoryFeed, between
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_kinematics.line import PEAK_SPEED, REFUSED
+from deltacharger_kinematics.line import PEAK_SPEED, REFUSED, way_done
 from deltacharger_kinematics.scalar import ScalarDelta
 
 _SHORT, _SLOW = 0.008, 0.04  # m and m/s up to which the arms' own limits never bind well inside the workspace
@@ -100,4 +100,4 @@ class WholeFeed(TrajectoryFeed):
 def _ways(count: int) -> tuple[tuple[float, float], ...]:
     """Return (share of the time, share of the way) of the points of a line but its first."""
     shares = [index / count for index in range(1, count + 1)]
-    return tuple((u, u**3 * (10.0 - 15.0 * u + 6.0 * u**2)) for u in shares)
+    return tuple((share, way_done(share)) for share in shares)
