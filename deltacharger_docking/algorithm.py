@@ -43,6 +43,7 @@ def dock(context: Context, target: Target, given: ElectrodePose | None) -> Scrip
         given: where its electrodes are; None = the camera is asked.
     """
     parameters = context.parameters
+    context.known_contact = None
     electrodes = given or (yield from locate(context))  # 1
     check_roll(context, electrodes, target.critical_angle)
     yield from prepare(context)
@@ -96,7 +97,7 @@ def press_again(context: Context, depth: float, x: float, y: float) -> Script[No
     context.check_way((*context.position[:2], place[2]), place, (*place[:2], z))
     context.enter(State.ALIGN, parameters.align_timeout)
     yield from take_off(context, place[2])
-    yield from context.move(place, parameters.travel_speed)
+    yield from context.move(place, parameters.travel_speed, settle=False)
     yield from contact(context, depth)
 
 
@@ -138,8 +139,9 @@ def prepare(context: Context) -> Script[None]:
     parameters = context.parameters
     context.enter(State.APPROACH, parameters.approach_timeout)
     end = context.time + parameters.first_data_timeout
-    while context.time <= end and (_servos_silent(context) or _pads_silent(context)):
-        yield NEXT
+    with context.waiting_for("servo_state and tactile_frame"):
+        while context.time <= end and (_servos_silent(context) or _pads_silent(context)):
+            yield NEXT
     if _servos_silent(context):
         raise ServoFailure("servo_state is missing or stale; is servo_node running and its bus connected?")
     if _pads_silent(context):
@@ -226,7 +228,7 @@ class TargetVisit:
 
     def _dock(self) -> Script[None]:
         context = self._context
-        context.status.alignments = 0
+        context.status.alignments = context.status.redockings = 0
         context.status.estimate = None
         self._target = target = Target(context, self._order.critical_angle)
         yield from self._aligning(target, dock(context, target, self._goal.electrodes))
@@ -242,7 +244,7 @@ class TargetVisit:
         yield from self._feel_again(self._target)
 
     def _feel_again(self, target: Target) -> Script[None]:
-        self._context.status.alignments = 0
+        self._context.status.alignments = self._context.status.redockings = 0
         target.critical_angle = self._order.critical_angle
         yield from self._aligning(target, align(self._context, target, stay=True))
 

@@ -108,6 +108,13 @@ class ContactCurrent:
         return self._median - self._tare
 
     @property
+    def drift(self) -> float:
+        """Change (A) of the contact current from the older to the newer half of its window; NaN without readings."""
+        values = [value for _, value, _ in self._window]
+        half = len(values) // 2
+        return (sum(values[-half:]) - sum(values[:half])) / half * self.per_force if half else math.nan
+
+    @property
     def currents(self) -> Vector:
         """Mean of the servos' currents (A) over `contact_window`; NaN without readings."""
         count = len(self._window)

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 
 from deltacharger_docking.codes import DockingError, PhaseTimeout, ServoFailure, State
 from deltacharger_docking.contact_current import ContactCurrent
@@ -21,12 +23,22 @@ from deltacharger_docking.observation import (
 )
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.script import NEXT, Calls, Script, Wait
-from deltacharger_docking.trajectory_feed import Piece, TrajectoryFeed
+from deltacharger_docking.trajectory_feed import Piece, TrajectoryFeed, between
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_kinematics.line import way_done
 from deltacharger_kinematics.scalar import ScalarDelta
 
 _READING = 0.01  # s between two of them, the servos' cycle
 _REACHES_OUT = (State.APPROACH, State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
+
+
+@dataclass(frozen=True)
+class KnownContact:
+    """Where the electrodes rested last: commanded and measured z (m, charger_base), and the contact current (A)."""
+
+    commanded: float
+    measured: float
+    current: float
 
 
 class Context:
@@ -53,6 +65,7 @@ class Context:
         self.doubtful = False  # there was a second source since the last estimate was asked for
         self.energy = 0.0
         self.commanded: Vector = NAN3
+        self.known_contact: KnownContact | None = None  # on the present target
         self.goal_angles: Vector = NAN3  # at which the servos' goals end up, where that is known
         self.deadline = math.inf
         self.waits = NEXT  # what the script waited for when it was stepped last
@@ -127,6 +140,15 @@ class Context:
             return None
         return PhaseTimeout(f"{self.status.state.name} took longer than allowed; see the parameter for this phase")
 
+    @contextmanager
+    def waiting_for(self, what: str) -> Iterator[None]:
+        """Tell whoever follows this docking what its script waits for."""
+        self.status.waiting_for = what
+        try:
+            yield
+        finally:
+            self.status.waiting_for = ""
+
     def wait(self, seconds: float, reads: bool = False) -> Script[None]:
         """Let `seconds` pass; `reads` where the contact current is judged by the readings of this time."""
         end = self.time + seconds
@@ -143,10 +165,11 @@ class Context:
         number = self._calls.number()
         self._requests.append(Request(number, service, frames, timeout))
         end = self.time + timeout
-        while (reply := self._calls.take(number)) is None:
-            if self.time > end:
-                raise error(f"no answer from {service.value} within {timeout:.1f} s; is its node running?")
-            yield Wait(end)
+        with self.waiting_for(service.value):
+            while (reply := self._calls.take(number)) is None:
+                if self.time > end:
+                    raise error(f"no answer from {service.value} within {timeout:.1f} s; is its node running?")
+                yield Wait(end)
         return reply
 
     def torque_on(self) -> Script[None]:
@@ -179,7 +202,7 @@ class Context:
 
     def follow(self, line: Piece, retreats: bool = False) -> None:
         """Begin a line; `retreats` = it leads away from the target."""
-        self._retreats = retreats
+        self._retreats, self._told = retreats, None  # it begins even in the tick of a hold
         self.feed.start(line, self.time)
         self.goal_angles = line[-1].angles
 
@@ -188,10 +211,20 @@ class Context:
         if self.feed.is_under_way(self.time):
             self.hold()
 
-    def move(self, goal: Vector, speed: float, settle: bool = True) -> Script[None]:
-        """Move on a straight line from the last commanded to the `goal` position and come to rest.
+    def move(
+        self, goal: Vector, speed: float, settle: bool = True, until: Callable[[], bool] | None = None
+    ) -> Script[bool]:
+        """Move on a straight line from the last commanded position to `goal` (m, charger_base); stand still on it while
+        `is_blind`.
 
-        The line stands still while `is_blind`.
+        Args:
+            goal: where the line ends.
+            speed: peak, m/s.
+            settle: come to rest at its end.
+            until: ends the line, and the command, where it is then; looked at in every tick.
+
+        Returns:
+            Whether `until` ended the line; the arm has not come to rest then.
 
         Raises:
             Unreachable: the line leaves the arm's reach; nothing was moved.
@@ -201,9 +234,15 @@ class Context:
         self.follow(self.planner.line(start, goal, speed), retreats=goal[2] < start[2])
         self.commanded = goal
         while self.feed.is_under_way(self.time):
-            yield Wait(self.feed.end)
+            if until is not None and until():
+                self.commanded = between(start, goal, way_done(self.feed.share(self.time)))
+                self._told, self.goal_angles = self.feed.hold(self.time), NAN3
+                self.feed.stop()
+                return True
+            yield Wait(self.feed.end) if until is None else NEXT
         if settle:
             yield from self.rest()
+        return False
 
     def check_way(self, *places: Vector) -> None:
         """Refuse a way from the measured position through `places` before its first leg moves anything.
@@ -227,13 +266,21 @@ class Context:
     def rest(self) -> Script[None]:
         """Wait until the servos have settled and the contact current's window holds only readings at rest.
 
+        Electrodes that touch settle sooner than the arm does in free air; a current that still drifts is waited for.
+
         Raises:
             ServoFailure: no current was measured within the age allowed for servo_state.
         """
-        yield from self.wait(self.parameters.settle_time)
-        self.contact.clear()
-        yield from self.wait(self.parameters.contact_window + _READING, reads=True)
-        end = self.time + self.parameters.servo_age_max
+        parameters, contact = self.parameters, self.contact
+        settled = self.time + parameters.settle_time
+        touching = self.observation.tactile_contact
+        yield from self.wait(min(parameters.settle_time, parameters.settle_touching if touching else math.inf))
+        while True:
+            contact.clear()
+            yield from self.wait(parameters.contact_window + _READING, reads=True)
+            if self.time > settled or not abs(contact.drift) > parameters.drift_max:
+                break
+        end = self.time + parameters.servo_age_max
         while not math.isfinite(self.contact.value) or self.observation.servo_age > self.parameters.press_age_max:
             if self.time > end:
                 raise ServoFailure("the servos' currents are not measured; check the servo bus and servo_node")

@@ -42,10 +42,11 @@ def wait_for_single_sources(context: Context) -> Script[None]:
     begun = context.time
     if names := context.observation.duplicate_sources:
         context.decide("wait", f"no contactor closes beside a second source: {names}", limit_s=limit)
-    while names := context.observation.duplicate_sources:
-        if context.time - begun > limit:
-            raise _duplicate(names)
-        yield NEXT
+    with context.waiting_for("a second source to go"):
+        while names := context.observation.duplicate_sources:
+            if context.time - begun > limit:
+                raise _duplicate(names)
+            yield NEXT
 
 
 def _duplicate(names: str) -> DuplicateSource:
@@ -79,7 +80,18 @@ def energise(context: Context) -> Script[None]:
         raise problem
     context.decide("close", "nothing speaks against current: the contactor is told to close")
     context.energise = context.live = True
-    stable_since = math.inf
+    with context.waiting_for(f"{parameters.charge_stable_time:g} s of charge current"):
+        yield from _current_flows(context, watch)
+    context.decide(
+        "charging",
+        f"charge current has been stable for {parameters.charge_stable_time:g} s",
+        charge_current_A=context.observation.charge_current,
+        target_voltage_V=context.observation.target_voltage,
+    )
+
+
+def _current_flows(context: Context, watch: Watch) -> Script[None]:
+    parameters, stable_since = context.parameters, math.inf
     while context.time - stable_since < parameters.charge_stable_time:
         problem = watch.problem()
         if problem is None and context.time > context.deadline - _LAST_WORD:
@@ -91,12 +103,6 @@ def energise(context: Context) -> Script[None]:
         )
         stable_since = min(stable_since, context.time) if flowing else math.inf
         yield Wait(stable_since + parameters.charge_stable_time, reads=True) if flowing else NEXT
-    context.decide(
-        "charging",
-        f"charge current has been stable for {parameters.charge_stable_time:g} s",
-        charge_current_A=context.observation.charge_current,
-        target_voltage_V=context.observation.target_voltage,
-    )
 
 
 def _clear_fault(context: Context) -> Script[None]:

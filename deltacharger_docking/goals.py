@@ -133,6 +133,7 @@ class GoalDesk:
             retriable=retriable,
             aligned=self.aligned,
             alignments=context.status.alignments,
+            redockings=context.status.redockings,
             estimate=context.status.estimate,
             contact_current=context.contact.value,
             contact_force=context.contact.force,

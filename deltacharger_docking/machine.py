@@ -110,7 +110,7 @@ class DockingMachine:
             self._refusal = self._docking.take(goal)
             return
         self._docking = docking = TargetVisit(self._context, self._desk, goal)
-        self._runner.start(self._serve(docking.run, self.parameters.redockings_max))
+        self._runner.start(self._serve(docking.run, self.parameters.restarts_max))
 
     def start_undock(self, request_id: str, observation: Observation) -> None:
         """Begin to stop charging and take the arm back.
@@ -234,10 +234,10 @@ class DockingMachine:
         coming = age > since and self._context.status.state in _BEFORE_MOVING
         return age > oldest and not (coming and since < self.parameters.first_data_timeout)
 
-    def _serve(self, script: Callable[[], Script[None]], redockings: int = 0) -> Script[None]:
+    def _serve(self, script: Callable[[], Script[None]], restarts: int = 0) -> Script[None]:
         """Run a goal's script; whatever ends it, open the contactor and take the arm back, keeping the first error.
 
-        Where a new docking may mend what went wrong, it begins again, at most `redockings` times.
+        Where a new docking may mend what went wrong, it begins again, at most `restarts` times.
         """
         context, desk = self._context, self._desk
         first: DockingError | None = None
@@ -254,10 +254,10 @@ class DockingMachine:
                 first = None  # what happened before has been mended since
             first = self._blame(first, last)
             home = yield from self._take_back()
-            if not (home and redockings and last.mended_by_docking) or desk.wants_back:
+            if not (home and restarts and last.mended_by_docking) or desk.wants_back:
                 break
-            redockings -= 1
-            context.decide("redock", f"docking begins again, {redockings} more times at most", code=last.code)
+            restarts -= 1
+            context.decide("restart", f"docking begins again, {restarts} more times at most", code=last.code)
             context.status.code, context.status.message = Code.NONE, ""
             desk.renew()
         context.enter(State.IDLE, math.inf)

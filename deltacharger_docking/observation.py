@@ -117,7 +117,7 @@ class Waypoint:
 
 @dataclass(frozen=True)
 class Decision:
-    """What was decided at `time` (s, the observation's clock), in one word of docs/docking.md, in a sentence, and by
+    """What was decided at `time` (s, the observation's clock), in one word of docs/dock-goals.md, in a sentence, and by
     which numbers; each name ends in its unit."""
 
     time: float
@@ -184,7 +184,10 @@ class GoalOutcome:
 
 @dataclass(frozen=True)
 class DockingOutcome(GoalOutcome):
-    """How a goal of docking ended. NaN = not measured; `suggested_base` (m, charger_base) only when unreachable."""
+    """How a goal of docking ended. NaN = not measured; `suggested_base` (m, charger_base) only when unreachable.
+
+    `alignments` are the lateral corrections, `redockings` the contacts made anew without one.
+    """
 
     aligned: bool = False
     alignments: int = 0
@@ -194,6 +197,7 @@ class DockingOutcome(GoalOutcome):
     charge_current: float = math.nan
     energy: float = 0.0
     suggested_base: Vector | None = None
+    redockings: int = 0
 
 
 @dataclass
@@ -212,3 +216,5 @@ class DockingStatus:
     estimate: FeltPose | None = None
     elapsed: float = 0.0
     duplicate_sources: str = ""
+    redockings: int = 0
+    waiting_for: str = ""

@@ -45,16 +45,25 @@ class DockingParameters(Bounded):
     home_y: float = number(0.0, -0.06, 0.06, "m", "where the arm rests, y")
     home_z: float = number(0.0, 0.0, 0.11, "m", "where the arm rests, z")
     travel_speed: float = number(0.12, 0.005, 0.5, "m/s", "peak speed in free air")
-    contact_speed: float = number(0.02, 0.001, 0.1, "m/s", "peak speed of a step toward contact")
+    approach_speed: float = number(0.25, 0.005, 0.5, "m/s", "peak speed toward the standoff")
+    run_up_speed: float = number(0.04, 0.001, 0.1, "m/s", "peak speed of the run-up before the tare")
+    search_speed: float = number(0.02, 0.001, 0.1, "m/s", "peak speed where the target may be met")
+    press_speed: float = number(0.025, 0.001, 0.1, "m/s", "peak speed where the target is known to be, and of steps")
     standoff: float = number(0.018, 0.005, 0.05, "m", "where the force is tared before the expected contact")
     run_up: float = number(0.004, 0.0, 0.02, "m", "way along +z before the tare: friction then has the sign of pushing")
+    search_from: float = number(0.007, 0.0, 0.05, "m", "how far before the expected contact to begin searching")
     search_depth: float = number(0.025, 0.0, 0.05, "m", "how far beyond the expected contact to search")
+    near: float = number(0.004, 0.0, 0.02, "m", "how far before the known contact press_speed begins")
+    felt_current: float = number(0.1, 0.005, 0.5, "A", "contact current that ends the search")
+    settle_touching: float = number(0.05, 0.0, 1.0, "s", "least time in which electrodes that touch come to rest")
+    drift_max: float = number(0.015, 0.001, 0.2, "A", "change of the contact current within its window that is at rest")
     paper_step: float = number(0.005, 0.0005, 0.01, "m", "step of the paper's approach")
     coarse_step: float = number(0.0025, 0.0005, 0.01, "m", "largest step of the guarded approach in free air")
     back_off: float = number(0.030, 0.005, 0.06, "m", "how far to go back when the first push is too hard")
-    lift: float = number(0.012, 0.008, 0.04, "m", "how far the platform lifts before it moves sideways")
+    lift: float = number(0.008, 0.008, 0.04, "m", "how far the platform lifts before it moves sideways")
     current_min: float = number(0.4, 0.05, 2.0, "A", "contact current from which the electrodes rest on the target")
     current_max: float = number(0.5, 0.05, 2.0, "A", "contact current that the servos hold for four hours")
+    aim_below: float = number(0.02, 0.0, 0.1, "A", "how far below the band's middle a known contact is aimed at")
     band_margin: float = number(0.015, 0.0, 0.04, "A", "how far inside the band a reading must lie to be accepted")
     step_share: float = number(0.7, 0.1, 1.0, "", "share of the way to the band that one step may take")
     step_near: float = number(0.75, 0.1, 1.0, "", "share of the band's lower end from which a step goes all the way")
@@ -78,8 +87,8 @@ class DockingParameters(Bounded):
     ease_current_max: float = number(0.57, 0.05, 2.0, "A", "common current to which the servos are led at most")
     ease_spared_max: float = number(0.03, 0.0, 0.5, "A", "how far below the band's middle ease_current_max may lead")
     ease_tolerance: float = number(0.015, 0.001, 0.2, "A", "how far off its share a servo's current may be at ease")
-    ease_time_min: float = number(0.8, 0.1, 10.0, "s", "shortest time of one easing of the servos' currents")
-    ease_lags: float = number(8.0, 0.0, 50.0, "", "shortest time of easing in lags of the servos, damping / stiffness")
+    ease_time_min: float = number(0.4, 0.1, 10.0, "s", "shortest time of one easing of the servos' currents")
+    ease_lags: float = number(4.0, 0.0, 50.0, "", "shortest time of easing in lags of the servos, damping / stiffness")
     ease_rounds: int = number(4, 1, 20, "", "rounds of easing at most: each corrects the stiffness")
     slip_max: float = number(0.0004, 0.00015, 0.01, "m", "travel sideways from which the platform slips")
     slip_taken_back: float = number(0.4, 0.0, 1.0, "", "share of what was led that is taken back after a slip")
@@ -95,14 +104,18 @@ class DockingParameters(Bounded):
     clearance_sigmas: float = number(3.0, 3.0, 12.0, "", "standard deviations without which no current flows")
     clearance_sigmas_sure: float = number(6.0, 6.0, 24.0, "", "standard deviations at which one contact is enough")
     clearance_contacts: int = number(2, 2, 10, "", "contacts in a row that must pass where one is not enough")
-    alignment_tolerance: float = number(0.001, 0.0001, 0.01, "m", "filtered misalignment that counts as aligned")
-    landing_limit: float = number(0.0025, 0.001, 0.02, "m", "misalignment within which this very contact must lie")
-    landing_sigmas: float = number(2.15, 0.0, 6.0, "", "standard deviations at which landing_limit must be kept")
-    landing_felt_sigmas: float = number(1.65, 0.0, 6.0, "", "the same by what the pads feel alone")
+    alignment_tolerance: float = number(0.001, 0.0001, 0.01, "m", "offset from which a move counts as a correction")
+    landing_limit: float = number(0.0025, 0.001, 0.02, "m", "offset across the bars within which a contact shall lie")
+    overlap_loss_max: float = number(0.004, 0.001, 0.03, "m", "the same along the bars: overlap that may be lost")
+    redocking_gain_min: float = number(
+        0.003, 0.0, 1.0, "", "fall of the risk to lie beyond these limits that is worth a second contact"
+    )
     contradiction_start: float = number(25.0, 1.0, 1000.0, "", "squared innovations that contradict the arm's moves")
     contradiction_each: float = number(4.0, 0.0, 100.0, "", "what each look adds to contradiction_start")
-    alignments_max: int = number(15, 1, 50, "", "lateral corrections before alignment ends, as in the paper")
+    alignments_max: int = number(15, 1, 50, "", "corrections and contacts made anew at most, as in the paper")
     docking_jitter: float = number(DOCKING_JITTER, 0.0, 0.01, "m", "scatter of one docking beside its commanded place")
+    horizontal_scale: float = number(0.83, 0.1, 3.0, "", "true standard deviation of a horizontal estimate in its told")
+    horizontal_shared: float = number(0.00055, 0.0, 0.01, "m", "its part that all contacts of a docking share")
     gain_error: float = number(0.15, 0.0, 1.0, "", "relative error of a misalignment estimate that grows with its size")
     unsure_max: int = number(4, 1, 20, "", "unsure estimates after which alignment ends")
     unsure_here_max: int = number(2, 1, 20, "", "unsure estimates in one place after which alignment ends")
@@ -111,7 +124,7 @@ class DockingParameters(Bounded):
     charge_when_not_aligned: bool = flag(
         True, "start charging after the last alignment as published; clearance is always required"
     )
-    redockings_max: int = number(0, 0, 10, "", "how often docking begins again by itself; 0 = never")
+    restarts_max: int = number(0, 0, 10, "", "how often docking begins again by itself; 0 = never")
     estimate_frames: int = number(24, 1, 240, "", "tactile frames averaged in one estimate")
     charge_current_min: float = number(0.5, 0.05, 18.0, "A", "charge current that counts as charging")
     charge_stable_time: float = number(1.0, 0.1, 10.0, "s", "how long charge current must stay before docking succeeds")
@@ -190,6 +203,11 @@ class DockingParameters(Bounded):
     def current_target(self) -> float:
         """Middle of the contact current's band, A."""
         return 0.5 * (self.current_min + self.current_max)
+
+    @property
+    def current_aim(self) -> float:
+        """Contact current that is aimed at where the contact is known, A."""
+        return self.current_target - self.aim_below
 
 
 @dataclass(frozen=True)

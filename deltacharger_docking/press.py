@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
-from deltacharger_docking.context import Context
+from deltacharger_docking.context import Context, KnownContact
 from deltacharger_docking.observation import Waypoint
 from deltacharger_docking.release import take_off
 from deltacharger_docking.script import NEXT, Script
@@ -25,8 +25,8 @@ def approach(context: Context, target: Vector) -> Script[None]:
     x, y, z = target
     standoff = z - parameters.standoff
     run_up = min(parameters.run_up, max(standoff - context.position[2], 0.0))
-    yield from context.move((x, y, standoff - run_up), parameters.travel_speed, settle=False)
-    yield from context.move((x, y, standoff), parameters.contact_speed)
+    yield from context.move((x, y, standoff - run_up), parameters.approach_speed, settle=False)
+    yield from context.move((x, y, standoff), parameters.run_up_speed)
     context.decide("zero", "the contact current is tared at the standoff", contact_current_A=context.contact.value)
     context.contact.tare()
 
@@ -47,7 +47,9 @@ def contact(context: Context, depth: float) -> Script[None]:
     if context.parameters.approach == "paper":
         yield from _paper(context, depth)
     else:
+        yield from _meet(context, depth)
         yield from _guarded(context, depth)
+        context.known_contact = KnownContact(context.commanded[2], context.position[2], context.contact.value)
     observation = context.observation
     if observation.tactile_age > context.parameters.tactile_age_max:
         raise TactileStale("tactile frames stopped during contact; check the board's cable and tactile_node")
@@ -97,7 +99,7 @@ def step_to(context: Context, z: float) -> Script[None]:
         yield NEXT
     x, y, _ = context.commanded
     try:
-        yield from context.move((x, y, z), context.parameters.contact_speed)
+        yield from context.move((x, y, z), context.parameters.press_speed)
     except Unreachable as error:
         raise NoContact(f"nothing was met before the arm's limit: {error}") from error
 
@@ -117,6 +119,64 @@ def _paper(context: Context, depth: float) -> Script[None]:
     while context.contact.value < context.parameters.current_min:
         _check_depth(context, depth)
         yield from step_to(context, context.commanded[2] + context.parameters.paper_step)
+
+
+def _meet(context: Context, depth: float) -> Script[None]:
+    """Press on the target, near the band: straight to where it is known to be, else searching for it.
+
+    The way there is fast where nothing can be struck; a known place that turns out wrong is searched from there on.
+    """
+    parameters, known, (x, y, z) = context.parameters, context.known_contact, context.commanded
+    while context.observation.servo_age > parameters.press_age_max:
+        yield NEXT
+    context.contact.clear()
+    try:
+        if known is None:
+            yield from _search(context, depth)
+            return
+        before = max(known.measured - parameters.near, z)
+        met = yield from context.move((x, y, before), parameters.travel_speed, False, lambda: _feels(context))
+        if met and context.position[2] < before:
+            yield from _press_on(context)
+            return
+        wanted = known.commanded + (parameters.current_aim - known.current) / slope_expected(context)
+        too_hard = yield from context.move(
+            (x, y, wanted), parameters.press_speed, until=lambda: context.contact.value > parameters.current_max
+        )
+        if too_hard:
+            yield from context.rest()
+        elif not _feels(context):
+            yield from _search(context, depth)
+    except Unreachable:
+        return  # the steps that follow tell whether the arm's limit comes before the target
+
+
+def _search(context: Context, depth: float) -> Script[None]:
+    """Move along z to where the target may begin, then slowly up to `depth` (m), until it is felt; press on there."""
+    parameters, (x, y, z) = context.parameters, context.commanded
+    free = depth - parameters.search_depth - parameters.search_from
+    for end, speed in ((free, parameters.travel_speed), (depth, parameters.search_speed)):
+        if z < end and (
+            yield from context.move((x, y, end), speed, settle=end == depth, until=lambda: _feels(context))
+        ):
+            yield from _press_on(context)
+            return
+
+
+def _feels(context: Context) -> bool:
+    return context.observation.tactile_contact or context.contact.value > context.parameters.felt_current
+
+
+def _press_on(context: Context) -> Script[None]:
+    """Press on at once from where the platform comes to lie, to a share of the band that a rigid target bears."""
+    parameters, end = context.parameters, context.time + context.parameters.settle_touching
+    highest = -math.inf
+    while context.time < end and context.position[2] > highest:
+        highest = context.position[2]
+        yield NEXT
+    x, y, z = context.commanded
+    pressing = context.position[2] + parameters.step_share * parameters.current_target / slope_expected(context)
+    yield from context.move((x, y, max(z, pressing)), parameters.press_speed)
 
 
 def _guarded(context: Context, depth: float) -> Script[None]:

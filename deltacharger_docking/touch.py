@@ -10,10 +10,8 @@ from deltacharger_docking.clearance import FeltPose, Verdict, clearance, clearan
 from deltacharger_docking.codes import CriticalAngle, EstimateUnsure, Misaligned, NoTactileContact, State, TactileStale
 from deltacharger_docking.context import Context
 from deltacharger_docking.observation import Service
-from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.place import AxisFilter
 from deltacharger_docking.script import Script
-
-_LEAST = 1e-12  # m²; below it a variance would divide by nothing
 
 
 def measure(context: Context) -> Script[FeltPose]:
@@ -48,81 +46,13 @@ def measure(context: Context) -> Script[FeltPose]:
     return felt
 
 
-class PlaceFilter:
-    """Kalman filter of a fixed target position (x, y in charger_base) seen by touch.
-
-    One docking lands beside its commanded place by `docking_jitter` (a standard deviation, m), and an estimate's error
-    grows with its size by `gain_error`, added in quadrature, so a first look from 8 mm away weighs little once the
-    platform stands close.
-    """
-
-    def __init__(self, parameters: DockingParameters) -> None:
-        self._parameters = parameters
-        self._mean = [0.0, 0.0]
-        self._information = [0.0, 0.0]
-        self._innovations = [0.0, 0.0]
-        self._looks = 0
-        self.landing = math.inf
-        """How far (m) the last contact may lie off on its worse axis: |mean| + landing_sigmas σ, at least
-        landing_felt_sigmas σ felt: a landing far out is rare, and rarer where the pads see well."""
-
-    def update(self, platform: tuple[float, float], estimate: FeltPose) -> None:
-        """Take one estimate made with the platform at (x, y) m of charger_base."""
-        readings = (
-            (platform[0] + estimate.horizontal, estimate.horizontal, estimate.horizontal_stddev),
-            (platform[1] + estimate.vertical, estimate.vertical, estimate.vertical_stddev),
-        )
-        parameters = self._parameters
-        self.landing = 0.0
-        self._looks += 1
-        for axis, (place, offset, stddev) in enumerate(readings):
-            felt = stddev**2 + (parameters.gain_error * offset) ** 2
-            variance = parameters.docking_jitter**2 + felt
-            land = self._land(axis, place - offset, offset, max(felt, _LEAST))
-            self.landing = max(self.landing, land, parameters.landing_felt_sigmas * stddev)
-            weight = 1.0 / max(variance, _LEAST)
-            if self._information[axis] > 0.0:
-                expected = variance + 1.0 / self._information[axis]
-                self._innovations[axis] += (place - self._mean[axis]) ** 2 / max(expected, _LEAST)
-            self._information[axis] += weight
-            self._mean[axis] += (place - self._mean[axis]) * weight / self._information[axis]
-
-    @property
-    def contradicts_itself(self) -> bool:
-        """Whether the looks differ by more than their errors allow: the pads do not feel where the arm has gone."""
-        start, each = self._parameters.contradiction_start, self._parameters.contradiction_each
-        return max(self._innovations) > start + each * self._looks
-
-    def _land(self, axis: int, platform: float, offset: float, variance: float) -> float:
-        """Return |mean| + landing_sigmas σ (m) of this contact, from what is felt and where earlier ones saw it."""
-        information = self._information[axis]
-        mean, weight = offset, 1.0 / variance
-        if information > 0.0:
-            known = 1.0 / (self._parameters.docking_jitter**2 + 1.0 / information + _LEAST)
-            mean = (weight * offset + known * (self._mean[axis] - platform)) / (weight + known)
-            weight += known
-        return abs(mean) + self._parameters.landing_sigmas / math.sqrt(weight)
-
-    @property
-    def target(self) -> tuple[float, float]:
-        """Filtered (x, y) m of the target in charger_base; NaN before the first estimate."""
-        if self._information[0] == 0.0:
-            return math.nan, math.nan
-        return self._mean[0], self._mean[1]
-
-    def misalignment(self, platform: tuple[float, float]) -> tuple[float, float]:
-        """Return the filtered (horizontal, vertical) m for the platform at (x, y) m."""
-        x, y = self.target
-        return x - platform[0], y - platform[1]
-
-
 class Target:
     """What is known of one target by touch, from its first contact until it is left, and what follows from it.
 
     Attributes:
         critical_angle: limit of the goal, rad.
         depth: largest z (m, charger_base) at which contact is looked for.
-        aligned: whether the filtered misalignment lies within the tolerance.
+        aligned: whether this contact was measured and accepted: another one would not pay.
     """
 
     def __init__(self, context: Context, critical_angle: float) -> None:
@@ -130,10 +60,15 @@ class Target:
         self.critical_angle = critical_angle
         self.depth = math.inf
         self.aligned = False
-        self._filter = PlaceFilter(context.parameters)
-        self._off = (math.nan, math.nan)  # filtered misalignment of this contact, m
-        self._landed = False  # this contact lies within landing_limit, as far as is known
+        self._forget_place()
+        self._off = (math.nan, math.nan)  # m, of this contact from where the target is
+        self._gain = math.nan  # expected of another contact
         self.begin()
+
+    def _forget_place(self) -> None:
+        parameters = self._context.parameters
+        self._x = AxisFilter(parameters, parameters.horizontal_scale, parameters.horizontal_shared)
+        self._y = AxisFilter(parameters)
 
     def begin(self) -> None:
         """Forget what earlier goals have counted; the target's place stays known."""
@@ -159,9 +94,10 @@ class Target:
             return False
         context, parameters = self._context, self._context.parameters
         self._unsure_here = 0
-        place = context.position[0], context.position[1]
-        self._filter.update(place, felt)
-        if self._filter.contradicts_itself and not stay:
+        x, y, _ = context.position
+        self._x.update(x, felt.horizontal, felt.horizontal_stddev)
+        self._y.update(y, felt.vertical, felt.vertical_stddev)
+        if (self._x.contradicts_itself or self._y.contradicts_itself) and not stay:
             context.decide("contradiction", "the pads do not feel the arm's own moves", x_m=felt.horizontal)
             raise EstimateUnsure(
                 "what the pads feel contradicts the arm's own moves; do their frames repeat themselves, or does the "
@@ -171,12 +107,12 @@ class Target:
         safe = verdict is Verdict.SAFE or (
             verdict is Verdict.PROBABLY_SAFE and self._passed >= parameters.clearance_contacts
         )
-        self._off = x, y = self._filter.misalignment(place)
-        self.aligned = max(abs(x), abs(y)) <= parameters.alignment_tolerance
-        self._landed = self._filter.landing <= parameters.landing_limit
-        settled = stay or (self.aligned and self._landed) or (self._exhausted and parameters.charge_when_not_aligned)
+        self._off = self._x.target - x, self._y.target - y
+        self._gain = self._x.gain(parameters.overlap_loss_max) + self._y.gain(parameters.landing_limit)
+        self.aligned = self._gain <= parameters.redocking_gain_min * (1 + self._moves)
+        settled = stay or self.aligned or (self._exhausted and parameters.charge_when_not_aligned)
         if stay and not safe:
-            self._filter = PlaceFilter(parameters)  # the target is not any more where it was
+            self._forget_place()  # the target is not any more where it was
         return settled and safe
 
     def still_allows_rest(self, felt: FeltPose) -> bool:
@@ -188,7 +124,7 @@ class Target:
 
     def rest(self) -> None:
         """Tell that the electrodes rest here."""
-        text = "the target lies within the tolerance" if self.aligned else "the electrodes have clearance here"
+        text = "another contact would not pay" if self.aligned else "the electrodes have clearance here"
         self._context.decide("aligned" if self.aligned else "exhausted", text, x_m=self._off[0], y_m=self._off[1])
 
     def correction(self) -> tuple[float, float]:
@@ -204,22 +140,27 @@ class Target:
             return self._look_elsewhere(self._felt)
         x, y = self._off
         if self._exhausted:
-            context.decide("exhausted", "no correction is left", x_m=x, y_m=y, moves=context.status.alignments)
+            context.decide("exhausted", "no correction is left", x_m=x, y_m=y, moves=self._moves)
             raise Misaligned(
-                f"after {context.status.alignments} alignments no clearance is sure; the electrodes are "
-                f"{1000 * x:.1f} mm horizontally and {1000 * y:.1f} mm vertically off"
+                f"after {self._moves} moves no clearance is sure; the electrodes are {1000 * x:.1f} mm horizontally "
+                f"and {1000 * y:.1f} mm vertically off"
             )
-        context.status.alignments += 1
-        if self.aligned:
-            text = "clearance is not sure yet" if self._landed else "this landing lies too far beside the target"
-            context.decide("again", f"{text}: docking again", beside_m=self._filter.landing, x_m=x, y_m=y)
-        else:
+        if max(abs(x), abs(y)) > context.parameters.alignment_tolerance:
+            context.status.alignments += 1
             context.decide("move", "the electrodes are taken to where the target was felt", x_m=x, y_m=y)
+        else:
+            context.status.redockings += 1
+            text = "clearance is not sure yet" if self.aligned else "this contact lies too far beside the target"
+            context.decide("again", f"{text}: it is made anew", gain=self._gain, x_m=x, y_m=y)
         return x, y
 
     @property
+    def _moves(self) -> int:
+        return self._context.status.alignments + self._context.status.redockings
+
+    @property
     def _exhausted(self) -> bool:
-        return self._context.status.alignments >= self._context.parameters.alignments_max
+        return self._moves >= self._context.parameters.alignments_max
 
     def _judge(self, felt: FeltPose) -> Verdict:
         """Judge this contact, and the mean angle once two have been made."""
@@ -264,7 +205,8 @@ class Target:
             return x, y
         if self._unsure_here >= parameters.unsure_here_max or self._unsure >= parameters.unsure_max:
             self._give_up(felt)
-        context.decide("again", "the estimate is unsure and is made anew by docking again", times=self._unsure)
+        context.status.redockings += 1
+        context.decide("again", "the estimate is unsure: the contact is made anew", times=self._unsure)
         return 0.0, 0.0
 
     def _give_up(self, felt: FeltPose) -> None:

@@ -61,6 +61,10 @@ class TrajectoryFeed:
             return False
         return self._held is not None or self._ran_out(time) or time < self._origin + self._times[-1]
 
+    def share(self, time: float) -> float:
+        """Return the share of the line's time at which the receiver's goal is; the line must not be empty."""
+        return min(max(self._place(time) / self._times[-1], 0.0), 1.0)
+
     def hold(self, time: float) -> Piece:
         """Stop on the line and return the piece that says so; empty = stay at the present goal."""
         if not self.is_under_way(time):

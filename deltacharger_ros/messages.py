@@ -70,6 +70,7 @@ def to_progress(feedback: Any, elapsed: float) -> Progress:
         contact_current=getattr(feedback, "contact_current", math.nan),
         charge_current=getattr(feedback, "charge_current", math.nan),
         alignments=getattr(feedback, "alignments", 0),
+        waiting_for=getattr(feedback, "waiting_for", ""),
         **{axis: getattr(felt, axis, math.nan) for axis in _AXES},
     )
 
@@ -96,6 +97,7 @@ def _dock_details(result: Any) -> dict[str, Any]:
     return {
         "aligned": result.aligned,
         "alignments": result.alignments,
+        "redockings": result.redockings,
         "misalignment": {name: getattr(result.misalignment, name) for name in (*felt, "sure", "in_range")},
         **{name: getattr(result, name) for name in told},
         "suggested_base_pose": {"frame_id": frame, "position": [position.x, position.y, position.z]} if frame else None,

@@ -54,6 +54,7 @@ class Progress:
         charge_current: A into the target; NaN = not measured or not reported.
         alignments: lateral corrections so far.
         horizontal: m, vertical: m, angle: rad, the last estimate; NaN = none yet.
+        waiting_for: what the charger waits for now; '' = nothing.
     """
 
     time: float
@@ -65,6 +66,7 @@ class Progress:
     horizontal: float = math.nan
     vertical: float = math.nan
     angle: float = math.nan
+    waiting_for: str = ""
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,12 @@ STEPS = {
     "servo_damping": DAMPING,
     "standoff": 0.008,
     "coarse_step": 0.004,
-    "contact_speed": 0.05,
+    "search_speed": 0.05,
+    "press_speed": 0.05,
     "lift": 0.008,
     "travel_speed": 0.3,
     "charge_stable_time": 0.2,
-    "alignment_tolerance": 0.004,
+    "overlap_loss_max": 0.006,
     "landing_limit": 0.006,
 }
 """Parameters of docking_node."""

@@ -255,5 +255,5 @@ def _summary(outcome: Outcome) -> str:
     return (
         f"charge {details['charge_current']:.2f} A, {details['energy']:.0f} J; "
         f"contact {details['contact_current']:.3f} A, {details['contact_force']:.1f} N; "
-        f"{details['alignments']} alignments, rest {where}"
+        f"{details['alignments']} alignments, {details['redockings']} redockings, rest {where}"
     )

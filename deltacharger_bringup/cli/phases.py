@@ -61,6 +61,8 @@ class PhasePrinter:
             columns.append(_number("I_c", progress.contact_current, "A", 3))
         if self._force is not None:
             columns.append(_number("force", force, "N", 1))
+        if progress.waiting_for:
+            columns.append(f"waits for {progress.waiting_for}")
         say("  ".join(columns))
 
 

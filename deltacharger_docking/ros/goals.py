@@ -158,13 +158,12 @@ class Goals:
             return
         for state in changes(goal.state or State.IDLE, passed, status.state):
             self._publish(goal, state, status, charge_current)
-        shown = (status.state, status.alignments, status.estimate)
-        if shown != goal.shown or time.monotonic() - goal.shown_at >= _FEEDBACK:
+        if _shown(status.state, status) != goal.shown or time.monotonic() - goal.shown_at >= _FEEDBACK:
             self._publish(goal, status.state, status, charge_current)
 
     def _publish(self, goal: ServedGoal, state: State, status: DockingStatus, charge_current: float) -> None:
         goal.state, goal.shown_at = state, time.monotonic()
-        goal.shown = (state, status.alignments, status.estimate)
+        goal.shown = _shown(state, status)
         message = goal.feedback()
         message.state = int(state)
         message.z = status.position[2]
@@ -173,6 +172,7 @@ class Goals:
             message.contact_current = status.contact_current
             message.misalignment = self._misalignment(status.estimate)
             message.elapsed = duration(status.elapsed)
+            message.waiting_for = status.waiting_for
         else:
             message.charge_current = charge_current
         goal.feed_back(message)
@@ -219,8 +219,14 @@ class Goals:
             outcome,
             misalignment=self._misalignment(outcome.estimate),
             suggested_base_pose=io.pose_stamped(outcome.suggested_base, self._node.get_clock().now().to_msg()),
+            redockings=outcome.redockings,
             **{name: getattr(outcome, name) for name in MEASURED},
         )
+
+
+def _shown(state: State, status: DockingStatus) -> tuple[Any, ...]:
+    """Return what of a status is worth a feedback where it changes."""
+    return state, status.alignments, status.estimate, status.waiting_for
 
 
 def _refused(error: Exception) -> DockingOutcome:

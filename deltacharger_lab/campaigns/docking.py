@@ -158,7 +158,7 @@ def result(charger: VirtualCharger, outcome: DockingOutcome, above: float) -> di
         "charged": outcome.success,
         "aligned": outcome.aligned,
         "time": outcome.elapsed,
-        "moves": outcome.alignments,
+        "moves": outcome.alignments + outcome.redockings,
         "contact_current": outcome.contact_current,
         "charge_current": outcome.charge_current,
         "time_above_band": above,

@@ -52,7 +52,7 @@ _MARKED = {
     "full": ("full", FAINT),
     "interrupted": ("interrupted", RED),
     "open": ("open", FAINT),
-    "redock": ("docks again", ORANGE),
+    "restart": ("docks again", ORANGE),
     "stuck": ("stuck", RED),
 }
 """Decisions that are named, and in which colour; the others are only ticks."""

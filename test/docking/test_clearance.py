@@ -10,7 +10,7 @@ import pytest
 
 from deltacharger_docking.clearance import FeltPose, Verdict, clearance, judge
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.touch import PlaceFilter
+from deltacharger_docking.place import AxisFilter
 
 GAP, LENGTH = 0.0037, 0.035
 PARAMETERS = DockingParameters()
@@ -61,26 +61,70 @@ def test_a_lower_critical_angle_counts_and_a_higher_one_does_not() -> None:
     assert judge(felt(12.5), PARAMETERS, math.radians(20.0)) is Verdict.CRITICAL
 
 
+def axis(shared: float = 0.0, scale: float = 1.0, jitter: float = 0.00095) -> AxisFilter:
+    return AxisFilter(DockingParameters(docking_jitter=jitter, gain_error=0.15), scale, shared)
+
+
 def test_the_filter_averages_the_scatter_of_dockings_away() -> None:
     random = np.random.default_rng(3)
-    jitter, target = 0.00095, np.array([0.006, -0.004])
+    jitter, target = 0.00095, 0.006
     errors = []
     for _ in range(200):
-        tracker = PlaceFilter(DockingParameters(docking_jitter=jitter, gain_error=0.15))
-        place = np.zeros(2)
+        tracker, place = axis(), 0.0
         for _ in range(8):
-            felt_offset = target - place + random.normal(0, jitter, 2)
-            tracker.update(tuple(place), FeltPose(0, 0.01, felt_offset[1], 1e-4, felt_offset[0], 1e-4))
-            place = np.array(tracker.target)
-        errors.append(np.hypot(*(place - target)))
-    assert np.mean(errors) < 0.6 * jitter
+            tracker.update(place, target - place + random.normal(0, jitter), 1e-4)
+            place = tracker.target
+        errors.append(place - target)
+    assert np.std(errors) < 0.45 * jitter
 
 
 def test_a_far_first_look_does_not_outweigh_near_ones() -> None:
-    tracker = PlaceFilter(DockingParameters(docking_jitter=0.0005, gain_error=0.15))
-    tracker.update((0.0, 0.0), FeltPose(0, 0, 0.0, 1e-4, 0.010, 1e-4))  # reads 10 mm where the truth is 8
-    tracker.update((0.010, 0.0), FeltPose(0, 0, 0.0, 1e-4, -0.002, 1e-4))
-    assert tracker.misalignment((0.008, 0.0))[0] == pytest.approx(0.0, abs=3e-4)
+    tracker = axis(jitter=0.0005)
+    tracker.update(0.0, 0.010, 1e-4)  # reads 10 mm where the truth is 8
+    tracker.update(0.010, -0.002, 1e-4)
+    assert tracker.target == pytest.approx(0.008, abs=3e-4)
+
+
+def contacts(count: int, shared: float, told: float, scale: float) -> list[tuple[float, AxisFilter]]:
+    """The true offset of the last of three contacts, and the filter, of `count` dockings."""
+    random = np.random.default_rng(8)
+    dockings = []
+    for common in random.normal(0.0, shared, count):
+        tracker, place, true = axis(shared, scale), 0.0, 0.0
+        for _ in range(3):
+            true = 0.003 - place + random.normal(0.0, 0.00095)
+            own = math.hypot(math.sqrt((scale * told) ** 2 - shared**2), 0.15 * true)
+            tracker.update(place, true + common + random.normal(0.0, own), told)
+            place = tracker.target
+        dockings.append((true, tracker))
+    return dockings
+
+
+@pytest.mark.parametrize(("shared", "told", "scale"), [(0.0, 2e-4, 1.0), (5.5e-4, 1.3e-3, 0.83)])
+def test_how_far_a_contact_lies_off_is_told_with_its_true_error(shared: float, told: float, scale: float) -> None:
+    scores = [
+        (true - tracker.contact.mean) / tracker.contact.stddev for true, tracker in contacts(600, shared, told, scale)
+    ]
+    assert np.std(scores) == pytest.approx(1.0, abs=0.12)
+    assert abs(np.mean(scores)) < 0.12
+
+
+def test_the_risk_of_a_contact_comes_true_as_often_as_it_says() -> None:
+    dockings = contacts(2000, 5.5e-4, 1.3e-3, 0.83)
+    said = [tracker.contact.beyond(0.0015) for _, tracker in dockings]
+    came = [abs(true) > 0.0015 for true, _ in dockings]
+    assert np.mean(said) == pytest.approx(np.mean(came), abs=0.03)
+
+
+def test_another_contact_pays_where_this_one_lies_off_and_not_where_all_share_the_error() -> None:
+    near, far, shared = axis(), axis(), axis(shared=0.0012, scale=1.0)
+    near.update(0.0, 0.0002, 1e-4)
+    far.update(0.0, 0.0028, 1e-4)
+    shared.update(0.0, 0.0, 0.00121)
+    assert near.gain(0.0025) < 1e-3
+    assert far.gain(0.0025) > 0.5
+    assert shared.contact.beyond(0.0025) > 0.03
+    assert shared.gain(0.0025) < 0.01
 
 
 @pytest.mark.parametrize(

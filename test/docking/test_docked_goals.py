@@ -204,7 +204,7 @@ def test_a_goal_ends_in_time_although_its_clock_jumps(jump: float) -> None:
     assert (run.machine.status.state is State.IDLE) != outcome.success
 
 
-AGAIN = {"redockings_max": 2}
+AGAIN = {"restarts_max": 2}
 
 
 def lose_contact(run: VirtualCharger) -> None:

@@ -102,6 +102,8 @@ def test_docking_charges_says_so_and_undocking_ends_it(charger: Charger) -> None
     assert 0.4 <= outcome.details["contact_current"] <= 0.5
     assert outcome.details["charge_current"] > 0.5
     assert {"approach", "contact", "measure", "energise"} <= {progress.phase for progress in seen}
+    assert {"predict_misalignment", "probe"} <= {progress.waiting_for for progress in seen}
+    assert "redockings" in outcome.details
     assert not open_contactor(charger)
     run = recorder.run
     assert run.frames is not None

@@ -167,7 +167,7 @@ def test_power_that_repeats_itself_as_closed_keeps_the_arm_where_it_is() -> None
 
 def test_pads_that_feel_the_same_wherever_they_are_never_energise() -> None:
     """The first estimate, 6 mm off, is answered to every question: the arm goes after it until it can go no further."""
-    run = Faulty(alignment_tolerance=0.001)
+    run = Faulty(landing_limit=0.0025, overlap_loss_max=0.004)
     felt: list[FeltPose] = []
 
     def again(reply: Reply) -> Reply:

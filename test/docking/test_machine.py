@@ -217,3 +217,38 @@ def test_what_the_camera_cannot_support_leaves_the_arm_unmoved(reply: Reply | No
     assert math.dist(run.world.snapshot().position, run.parameters.home) < MILLIMETRE
     if code is Code.UNREACHABLE:
         assert outcome.suggested_base == pytest.approx((0.0, 0.2, 0.22))
+
+
+def test_moves_are_told_as_corrections_and_as_contacts_made_anew() -> None:
+    run = charger(parameters={"redocking_gain_min": 0.0, "alignments_max": 4})
+    outcome = run.dock()
+    assert outcome.success, outcome.message
+    assert (outcome.alignments + outcome.redockings, outcome.aligned) == (4, False), "no gain is too small"
+    assert outcome.alignments >= 1
+    assert outcome.redockings >= 1
+
+
+@pytest.mark.parametrize(
+    ("service", "told"), [(Service.ESTIMATE, "predict_misalignment"), (Service.PROBE, "probe"), (Service.TARE, "tare")]
+)
+def test_what_a_docking_waits_for_is_told_while_it_does(service: Service, told: str) -> None:
+    run = charger()
+    run.answer[service] = lambda reply: None
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.machine.status.waiting_for == told, 30.0)
+    run.run(1.0)
+    assert run.machine.status.waiting_for == told
+    run.machine.cancel()
+    assert run.finish(30.0).code is Code.CANCELED
+    assert run.machine.status.waiting_for == ""
+
+
+def test_nodes_that_have_not_spoken_yet_are_waited_for_by_name() -> None:
+    run = charger()
+    run.distort = lambda observation: replace(observation, servo_age=math.inf, servos_valid=False)
+    run.begin(DockGoal(GOAL))
+    run.run(1.0)
+    assert run.machine.status.waiting_for == "servo_state and tactile_frame"
+    run.distort = lambda observation: observation
+    run.until(lambda: run.machine.status.waiting_for == "", 5.0)
+    assert run.finish(60.0).success

@@ -94,12 +94,13 @@ def test_an_input_that_stays_away_holds_the_arm_first_and_ends_the_goal_then(
 ) -> None:
     run = moving_in(state)
     since, z = run.now, run.world.snapshot().position[2]
+    free = GOAL.position[2] - run.machine.parameters.search_from  # up to here it strikes nothing, however fast
     run.distort = lambda observation: replace(observation, **{fault: run.now - since})
     run.run(0.2)
     assert run.outcome is None
     assert not moves(run, 0.2)
     assert run.finish(20.0).code is code
-    assert run.world.snapshot().position[2] < z + 3.0 * MILLIMETRE, "it was never carried on"
+    assert run.world.snapshot().position[2] < max(z + 3.0 * MILLIMETRE, free), "it was never carried on"
 
 
 def test_an_arm_that_is_held_does_not_stop_the_clock() -> None:
@@ -142,7 +143,7 @@ def test_motion_dies_with_the_machine(state: State, stiffness: float) -> None:
         run = moving_in(state, servo=servo)
     energise = run._energised
     run.machine.step = lambda observation: Command(energise=energise)  # type: ignore[method-assign]
-    run.run(0.2)
+    run.run(0.3)
     assert not moves(run, 0.1)
     assert not moves(run, 1.0)
 

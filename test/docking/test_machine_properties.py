@@ -40,11 +40,11 @@ from deltacharger_lab.campaigns.quick_motion import QuickPlanner
 TICK = 0.05  # s; coarse, as the model has no dynamics
 DEPTH = 0.080  # m, where the target's faces are
 LIMITS = DockingParameters(
-    gravity_y=0.0, goal_timeout=25.0, locate_timeout=2.0, energise_timeout=4.0, retract_timeout=8.0, redockings_max=1
+    gravity_y=0.0, goal_timeout=25.0, locate_timeout=2.0, energise_timeout=4.0, retract_timeout=8.0, restarts_max=1
 )
 NAN3 = (math.nan, math.nan, math.nan)
 
-# What may follow each state: docs/docking.md.
+# What may follow each state: docs/dock-goals.md.
 BACK = {State.RETRACT}
 LEGAL: dict[State, set[State]] = {
     State.IDLE: {State.LOCATE, State.APPROACH, State.MEASURE, *BACK},

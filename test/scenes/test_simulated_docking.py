@@ -24,7 +24,7 @@ from ..quick import SCENE, STEPS, quick_simulation
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
-MOVED = {"alignment_tolerance": 0.001, "landing_limit": 0.0025}  # as by default, so that the arm must move to align
+MOVED = {"overlap_loss_max": 0.004, "landing_limit": 0.0025}  # as by default, so that the arm must move to align
 HERE = Pose(0.0, 0.0, 0.080)
 GOAL = DockRequest(HERE)
 PHASES = [*map(slow, ("approach", "contact", "measure", "align")), "energise"]

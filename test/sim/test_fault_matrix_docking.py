@@ -32,7 +32,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 GOAL = DockRequest(Pose(0.0, 0.0, 0.080))
 # Touch is taken as aligned after one docking: that is not looked at here.
-STEPS = {**quick.STEPS, "alignment_tolerance": 0.01, "landing_limit": 0.02}
+STEPS = {**quick.STEPS, "overlap_loss_max": 0.02, "landing_limit": 0.02}
 BY_ITSELF = ("servo_missing", "servo_overload")  # take a servo's torque at once: no driver opens before them
 BORNE = "NONE"  # the fault is lived with
 

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contact is fast where nothing can be struck, and bounded wherever the target may be: laws of press."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from deltacharger_docking.codes import Code, State
+from deltacharger_docking.observation import Command, DockGoal, ElectrodePose, Observation
+from deltacharger_lab.campaigns.virtual_charger import GOAL, TICK, VirtualCharger
+from deltacharger_sim.parameters import ContactParameters, ServoParameters
+
+from .dockings import MILLIMETRE, assert_safe_at_home, charger
+
+STRIKE_MOST = 45.0  # N of the servos on the target, impact included; pressing takes 17
+
+
+def move_target(run: VirtualCharger, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> None:
+    """Shove the target by so many mm while the docking is under way."""
+    target = run.world.parameters.target
+    moved = replace(target, x=target.x + x * MILLIMETRE, y=target.y + y * MILLIMETRE, z=target.z + z * MILLIMETRE)
+    run.world.parameters = replace(run.world.parameters, target=moved)
+    run.world.mechanics._target_z = moved.z  # type: ignore[attr-defined]
+
+
+def until_lifted(run: VirtualCharger) -> None:
+    """Dock up to where the electrodes have been lifted off to move sideways."""
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.machine.status.state is State.ALIGN, 60.0)
+    z = run.world.snapshot().position[2]
+    run.until(lambda: run.world.snapshot().position[2] < z - 4.0 * MILLIMETRE, 10.0)
+
+
+def pushed(run: VirtualCharger) -> float:
+    """Largest push of the servos (N) so far, impact included."""
+    return max(run.world.record.peak_push, 0.0)
+
+
+@pytest.mark.parametrize("servo", [2.5, 5.0, 15.0, 20.0])
+@pytest.mark.parametrize("contact", [1e4, 1e5, 1e7])
+def test_the_search_ends_within_the_servos_reaction_after_touch(servo: float, contact: float) -> None:
+    parameters = {"servo_stiffness": servo}
+    run = charger(
+        parameters=parameters,
+        servo=ServoParameters(stiffness=servo),
+        contact=ContactParameters(stiffness=contact, hard_stop=0.002),
+    )
+    told: list[tuple[float, Command]] = []
+    step = run.machine.step
+
+    def watched(observation: Observation) -> Command:
+        told.append((run.now, command := step(observation)))
+        return command
+
+    run.machine.step = watched  # type: ignore[method-assign]
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.observe().tactile_contact, 60.0)
+    touched = run.now
+    run.run(2 * TICK)
+    after = [command.trajectory for time, command in told if time >= touched and command.trajectory is not None]
+    assert after, "the line goes on"
+    assert len(after[0]) <= 1, "the goal stands still, or goes back to where the arm is"
+    run.finish(120.0)
+    assert run.world.record.contacts >= 1
+    assert pushed(run) < STRIKE_MOST
+
+
+@pytest.mark.parametrize("z", [-8.0, -3.0, 3.0, 8.0])
+def test_a_known_place_that_is_wrong_is_no_harm(z: float) -> None:
+    run = charger(6, 6, seed=2)
+    until_lifted(run)
+    context = run.machine._context
+    assert context.known_contact is not None
+    wrong = -z * MILLIMETRE  # the target lies by z nearer or farther than where it is known to be
+    known = context.known_contact
+    context.known_contact = replace(known, commanded=known.commanded + wrong, measured=known.measured + wrong)
+    assert run.finish(120.0).success
+    assert run.world.record.contacts >= 2
+    assert pushed(run) < STRIKE_MOST
+
+
+@pytest.mark.parametrize("place", [(4.0, 0.0), (0.0, -4.0), (-3.0, 3.0)])
+def test_a_target_that_moved_between_two_presses_is_found_where_it_is_now(place: tuple[float, float]) -> None:
+    run = charger(6, 6, seed=2)
+    until_lifted(run)
+    move_target(run, *place)
+    assert run.finish(120.0).success
+    truth = run.world.misalignment
+    assert truth is not None
+    assert max(map(abs, truth[:2])) < 4.5 * MILLIMETRE
+    assert run.world.record.energised_unsafe == 0.0
+
+
+def test_a_target_that_is_gone_between_two_presses_is_named() -> None:
+    run = charger(6, 6, seed=2)
+    until_lifted(run)
+    move_target(run, z=60.0)
+    assert run.finish(120.0).code is Code.NO_CONTACT
+    assert_safe_at_home(run)
+
+
+@pytest.mark.parametrize("z", [-20.0, -12.0, 12.0, 20.0])
+def test_a_place_that_was_told_wrongly_is_struck_no_harder(z: float) -> None:
+    """Nearer than told by less than the standoff, or farther: the search meets it."""
+    told = (*GOAL.position[:2], GOAL.position[2] - z * MILLIMETRE)
+    run = charger()
+    outcome = run.dock(DockGoal(ElectrodePose(told, 0.0)))
+    assert outcome.success or outcome.code is Code.NO_CONTACT
+    assert pushed(run) < STRIKE_MOST
+
+
+def unfelt(observation: Observation) -> Observation:
+    return replace(observation, tactile_contact=False)
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_touch_that_is_never_felt_is_bounded_by_the_current(again: bool) -> None:
+    run = charger(6, 6, seed=2)
+    if again:
+        until_lifted(run)
+        run.distort = unfelt
+    else:
+        run.distort = unfelt
+        run.begin(DockGoal(GOAL))
+    assert run.finish(120.0).code is Code.NO_TACTILE_CONTACT
+    assert pushed(run) < STRIKE_MOST
+    assert_safe_at_home(run)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [{"servo_age": 0.15}, {"tactile_age": 0.15}, {"tactile_age": 0.15, "tactile_contact": False}],
+)
+def test_touch_lost_on_the_fast_line_holds_the_arm_before_the_target(fault: dict[str, Any]) -> None:
+    run = charger(6, 6, seed=2)
+    until_lifted(run)
+    run.until(lambda: run.machine.status.state is State.CONTACT, 10.0)
+    run.run(5 * TICK)
+    distort: Callable[[Observation], Observation] = lambda observation: replace(observation, **fault)  # noqa: E731
+    run.distort = distort
+    run.run(1.0)
+    assert run.world.snapshot().contact_force == 0.0, "it stood still before it touched"
+    run.distort = lambda observation: observation
+    assert run.finish(120.0).success
+    assert pushed(run) < STRIKE_MOST
+
+
+def lines(run: VirtualCharger) -> list[Callable[[], bool]]:
+    """Conditions that hold on each of the lines of contact, in their order: fast, slow, pressing; and again."""
+    status, z = run.machine.status, run.world.snapshot
+    depth = GOAL.position[2] - run.parameters.search_from
+    return [
+        lambda: status.state is State.CONTACT and z().position[2] < depth,
+        lambda: status.state is State.CONTACT and z().position[2] > depth,
+        lambda: status.state is State.CONTACT and z().contact_force > 0.0,
+        lambda: status.alignments > 0 and status.state is State.CONTACT and z().contact_force == 0.0,
+        lambda: status.alignments > 0 and status.state is State.CONTACT and z().contact_force > 0.0,
+    ]
+
+
+@pytest.mark.parametrize("line", range(5))
+@pytest.mark.parametrize("what", ["cancel", "servo_age", "tactile_age", "hardware_error", "torque"])
+def test_a_cancel_or_a_fault_on_each_line_ends_safely(line: int, what: str) -> None:
+    run = charger(6, 6, seed=2)
+    run.begin(DockGoal(GOAL))
+    run.until(lines(run)[line], 60.0)
+    faults: dict[str, dict[str, Any]] = {
+        "servo_age": {"servo_age": 1.0},
+        "tactile_age": {"tactile_age": 5.0},
+        "hardware_error": {"hardware_error": 32},
+        "torque": {"torque_enabled": False},
+    }
+    if what == "cancel":
+        run.machine.cancel()
+    else:
+        run.distort = lambda observation: replace(observation, **faults[what])
+        run.until(lambda: run.machine.status.code is not Code.NONE, 5.0)
+        run.distort = lambda observation: observation
+    outcome = run.finish(60.0)
+    codes = {"cancel": Code.CANCELED, "tactile_age": Code.TACTILE_STALE}
+    assert outcome.code is codes.get(what, Code.SERVO_FAULT)
+    assert pushed(run) < STRIKE_MOST
+    assert not run.observe().torque_enabled
+    if what in codes:
+        assert_safe_at_home(run)
