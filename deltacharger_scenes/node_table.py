@@ -147,7 +147,7 @@ NODES: dict[str, NodeSpec] = {
         "deltacharger_records.recording.recording_player_node.RecordingPlayerNode",
         parameters=("deltacharger_records.parameters.RecordingPlayerNodeParameters",),
         plays=("servo_node", "tactile_node", "kinematics_node", "electrode_detector_node", "docking_node"),
-        needs_when_used=("lz4", "mcap", "zstandard"),
+        needs_when_used=("lz4", "mcap", "mcap_ros2", "zstandard"),
     ),
     "mock_navigator_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_navigator_node.MockNavigatorNode",

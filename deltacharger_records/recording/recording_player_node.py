@@ -26,7 +26,7 @@ from deltacharger_core.bounded_file import given_path
 from deltacharger_core.mcap_file import CUT_SHORT, RecordingError
 from deltacharger_records.parameters import RecordingPlayerNodeParameters
 from deltacharger_records.recording.docking_topics import STATE, TOPICS
-from deltacharger_records.replay.file import Recording, decoded
+from deltacharger_records.replay.file import Recording
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.parameters import declare_all, reject_unknown
@@ -111,7 +111,7 @@ class RecordingPlayerNode(Node):
             due = started + 1e-9 * (received - self._first) / self._given.rate
             if not self._wait(due, name == _COMMANDS):
                 return False
-            message = decoded(name, data)
+            message = self._recording.decoded(name, data)
             late = round(1e9 * (time.monotonic() - due))
             shift = self.get_clock().now().nanoseconds - late - received
             for stamp in _stamps(message):

@@ -7,12 +7,14 @@ Records of docking_recorder_node and MCAP files of `ros2 bag record` alike.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from deltacharger_core.mcap_file import DamagedRecording, McapFile, RecordingError
 from deltacharger_records.recording.docking_topics import STATE, TOPICS
 from deltacharger_records.recording.mcap_recording import decode, schema_text, type_name
+from deltacharger_records.replay.older import fields, is_older, older_decoder
 
 _KINDS = {topic.name: topic.kind for topic in TOPICS}
 _TYPES = {name: type_name(kind) for name, kind in _KINDS.items()}
@@ -45,16 +47,18 @@ class Recording:
         self.counts: dict[str, int] = {}
         self.unreadable: dict[str, str] = {}
         self._names: dict[str, str] = {}
+        self._decoders: dict[str, Callable[[bytes], Any]] = {}
         head = self.namespace.rstrip("/") + "/"
         for topic in self.file.types:
             name = topic.removeprefix(head)
             if topic.startswith(head) and name in _TYPES:
-                problem = _difference(self.file, topic, _KINDS[name])
-                if problem:
-                    self.unreadable[name] = problem
-                else:
-                    self._names[topic] = name
-                    self.counts[name] = self.file.counts[topic]
+                try:
+                    self._decoders[name] = _decoder(self.file, topic, _KINDS[name])
+                except RecordingError as error:
+                    self.unreadable[name] = str(error)
+                    continue
+                self._names[topic] = name
+                self.counts[name] = self.file.counts[topic]
         if not self.counts.get(STATE):
             why = self.unreadable.get(STATE) or self.damage or "there is no message of it"
             raise RecordingError(f"{path} tells no docking_state: {why}")
@@ -71,18 +75,21 @@ class Recording:
         """Hand each message to `take` in the order of the file, up to its damage: relative topic, ns, message."""
         try:
             for name, received, data in self.messages():
-                take(name, received, decoded(name, data))
+                take(name, received, self.decoded(name, data))
         except RecordingError as error:
             self.damage = str(error)
+
+    def decoded(self, name: str, data: bytes) -> Any:
+        """Return the message of a topic, named relatively.
+
+        Raises:
+            RecordingError: it is none of its kind.
+        """
+        return self._decoders[name](data)
 
     def missing(self) -> dict[str, str]:
         """Return the topics that a docking has and the recording lacks, with the reason."""
         return {name: self.unreadable.get(name, "not in the recording") for name in _TYPES if not self.counts.get(name)}
-
-
-def decoded(name: str, data: bytes) -> Any:
-    """Return the message of a topic, named relatively; errors as those of `decode`."""
-    return decode(data, _KINDS[name])
 
 
 def _charger(file: McapFile, namespace: str | None) -> str:
@@ -109,18 +116,18 @@ def _charger(file: McapFile, namespace: str | None) -> str:
     return found[0]
 
 
-def _difference(file: McapFile, topic: str, kind: Any) -> str:
-    """Return in what the messages were defined otherwise then than they are now, or ''."""
-    wanted = type_name(kind)
+def _decoder(file: McapFile, topic: str, kind: Any) -> Callable[[bytes], Any]:
+    """Return what decodes a topic's messages, of this version or an older one.
+
+    Raises:
+        RecordingError: they were defined in another way than by fewer fields.
+    """
+    wanted, definition = type_name(kind), file.definitions[topic]
     if file.types[topic] != wanted:
-        return f"is {file.types[topic] or 'untyped'}, not {wanted}"
-    if _fields(file.definitions[topic]) != _fields(schema_text(kind)):
-        return f"{wanted} was defined otherwise when this was recorded; replay with that version"
-    return ""
-
-
-def _fields(text: str) -> list[str]:
-    """Return the fields of the first definition in a schema, without comments and constants."""
-    top = text.split("\n===")[0]
-    lines = (line.partition("#")[0].split() for line in top.splitlines())
-    return [" ".join(words[:2]) for words in lines if words and "=" not in " ".join(words)]
+        raise RecordingError(f"is {file.types[topic] or 'untyped'}, not {wanted}")
+    then, now = fields(definition), fields(schema_text(kind))
+    if then == now:
+        return partial(decode, kind=kind)
+    if not is_older(then, now):
+        raise RecordingError(f"{wanted} was defined otherwise when this was recorded; replay with that version")
+    return older_decoder(definition, wanted, kind)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of before a message got its last fields are still replayed, by the definitions in the file."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from .docking_tapes import KINDS, NAMES, docking, raw, refused, result, write
+
+pytest.importorskip("mcap", reason="replays with deltacharger[record]")
+pytest.importorskip("mcap_ros2", reason="replays older recordings with deltacharger[record]")
+
+from builtin_interfaces.msg import Duration
+from deltacharger.action import Dock
+from deltacharger.msg import DockingState, Misalignment
+from mcap_ros2._dynamic import serialize_dynamic
+
+from deltacharger_core.mcap_file import Raw, RecordingError
+from deltacharger_docking.codes import Code
+from deltacharger_records.recording import mcap_recording
+from deltacharger_records.replay.file import Recording
+from deltacharger_records.replay.older import fields, is_older, older_decoder
+from deltacharger_records.replay.record import replay
+
+pytestmark = pytest.mark.ros
+
+FEEDBACK = "dock/_action/feedback"
+
+
+def without(text: str, *names: str) -> str:
+    """Return a schema without the fields of these names."""
+    return "\n".join(line for line in text.splitlines() if not set(line.partition("#")[0].split()[1:2]) & set(names))
+
+
+def as_before(message: Any, text: str) -> bytes:
+    """Return a message as the definition in `text` has it, written by somebody else's code."""
+    name = mcap_recording.type_name(type(message)).replace("_", "")
+    plain = text.replace("Dock_", "Dock")
+    return bytes(serialize_dynamic(name, plain)[name](_plain(message)))
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "get_fields_and_field_types"):
+        return SimpleNamespace(**{name: _plain(getattr(value, name)) for name in value.get_fields_and_field_types()})
+    return list(value) if isinstance(value, (np.ndarray, array)) else value
+
+
+def older(path: Path, kind: Any, definition: str, *messages: Raw) -> Path:
+    """Return a recording of a docking in which `kind` is defined as it was."""
+    tape = [each for each in docking(*refused(Code.NO_CONTACT, "nothing is there")) if each.topic != NAMES[FEEDBACK]]
+    with pytest.MonkeyPatch.context() as patch:
+        own = mcap_recording.schema_text
+        patch.setattr(mcap_recording, "schema_text", lambda each: definition if each is kind else own(each))
+        return write(path, [*tape, *messages], result(Code.NO_CONTACT, "nothing is there"))
+
+
+@pytest.mark.parametrize("lost", [["waiting_for"], ["waiting_for", "horizontal_stddev", "model"]])
+def test_feedback_of_before_its_last_fields_is_replayed(tmp_path: Path, lost: list[str]) -> None:
+    kind = KINDS[NAMES[FEEDBACK]]
+    definition = without(mcap_recording.schema_text(kind), *lost)
+    felt = Misalignment(angle=0.02, vertical=0.001, horizontal=0.003, horizontal_stddev=0.5, sure=True)
+    told = Dock.Feedback(alignments=3, z=0.08, misalignment=felt, elapsed=Duration(sec=7), waiting_for="nobody")
+    message = raw(9.0, FEEDBACK, kind())._replace(data=as_before(kind(feedback=told), definition))
+    path = older(tmp_path / "a.mcap", kind, definition, message)
+    assert not Recording(path).unreadable
+    found: list[Any] = []
+    recording = Recording(path)
+    recording.read(lambda name, _, each: found.append(each.feedback) if name == FEEDBACK else None)
+    assert not recording.damage
+    (feedback,) = found
+    assert (feedback.alignments, feedback.z, feedback.elapsed.sec, feedback.waiting_for) == (3, 0.08, 7, "")
+    assert (feedback.misalignment.angle, feedback.misalignment.sure) == (0.02, True)
+    stddev = feedback.misalignment.horizontal_stddev
+    assert math.isnan(stddev) if "horizontal_stddev" in lost else stddev == 0.5
+    assert replay(path).outcome()["name"] == "NO_CONTACT"
+
+
+def test_cut_bytes_of_an_older_message_are_damage() -> None:
+    definition = without(mcap_recording.schema_text(DockingState), "request_id")
+    decode = older_decoder(definition, "deltacharger/msg/DockingState", DockingState)
+    data = as_before(DockingState(state=3, error_message="nothing"), definition)
+    assert decode(data).state == 3
+    with pytest.raises(RecordingError, match="damaged from here on"):
+        decode(data[: len(data) // 2])
+
+
+def test_a_field_that_is_not_there_any_more_or_has_another_type_is_no_older_message() -> None:
+    now = fields(mcap_recording.schema_text(DockingState))
+    assert is_older(now, now)
+    for text in ("uint8 state\nfloat64 gone", "uint16 state"):
+        assert not is_older(fields(text), now)
+    assert not is_older({**now, "deltacharger/Gone": ["float64 x"]}, now)
+
+
+def test_what_was_defined_in_another_way_is_named(tmp_path: Path) -> None:
+    kind = KINDS[NAMES["charger_power"]]
+    definition = mcap_recording.schema_text(kind).replace("float32 charge_current", "float64 charge_current")
+    path = older(tmp_path / "a.mcap", kind, definition)
+    assert "defined otherwise" in Recording(path).unreadable["charger_power"]
