@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from deltacharger.msg import ChargerPower, DockingState, Misalignment, ServoState, TactileFrame
+from deltacharger.msg import ChargerPower, DockingDecision, DockingState, Misalignment, ServoState, TactileFrame
 from rclpy.context import Context
 from sensor_msgs.msg import Image
 
@@ -25,8 +25,8 @@ _PATIENCE = 3.0  # s that their answer may take
 
 
 class Recorder(Guest):
-    """Fill a `Run` from servo_state, docking_state, tactile_frame, misalignment, charger_power, the detector's
-    annotated image and action feedback.
+    """Fill a `Run` from servo_state, docking_state, docking_decision, tactile_frame, misalignment, charger_power, the
+    detector's annotated image and action feedback.
 
     Where the arm is and how it pushes is told by docking_node's own geometry and gravity, asked for at the beginning.
 
@@ -48,6 +48,7 @@ class Recorder(Guest):
         node, build = self.node, self._build
         node.create_subscription(ServoState, "servo_state", self._taker(build.servo_state), qos.LATEST)
         node.create_subscription(DockingState, "docking_state", self._taker(build.docking_state), qos.STATE)
+        node.create_subscription(DockingDecision, "docking_decision", self._taker(build.decision), qos.DEFAULT_DEPTH)
         node.create_subscription(TactileFrame, "tactile_frame", self._taker(build.tactile_frame), qos.SENSOR)
         node.create_subscription(Misalignment, "misalignment", self._taker(build.misalignment), qos.DEFAULT_DEPTH)
         node.create_subscription(ChargerPower, "charger_power", self._taker(build.power), qos.LATEST)

@@ -38,6 +38,7 @@ class RunBuilder:
         self.settings = settings
         self._delta: ScalarDelta | None = None
         self._felt: tuple[float, ...] = ()
+        self._contacts = 0
 
     def enter(self, time: float, phase: str) -> None:
         """Take the present phase."""
@@ -48,7 +49,9 @@ class RunBuilder:
         """Take where the arm is and what it carries."""
         if len(message.position) != 3 or self.settings is None:
             return
-        self._delta = self._delta or ScalarDelta(self.settings[1])
+        if self._delta is None:
+            self._delta = ScalarDelta(self.settings[1])
+            self.run.limits = self.settings[0].overlap_loss_max, self.settings[0].landing_limit
         position = self._delta.forward(*message.position)
         force = current = math.nan
         if math.isfinite(position[2]) and len(message.current) == 3:
@@ -88,6 +91,7 @@ class RunBuilder:
         values = dict(zip(message.names, message.values, strict=False))
         state = PHASES.get(message.state, f"state {message.state}")
         self.run.decisions.append(Decided(time, state, message.kind, message.text, values))
+        self._contacts += message.kind == "contact"
         if message.kind == "measured":
             self._touch(time, [values.get(name, math.nan) for name in _MEASURED], message.text == "sure")
         elif message.kind == "verdict" and self.run.touches:
@@ -109,4 +113,5 @@ class RunBuilder:
 
     def _touch(self, time: float, values: Sequence[float], sure: bool) -> None:
         x, y, angle, x_stddev, y_stddev, angle_stddev = values
-        self.run.touches.append(Touch(time, x, y, angle, x_stddev, y_stddev, angle_stddev, sure, self.run.frames))
+        spreads = x_stddev, y_stddev, angle_stddev
+        self.run.touches.append(Touch(time, x, y, angle, *spreads, sure, self._contacts, self.run.frames))

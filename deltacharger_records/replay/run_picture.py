@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deltacharger_records.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, STYLE
+from deltacharger_records.replay.contacts_picture import draw_contacts
 from deltacharger_records.replay.run_record import Run
 
 if TYPE_CHECKING:
@@ -97,19 +98,18 @@ def _compose(figure: Figure, run: Run) -> None:
 
 
 def _side(figure: Figure, place: Any, run: Run) -> None:
-    """Fill the column beside the curves: what the camera saw, where one was asked, what the pads felt, and figures."""
-    if run.seen is None:
-        maps = place.subgridspec(3, 1, height_ratios=(1.0, 1.0, 0.95), hspace=0.32)
-        slots, report = (maps[0, 0], maps[1, 0]), maps[2, 0]
-    else:
-        rows = place.subgridspec(4, 1, height_ratios=(0.95, 0.75, 0.75, 0.95), hspace=0.34)
+    """Fill the column beside the curves: what the camera saw, where one was asked, the contacts, the pads, figures."""
+    heights = (1.1, 0.62, 0.95) if run.seen is None else (0.95, 1.1, 0.62, 0.95)
+    rows = place.subgridspec(len(heights), 1, height_ratios=heights, hspace=0.3)
+    if run.seen is not None:
         axes = figure.add_subplot(rows[0, 0])
         axes.imshow(run.seen, interpolation="antialiased")
         axes.set_title("what the camera saw", pad=4)
         axes.set_axis_off()
-        slots, report = (rows[1, 0], rows[2, 0]), rows[3, 0]
-    _heat_maps(figure, slots, run)
-    _report(figure.add_subplot(report), run)
+    draw_contacts(figure.add_subplot(rows[-3, 0]), run)
+    pads = rows[-2, 0].subgridspec(1, 2, wspace=0.12)
+    _heat_maps(figure, (pads[0, 0], pads[0, 1]), run)
+    _report(figure.add_subplot(rows[-1, 0]), run)
 
 
 def _span(run: Run) -> tuple[float, float]:
@@ -194,6 +194,8 @@ def _force(axes: Axes, run: Run) -> None:
 def _misalignment(axes: Axes, run: Run) -> None:
     felt, decided = run.felt.arrays(), run.decided.arrays()
     axes.axhline(0.0, color="#9aa5b1", linewidth=0.8)
+    for contact, time in {touch.contact: touch.time for touch in reversed(run.touches)}.items():
+        axes.annotate(str(contact), (time, 0.04), xycoords=("data", "axes fraction"), fontsize=8, ha="center")
     for name, colour, scale, label in MISALIGNMENT:
         axes.plot(felt["time"], scale * felt[name], color=colour, linewidth=0.9, alpha=0.45)
         acted = scale * np.append(decided[name], decided[name][-1:])  # holds until the end of the record
@@ -240,13 +242,12 @@ def _heat_maps(figure: Figure, slots: tuple[Any, Any], run: Run) -> None:
         return
     left, right = run.frames
     top = max(float(np.nanmax(left)), float(np.nanmax(right)), 2.0)
-    for slot, name, frame in zip(slots, ("left pad (+x)", "right pad (−x)"), (left, right), strict=True):
+    for slot, name, frame in zip(slots, ("left pad", "right pad"), (left, right), strict=True):
         axes = figure.add_subplot(slot)
         shown = pad_map(axes, frame, top)
-        axes.set_title(f"{name}   {np.nansum(frame):.0f} N", pad=4)
-        axes.set_ylabel("↑ +y", rotation=0, loc="top", labelpad=10, fontsize=7.5, color="#7b8794")
-        axes.set_xlabel("← +x", loc="left", labelpad=2, fontsize=7.5, color="#7b8794")
-        scale_bar(figure, shown, 7.5, ax=axes, fraction=0.046, pad=0.04)
+        axes.set_title(f"{name}, {np.nansum(frame):.0f} N", pad=4, fontsize=8.5)
+        axes.set_xlabel("← +x    ↑ +y", loc="left", labelpad=2, fontsize=7.5, color="#7b8794")
+    scale_bar(figure, shown, 7.5, ax=figure.axes[-2:], fraction=0.03, pad=0.03)
 
 
 def pad_map(axes: Axes, frame: Any, top: float) -> Any:
@@ -290,13 +291,14 @@ def _report(axes: Axes, run: Run) -> None:
         ("contact current", _figure(details.get("contact_current"), 1.0, "A", 3)),
         ("servo push", _figure(details.get("contact_force"), 1.0, "N", 1)),
         ("alignments", str(details.get("alignments", "–"))),
+        ("redockings", str(details.get("redockings", "–"))),
         ("rest horizontal", _figure(felt.get("horizontal"), 1e3, "mm", 2)),
         ("rest vertical", _figure(felt.get("vertical"), 1e3, "mm", 2)),
         ("rest angle", _figure(felt.get("angle"), 180.0 / math.pi, "°", 2)),
         ("took", _figure(outcome.elapsed, 1.0, "s", 1)),
     ]
     for index, (name, value) in enumerate(lines):
-        height = 0.97 - index * 0.112
+        height = 0.97 - index * 0.1
         axes.text(0.02, height, name, va="top", fontsize=8.5, color="#51606e")
         axes.text(0.98, height, value, va="top", ha="right", fontsize=8.5, fontweight="bold")
 

@@ -60,6 +60,7 @@ class Touch:
     Attributes:
         sure: whether the estimator was, inside what it knows.
         frames: what the pads felt, (left, right), each (rows, columns) N; None = not recorded.
+        contact: number of the contact in which it was made, from 1; 0 = not told.
         verdict: what it allowed, in words; '' = was not judged.
         clearance: m, of the estimate itself; NaN = not told.
     """
@@ -72,6 +73,7 @@ class Touch:
     vertical_stddev: float
     angle_stddev: float
     sure: bool
+    contact: int = 0
     frames: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
     verdict: str = ""
     clearance: float = float("nan")
@@ -109,6 +111,7 @@ class Run:
         decisions: what docking decided.
         frames: the last tactile frames in contact, (left, right), each (rows, columns) N; None = none.
         seen: the last image that the detector looked at, annotated, (H, W, 3) uint8 RGB; None = it was not asked.
+        limits: offsets along and across the bars (m) up to which docking shall rest; None = not known.
         outcome: how it ended; None = not yet.
         notes: more for the picture's title, e.g. the scene's name.
     """
@@ -123,6 +126,7 @@ class Run:
     decisions: list[Decided] = field(default_factory=list)
     frames: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
     seen: NDArray[np.uint8] | None = None
+    limits: tuple[float, float] | None = None
     outcome: Outcome | None = None
     notes: dict[str, Any] = field(default_factory=dict)
 
