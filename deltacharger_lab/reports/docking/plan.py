@@ -51,6 +51,8 @@ class DockingPlan:
 
 
 PARTS = (
+    CampaignPart("default", "default", 4_000, "one type of charger, careful calibration, rolls up to 5°"),
+    CampaignPart("soft_servos", "soft_servos", 4_000, "`default`, servos of 2.5–6 N·m/rad"),
     CampaignPart("random", "random", 20_000, "everything at once, rolls up to 20°"),
     CampaignPart("upright", "upright", 4_000, "the same, rolls up to 7°"),
     CampaignPart("edge", "edge", 20_000, "the same, rolls of 8–11°"),
@@ -69,6 +71,7 @@ PARTS = (
     CampaignPart("classes", "paper_classes", 2_000, "guarded steps, the paper's classes in place of our estimate"),
     CampaignPart("published", "paper_classes", 2_000, "the paper's steps and classes", "paper"),
     CampaignPart("exact", "random", 200, "`random`, every tick and frame computed as the nodes do", exact=True),
+    CampaignPart("strike", "default", 2_000, "`default`, every tick and frame computed", exact=True),
 )
 
 

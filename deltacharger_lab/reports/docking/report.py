@@ -21,7 +21,13 @@ from deltacharger_lab.reports.docking.plan import CampaignPart, DockingPlan
 from deltacharger_lab.reports.report import Progress, Report
 
 CAMPAIGNS = "campaigns"
-_PAIRS = (("random", "paper"), ("random", "classes"), ("random", "published"), ("exact", "random"))
+_PAIRS = (
+    ("random", "paper"),
+    ("random", "classes"),
+    ("random", "published"),
+    ("exact", "random"),
+    ("strike", "default"),
+)
 _UNCHARGED_MOST = 60  # rows told one by one
 
 Told = Callable[[Sequence[dict[str, Any]]], None]

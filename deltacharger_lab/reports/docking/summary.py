@@ -24,15 +24,42 @@ Figures = dict[str, Any]
 
 BINS = (0.0, 2.0, 5.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 15.0, 20.0)  # degrees of |roll|
 UPRIGHT = 7.0  # degrees up to which all are to be charged
-NEAR = 0.0025  # m in each axis
+NEAR = 0.0025  # m in each axis; docking's landing_limit
+OVERLAP_LOSS = 0.004  # m along the bars; docking's overlap_loss_max
 BAND = (0.4, 0.5)  # A
-PUSH_MOST, HOTTEST_MOST, MOVES_MOST = 25.0, 0.6, 3
+PUSH_MOST, HOTTEST_MOST = 25.0, 0.6
+STRIKE_MOST = {"p99": 1.03 * 28.17, "max": 1.10 * 39.02}
+"""N. The steps of 2.5 mm before the search on one line: 2000 exact dockings of `default`, seed 19."""
+SECONDS_MOST = {
+    "default": {"median": 8.5, "p90": 10.0, "p99": 12.5},
+    "random": {"median": 9.5, "p99": 30.0},
+    "edge": {"median": 12.5},
+    "soft_servos": {"median": 15.0, "p99": 30.0},
+}
+MOVES_MOST = {"median": 1, "p99": 3, "max": 14}
+QUANTILES = {"median": "median", "p90": "90 %", "p99": "99 %", "max": "largest"}
 AXES = {"horizontal": (1000.0, " mm"), "vertical": (1000.0, " mm"), "angle": (math.degrees(1.0), "°")}
 """Of an estimate: scale and unit that its error is told in."""
+GUARDED = ("default", "soft_servos", "random", "upright", "edge", "soft")
+"""Campaigns by whose dockings together most targets are judged."""
 CALIBRATED = ("random", "edge", "soft", "tilted")
 """Campaigns of the table on the errors of estimates."""
 SAFE = (
-    *("random", "upright", "edge", "zero", "soft", "seen", "tilted", "gaussian", "tails", "understated", "biased"),
+    *(
+        "default",
+        "soft_servos",
+        "random",
+        "upright",
+        "edge",
+        "zero",
+        "soft",
+        "seen",
+        "tilted",
+        "gaussian",
+        "tails",
+        "understated",
+        "biased",
+    ),
     *("paper", "classes", "published"),
 )
 """Campaigns of the table on safety."""
@@ -69,7 +96,7 @@ def summarise(rows: Columns) -> dict[str, Any]:
     """Return the figures of one campaign; NaN where there is nothing to count."""
     charged = rows["charged"].astype(bool)
     count = len(charged)
-    near = charged & (np.abs(rows["final_horizontal"]) <= NEAR) & (np.abs(rows["final_vertical"]) <= NEAR)
+    x, y = np.abs(rows["final_horizontal"][charged]), np.abs(rows["final_vertical"][charged])
     rest = rows["rest_current"][charged & np.isfinite(rows["rest_current"])]
     band = (rest >= BAND[0]) & (rest <= BAND[1])
     unsafe = rows["energised_unsafe"] > 0.0
@@ -79,7 +106,9 @@ def summarise(rows: Columns) -> dict[str, Any]:
         "charged": rate(int(charged.sum()), count),
         "refused": refused(rows),
         "crashed": int(np.sum(rows["code_name"] == CRASHED)),
-        "near": rate(int(near.sum()), int(charged.sum())),
+        "near": _share((x <= NEAR) & (y <= NEAR)),
+        "near_vertical": _share(y <= NEAR),
+        "near_horizontal": _share(x <= OVERLAP_LOSS),
         "in_band": rate(int(band.sum()), len(rest)),
         "live": int(live.sum()),
         "unsafe": {**rate(int(unsafe.sum()), count), "bound": upper_bound(int(unsafe.sum()), count)},
@@ -105,10 +134,13 @@ def rate(hits: int, count: int) -> dict[str, Any]:
     return {"hits": hits, "n": count, "share": hits / count if count else math.nan, "interval": wilson(hits, count)}
 
 
+def _share(found: Array) -> dict[str, Any]:
+    return rate(int(found.sum()), len(found))
+
+
 def quantiles(values: Array) -> dict[str, float]:
-    """Return median, 95 %, 99 % and the largest of what is finite."""
-    found = finite_quantiles(values.astype(float), 0.5, 0.95, 0.99, 1.0)
-    return dict(zip(("median", "p95", "p99", "max"), found, strict=True))
+    """Return median, 90 %, 99 % and the largest of what is finite."""
+    return dict(zip(QUANTILES, finite_quantiles(values.astype(float), 0.5, 0.9, 0.99, 1.0), strict=True))
 
 
 def refused(rows: Columns) -> dict[str, int]:
@@ -232,20 +264,38 @@ def targets(found: dict[str, dict[str, Any]], upright: dict[str, Any] | None) ->
         hits = found[name]["unsafe"]["hits"] if name in found else None
         return hits, f"of {found.get(name, {}).get('n', 0)}"
 
-    guarded = [found[name] for name in ("random", "upright", "edge", "soft") if name in found]
+    def quantile(name: str, key: str, which: str) -> float | None:
+        return found[name][key][which] if name in found else None
+
+    guarded = [found[name] for name in GUARDED if name in found]
+    default = found.get("default")
     shorts = sum(each["shorts"] for each in guarded) if guarded else None
     crashed = sum(each["crashed"] for each in found.values()) if found else None
-    moves = found["random"]["moves"]["median"] if "random" in found else None
     return [
-        at_least(f"charged, angle up to ±{UPRIGHT:g}°", share(upright, "charged"), 99.5, "%"),
-        at_least("charged with both axes within 2.5 mm", _pooled(guarded, "near"), 99.0, "%"),
+        *(
+            at_most(f"seconds to charging, {name}, {QUANTILES[which]}", quantile(name, "time", which), most, "s")
+            for name, limits in SECONDS_MOST.items()
+            for which, most in limits.items()
+        ),
+        *(
+            at_most(f"moves, default, {QUANTILES[which]}", quantile("default", "moves", which), most, "")
+            for which, most in MOVES_MOST.items()
+        ),
+        at_least(f"charged, angle up to ±{UPRIGHT:g}°", share(upright, "charged"), 99.9, "%"),
+        at_least("charged, scenes at 8–11°", share(found.get("edge"), "charged"), 58.0, "%"),
+        at_least("at rest within 2.5 mm across the bars, default", share(default, "near_vertical"), 99.5, "%"),
+        at_least("at rest within 4 mm along the bars, default", share(default, "near_horizontal"), 99.5, "%"),
+        at_least("at rest within 2.5 mm in both axes, default", share(default, "near"), 94.0, "%"),
         none("energised without clearance, random scenes", *unsafe("random")),
         none("energised without clearance, scenes at 8–11°", *unsafe("edge")),
         none("shorts, guarded", shorts, f"of {sum(each['n'] for each in guarded)}"),
-        at_least("contact current at rest in 0.4–0.5 A", _pooled(guarded, "in_band"), 99.0, "%"),
+        at_least("contact current at rest in 0.4–0.5 A", _pooled(guarded, "in_band"), 100.0, "%"),
         at_most("largest push of the servos in contact", largest("push"), PUSH_MOST, "N"),
         at_most("hottest servo while charging, largest", largest("hottest"), HOTTEST_MOST, "A"),
-        at_most("alignment moves, median", moves, MOVES_MOST, ""),
+        *(
+            at_most(f"strike, exact, default, {QUANTILES[which]}", quantile("strike", "strike", which), most, "N")
+            for which, most in STRIKE_MOST.items()
+        ),
         none("dockings that crashed", crashed, f"of {sum(each['n'] for each in found.values())}"),
     ]
 
