@@ -21,10 +21,8 @@ from deltacharger_docking.ros.witness import Witness
 from deltacharger_ros.duplicates import Duplicates
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.on_demand import LatestMessage, PolledTopic
+from deltacharger_ros.refusals import AHEAD, MessageRefused, Refusals, check_ahead, stamp_and_sequence, stamp_seconds
 
-AHEAD = 0.1
-"""By how much (s) a stamp may be ahead of this computer's clock: it hides as much age, and press_age_max allows no
-more. Clocks of two computers that are kept by NTP differ by less than a tenth of it."""
 _SPELL = 64  # tactile frames, half a second: what comes while docking's thread is held up is still heard
 _FRAME_MAX = 16_384  # bytes of a tactile frame; one has 900
 _PER_SERVO = ("position", "current", "hardware_error", "torque_enabled", "valid")
@@ -33,28 +31,6 @@ SOURCES = ("servo_state", "tactile_frame", "charger_power", "joint_trajectory")
 SERVERS = ("predict_misalignment", "detect_electrodes", "set_torque", "tare", "probe", "set_contactor")
 """Services that one node may serve; besides docking's own actions, which a second docking_node serves."""
 _GOALS = ("dock/_action/send_goal", "undock/_action/send_goal")
-
-
-class MessageRefused(Exception):
-    """A message is not taken. Example: its stamp lies in the future."""
-
-
-class Refusals:
-    """What was not taken.
-
-    Attributes:
-        count: of messages.
-        last: why, the last of them.
-    """
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.last = ""
-
-    def add(self, topic: str, reason: str) -> None:
-        """Count a message."""
-        self.count += 1
-        self.last = f"{topic}: {reason}"
 
 
 class Inputs:
@@ -116,8 +92,8 @@ class Inputs:
         newest = b""
         for data, _ in taken:
             try:
-                stamp, sequence = frame_head(data)
-                _check_ahead(stamp - now)
+                stamp, sequence = stamp_and_sequence(data, _FRAME_MAX)
+                check_ahead(stamp - now)
             except MessageRefused as refusal:
                 self.refused.add("tactile_frame", str(refusal))
                 continue
@@ -139,9 +115,9 @@ class Inputs:
             return
         instant, now = self._instant()
         try:
-            stamp = seconds_of(message.header.stamp)
-            _check_ahead(stamp - now)
-            if known is not None and stamp < (before := seconds_of(known.header.stamp)) <= now + AHEAD:
+            stamp = stamp_seconds(message.header.stamp)
+            check_ahead(stamp - now)
+            if known is not None and stamp < (before := stamp_seconds(known.header.stamp)) <= now + AHEAD:
                 raise MessageRefused(f"its stamp is {before - stamp:.3f} s older than one before")
             message = _CHECKS[kind](message)
         except MessageRefused as refusal:
@@ -190,38 +166,6 @@ class Inputs:
                 power_fault=power.fault,
             )
         return Observation(**values)
-
-
-def seconds_of(stamp: Any) -> float:
-    """Return a stamp in s.
-
-    Raises:
-        MessageRefused: it is none.
-    """
-    if stamp.sec < 0 or stamp.nanosec >= 1_000_000_000:
-        raise MessageRefused(f"its stamp is none: {stamp.sec} s and {stamp.nanosec} ns")
-    return seconds(stamp)
-
-
-def _check_ahead(ahead: float) -> None:
-    if ahead > AHEAD:
-        raise MessageRefused(f"its stamp is {ahead:.3f} s ahead of this computer's clock; set both clocks")
-
-
-def frame_head(data: bytes) -> tuple[float, int]:
-    """Return stamp (s) and sequence of a TactileFrame in CDR, whose first fields they are.
-
-    Raises:
-        MessageRefused: it is none.
-    """
-    if not 24 <= len(data) <= _FRAME_MAX:
-        raise MessageRefused(f"it has {len(data)} bytes")
-    order: Any = "little" if data[1] & 1 else "big"
-    second, nanosecond, length = (int.from_bytes(data[at : at + 4], order) for at in (4, 8, 12))
-    start = 4 + (12 + length + 7) // 8 * 8  # behind frame_id, at a multiple of its own size from behind the head
-    if second >= 1 << 31 or nanosecond >= 1_000_000_000 or start + 8 > len(data):
-        raise MessageRefused("its first bytes are no stamp, frame_id and sequence")
-    return second + 1e-9 * nanosecond, int.from_bytes(data[start : start + 8], order)
 
 
 def _in_order(message: ServoState) -> ServoState:

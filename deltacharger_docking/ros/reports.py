@@ -15,8 +15,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_docking.codes import State
 from deltacharger_docking.observation import Decision, DockingStatus, Observation
-from deltacharger_docking.ros.inputs import Refusals
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_ros.refusals import Refusals
 
 _DECISIONS = 50  # depth: none of a docking's decisions is lost while a reader is busy
 _DIAGNOSTICS = 1.0  # s

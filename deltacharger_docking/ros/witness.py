@@ -12,7 +12,7 @@ from deltacharger_docking.observation import Reply
 _KEPT = 1024  # frames, 8 s: more than the longest request for an estimate takes
 _SHARE = 0.5  # of an estimate's frames that docking must have heard itself: a topic of best effort loses some
 # The arm has rested longer than that when an estimate is asked for, and the clocks of two computers may differ by so
-# much (`inputs.AHEAD`): a frame sampled this long before the question was still sampled after the last move.
+# much (`refusals.AHEAD`): a frame sampled this long before the question was still sampled after the last move.
 _BEFORE = 0.1  # s
 
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable
@@ -13,151 +12,22 @@ from action_msgs.msg import GoalStatus
 from deltacharger.action import Dock, Undock
 from deltacharger.msg import DockingState
 from deltacharger.srv import DetectElectrodes
-from rclpy.action.client import ActionClient
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_mission.dialogue import DockingReport, End, MissionObservation, Task, TaskReply, TaskRequest
 from deltacharger_mission.ros.messages import fill_pose, read_detection, read_dock, read_drive, read_state, unknown_dock
+from deltacharger_ros.action_caller import LOST, REFUSED, ActionCaller, OnEnd, result_of
 from deltacharger_ros.messages import duration
 
 _ENDS = {
     GoalStatus.STATUS_SUCCEEDED: End.DONE,
     GoalStatus.STATUS_CANCELED: End.CANCELED,
-    GoalStatus.STATUS_ABORTED: End.FAILED,
+    REFUSED: End.REFUSED,
+    LOST: End.LOST,
 }
 
 Put = Callable[[TaskReply], None]
-
-
-class _Call:
-    """One goal on its way; callbacks fill it, the node's loop looks at it."""
-
-    def __init__(self, number: int, goal: Any) -> None:
-        self.number = number
-        self.goal = goal
-        self.sent = self.unwanted = self.cancel_sent = False
-        self.handle: Any = None
-        self.heard: Any = None  # latest feedback
-        self.lost_since = math.inf
-
-
-class ActionCaller:
-    """Sends one goal at a time to an action and tells its end; a server that is not there yet is waited for.
-
-    Args:
-        node: that it belongs to.
-        kind: the action.
-        name: its name.
-        put: takes the reply.
-        read: makes the reply of number, end, result message and latest feedback.
-        lost_timeout: s without a server in the graph before what it served counts as lost.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        kind: Any,
-        name: str,
-        put: Put,
-        read: Callable[[int, End, Any, Any], TaskReply],
-        lost_timeout: float,
-    ) -> None:
-        self._node: Any = node
-        self._client: ActionClient[Any, Any, Any] = ActionClient(node, kind, name)
-        self._put = put
-        self._read = read
-        self._lost_timeout = lost_timeout
-        self._lock = threading.RLock()
-        self._calls: dict[int, _Call] = {}
-
-    @property
-    def is_served(self) -> bool:
-        """Whether somebody serves the action now."""
-        return bool(self._client.server_is_ready())
-
-    @property
-    def is_settled(self) -> bool:
-        """Whether every goal has ended or heard that it is called off."""
-        with self._lock:
-            return all(call.cancel_sent for call in self._calls.values())
-
-    def send(self, number: int, goal: Any) -> None:
-        """Take a goal; it leaves with `tick`."""
-        with self._lock:
-            self._calls[number] = _Call(number, goal)
-
-    def cancel(self, number: int) -> None:
-        """Call a goal off: now, or as soon as its server has taken it."""
-        with self._lock:
-            call = self._calls.get(number)
-            if call is not None:
-                call.unwanted = True
-                self._cancel(call)
-
-    def tick(self) -> None:
-        """Send what waits, and notice servers that went away."""
-        now, served = time.monotonic(), self.is_served
-        with self._lock:
-            for call in list(self._calls.values()):
-                if not call.sent:
-                    if call.unwanted:
-                        self._end(call, End.CANCELED)
-                    elif served:
-                        self._send(call)
-                    continue
-                call.lost_since = math.inf if served else min(call.lost_since, now)
-                if now - call.lost_since > self._lost_timeout:
-                    self._end(call, End.LOST)
-
-    def destroy(self) -> None:
-        """Release the ROS side."""
-        self._client.destroy()
-
-    def _send(self, call: _Call) -> None:
-        call.sent = True
-
-        def on_feedback(message: Any) -> None:
-            call.heard = message.feedback
-
-        sent = self._node.executor.call_soon(self._client.send_goal_async, call.goal, on_feedback)
-        sent.add_done_callback(lambda done: self._on_sent(call, done))
-
-    def _on_sent(self, call: _Call, future: Any) -> None:
-        answer = _value(future)
-        if answer is not None:
-            answer.add_done_callback(lambda done: self._on_response(call, done))
-            return
-        with self._lock:
-            self._end(call, End.REFUSED)
-
-    def _on_response(self, call: _Call, future: Any) -> None:
-        handle = _value(future)
-        with self._lock:
-            if handle is None or not handle.accepted:
-                self._end(call, End.REFUSED)
-                return
-            call.handle = handle
-            handle.get_result_async().add_done_callback(lambda done: self._on_result(call, done))
-            if call.unwanted:  # also one that was given up long ago: nobody watches over it any more
-                self._cancel(call)
-
-    def _on_result(self, call: _Call, future: Any) -> None:
-        answer = _value(future)
-        with self._lock:
-            if answer is None:
-                self._end(call, End.LOST)
-            else:
-                self._end(call, _ENDS.get(answer.status, End.FAILED), answer.result)
-
-    def _cancel(self, call: _Call) -> None:
-        if call.handle is not None and not call.cancel_sent:
-            call.cancel_sent = True
-            call.handle.cancel_goal_async()
-
-    def _end(self, call: _Call, end: End, result: Any = None) -> None:
-        if self._calls.pop(call.number, None) is not None:
-            self._put(self._read(call.number, end, result, call.heard))
 
 
 class Detector:
@@ -181,7 +51,7 @@ class Detector:
         future.add_done_callback(lambda done: self._on_answer(number, done))
 
     def _on_answer(self, number: int, future: Any) -> None:
-        answer = _value(future)
+        answer = result_of(future)
         if answer is None:
             self._put(TaskReply(number, End.LOST))
         else:
@@ -207,7 +77,7 @@ class Others:
         self.dock_result = unknown_dock()
         self._detector = Detector(node, self._put)
         self._callers = {
-            task: ActionCaller(node, kind, task.value, self._put, read, lost_timeout)
+            task: ActionCaller(node, kind, task.value, self._hearing(read), lost_timeout)
             for task, kind, read in (
                 (Task.DOCK, Dock, self._read_dock),
                 (Task.UNDOCK, Undock, read_dock),
@@ -269,6 +139,9 @@ class Others:
         fill_pose(goal.pose, request.place)  # stamp 0: the newest transform that there is
         return goal
 
+    def _hearing(self, read: Callable[[int, End, Any, Any], TaskReply]) -> OnEnd:
+        return lambda number, end, *told: self._put(read(number, _ENDS.get(end, End.FAILED), *told))
+
     def _put(self, reply: TaskReply) -> None:
         with self._lock:
             self._replies.append(reply)
@@ -280,8 +153,3 @@ class Others:
         if result is not None:
             self.dock_result = result
         return read_dock(number, end, result, heard)
-
-
-def _value(future: Any) -> Any:
-    """Return a future's result; None where it failed, as it does when a node is shut down meanwhile."""
-    return None if future.exception() is not None else future.result()
