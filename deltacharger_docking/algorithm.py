@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 
+from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.charging import Order, charge
 from deltacharger_docking.clearance import judge
 from deltacharger_docking.codes import (
@@ -28,7 +29,6 @@ from deltacharger_docking.goals import GoalDesk, check_place
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Service
 from deltacharger_docking.press import approach, contact, ease, first_push
 from deltacharger_docking.release import lift_off, take_off
-from deltacharger_docking.script import NEXT, Script
 from deltacharger_docking.touch import Target, measure
 
 _ANSWER = 1.0  # s beyond locate_timeout, so that the phase ends with what the detector says

@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
+from deltacharger_core.script import Script
 from deltacharger_docking.clearance import judge
 from deltacharger_docking.codes import (
     CriticalAngle,
@@ -20,7 +21,6 @@ from deltacharger_docking.context import Context
 from deltacharger_docking.energy import Watch, no_current
 from deltacharger_docking.observation import DockGoal, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.script import Script
 
 
 @dataclass

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
+from deltacharger_core.script import NEXT, Calls, Script, Wait
 from deltacharger_docking.codes import DockingError, PhaseTimeout, ServoFailure, State
 from deltacharger_docking.contact_current import ContactCurrent
 from deltacharger_docking.motion import Planner
@@ -22,11 +23,10 @@ from deltacharger_docking.observation import (
     Service,
 )
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.script import NEXT, Calls, Script, Wait
-from deltacharger_docking.trajectory_feed import Piece, TrajectoryFeed, between
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.line import way_done
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, between
 
 _READING = 0.01  # s between two of them, the servos' cycle
 _REACHES_OUT = (State.APPROACH, State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 
+from deltacharger_core.script import NEXT, Script, Wait
 from deltacharger_docking.codes import (
     POWER_FAULTS,
     SILENT_SERVOS,
@@ -26,7 +27,6 @@ from deltacharger_docking.codes import (
 )
 from deltacharger_docking.context import Context
 from deltacharger_docking.observation import Reply, Service
-from deltacharger_docking.script import NEXT, Script, Wait
 
 _LAST_WORD = 0.2  # s before the phase ends in which it is still told why no current flows
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from deltacharger_core.script import Runner, Script
 from deltacharger_docking.algorithm import TargetVisit
 from deltacharger_docking.codes import (
     SILENT_SERVOS,
@@ -31,9 +32,8 @@ from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.retract import let_go, retract
-from deltacharger_docking.script import Runner, Script
-from deltacharger_docking.trajectory_feed import TrajectoryFeed
 from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.trajectory_feed import TrajectoryFeed
 
 _NEEDS_TORQUE = (State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
 _NEEDS_TOUCH = (State.APPROACH, *_NEEDS_TORQUE)

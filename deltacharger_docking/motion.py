@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 
 from deltacharger_docking.codes import Unreachable
-from deltacharger_docking.observation import Waypoint
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics import Delta, DeltaGeometry, Status
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.line import Line, LineRefused, plan_line
+from deltacharger_kinematics.trajectory_feed import Waypoint
 
 
 class Planner:

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TypeVar
 
+from deltacharger_core.script import NEXT, Wait
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Code, DockingError, State
-from deltacharger_docking.script import NEXT, Wait
 from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.trajectory_feed import Waypoint
 
 T = TypeVar("T", bound="GoalOutcome")
 
@@ -100,19 +101,6 @@ class Observation:
     duplicate_sources: str = ""
     replies: tuple[Reply, ...] = ()
     earlier: tuple[Reading, ...] = ()
-
-
-@dataclass(frozen=True)
-class Waypoint:
-    """One point of a trajectory: s from its start, arm angles (rad), bound of each servo's torque (N·m).
-
-    `velocities` (rad/s) are those of the angles, None = not told.
-    """
-
-    time: float
-    angles: Vector
-    torque_bound: Vector
-    velocities: Vector | None = None
 
 
 @dataclass(frozen=True)

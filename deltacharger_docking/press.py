@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import math
 
+from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.codes import NoContact, NoTactileContact, Overcurrent, State, TactileStale, Unreachable
 from deltacharger_docking.context import Context, KnownContact
-from deltacharger_docking.observation import Waypoint
 from deltacharger_docking.release import take_off
-from deltacharger_docking.script import NEXT, Script
 from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.trajectory_feed import Waypoint
 
 _POINTS = 16  # of the line in joint angles; a receiver goes straight between them, so that more would say no more
 

@@ -6,11 +6,11 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.codes import DockingError, Stuck
 from deltacharger_docking.context import Context
-from deltacharger_docking.script import NEXT, Script
-from deltacharger_docking.trajectory_feed import PULL_HORIZON, pull
 from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.trajectory_feed import PULL_HORIZON, pull
 
 
 def take_off(context: Context, z: float) -> Script[None]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import math
 
+from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.codes import ServoFailure, State, Stuck
 from deltacharger_docking.context import Context
 from deltacharger_docking.energy import de_energise
 from deltacharger_docking.observation import Service
 from deltacharger_docking.release import lift_off
-from deltacharger_docking.script import NEXT, Script
 
 _OFF_TIME = 0.1  # s that servo_node needs to switch the torque off: some of its cycles
 

@@ -6,12 +6,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from deltacharger_core.script import Script
 from deltacharger_docking.clearance import FeltPose, Verdict, clearance, clearance_stddev, judge
 from deltacharger_docking.codes import CriticalAngle, EstimateUnsure, Misaligned, NoTactileContact, State, TactileStale
 from deltacharger_docking.context import Context
 from deltacharger_docking.observation import Service
 from deltacharger_docking.place import AxisFilter
-from deltacharger_docking.script import Script
 
 
 def measure(context: Context) -> Script[FeltPose]:

@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from deltacharger_core.script import NEXT, Calls, Script
 from deltacharger_docking.codes import Busy, Code, DockingError, ElectrodesNotFound, PhaseTimeout, Rejected, Unreachable
-from deltacharger_docking.script import NEXT, Calls, Script
 from deltacharger_mission.dialogue import (
     End,
     MissionCommand,

@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 from deltacharger_core.machine import DOCK_DISTANCE
+from deltacharger_core.script import NEXT, Runner, Script
 from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, ElectrodesNotFound, PhaseTimeout, Rejected
 from deltacharger_docking.goals import check_id, check_stops
-from deltacharger_docking.script import NEXT, Runner, Script
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.context import MissionContext, dock_failure
 from deltacharger_mission.dialogue import (

@@ -18,9 +18,10 @@ from deltacharger_core.machine import JOINTS
 from deltacharger_core.rotation import rotation
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Rejected
-from deltacharger_docking.observation import ElectrodePose, Waypoint
+from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_ros.messages import duration
 
 _QUOTED = 60  # characters of what a client sent that a message repeats

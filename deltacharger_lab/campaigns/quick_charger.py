@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 
 from deltacharger_core.machine import CONTACT_FORCE, TORQUE_CONSTANT
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import Reply, Service, Waypoint
+from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_lab.campaigns.quick_motion import QuickPlanner, WholeFeed
 from deltacharger_lab.campaigns.virtual_charger import TICK, Pending, VirtualCharger, counts
 from deltacharger_sim.parameters import WorldParameters

@@ -8,12 +8,11 @@ import math
 from itertools import pairwise
 
 from deltacharger_docking.motion import Planner
-from deltacharger_docking.observation import Waypoint
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.trajectory_feed import Piece, TrajectoryFeed, between
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.line import PEAK_SPEED, REFUSED, way_done
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, Waypoint, between
 
 _SHORT, _SLOW = 0.008, 0.04  # m and m/s up to which the arms' own limits never bind well inside the workspace
 _MARGIN = 0.02  # share of the reach that both ends must keep from its edge

@@ -26,6 +26,7 @@ from deltacharger_core.machine import (
     ROWS,
     TORQUE_CONSTANT,
 )
+from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import State
 from deltacharger_docking.context import Context
@@ -40,12 +41,11 @@ from deltacharger_docking.observation import (
     Reply,
     Request,
     Service,
-    Waypoint,
 )
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.script import NEXT, Script
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT
 from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.shared_world import SharedWorld
 from deltacharger_sim.world import TactileSource, World

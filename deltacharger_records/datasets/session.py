@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.algorithm import locate, prepare
 from deltacharger_docking.codes import DockingError, ServoFailure, State, Unreachable
 from deltacharger_docking.context import Context
@@ -22,7 +23,6 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.press import approach, contact
 from deltacharger_docking.release import lift_off
 from deltacharger_docking.retract import retract
-from deltacharger_docking.script import NEXT, Script
 from deltacharger_kinematics.geometry import Vector
 
 _RUN_UP = 0.006  # m below the standoff from which it is approached along +z

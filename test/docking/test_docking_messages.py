@@ -6,10 +6,10 @@ from __future__ import annotations
 from builtin_interfaces.msg import Time
 
 from deltacharger_docking.motion import Planner
-from deltacharger_docking.observation import Waypoint
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.ros import messages as io
 from deltacharger_kinematics import DeltaGeometry
+from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_ros.messages import seconds
 
 

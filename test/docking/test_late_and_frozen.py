@@ -16,7 +16,8 @@ import pytest
 
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.observation import DockGoal, Reply, Request, Service, Waypoint
+from deltacharger_docking.observation import DockGoal, Reply, Request, Service
+from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_lab.campaigns.virtual_charger import GOAL
 
 from .silences import Faulty

@@ -30,11 +30,11 @@ from deltacharger_docking.observation import (
     Reply,
     Request,
     Service,
-    Waypoint,
 )
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_lab.campaigns.quick_motion import QuickPlanner
 
 TICK = 0.05  # s; coarse, as the model has no dynamics

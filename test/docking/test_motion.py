@@ -13,9 +13,10 @@ from deltacharger_core.machine import TORQUE_CONSTANT
 from deltacharger_docking.codes import Code, State, Unreachable
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.motion import Planner
-from deltacharger_docking.observation import DockGoal, ElectrodePose, Waypoint
+from deltacharger_docking.observation import DockGoal, ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics import Delta, DeltaGeometry
+from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 

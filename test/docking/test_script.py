@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from deltacharger_docking.script import NEXT, Calls, Runner, Script, Wait
+from deltacharger_core.script import NEXT, Calls, Runner, Script, Wait
 
 
 @dataclass(frozen=True)

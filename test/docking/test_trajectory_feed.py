@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from deltacharger_docking.motion import Planner
-from deltacharger_docking.observation import Waypoint
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.trajectory_feed import HORIZON, PULL_HORIZON, TURN, Piece, TrajectoryFeed, pull
 from deltacharger_driver.servos import trajectory as driver
 from deltacharger_kinematics import DeltaGeometry
+from deltacharger_kinematics.trajectory_feed import HORIZON, PULL_HORIZON, TURN, Piece, TrajectoryFeed, Waypoint, pull
 
 TICK = 0.01
 LAG = 0.06

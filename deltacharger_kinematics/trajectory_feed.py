@@ -12,9 +12,23 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from dataclasses import dataclass
 
-from deltacharger_docking.observation import Waypoint
 from deltacharger_kinematics.geometry import Vector
+
+
+@dataclass(frozen=True)
+class Waypoint:
+    """One point of a trajectory: s from its start, arm angles (rad), bound of each servo's torque (N·m).
+
+    `velocities` (rad/s) are those of the angles, None = not told.
+    """
+
+    time: float
+    angles: Vector
+    torque_bound: Vector
+    velocities: Vector | None = None
+
 
 Piece = tuple[Waypoint, ...]
 
