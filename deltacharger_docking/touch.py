@@ -52,7 +52,7 @@ class Target:
     Attributes:
         critical_angle: limit of the goal, rad.
         depth: largest z (m, charger_base) at which contact is looked for.
-        aligned: whether this contact was measured and accepted: another one would not pay.
+        aligned: whether this contact was measured and accepted: it has clearance, and another one would not pay.
     """
 
     def __init__(self, context: Context, critical_angle: float) -> None:
@@ -63,6 +63,7 @@ class Target:
         self._forget_place()
         self._off = (math.nan, math.nan)  # m, of this contact from where the target is
         self._gain = math.nan  # expected of another contact
+        self._pays = True  # that one
         self.begin()
 
     def _forget_place(self) -> None:
@@ -88,7 +89,7 @@ class Target:
             CriticalAngle: the target is tilted too far.
             EstimateUnsure: what is felt contradicts the arm's own moves.
         """
-        self._felt = felt
+        self._felt, self.aligned = felt, False
         if not felt.usable:
             self._passed = 0
             return False
@@ -109,8 +110,9 @@ class Target:
         )
         self._off = self._x.target - x, self._y.target - y
         self._gain = self._x.gain(parameters.overlap_loss_max) + self._y.gain(parameters.landing_limit)
-        self.aligned = self._gain <= parameters.redocking_gain_min * (1 + self._moves)
-        settled = stay or self.aligned or (self._exhausted and parameters.charge_when_not_aligned)
+        self._pays = self._gain > parameters.redocking_gain_min * (1 + self._moves)
+        self.aligned = safe and not self._pays
+        settled = stay or not self._pays or (self._exhausted and parameters.charge_when_not_aligned)
         if stay and not safe:
             self._forget_place()  # the target is not any more where it was
         return settled and safe
@@ -119,7 +121,7 @@ class Target:
         """Take what is felt once the arm is at ease; return whether it has left the clearance."""
         if felt.usable and judge(felt, self._context.parameters, self.critical_angle).leaves_clearance:
             return True
-        self._passed = 0
+        self._passed, self.aligned = 0, False
         return False
 
     def rest(self) -> None:
@@ -150,7 +152,7 @@ class Target:
             context.decide("move", "the electrodes are taken to where the target was felt", x_m=x, y_m=y)
         else:
             context.status.redockings += 1
-            text = "clearance is not sure yet" if self.aligned else "this contact lies too far beside the target"
+            text = "this contact lies too far beside the target" if self._pays else "clearance is not sure yet"
             context.decide("again", f"{text}: it is made anew", gain=self._gain, x_m=x, y_m=y)
         return x, y
 

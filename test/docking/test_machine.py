@@ -228,6 +228,13 @@ def test_moves_are_told_as_corrections_and_as_contacts_made_anew() -> None:
     assert outcome.redockings >= 1
 
 
+@pytest.mark.parametrize(("degrees", "seed"), [(9.5, 1), (9.5, 2), (10.0, 3), (10.5, 5)])
+def test_what_was_refused_is_never_called_aligned(degrees: float, seed: int) -> None:
+    outcome = charger(degrees=degrees, seed=seed, parameters={"alignments_max": 3}).dock()
+    assert outcome.code in (Code.MISALIGNED, Code.CRITICAL_ANGLE)
+    assert not outcome.aligned
+
+
 @pytest.mark.parametrize(
     ("service", "told"), [(Service.ESTIMATE, "predict_misalignment"), (Service.PROBE, "probe"), (Service.TARE, "tare")]
 )

@@ -145,7 +145,7 @@ def _alignment(results: dict[str, Any], path: Path) -> None:
             _share_below(rest, 1000.0 * far.astype(float), colour)
         moves.set(title="alignment moves", ylabel="% of the charged", xticks=range(0, 16, 3))
         top_legend(figure, moves.get_legend_handles_labels()[0], 2)
-        seconds.set(title="charged by then, %", xlabel="time to charging, s", xlim=(0.0, 150.0))
+        seconds.set(title="charged by then, %", xlabel="time to charging, s", xlim=(0.0, 60.0))
         rest.set(title="within, %", xlabel="larger of the two offsets at rest, mm", xlim=(0.0, 6.0))
         rest.axvline(2.5, color=RED, linewidth=1.0, linestyle="--")
 
