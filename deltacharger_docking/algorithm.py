@@ -193,8 +193,6 @@ class TargetVisit:
         """
         context, order, desk = self._context, self._order, self._desk
         order.goal, order.since = goal, context.time
-        if self._target is not None:
-            desk.aligned = self._target.aligned
         if goal.critical_angle and goal.critical_angle < order.critical_angle:
             order.critical_angle = goal.critical_angle
             known = context.status.estimate if context.status.charging else None
@@ -228,10 +226,10 @@ class TargetVisit:
 
     def _dock(self) -> Script[None]:
         context = self._context
+        context.status.aligned, context.status.estimate = False, None
         context.status.alignments = context.status.redockings = 0
-        context.status.estimate = None
-        self._target = target = Target(context, self._order.critical_angle)
-        yield from self._aligning(target, dock(context, target, self._goal.electrodes))
+        self._target = Target(context, self._order.critical_angle)
+        yield from dock(context, self._target, self._goal.electrodes)
 
     def _stand_again(self) -> Script[None]:
         """Measure anew where the electrodes rest, and dock anew only where they have no good contact any more."""
@@ -246,14 +244,7 @@ class TargetVisit:
     def _feel_again(self, target: Target) -> Script[None]:
         self._context.status.alignments = self._context.status.redockings = 0
         target.critical_angle = self._order.critical_angle
-        yield from self._aligning(target, align(self._context, target, stay=True))
-
-    def _aligning(self, target: Target, script: Script[None]) -> Script[None]:
-        """Run a script that aligns, and tell the goal whether it did, however it ends."""
-        try:
-            yield from script
-        finally:
-            self._desk.aligned = target.aligned
+        yield from align(self._context, target, stay=True)
 
     def _charge(self) -> Script[None]:
         """Close, report success or hold the goal, watch over charging, and open."""

@@ -147,15 +147,7 @@ def _clearance_checks(context: Context, order: Order) -> Script[None]:
         lost = not judge(estimate, parameters, order.critical_angle).leaves_clearance
         unsafe = unsafe + 1 if lost else 0
         if lost:
-            context.decide(
-                "unsafe",
-                "the clearance is too small",
-                times=unsafe,
-                angle_rad=estimate.angle,
-                angle_stddev_rad=estimate.angle_stddev,
-                vertical_m=estimate.vertical,
-                vertical_stddev_m=estimate.vertical_stddev,
-            )
+            context.decide("unsafe", "the clearance is too small", times=unsafe, **estimate.numbers)
         if unsafe >= parameters.unsafe_max:
             raise CriticalAngle(
                 f"the target moved while charging: {math.degrees(estimate.angle):.1f}°, "

@@ -36,6 +36,14 @@ class FeltPose:
         return self.angle_stddev, self.vertical_stddev, self.horizontal_stddev
 
     @property
+    def numbers(self) -> dict[str, float]:
+        """What was felt, by names that end in the unit."""
+        told: dict[str, float] = {}
+        for name, unit in (("angle", "rad"), ("vertical", "m"), ("horizontal", "m")):
+            told |= {f"{name}_{unit}": getattr(self, name), f"{name}_stddev_{unit}": getattr(self, f"{name}_stddev")}
+        return told
+
+    @property
     def usable(self) -> bool:
         """Whether clearance may be judged by it."""
         return self.contact and self.sure and self.in_range and self.complete and min(self.stddevs) >= 0.0

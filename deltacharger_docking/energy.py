@@ -119,22 +119,18 @@ def de_energise(context: Context) -> Script[None]:
     Raises:
         ContactorWelded: current still flows, or the power stage no longer says so.
     """
-    observation, parameters = context.observation, context.parameters
-    flows = abs(observation.charge_current) >= parameters.zero_current
-    closed = context.live or observation.contactor_closed or flows
-    if closed:
-        current = observation.charge_current
-        context.decide("open", "the contactor is told to open", charge_current_A=current)
-    context.energise = False
-    context.status.charging = False
-    begun, end = context.time, context.time + parameters.open_timeout
-    while closed and not _is_open(context, begun):
-        if context.time > end:
+    context.energise = context.status.charging = False
+    if not (context.live or _is_closed(context)):
+        return
+    current = context.observation.charge_current
+    context.decide("open", "the contactor is told to open", charge_current_A=current)
+    begun, parameters = context.time, context.parameters
+    while _is_closed(context) or not context.time - context.observation.power_age >= begun + parameters.opening_time:
+        if context.time > begun + parameters.open_timeout:
             raise _welded(context)
         yield NEXT
-    if closed:
-        current = context.observation.charge_current
-        context.decide("opened", "no current flows any more", charge_current_A=current, time_s=context.time - begun)
+    current = context.observation.charge_current
+    context.decide("opened", "no current flows any more", charge_current_A=current, time_s=context.time - begun)
     context.live = False
 
 
@@ -147,11 +143,10 @@ def _welded(context: Context) -> ContactorWelded:
     )
 
 
-def _is_open(context: Context, begun: float) -> bool:
-    observation, parameters = context.observation, context.parameters
-    fresh = context.time - observation.power_age >= begun + parameters.opening_time
-    flows = abs(observation.charge_current) >= parameters.zero_current
-    return fresh and not observation.contactor_closed and not flows
+def _is_closed(context: Context) -> bool:
+    """Return whether the contactor is, or current flows, as was measured last."""
+    observation = context.observation
+    return observation.contactor_closed or abs(observation.charge_current) >= context.parameters.zero_current
 
 
 class Watch:

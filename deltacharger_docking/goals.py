@@ -86,7 +86,6 @@ class GoalDesk:
         started: when it began, s.
         deadline: when it must have ended, s.
         wants_back: whether its client has taken it back.
-        aligned: whether its docking has come within the tolerance.
         outcome: of the last goal, until the shell has taken it.
     """
 
@@ -96,14 +95,13 @@ class GoalDesk:
         self.started = 0.0
         self.deadline = math.inf
         self.wants_back = False
-        self.aligned = False
         self.outcome: DockingOutcome | None = None
 
     def begin(self, request_id: str, observation: Observation) -> None:
         """Take a goal."""
         context = self._context
         context.observe(observation)
-        self.is_open, self.wants_back, self.aligned, self.outcome = True, False, False, None
+        self.is_open, self.wants_back, self.outcome = True, False, None
         self.started = context.time
         self.renew()
         context.energy = 0.0
@@ -131,7 +129,7 @@ class GoalDesk:
             code=code,
             message=message,
             retriable=retriable,
-            aligned=self.aligned,
+            aligned=context.status.aligned,
             alignments=context.status.alignments,
             redockings=context.status.redockings,
             estimate=context.status.estimate,

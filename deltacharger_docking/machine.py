@@ -178,6 +178,7 @@ class DockingMachine:
             self._desk.succeed(text)
 
         self._desk.begin(request_id, observation)
+        self._context.status.aligned = False
         self._forget_script()
         self._runner.start(self._serve(run))
 

@@ -190,7 +190,10 @@ class DockingOutcome(GoalOutcome):
 
 @dataclass
 class DockingStatus:
-    """What the machine tells about itself between commands."""
+    """What the machine tells about itself between commands.
+
+    `aligned`: this contact was measured and accepted: it has clearance, and another one would not pay.
+    """
 
     state: State = State.IDLE
     docked: bool = False
@@ -198,6 +201,7 @@ class DockingStatus:
     code: Code = Code.NONE
     message: str = ""
     request_id: str = ""
+    aligned: bool = False
     alignments: int = 0
     position: Vector = NAN3
     contact_current: float = math.nan

@@ -21,6 +21,11 @@ from deltacharger_kinematics.geometry import Vector
 
 APPROACHES = ("guarded", "paper")
 SIGNALS = ("contact", "max", "sum")
+_ORDERED = (
+    ("target_voltage_min", "target_voltage_max"),
+    ("clearance_sigmas", "clearance_sigmas_sure"),
+    ("release_travel", "spring_travel"),
+)
 
 
 @dataclass(frozen=True)
@@ -174,15 +179,9 @@ class DockingParameters(Bounded):
         if not self.current_min + 2 * self.band_margin < self.current_max:
             problem = "current_min + 2 · band_margin must lie below current_max"
             raise ParameterError("current_min", self.current_min, problem)
-        if not self.target_voltage_min < self.target_voltage_max:
-            problem = "target_voltage_min must lie below target_voltage_max"
-            raise ParameterError("target_voltage_min", self.target_voltage_min, problem)
-        if not self.clearance_sigmas <= self.clearance_sigmas_sure:
-            problem = "clearance_sigmas must not lie above clearance_sigmas_sure"
-            raise ParameterError("clearance_sigmas", self.clearance_sigmas, problem)
-        if not self.release_travel <= self.spring_travel:
-            problem = "release_travel must not lie above spring_travel"
-            raise ParameterError("release_travel", self.release_travel, problem)
+        for lower, upper in _ORDERED:
+            if getattr(self, lower) > getattr(self, upper):
+                raise ParameterError(lower, getattr(self, lower), f"{lower} must not lie above {upper}")
 
     @property
     def gravity(self) -> Vector:

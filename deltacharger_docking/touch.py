@@ -31,16 +31,8 @@ def measure(context: Context) -> Script[FeltPose]:
     if not reply.success or felt is None:
         raise TactileStale(f"no misalignment estimate: {reply.message}")
     context.status.estimate = felt
-    context.decide(
-        "measured",
-        "sure" if felt.sure and felt.in_range else "unsure" if felt.in_range else "out of range",
-        angle_rad=felt.angle,
-        angle_stddev_rad=felt.angle_stddev,
-        vertical_m=felt.vertical,
-        vertical_stddev_m=felt.vertical_stddev,
-        horizontal_m=felt.horizontal,
-        horizontal_stddev_m=felt.horizontal_stddev,
-    )
+    text = "sure" if felt.sure and felt.in_range else "unsure" if felt.in_range else "out of range"
+    context.decide("measured", text, **felt.numbers)
     if not felt.contact:
         raise NoTactileContact("the pads lost contact before the misalignment was measured")
     return felt
@@ -52,14 +44,12 @@ class Target:
     Attributes:
         critical_angle: limit of the goal, rad.
         depth: largest z (m, charger_base) at which contact is looked for.
-        aligned: whether this contact was measured and accepted: it has clearance, and another one would not pay.
     """
 
     def __init__(self, context: Context, critical_angle: float) -> None:
         self._context = context
         self.critical_angle = critical_angle
         self.depth = math.inf
-        self.aligned = False
         self._forget_place()
         self._off = (math.nan, math.nan)  # m, of this contact from where the target is
         self._gain = math.nan  # expected of another contact
@@ -89,11 +79,11 @@ class Target:
             CriticalAngle: the target is tilted too far.
             EstimateUnsure: what is felt contradicts the arm's own moves.
         """
-        self._felt, self.aligned = felt, False
+        context, parameters = self._context, self._context.parameters
+        self._felt, context.status.aligned = felt, False
         if not felt.usable:
             self._passed = 0
             return False
-        context, parameters = self._context, self._context.parameters
         self._unsure_here = 0
         x, y, _ = context.position
         self._x.update(x, felt.horizontal, felt.horizontal_stddev)
@@ -111,7 +101,7 @@ class Target:
         self._off = self._x.target - x, self._y.target - y
         self._gain = self._x.gain(parameters.overlap_loss_max) + self._y.gain(parameters.landing_limit)
         self._pays = self._gain > parameters.redocking_gain_min * (1 + self._moves)
-        self.aligned = safe and not self._pays
+        context.status.aligned = safe and not self._pays
         settled = stay or not self._pays or (self._exhausted and parameters.charge_when_not_aligned)
         if stay and not safe:
             self._forget_place()  # the target is not any more where it was
@@ -121,13 +111,14 @@ class Target:
         """Take what is felt once the arm is at ease; return whether it has left the clearance."""
         if felt.usable and judge(felt, self._context.parameters, self.critical_angle).leaves_clearance:
             return True
-        self._passed, self.aligned = 0, False
+        self._passed, self._context.status.aligned = 0, False
         return False
 
     def rest(self) -> None:
         """Tell that the electrodes rest here."""
-        text = "another contact would not pay" if self.aligned else "the electrodes have clearance here"
-        self._context.decide("aligned" if self.aligned else "exhausted", text, x_m=self._off[0], y_m=self._off[1])
+        aligned, (x, y) = self._context.status.aligned, self._off
+        text = "another contact would not pay" if aligned else "the electrodes have clearance here"
+        self._context.decide("aligned" if aligned else "exhausted", text, x_m=x, y_m=y)
 
     def correction(self) -> tuple[float, float]:
         """Return by how much (m) to move before the next contact, and count it.
