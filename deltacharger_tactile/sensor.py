@@ -127,7 +127,9 @@ class Sensor:
         if docking is not None:
             factor = factor * (1.0 + docking.hysteresis)
         felt = force * factor[:, :, None, None] * self._rig.gain
-        rows, columns = felt.mean(axis=-1, keepdims=True), felt.mean(axis=-2, keepdims=True)
+        # Sums, since the means of so few numbers take half as long again.
+        rows = np.add.reduce(felt, axis=-1, keepdims=True) / COLUMNS
+        columns = np.add.reduce(felt, axis=-2, keepdims=True) / ROWS
         return np.asarray(felt + p.cross_talk * (rows + columns) + base)
 
     def _noise(self, force: Array | None, step: float) -> Array:
@@ -139,7 +141,11 @@ class Sensor:
         return np.asarray(unit * (p.noise if force is None else p.noise + p.noise_gain * np.abs(force)))
 
     def _digitise(self, signal: Array) -> Array:
+        """Return a signal (N), which is written over, in steps of the converter; NaN where a taxel is dead."""
         quantum = self._top / self._levels
-        raw = np.round(np.clip(signal, 0.0, self._top) / quantum) * quantum
-        raw[:, self._rig.dead] = np.nan
-        return np.asarray(raw)
+        signal.clip(0.0, self._top, out=signal)
+        signal /= quantum
+        np.rint(signal, out=signal)
+        signal *= quantum
+        np.copyto(signal, np.nan, where=self._rig.dead)
+        return signal

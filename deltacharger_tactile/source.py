@@ -95,7 +95,7 @@ class ContactSource:
             self._last = now
             felt = 0.0 if pressed is None or self._began is None else now - self._began
             result.append(self._sensor.read(pressed, self._docking, felt, step)[0])
-        return np.stack(result)
+        return np.stack(result) if count > 1 else result[0][None]
 
     def _press(self, pose: Pose | None, force: float, share: float) -> Array | None:
         """Return the forces on the taxels (1, 2, 10, 10) N; None where nothing touches."""

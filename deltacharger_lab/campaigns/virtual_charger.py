@@ -244,7 +244,7 @@ class VirtualCharger:
 
     def _feels(self) -> bool:
         """Return whether some taxel is in contact."""
-        return bool(np.nanmax(self._frame) >= CONTACT_FORCE)
+        return bool(np.fmax.reduce(self._frame, axis=None) >= CONTACT_FORCE)  # `nanmax` takes 4 times as long
 
     def _angles(self) -> list[float]:
         return [self.plant.read_servo(index)[0] for index in range(3)]
@@ -265,7 +265,7 @@ class VirtualCharger:
         if self.now - self._frame_at < FRAME:
             return
         self._frame_at = self.now
-        raw = np.stack(self.plant.read_taxels())
+        raw = np.array(self.plant.read_taxels())
         self._frame = np.maximum(raw - self.baseline, 0.0)
         for pending in self._pending:
             pending.frames.append(raw if pending.request.service is Service.TARE else self._frame)
