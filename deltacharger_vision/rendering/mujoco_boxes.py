@@ -87,7 +87,7 @@ class BoxRasteriser:
     def __init__(self, intrinsics: Intrinsics) -> None:
         if intrinsics.distortion:
             raise RendererError("MuJoCo draws no lens distortion; give intrinsics without, or use SimulatedCamera")
-        self._mujoco = _imported()
+        self._mujoco, self._context = _imported()
         self._shape = (intrinsics.height, intrinsics.width)
         with ExitStack() as opened:
             self._open(opened)
@@ -128,10 +128,9 @@ class BoxRasteriser:
 
     def _open(self, opened: ExitStack) -> None:
         """Make the OpenGL context and its two buffers, each to be released when `opened` closes."""
-        mujoco = self._mujoco
         height, width = self._shape
         try:
-            self._gl = mujoco.GLContext(_LARGER * width, _LARGER * height)
+            self._gl = self._context(_LARGER * width, _LARGER * height)
         except Exception as error:  # of each backend its own
             raise RendererError(f"no off-screen OpenGL ({error}); {_INSTALL}") from error
         opened.callback(self._gl.free)
@@ -206,11 +205,20 @@ class BoxRasteriser:
         return color[::-1], depth[::-1]
 
 
-def _imported() -> Any:
-    if sys.platform == "linux":
-        os.environ.setdefault("MUJOCO_GL", "egl")  # read when MuJoCo is imported
+def _imported() -> tuple[Any, Any]:
+    """Return MuJoCo and the class of its OpenGL contexts: of EGL on Linux, unless MUJOCO_GL says otherwise.
+
+    MuJoCo chooses its class while it is imported. Where that was done before, for mechanics alone, it has taken one of
+    windows, whose buffers cannot be made without a display.
+    """
+    backend = os.environ.setdefault("MUJOCO_GL", "egl") if sys.platform == "linux" else ""
     try:
         import mujoco
+
+        if backend == "egl":
+            from mujoco.egl import GLContext
+
+            return mujoco, GLContext
     except ModuleNotFoundError as error:
         if error.name != "mujoco":
             raise RendererError(f"MuJoCo lacks {error.name}; {_INSTALL}") from error
@@ -219,7 +227,7 @@ def _imported() -> Any:
         raise RendererError(f"no off-screen OpenGL ({error}); {_INSTALL}") from error
     if not hasattr(mujoco, "GLContext"):
         raise RendererError(f"MuJoCo's OpenGL is switched off (MUJOCO_GL={os.environ.get('MUJOCO_GL')}); {_INSTALL}")
-    return mujoco
+    return mujoco, mujoco.GLContext
 
 
 def _release(gl: Any, buffer: Any) -> None:

@@ -215,10 +215,11 @@ def test_a_context_is_released_where_its_buffer_cannot_be_made(
     camera: MujocoCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import mujoco
+    import mujoco.egl
 
     released: list[int] = []
 
-    class Counted(mujoco.GLContext):
+    class Counted(mujoco.egl.GLContext):
         def free(self) -> None:
             if self._context:
                 released.append(id(self))
@@ -227,7 +228,7 @@ def test_a_context_is_released_where_its_buffer_cannot_be_made(
     def refuse(*arguments: object) -> None:
         raise mujoco.FatalError("no framebuffer")
 
-    monkeypatch.setattr(mujoco, "GLContext", Counted)
+    monkeypatch.setattr(mujoco.egl, "GLContext", Counted)
     monkeypatch.setattr(mujoco, "MjrContext", refuse)
     with pytest.raises(RendererError, match="a smaller image"):
         MujocoCamera()
@@ -260,6 +261,19 @@ def test_without_opengl_it_says_what_to_install(camera: MujocoCamera, backend: s
     assert ended.returncode == 1
     assert "RendererError" in ended.stderr
     assert "libegl1" in ended.stderr.splitlines()[-1]
+
+
+def test_it_draws_where_mujoco_has_moved_a_world_before(camera: MujocoCamera) -> None:
+    code = (
+        "from deltacharger_sim.mujoco_world import mujoco_world\n"
+        "from deltacharger_sim.parameters import WorldParameters\n"
+        "from deltacharger_vision.rendering.mujoco_camera import MujocoCamera\n"
+        "mujoco_world(WorldParameters()).step()\n"
+        "MujocoCamera().close()"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
+    assert (ended.returncode, ended.stderr) == (0, "")
 
 
 def test_the_detector_finds_what_it_draws(camera: MujocoCamera) -> None:
