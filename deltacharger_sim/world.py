@@ -33,8 +33,11 @@ class TactileSource(Protocol):
     def begin_docking(self) -> Pose:
         """Draw a new docking and return its displacement (x m, y m, angle rad)."""
 
-    def sample(self, time: float, pose: Pose | None, force: float) -> tuple[Array, Array]:
-        """Return left and right (10, 10) N, raw, for the target's pose in end_effector (None = no contact)."""
+    def sample(self, time: float, pose: Pose | None, force: float, share: float) -> tuple[Array, Array]:
+        """Return left and right (10, 10) N, raw, for the target's pose in end_effector (None = no contact).
+
+        `share` of the force is on the left pad.
+        """
 
 
 @dataclass
@@ -211,13 +214,8 @@ class World:
         """Return both pads' raw readings (10, 10) N now."""
         if self._tactile is None:
             return np.zeros((10, 10)), np.zeros((10, 10))
-        time, pose, force = self.time, self.misalignment, self.mechanics.contact_force
-        share = self.mechanics.pad_share
-        if share == 0.5:
-            return self._tactile.sample(time, pose, force)
-        left, _ = self._tactile.sample(time, pose, 2.0 * share * force)
-        _, right = self._tactile.sample(time, pose, 2.0 * (1.0 - share) * force)
-        return left, right
+        mechanics = self.mechanics
+        return self._tactile.sample(self.time, self.misalignment, mechanics.contact_force, mechanics.pad_share)
 
     def _relative(self) -> Pose:
         target, position = self.parameters.target, self.mechanics.position

@@ -8,7 +8,7 @@ import functools
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.machine import FRAME_RATE
+from deltacharger_core.machine import FRAME_RATE, PADS
 from deltacharger_tactile.contact import ContactModel
 from deltacharger_tactile.parameters import PadContactParameters, TactileParameters
 from deltacharger_tactile.sensor import Dockings, Rig, Sensor
@@ -57,18 +57,19 @@ class ContactSource:
         x, y, angle = self._docking.jitter[0]
         return float(x), float(y), float(angle)
 
-    def sample(self, time: float, pose: Pose | None, force: float) -> tuple[Array, Array]:
+    def sample(self, time: float, pose: Pose | None, force: float, share: float = 0.5) -> tuple[Array, Array]:
         """Read both pads once.
 
         Args:
             time: s, rising.
             pose: (x m, y m, angle rad) of the target in end_effector, jitter included; None = no contact.
             force: total contact force, N.
+            share: of the force that the left pad carries.
 
         Returns:
             left, right: (10, 10) N raw (before tare; NaN = dead); row 0 at +y, column 0 at +x.
         """
-        left, right = self.frames(time, pose, force, 1, 0.0)[0]
+        left, right = self.frames(time, pose, force, 1, 0.0, share)[0]
         return left, right
 
     def frames(
@@ -117,5 +118,6 @@ class ContactSource:
         model, waviness = _model(self.parameters.contact), self.rig.waviness
         if share == 0.5:
             return model.solve(poses, force, tilt, waviness).taxels
-        left, right = (model.solve(poses, 2.0 * each * force, tilt, waviness).taxels for each in (share, 1.0 - share))
-        return np.stack((left[:, 0], right[:, 1]), axis=1)
+        forces = np.array([2.0 * share * force, 2.0 * (1.0 - share) * force])
+        left, right = model.solve(np.repeat(poses, PADS, axis=0), forces, tilt, waviness).taxels
+        return np.stack((left[0], right[1]))[None]

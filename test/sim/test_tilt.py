@@ -107,15 +107,12 @@ def test_tilt_moves_the_terminals_and_so_the_clearance(arm: ArmFactory) -> None:
 
 
 def test_each_pad_is_asked_with_its_own_force(arm: ArmFactory) -> None:
-    asked = []
-
     class Pads:
         def begin_docking(self) -> tuple[float, float, float]:
             return 0.0, 0.0, 0.0
 
-        def sample(self, time: float, pose: Any, force: float) -> tuple[np.ndarray, np.ndarray]:
-            asked.append(force)
-            return np.full((10, 10), force), np.full((10, 10), force)
+        def sample(self, time: float, pose: Any, force: float, share: float) -> tuple[np.ndarray, np.ndarray]:
+            return np.full((10, 10), 2.0 * share * force), np.full((10, 10), 2.0 * (1.0 - share) * force)
 
     parameters = WorldParameters(platform=PlatformParameters(compliance=SOFT), target=TargetParameters(tilt_y=0.002))
     touching = arm(parameters, tactile=Pads())

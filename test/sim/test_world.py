@@ -37,7 +37,7 @@ class Pads:
         return 0.0, 0.001 * self.dockings, 0.01 * self.dockings
 
     def sample(
-        self, time: float, pose: tuple[float, float, float] | None, force: float
+        self, time: float, pose: tuple[float, float, float] | None, force: float, share: float
     ) -> tuple[np.ndarray, np.ndarray]:
         self.asked.append((time, pose, force))
         return np.zeros((10, 10)), np.zeros((10, 10))
