@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from deltacharger_core.parameters import Bounded, choice, number, numbers, words
+from deltacharger_core.parameters import Bounded, choice, like, number, words
 from deltacharger_docking.parameters import DockingNodeParameters
 
 
@@ -23,36 +23,18 @@ class MissionParameters(Bounded):
     home_yaw: float = number(0.0, -math.pi, math.pi, "rad", "heading there")
     electrodes_x: float = number(0.0, -5.0, 5.0, "m", "electrodes on the robot to be charged, x in the goal's target")
     electrodes_y: float = number(0.0, -5.0, 5.0, "m", "electrodes on the robot to be charged, y in the goal's target")
-    electrodes_yaw: float = number(
-        0.0, -math.pi, math.pi, "rad", "which way they face, from the target's x toward its y"
-    )
-    view_distance: float = number(
-        0.20,
-        0.08,
-        2.0,
-        "m",
-        "from charger_base to the electrodes where the search begins, {unit}; within the camera's range",
-    )
+    electrodes_yaw: float = number(0.0, -math.pi, math.pi, "rad", "which way they face, from the target's x to its y")
+    view_distance: float = number(0.20, 0.08, 2.0, "m", "distance of the electrodes at which the search begins")
     search_turn: float = number(0.2, 0.02, 1.0, "rad", "turn between two views")
     search_turns: int = number(2, 0, 8, "", "turns to either side at each distance")
     search_step: float = number(0.15, 0.01, 1.0, "m", "step back between two rows of views")
     search_steps: int = number(1, 0, 5, "", "steps back")
     look_timeout: float = number(3.0, 0.2, 60.0, "s", "how long the camera looks for the electrodes from one place")
-    stand_tolerance: float = number(
-        0.03,
-        0.005,
-        0.5,
-        "m",
-        "distance from the right place within which the robot does not stand again before docking",
-    )
-    stand_turn_tolerance: float = number(0.1, 0.01, 1.0, "rad", "the same for its heading")
-    gain_min: float = number(
-        0.005, 0.0, 0.5, "m", "least correction for which the robot stands again where docking was out of reach"
-    )
-    gain_turn_min: float = number(0.02, 0.0, 1.0, "rad", "least turn for which it does so")
-    arrival_distance_max: float = number(
-        0.5, 0.01, 10.0, "m", "distance from the goal from which the navigator's place is older than the arrival"
-    )
+    stand_tolerance: float = number(0.03, 0.005, 0.5, "m", "distance from the right place that docking starts from")
+    stand_turn_tolerance: float = number(0.1, 0.01, 1.0, "rad", "turn from the right heading that docking starts from")
+    gain_min: float = number(0.005, 0.0, 0.5, "m", "least distance to stand again where docking was out of reach")
+    gain_turn_min: float = number(0.02, 0.0, 1.0, "rad", "least turn to stand again where docking was out of reach")
+    arrival_distance_max: float = number(0.5, 0.01, 10.0, "m", "distance from the goal beyond which a place is stale")
     stands_max: int = number(3, 0, 10, "", "how often the robot stands again before it gives up")
     undock_attempts: int = number(2, 1, 5, "", "how often undocking is tried before the robot stays where it is")
     wait_timeout: float = number(10.0, 0.5, 600.0, "s", "limit for WAIT, until all that a mission needs answers")
@@ -75,10 +57,6 @@ class MissionNodeParameters(Bounded):
     map_frame: str = words("map", "the navigator's frame in which home is given")
     behavior_tree: str = words("", "file of the navigator's tree; empty = its own")
     precise_behavior_tree: str = words("", "the same for small moves near the target")
-    base_pose: tuple[float, ...] = numbers(
-        DockingNodeParameters.base_pose,
-        -math.inf,
-        math.inf,
-        "",
-        "charger_base in the robot's base frame, as docking_node's: x, y, z in m, then the quaternion x, y, z, w",
+    base_pose: tuple[float, ...] = like(
+        DockingNodeParameters, "base_pose", text="charger_base on the robot, as docking_node's"
     )

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
+import time
 from collections.abc import Callable
 from typing import Any, Protocol, TypeAlias
 
@@ -48,11 +50,21 @@ class Work:
         self.outcome: Any = None
         self.done = threading.Event()
         self.answered = threading.Event()
+        self._told: object = None
+        self._told_at = -math.inf
 
     def end(self, outcome: Ended) -> None:
         """Let all goals that wait be answered."""
         self.outcome = outcome
         self.done.set()
+
+    def is_due(self, news: object, period: float) -> bool:
+        """Return whether feedback is due, and take it as given: `news` has changed, or a period (s) has passed."""
+        now = time.monotonic()
+        if news == self._told and now - self._told_at < period:
+            return False
+        self._told, self._told_at = news, now
+        return True
 
     def feed_back(self, message: Any) -> None:
         """Publish feedback to all clients."""

@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import math
 import threading
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -32,7 +30,7 @@ MEASURED = ("aligned", "alignments", "contact_current", "contact_force", "charge
 
 
 class ServedGoal(Work):
-    """A goal being served, and what its client was told last.
+    """A goal being served, and the state that its client was told last.
 
     Args:
         handle: of the goal.
@@ -43,9 +41,7 @@ class ServedGoal(Work):
         super().__init__(handle)
         self.handle = handle
         self.feedback = feedback
-        self.state: State | None = None
-        self.shown: tuple[Any, ...] = ()
-        self.shown_at = -math.inf
+        self.state = State.IDLE
 
 
 class Goals:
@@ -156,14 +152,14 @@ class Goals:
         goal, status = self._goal, self._machine.status
         if goal is None:
             return
-        for state in changes(goal.state or State.IDLE, passed, status.state):
+        states = changes(goal.state, passed, status.state)
+        goal.state = status.state
+        if goal.is_due((status.alignments, status.estimate, status.waiting_for), _FEEDBACK):
+            states = states or [status.state]
+        for state in states:
             self._publish(goal, state, status, charge_current)
-        if _shown(status.state, status) != goal.shown or time.monotonic() - goal.shown_at >= _FEEDBACK:
-            self._publish(goal, status.state, status, charge_current)
 
     def _publish(self, goal: ServedGoal, state: State, status: DockingStatus, charge_current: float) -> None:
-        goal.state, goal.shown_at = state, time.monotonic()
-        goal.shown = _shown(state, status)
         message = goal.feedback()
         message.state = int(state)
         message.z = status.position[2]
@@ -222,11 +218,6 @@ class Goals:
             redockings=outcome.redockings,
             **{name: getattr(outcome, name) for name in MEASURED},
         )
-
-
-def _shown(state: State, status: DockingStatus) -> tuple[Any, ...]:
-    """Return what of a status is worth a feedback where it changes."""
-    return state, status.alignments, status.estimate, status.waiting_for
 
 
 def _refused(error: Exception) -> DockingOutcome:

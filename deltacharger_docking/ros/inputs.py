@@ -119,7 +119,8 @@ class Inputs:
             check_ahead(stamp - now)
             if known is not None and stamp < (before := stamp_seconds(known.header.stamp)) <= now + AHEAD:
                 raise MessageRefused(f"its stamp is {before - stamp:.3f} s older than one before")
-            message = _CHECKS[kind](message)
+            if kind in _CHECKS:  # numbers of charger_power are judged where current flows by them
+                message = _CHECKS[kind](message)
         except MessageRefused as refusal:
             self.refused.add(_NAMES[kind], str(refusal))
             return
@@ -199,11 +200,7 @@ def _two_pads(message: TactileFrame) -> TactileFrame:
     return message
 
 
-def _any(message: ChargerPower) -> ChargerPower:
-    return message  # its numbers are judged where current flows by them
-
-
-_CHECKS: dict[type[Any], Any] = {ServoState: _in_order, TactileFrame: _two_pads, ChargerPower: _any}
+_CHECKS: dict[type[Any], Any] = {ServoState: _in_order, TactileFrame: _two_pads}
 _NAMES: dict[type[Any], str] = dict(zip((ServoState, TactileFrame, ChargerPower), SOURCES, strict=False))
 
 

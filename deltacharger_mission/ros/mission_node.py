@@ -19,7 +19,7 @@ from rclpy.node import Node
 
 from deltacharger_docking.codes import Busy, Code, DockingError, Rejected
 from deltacharger_docking.ros.goals import MEASURED
-from deltacharger_mission.dialogue import MissionOutcome, Stage
+from deltacharger_mission.dialogue import MissionOutcome
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
 from deltacharger_mission.places import BaseMount, Place
@@ -57,15 +57,13 @@ def load_navigation(name: str) -> Any:
 
 
 class _Mission(Work):
-    """The mission being served, and what its clients were told last."""
+    """The mission being served."""
 
     def __init__(self, handle: GoalHandle) -> None:
         super().__init__(handle)
         self.request_id = handle.request.request_id
         self.docked: Any = None  # the result of its last docking
         self.wishes = 0  # to cancel that the machine was told of
-        self.shown: Stage | None = None
-        self.shown_at = -math.inf
 
 
 class MissionNode(Node):
@@ -183,11 +181,9 @@ class MissionNode(Node):
             mission.end(outcome)
 
     def _feed_back(self, mission: _Mission) -> None:
-        status, now = self._machine.status, time.monotonic()
-        if status.stage is mission.shown and now - mission.shown_at < _FEEDBACK:
-            return
-        mission.shown, mission.shown_at = status.stage, now
-        mission.feed_back(ChargeRobot.Feedback(stage=int(status.stage), elapsed=duration(status.elapsed)))
+        status = self._machine.status
+        if mission.is_due((status.stage, len(mission.handles)), _FEEDBACK):  # who has joined is told at once
+            mission.feed_back(ChargeRobot.Feedback(stage=int(status.stage), elapsed=duration(status.elapsed)))
 
     def _diagnose(self) -> None:
         status = self._machine.status
@@ -220,7 +216,6 @@ class MissionNode(Node):
                 same = handle.request.request_id and handle.request.request_id == running.request_id
                 if same and len(running.handles) < _WAITING_MAX:
                     running.handles.append(handle)
-                    running.shown = None  # tells the newcomer the stage, too
                     return running
                 raise Busy(f"another mission is under way (request_id '{running.request_id}'): cancel it, or wait")
             goal = io.goal(handle.request, self._electrodes if self._drives else None)
