@@ -97,6 +97,7 @@ def press_again(context: Context, depth: float, x: float, y: float) -> Script[No
     context.check_way((*context.position[:2], place[2]), place, (*place[:2], z))
     context.enter(State.ALIGN, parameters.align_timeout)
     yield from take_off(context, place[2])
+    context.status.docked = False  # until the electrodes rest again
     yield from context.move(place, parameters.travel_speed, settle=False)
     yield from contact(context, depth)
 
@@ -216,7 +217,7 @@ class TargetVisit:
             if order.goal.start_charging:
                 yield from self._charge()
             elif not order.goal.hold:
-                desk.succeed("aligned contact; charging was not asked for")
+                desk.succeed("docked; charging was not asked for")
             self.supervising = True
             if not (yield from self._stay()):
                 return

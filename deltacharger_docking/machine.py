@@ -288,7 +288,8 @@ class DockingMachine:
             context.hold()
         except DockingError as error:
             status.message = f"{status.message}; then {error}"
-            status.docked = status.docked and isinstance(error, Stuck)  # the magnets still hold it
+            held = status.docked or context.observation.tactile_contact
+            status.docked = held and isinstance(error, Stuck)  # the magnets still hold it
             context.deadline = math.inf
             yield from let_go(context)
         finally:

@@ -60,7 +60,7 @@ def contact(context: Context, depth: float) -> Script[None]:
         )
     context.decide(
         "contact",
-        "the electrodes rest on the target with the contact current in its band",
+        "the electrodes rest on the target",
         contact_current_A=context.contact.value,
         contact_force_N=context.contact.force,
         z_m=context.position[2],

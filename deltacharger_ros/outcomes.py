@@ -26,7 +26,7 @@ class DockRequest:
     Attributes:
         electrodes: where the electrodes are; None asks the camera.
         critical_angle: rad; 0 leaves it to the charger, which only accepts a lower one.
-        start_charging: False ends at aligned contact.
+        start_charging: False ends where the electrodes rest with clearance.
         hold: keep the goal until a stop condition or a cancel.
         stop_energy: J to deliver, 0 = no limit.
         stop_after: s of charging, 0 = no limit.

@@ -48,7 +48,7 @@ def add_dock(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--critical-angle-deg", type=POSITIVE, default=0.0, metavar="DEG", help="refuse earlier than the charger would"
     )
-    parser.add_argument("--no-charge", action="store_true", help="end at aligned contact")
+    parser.add_argument("--no-charge", action="store_true", help="dock, but do not charge")
     parser.add_argument("--hold", action="store_true", help="go on charging until a stop condition or Ctrl-C")
     parser.add_argument("--stop-after-s", type=POSITIVE, default=0.0, metavar="S", help="of charging")
     parser.add_argument("--stop-energy-j", type=POSITIVE, default=0.0, metavar="J", help="delivered")

@@ -27,11 +27,11 @@ _TEXT_MOST = 2000
 RESULTS: dict[str, tuple[type, str]] = {
     "code": (int, "code of the outcome, 0 = charged; -1 = the docking crashed, see error"),
     "code_name": (str, "its name"),
-    "message": (str, "what docking said"),
+    "message": (str, "what docking said of a failure, else empty"),
     "charged": (bool, "whether charge current flowed stably"),
-    "aligned": (bool, "whether the filtered misalignment had come within the tolerance"),
+    "aligned": (bool, "whether the last contact was accepted: it had clearance, and another one would not have paid"),
     "time": (float, "s from the goal to its outcome"),
-    "moves": (int, "lateral corrections"),
+    "moves": (int, "lateral corrections and contacts made anew"),
     "contact_current": (float, "A per servo at the outcome, as measured"),
     "charge_current": (float, "A into the target at the outcome"),
     "rest_current": (

@@ -13,7 +13,7 @@ import pytest
 from deltacharger_docking.codes import Busy, Code, State
 from deltacharger_docking.observation import DockGoal, Reply, Service
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
-from deltacharger_sim.parameters import CircuitParameters
+from deltacharger_sim.parameters import CircuitParameters, MagnetParameters
 
 from .dockings import assert_safe_at_home, charger, quick_charger
 
@@ -64,6 +64,32 @@ def test_a_goal_that_wants_no_current_ends_charging_and_keeps_the_contact() -> N
     assert run.machine.status.docked
     assert run.world.record.contacts == contacts
     assert run.world.record.broken_current < 1.5, "it was ramped down first"
+
+
+def test_what_is_lifted_to_make_its_contact_anew_is_not_docked_until_it_rests_again() -> None:
+    run = docked(start_charging=False)
+    doubts = [0.04]  # rad; at six standard deviations no clearance is sure
+
+    def doubt(reply: Reply) -> Reply:
+        assert reply.estimate is not None
+        return replace(reply, estimate=replace(reply.estimate, angle_stddev=doubts.pop())) if doubts else reply
+
+    run.answer[Service.ESTIMATE] = doubt
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.machine.status.state is State.CONTACT, 5.0)
+    assert run.world.misalignment is None
+    assert not run.machine.status.docked
+    assert run.finish(20.0).success
+    assert run.machine.status.docked
+
+
+def test_a_target_whose_magnets_do_not_let_go_is_docked_whatever_the_goal_came_to() -> None:
+    run = quick_charger(magnets=MagnetParameters(force=200.0))
+    run.answer[Service.ESTIMATE] = functools.partial(shifted, degrees=14.0)
+    outcome = run.dock()
+    assert outcome.code is Code.STUCK
+    assert run.world.misalignment is not None
+    assert run.machine.status.docked
 
 
 def test_a_docked_target_is_energised_where_it_stands_after_its_clearance_was_measured_anew() -> None:
