@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from deltacharger_core.script import NEXT, Calls, Script
 from deltacharger_docking.codes import Busy, Code, DockingError, ElectrodesNotFound, PhaseTimeout, Rejected, Unreachable
@@ -33,24 +32,20 @@ _REMEDIES = {
 }
 
 
-class NotServed(Rejected):
+class NotServed(Rejected, retriable=True):
     """A node that a mission needs is not there. Example: Nav2 has not been activated yet."""
 
-    retriable = True
 
-
-class NavigationFailed(Unreachable):
+class NavigationFailed(Unreachable, retriable=True):
     """The navigator gave up. Example: the way is blocked. `electrodes` is None: no other place is suggested."""
-
-    retriable = True
 
 
 class DockFailed(DockingError):
     """Docking or undocking ended without success; `code` and `retriable` are what it said."""
 
-    def __init__(self, reply: TaskReply) -> None:
+    def __init__(self, reply: TaskReply, consequence: str) -> None:
         self.code, self.retriable = reply.code or Code.INTERNAL, reply.retriable
-        super().__init__(reply.message)
+        super().__init__(reply.message + consequence)
 
 
 class MissionContext:
@@ -63,13 +58,10 @@ class MissionContext:
 
     def __init__(self, parameters: MissionParameters) -> None:
         self.parameters = parameters
-        self.status = MissionStatus()
-        self.observation = MissionObservation(0.0)
-        self.touched = self.left = False
-        self.deadline = math.inf
         self._calls: Calls[TaskReply] = Calls()
         self._requests: list[TaskRequest] = []
         self._cancels: list[int] = []
+        self.begin("", MissionObservation(0.0))
 
     @property
     def time(self) -> float:
@@ -102,10 +94,8 @@ class MissionContext:
 
     def drop(self) -> None:
         """Call off all that is under way."""
-        unsent = {request.number for request in self._requests}
         self._requests = []
-        self._cancels.extend(sorted(self._calls.open - unsent))
-        self._calls.open -= unsent
+        self._cancels.extend(sorted(self._calls.open))
 
     def call_off(self) -> Script[None]:
         """Call off all that is under way and wait for its end, for so long."""
@@ -124,7 +114,7 @@ class MissionContext:
 
     def send(self, task: Task, **details: Place | MissionGoal | bool | float | None) -> int:
         """Send a request, its details by the names of `TaskRequest`, and return its number."""
-        request = replace(TaskRequest(self._calls.number(), task), **details)  # type: ignore[arg-type]
+        request = TaskRequest(self._calls.number(), task, **details)  # type: ignore[arg-type]
         self._requests.append(request)
         return request.number
 
@@ -224,7 +214,7 @@ def dock_failure(reply: TaskReply, consequence: str = "") -> DockingError:
     """Return the error of docking or undocking that did not succeed."""
     if reply.end is End.LOST:
         return PhaseTimeout("docking_node went away; start it again and look at its log" + consequence)
-    return DockFailed(replace(reply, message=reply.message + consequence))
+    return DockFailed(reply, consequence)
 
 
 def _drive_failure(reply: TaskReply, place: Place) -> DockingError:

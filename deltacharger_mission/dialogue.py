@@ -81,7 +81,6 @@ class TaskReply:
         place: where the navigator last said the base was, None = it did not say.
         electrodes: where the camera saw them (m, charger_base).
         suggested: where charger_base should stand (m, in the present one), None = nowhere.
-        energy: delivered, J.
     """
 
     number: int
@@ -92,7 +91,6 @@ class TaskReply:
     place: Place | None = None
     electrodes: Vector | None = None
     suggested: Vector | None = None
-    energy: float = 0.0
 
 
 @dataclass(frozen=True)

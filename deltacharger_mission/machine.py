@@ -47,7 +47,7 @@ class MissionMachine:
         self._home = home
         self._context = MissionContext(parameters)
         self._runner = Runner()
-        self._cancel = self._interruptible = self._returns = self._charged = False
+        self._cancel = self._interruptible = self._returns = False
         self._started = 0.0
         self.outcome: MissionOutcome | None = None
 
@@ -75,7 +75,7 @@ class MissionMachine:
             raise Rejected("the target has no frame_id: give the navigator's, such as map")
         self._context.begin(goal.request_id, observation)
         self._started = observation.time
-        self._cancel = self._charged = False
+        self._cancel = False
         self.outcome = None
         self._runner.start(self._mission(goal))
 
@@ -120,6 +120,7 @@ class MissionMachine:
             first, message = error, str(error)
         finally:
             self._interruptible = False
+        charged = first is None
         self._note(first)
         try:
             yield from self._context.call_off()
@@ -137,22 +138,17 @@ class MissionMachine:
             yield from self._context.call_off()
         self._returns = False
         self._note(first)
-        self.outcome = self._outcome(first, message, returned)
+        # A target that has been charged needs no second mission, whatever became of the charger.
+        retriable = first is not None and first.retriable and not charged
+        status = self.status
+        self.outcome = MissionOutcome(first is None, status.code, message, retriable, status.elapsed, returned)
 
     def _note(self, error: DockingError | None) -> None:
         self.status.code, self.status.message = (Code.NONE, "") if error is None else (error.code, str(error))
 
-    def _outcome(self, first: DockingError | None, message: str, returned: bool) -> MissionOutcome:
-        elapsed = self._context.time - self._started
-        if first is None:
-            return MissionOutcome(True, Code.NONE, message, returned=returned, elapsed=elapsed)
-        # A target that has been charged needs no second mission, whatever became of the charger.
-        return MissionOutcome(False, first.code, message, first.retriable and not self._charged, elapsed, returned)
-
     def _errand(self, goal: MissionGoal) -> Script[str]:
         """Do what was asked, and return in words how it ended."""
         context, parameters = self._context, self.parameters
-        context.enter(Stage.WAIT, math.inf)
         yield NEXT  # so that WAIT is told, too
         yield from context.all_there([task for task in Task if task is not Task.DRIVE or self._home is not None])
         electrodes = goal.electrodes if self._home is not None else None
@@ -163,22 +159,23 @@ class MissionMachine:
         while True:
             seen = yield from self._search(electrodes, distance)
             electrodes, distance = self._placed(seen, electrodes), DOCK_DISTANCE
-            if self._gains(electrodes, parameters.stand_tolerance, parameters.stand_turn_tolerance):
-                yield from self._stand(electrodes)
-                continue
-            reply = yield from context.dock(goal)
-            if reply.end is End.DONE:
-                self._charged = True
-                return f"charged: {reply.message}" if reply.message else "charged"
-            if reply.code is not Code.UNREACHABLE or reply.suggested is None:
-                raise dock_failure(reply)
-            x, y, z = reply.suggested
-            electrodes = self._placed((x, y, z + DOCK_DISTANCE), electrodes)
-            # Merely too high or too low, or the last stand: what is out of reach then stays so.
-            if not self._gains(electrodes, parameters.gain_min, parameters.gain_turn_min):
-                raise dock_failure(reply)
-            yield from context.undock()
-            yield from self._stand(electrodes)
+            better = self._better(electrodes, parameters.stand_tolerance, parameters.stand_turn_tolerance)
+            if better is None:
+                reply = yield from context.dock(goal)
+                if reply.end is End.DONE:
+                    return f"charged: {reply.message}" if reply.message else "charged"
+                if reply.code is not Code.UNREACHABLE or reply.suggested is None:
+                    raise dock_failure(reply)
+                x, y, z = reply.suggested
+                electrodes = self._placed((x, y, z + DOCK_DISTANCE), electrodes)
+                # Merely too high or too low, or the last stand: what is out of reach then stays so.
+                better = self._better(electrodes, parameters.gain_min, parameters.gain_turn_min)
+                if better is None:
+                    raise dock_failure(reply)
+                yield from context.undock()
+            context.enter(Stage.DRIVE, parameters.drive_timeout)
+            self.status.stands += 1
+            yield from context.drive(better, precise=True)
 
     def _search(self, electrodes: Place | None, distance: float) -> Script[Vector]:
         """Look for the electrodes from place to place, and return where they are (m, charger_base)."""
@@ -187,7 +184,6 @@ class MissionMachine:
         end = context.time + parameters.search_timeout
         context.enter(Stage.SEARCH, math.inf if electrodes is None else parameters.search_timeout)
         places = [None] if electrodes is None else list(views(electrodes, distance, self._mount, parameters))
-        message = ""
         for index, place in enumerate(places):
             if index and place is not None:  # the first view is from where the robot stands
                 yield from context.drive(place, precise=True)
@@ -196,13 +192,12 @@ class MissionMachine:
                 reply = yield from context.look()
                 if reply.electrodes is not None:
                     return reply.electrodes
-                message = reply.message
                 if electrodes is not None or context.time >= end:
                     break
                 yield from context.wait(_LOOK_PAUSE)
         raise ElectrodesNotFound(
-            f"no electrodes were found, {self.status.views} looks; the last said: {message}. Does the target stand "
-            "where it was said to stand, and facing that way?"
+            f"no electrodes were found, {self.status.views} looks; the last said: {reply.message}. Does the target "
+            "stand where it was said to stand, and facing that way?"
         )
 
     def _placed(self, point: Vector, electrodes: Place | None) -> Place | None:
@@ -210,20 +205,13 @@ class MissionMachine:
         here = self.status.place
         return None if electrodes is None or here is None else self._mount.seen_from(here, point, electrodes.yaw)
 
-    def _gains(self, electrodes: Place | None, distance: float, turn: float) -> bool:
-        """Return whether the robot may stand again, and would then stand otherwise by more than m or rad."""
+    def _better(self, electrodes: Place | None, distance: float, turn: float) -> Place | None:
+        """Return where docking wants the robot to stand, if it may stand again and is off by more than m or rad."""
         here = self.status.place
         if electrodes is None or here is None or self.status.stands >= self.parameters.stands_max:
-            return False
+            return None
         right = self._mount.before(electrodes, DOCK_DISTANCE)
-        return here.distance(right) > distance or here.turn(right) > turn
-
-    def _stand(self, electrodes: Place | None) -> Script[None]:
-        """Stand so that the electrodes are where docking wants them."""
-        assert electrodes is not None
-        self._context.enter(Stage.DRIVE, self.parameters.drive_timeout)
-        self.status.stands += 1
-        yield from self._context.drive(self._mount.before(electrodes, DOCK_DISTANCE), precise=True)
+        return right if here.distance(right) > distance or here.turn(right) > turn else None
 
     def _return(self) -> Script[bool]:
         """Drive home where the robot left; return whether it stands at its base."""

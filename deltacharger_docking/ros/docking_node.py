@@ -18,7 +18,6 @@ from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_docking.codes import Code, State
@@ -31,8 +30,7 @@ from deltacharger_docking.ros.inputs import Inputs
 from deltacharger_docking.ros.reports import Reports
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
-from deltacharger_ros import node_support
-from deltacharger_ros.messages import seconds
+from deltacharger_ros import node_support, qos
 from deltacharger_ros.parameters import declare_all, reject_unknown
 
 _TICK = 0.02  # s; pace where servo_state does not come
@@ -65,20 +63,12 @@ class DockingNode(Node):
         self._torque_off_at = math.inf
         self._slowest_tick = 0.0
         self._inputs = Inputs(self)
-        self._calls = Services(self, self._age)
+        self._calls = Services(self)
         self._secret = secrets.token_hex(16)  # shows servo_node that trajectories come from this process
-        self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", QoSProfile(depth=1))
+        self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
         self._reports = Reports(self, self._settings.servo_age_max)
-        self._goals = Goals(
-            self,
-            self._machine,
-            self._lock,
-            self._inputs.observation,  # takes no reply that the running goal waits for
-            self._begun,
-            self._calls.misalignment,
-            mount,
-            held,
-        )
+        observe = self._inputs.observation  # takes no reply that the running goal waits for
+        self._goals = Goals(self, self._machine, self._lock, observe, self._begun, self._calls.misalignment, mount)
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)
         if not held:
             self.release()
@@ -132,12 +122,8 @@ class DockingNode(Node):
             self._goals.destroy()
         super().destroy_node()
 
-    def _age(self, stamp: Any) -> float:
-        return seconds(self.get_clock().now().to_msg()) - seconds(stamp)
-
     def _observe(self) -> Observation:
-        replies, refusal = self._calls.take()
-        return self._inputs.observation(replies, refusal)
+        return self._inputs.observation(*self._calls.take())
 
     def _loop(self) -> None:
         while not self._stopping.is_set():
@@ -192,7 +178,8 @@ class DockingNode(Node):
             self._carry_out(self._machine.emergency(), observation)
             self._switch_off_when_due(observation)  # here too, where every tick meets the defect
             self._torque_off_at = min(self._torque_off_at, time.monotonic() + _TORQUE_DELAY)
-            self._end_goal(DockingOutcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log"))
+            self._calls.forget()
+            self._goals.end(DockingOutcome(code=Code.INTERNAL, message=f"internal error: {error}; see the log"))
 
     def _carry_out(self, command: Command, observation: Observation) -> None:
         self._calls.contactor(command.energise, observation.contactor_closed)
@@ -222,12 +209,9 @@ class DockingNode(Node):
     def _hand_over(self) -> None:
         outcome, self._machine.outcome = self._machine.outcome, None
         if outcome is not None:
-            self._end_goal(outcome)
-
-    def _end_goal(self, outcome: DockingOutcome) -> None:
-        if not outcome.success:
-            self._calls.forget()
-        self._goals.end(outcome)
+            if not outcome.success:
+                self._calls.forget()
+            self._goals.end(outcome)
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -16,7 +16,7 @@ from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Busy, DockingError, State
 from deltacharger_docking.goals import suggested_base
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import DockGoal, DockingOutcome, DockingStatus, Observation
+from deltacharger_docking.observation import DockGoal, DockingOutcome, Observation
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.reports import changes
@@ -45,7 +45,7 @@ class ServedGoal(Work):
 
 
 class Goals:
-    """Serves dock and undock over the machine, one goal at a time.
+    """Serves dock and undock over the machine, one goal at a time; those that come before `release` wait for it.
 
     Args:
         node: owns the action servers.
@@ -56,7 +56,6 @@ class Goals:
             that is there at once.
         misalignment: gives the message of an estimate.
         mount: of the charger on its robot.
-        held: let goals that come wait for `release`.
     """
 
     def __init__(
@@ -68,7 +67,6 @@ class Goals:
         begun: Callable[[], None],
         misalignment: Callable[[FeltPose | None], Misalignment],
         mount: DockingNodeParameters,
-        held: bool,
     ) -> None:
         self._node = node
         self._machine = machine
@@ -80,20 +78,10 @@ class Goals:
         self._goal: ServedGoal | None = None
         self._ended: GoalHandle | None = None  # of the goal that ended last
         self._refusal = ""
-        self._waiting: list[GoalHandle] | None = [] if held else None
+        self._waiting: list[GoalHandle] | None = []  # goals that came before `release`
         self._servers = [
-            self._serve(
-                Dock,
-                "dock",
-                lambda request, seen: machine.start_dock(self._dock_goal(request), seen),
-                self._dock_result,
-            ),
-            self._serve(
-                Undock,
-                "undock",
-                lambda request, seen: machine.start_undock(request.request_id, seen),
-                lambda outcome: to_result(Undock, outcome),
-            ),
+            self._serve(Dock, "dock", self._start_dock, self._dock_result),
+            self._serve(Undock, "undock", self._start_undock, lambda outcome: to_result(Undock, outcome)),
         ]
 
     def _serve(self, kind: Any, name: str, start: Callable[[Any, Observation], None], result: Any) -> WorkServer:
@@ -103,7 +91,7 @@ class Goals:
             name,
             lambda handle: self._begin(ServedGoal(handle, kind.Feedback), start),
             lambda goal: goal is self._goal,
-            _refused,
+            lambda error: replace(DockingOutcome.refused(error), suggested_base=suggested_base(error)),
             DockingError,
             lambda outcome, goal: result(outcome),
             self._may_cancel,
@@ -157,21 +145,16 @@ class Goals:
         if goal.is_due((status.alignments, status.estimate, status.waiting_for), _FEEDBACK):
             states = states or [status.state]
         for state in states:
-            self._publish(goal, state, status, charge_current)
-
-    def _publish(self, goal: ServedGoal, state: State, status: DockingStatus, charge_current: float) -> None:
-        message = goal.feedback()
-        message.state = int(state)
-        message.z = status.position[2]
-        if isinstance(message, Dock.Feedback):
-            message.alignments = status.alignments
-            message.contact_current = status.contact_current
-            message.misalignment = self._misalignment(status.estimate)
-            message.elapsed = duration(status.elapsed)
-            message.waiting_for = status.waiting_for
-        else:
-            message.charge_current = charge_current
-        goal.feed_back(message)
+            message = goal.feedback(state=int(state), z=status.position[2])
+            if isinstance(message, Dock.Feedback):
+                message.alignments = status.alignments
+                message.contact_current = status.contact_current
+                message.misalignment = self._misalignment(status.estimate)
+                message.elapsed = duration(status.elapsed)
+                message.waiting_for = status.waiting_for
+            else:
+                message.charge_current = charge_current
+            goal.feed_back(message)
 
     def _on_accepted(self, handle: GoalHandle) -> None:
         with self._lock:
@@ -198,8 +181,8 @@ class Goals:
             self._begun()
         return goal
 
-    def _dock_goal(self, request: Dock.Goal) -> DockGoal:
-        return DockGoal(
+    def _start_dock(self, request: Dock.Goal, seen: Observation) -> None:
+        goal = DockGoal(
             electrodes=io.electrodes(request.electrodes, self._mount),
             critical_angle=request.critical_angle,
             start_charging=request.start_charging,
@@ -208,6 +191,10 @@ class Goals:
             stop_after=seconds(request.stop_after),
             request_id=request.request_id,
         )
+        self._machine.start_dock(goal, seen)
+
+    def _start_undock(self, request: Undock.Goal, seen: Observation) -> None:
+        self._machine.start_undock(request.request_id, seen)
 
     def _dock_result(self, outcome: DockingOutcome) -> Dock.Result:
         return to_result(
@@ -218,7 +205,3 @@ class Goals:
             redockings=outcome.redockings,
             **{name: getattr(outcome, name) for name in MEASURED},
         )
-
-
-def _refused(error: Exception) -> DockingOutcome:
-    return replace(DockingOutcome.refused(error), suggested_base=suggested_base(error))

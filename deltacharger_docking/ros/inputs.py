@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -78,11 +77,9 @@ class Inputs:
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:
         """Return what is known now; from any thread. An estimate that nobody can vouch for is refused here."""
         with self._lock:
-            for kind, topic in ((ServoState, self._servo), (ChargerPower, self._power)):
-                if (message := topic.take()) is not None:
-                    self._hear(kind, message)
-            if (frame := self._newest_frame()) is not None:
-                self._hear(TactileFrame, frame)
+            for message in (self._servo.take(), self._power.take(), self._newest_frame()):
+                if message is not None:
+                    self._hear(message)
             return self._compose(tuple(map(self._witness.checked, replies)), contactor_refusal)
 
     def _newest_frame(self) -> TactileFrame | None:
@@ -102,14 +99,14 @@ class Inputs:
         if not newest:
             return None
         try:
-            message: TactileFrame = deserialize_message(newest, TactileFrame)
+            return deserialize_message(newest, TactileFrame)
         except RuntimeError as error:  # bytes of a stranger: what the middleware says of them
             self.refused.add("tactile_frame", f"it cannot be read: {type(error).__name__}")
             return None
-        return message
 
-    def _hear(self, kind: type[Any], message: Any) -> None:
+    def _hear(self, message: Any) -> None:
         """Keep what was measured anew, by when that was: stale data are not fresh because they came or came again."""
+        kind = type(message)
         known = self._heard.get(kind)
         if known is not None and message.header.stamp == known.header.stamp:
             return
@@ -139,23 +136,16 @@ class Inputs:
     def _compose(self, replies: tuple[Reply, ...], contactor_refusal: str) -> Observation:
         now = time.monotonic()
         servo, tactile, power = (self._heard.get(kind) for kind in self._measured)
-        values: dict[str, Any] = {
-            "time": now,
-            "replies": replies,
-            "contactor_refusal": contactor_refusal,
-            "duplicate_sources": self._double,
-        }
         ages = (now - measured for measured in self._measured.values())
-        values.update(zip(("servo_age", "tactile_age", "power_age"), ages, strict=True))
+        values: dict[str, Any] = dict(zip(("servo_age", "tactile_age", "power_age"), ages, strict=True))
         if servo is not None:
-            reserve = list(servo.thermal_reserve) or [math.inf]
             values.update(
                 angles=tuple(servo.position),
                 currents=tuple(servo.current),
                 servos_valid=all(servo.valid),
                 hardware_error=int(np.bitwise_or.reduce(np.array(servo.hardware_error, dtype=np.uint8))),
                 torque_enabled=all(servo.torque_enabled),
-                thermal_reserve=float(np.min(reserve)),  # NaN where one is: unknown
+                thermal_reserve=float(np.min(servo.thermal_reserve, initial=math.inf)),  # NaN where one is: unknown
             )
         if tactile is not None:
             values.update(tactile_contact=_touches(tactile), tared=tactile.tared)
@@ -166,7 +156,9 @@ class Inputs:
                 target_voltage=power.target_voltage,
                 power_fault=power.fault,
             )
-        return Observation(**values)
+        return Observation(
+            time=now, replies=replies, contactor_refusal=contactor_refusal, duplicate_sources=self._double, **values
+        )
 
 
 def _in_order(message: ServoState) -> ServoState:
@@ -187,8 +179,7 @@ def _in_order(message: ServoState) -> ServoState:
         return message
     order = [list(message.name).index(name) for name in JOINTS]
     sorted_ = {name: [each[index] for index in order] for name, each in zip(_PER_SERVO, arrays, strict=True)}
-    reserve = message.thermal_reserve
-    return ServoState(header=message.header, name=list(JOINTS), thermal_reserve=reserve, **sorted_)
+    return ServoState(header=message.header, name=list(JOINTS), thermal_reserve=message.thermal_reserve, **sorted_)
 
 
 def _two_pads(message: TactileFrame) -> TactileFrame:
@@ -205,5 +196,4 @@ _NAMES: dict[type[Any], str] = dict(zip((ServoState, TactileFrame, ChargerPower)
 
 
 def _touches(frame: TactileFrame) -> bool:
-    pads: Sequence[Any] = (frame.left, frame.right)
-    return any(float(np.nanmax(np.asarray(pad), initial=0.0)) >= CONTACT_FORCE for pad in pads)
+    return any(float(np.nanmax(np.asarray(pad), initial=0.0)) >= CONTACT_FORCE for pad in (frame.left, frame.right))

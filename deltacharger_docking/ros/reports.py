@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 from deltacharger.msg import DockingDecision, DockingState
 from rclpy.duration import Duration
@@ -24,11 +25,7 @@ _DIAGNOSTICS = 1.0  # s
 
 def changes(before: State, passed: Sequence[State], now: State) -> list[State]:
     """Return the states to tell after `before`: those passed through within one tick, then the present one."""
-    told: list[State] = []
-    for state in (*passed, now):
-        if state is not (told[-1] if told else before):
-            told.append(state)
-    return told
+    return [state for last, state in pairwise((before, *passed, now)) if state is not last]
 
 
 class Reports:

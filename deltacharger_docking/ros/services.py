@@ -8,7 +8,6 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
 from deltacharger.msg import Misalignment
@@ -21,7 +20,8 @@ from deltacharger_core.texts import cut
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.observation import ElectrodePose, Reply, Request, Service
 from deltacharger_docking.ros.messages import estimate
-from deltacharger_ros.messages import duration
+from deltacharger_ros.action_caller import result_of
+from deltacharger_ros.messages import duration, seconds
 from deltacharger_ros.unknown import unknown_misalignment
 
 _RENEWAL = 0.1  # s between renewals of the lease
@@ -36,18 +36,16 @@ _LOOKING = 0.9  # of the time for a detection: why nothing was found must arrive
 class Services:
     """Calls services for the machine without waiting and collects the replies; renews the contactor's lease."""
 
-    def __init__(self, node: Node, clock_age: Callable[[Any], float]) -> None:
+    def __init__(self, node: Node) -> None:
         self._lock = threading.Lock()
         self._replies: list[Reply] = []
         self._refusal = ""
         self._felt: deque[tuple[FeltPose, Misalignment]] = deque(maxlen=_FELT)
         self._renewals: deque[tuple[Any, float]] = deque()  # futures without an answer, and since when
-        self._age = clock_age
+        self._clock = node.get_clock()
         self._renewed = -math.inf
         self._undelivered: list[tuple[Request, float]] = []  # and until when their services are waited for, s
-        self._wanted = False
-        self._token = ""  # of the closing that is wanted: who does not know it cannot renew the lease
-        self._wish = 0  # counts changes of it: an answer to an earlier wish says nothing about the present one
+        self._token = ""  # of the closing that is wanted, '' = none: who does not know it cannot renew the lease
         self._clients: dict[Service, Any] = {
             Service.TORQUE_ON: node.create_client(SetBool, "set_torque"),
             Service.TARE: node.create_client(Trigger, "tare"),
@@ -64,13 +62,9 @@ class Services:
 
         Requests of one service keep their order: torque on never overtakes torque off.
         """
-        client = self._clients[request.service]
-        waits = any(self._clients[earlier.service] is client for earlier, _ in self._undelivered)
-        if client.service_is_ready() and not waits:
-            self._send(request)
-        else:
-            patience = min(request.timeout or _DISCOVERY, _DISCOVERY)
-            self._undelivered.append((request, time.monotonic() + patience))
+        patience = min(request.timeout or _DISCOVERY, _DISCOVERY)
+        self._undelivered.append((request, time.monotonic() + patience))
+        self._deliver()
 
     def forget(self) -> None:
         """Send no more of what a goal that failed had asked for, but what makes the charger safe."""
@@ -79,9 +73,11 @@ class Services:
     def _deliver(self) -> None:
         """Send what waits for its service, or tell that nobody serves it."""
         waiting, self._undelivered = self._undelivered, []
+        clients = {self._clients[request.service] for request, _ in waiting}
+        ready = {client for client in clients if client.service_is_ready()}  # asked once, so that none overtakes
         for request, end in waiting:
             client = self._clients[request.service]
-            if client.service_is_ready():
+            if client in ready:
                 self._send(request)
             elif time.monotonic() < end:
                 self._undelivered.append((request, end))
@@ -90,19 +86,15 @@ class Services:
 
     def _send(self, request: Request) -> None:
         client = self._clients[request.service]
-        message: Any
-        if request.service in (Service.TORQUE_ON, Service.TORQUE_OFF):
-            message = SetBool.Request(data=request.service is Service.TORQUE_ON)
-        elif request.service is Service.OPEN:
-            message = SetContactor.Request(close=False, holder=_HOLDER)
-        elif request.service is Service.ESTIMATE:
-            message = PredictMisalignment.Request(frames=request.frames)
-        elif request.service is Service.DETECT:
-            message = DetectElectrodes.Request(timeout=duration(_LOOKING * request.timeout))
-        else:
-            message = client.srv_type.Request()
+        fields: dict[Service, dict[str, Any]] = {
+            Service.TORQUE_ON: {"data": True},
+            Service.TORQUE_OFF: {"data": False},
+            Service.OPEN: {"close": False, "holder": _HOLDER},
+            Service.ESTIMATE: {"frames": request.frames},
+            Service.DETECT: {"timeout": duration(_LOOKING * request.timeout)},
+        }
         asked = time.monotonic()
-        future = client.call_async(message)
+        future = client.call_async(client.srv_type.Request(**fields.get(request.service, {})))
         future.add_done_callback(lambda done: self._answer(request, asked, done))
 
     def take(self) -> tuple[tuple[Reply, ...], str]:
@@ -119,12 +111,11 @@ class Services:
     def contactor(self, wanted: bool, closed: bool) -> None:
         """Renew the lease while `wanted`, ten times a second; open at once when it no longer is."""
         now = time.monotonic()
-        changed, self._wanted = wanted != self._wanted, wanted
+        changed = wanted != bool(self._token)
         if changed:
-            self._token = secrets.token_hex(16) if wanted else ""
             with self._lock:
+                self._token = secrets.token_hex(16) if wanted else ""
                 self._refusal = ""
-                self._wish += 1
         if not (changed or ((wanted or closed) and now - self._renewed >= _RENEWAL)):
             return
         self._renewed = now
@@ -133,26 +124,20 @@ class Services:
                 with self._lock:
                     self._refusal = "no node serves set_contactor"
             return
-        lease = duration(LONGEST_LEASE)
-        message = SetContactor.Request(close=wanted, holder=_HOLDER, lease=lease, token=self._token)
-        self._give_up_renewals(now)
-        future = self._contactor.call_async(message)
-        self._renewals.append((future, now))
-        wish = self._wish
-        future.add_done_callback(lambda done: self._contactor_answer(wanted, wish, done))
-
-    def _give_up_renewals(self, now: float) -> None:
-        """Forget calls that a hung node never answers; each would be kept for ever."""
+        message = SetContactor.Request(close=wanted, holder=_HOLDER, lease=duration(LONGEST_LEASE), token=self._token)
+        # Calls that a hung node never answers are forgotten; each would be kept for ever.
         while self._renewals and (self._renewals[0][0].done() or now - self._renewals[0][1] > _GIVEN_UP):
             self._contactor.remove_pending_request(self._renewals.popleft()[0])
+        future = self._contactor.call_async(message)
+        self._renewals.append((future, now))
+        token = self._token
+        future.add_done_callback(lambda done: self._contactor_answer(token, done))
 
-    def _contactor_answer(self, wanted: bool, wish: int, done: Any) -> None:
-        try:
-            answer = done.result()
-        except Exception:  # as in `_answer`; a renewal that got no answer lapses by itself
-            return
+    def _contactor_answer(self, token: str, done: Any) -> None:
+        """Keep why the closing of this token was refused; of one that is not wanted any more it says nothing."""
+        answer = result_of(done)  # a renewal that got none lapses by itself
         with self._lock:
-            if wanted and wish == self._wish and answer is not None and not answer.success:
+            if token and token == self._token and answer is not None and not answer.success:
                 self._refusal = cut(answer.message)
 
     def _answer(self, request: Request, asked: float, done: Any) -> None:
@@ -180,11 +165,10 @@ class Services:
         point = seen.pose.pose.position
         variance = float(seen.pose.covariance[35])
         stddev = math.sqrt(variance) if variance >= 0.0 else math.inf  # also where it is NaN: unknown is not exact
-        age = abs(self._age(seen.header.stamp))  # an image from the future is as wrong as an old one
+        # An image from the future is as wrong as an old one.
+        age = abs(seconds(self._clock.now().to_msg()) - seconds(seen.header.stamp))
         return {"detection": ElectrodePose((point.x, point.y, point.z), seen.roll, stddev, age)}
 
     def _put(self, reply: Reply) -> None:
-        if not reply.number:  # the shell's own requests; numbers of the machine begin with 1 and never come again
-            return
         with self._lock:
             self._replies.append(reply)

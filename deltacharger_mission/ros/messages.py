@@ -28,8 +28,9 @@ def read_dock(number: int, end: End, result: Any, heard: Any) -> TaskReply:
         return TaskReply(number, end, Code.REJECTED, "docking_node did not take the goal; look at its log", True)
     pose = getattr(result, "suggested_base_pose", None)
     place = near(pose.pose.position) if pose is not None and pose.header.frame_id else None
-    code, message = _known(result.error_code), cut(result.error_message)
-    return TaskReply(number, _ended(end, result), code, message, result.retriable, suggested=place)
+    code = Code(result.error_code) if result.error_code in set(Code) else Code.INTERNAL
+    ended = End.DONE if result.success else End.FAILED if end is End.DONE else end
+    return TaskReply(number, ended, code, cut(result.error_message), result.retriable, suggested=place)
 
 
 def read_drive(number: int, end: End, result: Any, heard: Any) -> TaskReply:
@@ -40,7 +41,12 @@ def read_drive(number: int, end: End, result: Any, heard: Any) -> TaskReply:
 
 
 def read_detection(number: int, answer: Any) -> TaskReply:
-    """Return the reply of detect_electrodes; a robot is not sent after electrodes that no camera can see."""
+    """Return the reply of detect_electrodes; `answer` is None where it gave none.
+
+    A robot is not sent after electrodes that no camera can see.
+    """
+    if answer is None:
+        return TaskReply(number, End.LOST)
     if not answer.success:
         return TaskReply(number, End.FAILED, message=cut(answer.message))
     seen = near(answer.detection.pose.pose.position)
@@ -54,15 +60,6 @@ def read_state(message: Any) -> DockingReport | None:
     if message.state not in set(State):
         return None
     return DockingReport(State(message.state), message.docked, message.charging)
-
-
-def _ended(end: End, result: Any) -> End:
-    """Return how a docking action ended; its `success` decides whether it was done."""
-    return End.DONE if result.success else End.FAILED if end is End.DONE else end
-
-
-def _known(code: int) -> Code:
-    return Code(code) if code in set(Code) else Code.INTERNAL
 
 
 def unknown_dock() -> Any:
@@ -84,11 +81,10 @@ def goal(request: Any, electrodes: Sequence[float] | None) -> MissionGoal:
     """
     where = None
     if electrodes is not None:
-        target = request.target
-        if not 0 < len(target.header.frame_id) <= _FRAME_MAX:
-            length = len(target.header.frame_id)
+        length = len(request.target.header.frame_id)
+        if not 0 < length <= _FRAME_MAX:
             raise Rejected(f"target.header.frame_id has {length} characters: name the navigator's frame, such as map")
-        here = place(target)
+        here = place(request.target)
         if here is None:
             raise Rejected("the target's pose is not finite, or its quaternion is zero: send numbers")
         where = here.at(*electrodes)

@@ -36,6 +36,7 @@ _FEEDBACK = 1.0  # s between feedbacks without a change
 _DIAGNOSTICS = 1.0  # s
 _CLOSING = 3.0  # s for what is under way to hear that it is called off, and for the contactor to be seen open
 _WAITING_MAX = 2  # goals that wait for one mission, each in a worker
+_SHUT_DOWN = "mission_node was shut down; the robot stands where it is, undock before you drive it"
 
 
 def load_navigation(name: str) -> Any:
@@ -62,7 +63,7 @@ class _Mission(Work):
     def __init__(self, handle: GoalHandle) -> None:
         super().__init__(handle)
         self.request_id = handle.request.request_id
-        self.docked: Any = None  # the result of its last docking
+        self.docked: Any = io.unknown_dock()  # the result of its last docking
         self.wishes = 0  # to cancel that the machine was told of
 
 
@@ -72,7 +73,7 @@ class MissionNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         self._closed = True  # nothing to call off before the node is complete
         super().__init__("mission_node", **kwargs)
-        self._settings = declare_all(self, MissionParameters, form="{text}, {unit}")
+        settings = declare_all(self, MissionParameters, form="{text}, {unit}")
         given = declare_all(self, MissionNodeParameters)
         reject_unknown(self)
         try:
@@ -80,7 +81,6 @@ class MissionNode(Node):
         except ValueError as error:
             raise node_support.StartupError(f"mission_node: parameter 'base_pose': {error}") from error
         navigate_to_pose = load_navigation(given.navigation)
-        settings = self._settings
         self._electrodes = (settings.electrodes_x, settings.electrodes_y, settings.electrodes_yaw)
         self._drives = navigate_to_pose is not None
         home = Place(settings.home_x, settings.home_y, settings.home_yaw, given.map_frame) if self._drives else None
@@ -118,18 +118,12 @@ class MissionNode(Node):
         self._stopping.set()
         self._thread.join(2.0)
         with self._lock:
-            self._carry_out(self._machine.emergency())
+            self._others.carry_out(self._machine.emergency())
         end = time.monotonic() + _CLOSING
         while self._others.is_at_work and time.monotonic() < end:
             self._others.observe()
             time.sleep(_TICK)
-        self._end(
-            MissionOutcome(
-                code=Code.CANCELED,
-                message="mission_node was shut down; the robot stands where it is, undock before you drive it",
-                retriable=True,
-            )
-        )
+        self._end(MissionOutcome(code=Code.CANCELED, message=_SHUT_DOWN, retriable=True))
 
     def destroy_node(self) -> None:
         """Close, then release the ROS side."""
@@ -142,31 +136,25 @@ class MissionNode(Node):
         while not self._stopping.wait(_TICK):
             try:
                 with self._lock:
-                    self._carry_out(self._machine.step(self._others.observe()))
+                    self._others.carry_out(self._machine.step(self._others.observe()))
                     self._report()
             except Exception as error:  # a defect must call everything off and end the goal, not the thread
                 self.get_logger().error(f"the mission met a defect: {type(error).__name__}: {error}")
+                outcome = MissionOutcome(message=f"internal error: {error}; the robot stands where it is, see the log")
                 with self._lock:
-                    self._carry_out(self._machine.emergency())
-                    self._end(
-                        MissionOutcome(message=f"internal error: {error}; the robot stands where it is, see the log")
-                    )
-
-    def _carry_out(self, command: Any) -> None:
-        for request in command.requests:
-            self._others.carry_out(request)
-        for number in command.cancels:
-            self._others.cancel(number)
+                    self._others.carry_out(self._machine.emergency())
+                    self._end(outcome)
 
     def _report(self) -> None:
         """Hand a finished mission over, tell feedback where the stage changed, diagnose now and then."""
-        mission = self._mission
+        mission, status = self._mission, self._machine.status
         if mission is not None:
             wishes = sum(handle.is_cancel_requested for handle in mission.handles)
             if wishes > mission.wishes:
                 mission.wishes = wishes
                 self._machine.cancel()
-            self._feed_back(mission)
+            if mission.is_due((status.stage, len(mission.handles)), _FEEDBACK):  # who has joined is told at once
+                mission.feed_back(ChargeRobot.Feedback(stage=int(status.stage), elapsed=duration(status.elapsed)))
         outcome, self._machine.outcome = self._machine.outcome, None
         if outcome is not None:
             self._end(outcome)
@@ -180,19 +168,13 @@ class MissionNode(Node):
             mission.docked = self._others.dock_result
             mission.end(outcome)
 
-    def _feed_back(self, mission: _Mission) -> None:
-        status = self._machine.status
-        if mission.is_due((status.stage, len(mission.handles)), _FEEDBACK):  # who has joined is told at once
-            mission.feed_back(ChargeRobot.Feedback(stage=int(status.stage), elapsed=duration(status.elapsed)))
-
     def _diagnose(self) -> None:
         status = self._machine.status
-        level, text = OK, status.stage.name if self._machine.busy else "IDLE"
-        if status.code:
-            level, text = WARN, f"{status.code.name}: {status.message}"
+        stage = status.stage.name if self._machine.busy else "IDLE"
+        level, text = (WARN, f"{status.code.name}: {status.message}") if status.code else (OK, stage)
         where = status.place
         entries = {
-            "stage": status.stage.name if self._machine.busy else "IDLE",
+            "stage": stage,
             "request_id": status.request_id,
             "elapsed_s": round(status.elapsed, 1),
             "views": status.views,

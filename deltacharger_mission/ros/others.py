@@ -27,36 +27,6 @@ _ENDS = {
     LOST: End.LOST,
 }
 
-Put = Callable[[TaskReply], None]
-
-
-class Detector:
-    """Calls detect_electrodes, as `ActionCaller` does an action."""
-
-    def __init__(self, node: Node, put: Put) -> None:
-        self._client: Any = node.create_client(DetectElectrodes, "detect_electrodes")
-        self._put = put
-
-    @property
-    def is_served(self) -> bool:
-        """Whether somebody serves it now."""
-        return bool(self._client.service_is_ready())
-
-    def send(self, number: int, timeout: float) -> None:
-        """Let the camera look for so long (s)."""
-        if not self.is_served:
-            self._put(TaskReply(number, End.LOST))
-            return
-        future = self._client.call_async(DetectElectrodes.Request(timeout=duration(timeout)))
-        future.add_done_callback(lambda done: self._on_answer(number, done))
-
-    def _on_answer(self, number: int, future: Any) -> None:
-        answer = result_of(future)
-        if answer is None:
-            self._put(TaskReply(number, End.LOST))
-        else:
-            self._put(read_detection(number, answer))
-
 
 class Others:
     """All that a mission asks of other nodes, and what they say.
@@ -75,7 +45,7 @@ class Others:
         self._replies: list[TaskReply] = []
         self._docking: DockingReport | None = None
         self.dock_result = unknown_dock()
-        self._detector = Detector(node, self._put)
+        self._detector: Any = node.create_client(DetectElectrodes, Task.DETECT.value)
         self._callers = {
             task: ActionCaller(node, kind, task.value, self._hearing(read), lost_timeout)
             for task, kind, read in (
@@ -99,28 +69,35 @@ class Others:
         for caller in self._callers.values():
             caller.tick()
         served = {task for task, caller in self._callers.items() if caller.is_served}
-        if self._detector.is_served:
+        if self._detector.service_is_ready():
             served.add(Task.DETECT)
         with self._lock:
             replies, self._replies = tuple(self._replies), []
         return MissionObservation(time.monotonic(), frozenset(served), self._docking, replies)
 
-    def carry_out(self, request: TaskRequest) -> None:
-        """Send a request."""
-        if request.task is Task.DETECT:
-            self._detector.send(request.number, request.timeout)
-        else:
-            self._callers[request.task].send(request.number, self._message(request))
-
-    def cancel(self, number: int) -> None:
-        """Call a request off."""
-        for caller in self._callers.values():
-            caller.cancel(number)
+    def carry_out(self, command: Any) -> None:
+        """Send what is asked for, and call off what is not wanted any more."""
+        for request in command.requests:
+            if request.task is Task.DETECT:
+                self._look(request)
+            else:
+                self._callers[request.task].send(request.number, self._message(request))
+        for number in command.cancels:
+            for caller in self._callers.values():
+                caller.cancel(number)
 
     def destroy(self) -> None:
         """Release the ROS side."""
         for caller in self._callers.values():
             caller.destroy()
+
+    def _look(self, request: TaskRequest) -> None:
+        """Let the camera look, where somebody serves it."""
+        if not self._detector.service_is_ready():
+            self._put(read_detection(request.number, None))
+            return
+        future = self._detector.call_async(DetectElectrodes.Request(timeout=duration(request.timeout)))
+        future.add_done_callback(lambda done: self._put(read_detection(request.number, result_of(done))))
 
     def _message(self, request: TaskRequest) -> Any:
         if request.task is Task.UNDOCK:

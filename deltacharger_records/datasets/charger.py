@@ -29,7 +29,6 @@ from deltacharger_records.datasets.arm_guest import ArmError, ArmGuest
 from deltacharger_records.datasets.keeper import TOPICS, Tape
 from deltacharger_records.datasets.session import TouchSession
 from deltacharger_records.node_parameters import docking_settings
-from deltacharger_ros.messages import seconds
 from deltacharger_ros.raw_topics import listen
 
 _TICK = 0.02  # s; pace where servo_state does not come
@@ -61,7 +60,7 @@ class RecordingCharger(ArmGuest):
         self.names = {topic.name: self.node.resolve_topic_name(topic.name) for topic in TOPICS}
         self.tape = Tape(self.names["docking_state"])
         self._inputs = Inputs(self.node)
-        self._calls = Services(self.node, self._age)
+        self._calls = Services(self.node)
         listen(self.node, TOPICS, self.tape.take)
         self._tare: Any = self.node.create_client(Trigger, "tare")
         self.serve()
@@ -219,6 +218,3 @@ class RecordingCharger(ArmGuest):
 
     def _wait_for_torque_off(self) -> bool:
         return self._wait(lambda: not self._observe().torque_enabled, _ANSWER, patient=True)
-
-    def _age(self, stamp: Any) -> float:
-        return seconds(self.node.get_clock().now().to_msg()) - seconds(stamp)

@@ -40,8 +40,7 @@ def test_states_passed_between_two_looks_are_told_once_each_in_order(
     before: State, passed: list[State], now: State
 ) -> None:
     told = changes(before, passed, now)
-    whole = [before, *passed, now]
-    assert told == [state for last, state in itertools.pairwise(whole) if state is not last]
+    assert [before, *told] == [state for state, _ in itertools.groupby([before, *passed, now])]
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import time
 from typing import Any
 
 import pytest
@@ -31,7 +30,7 @@ def node(context: Any, namespace: str, spin: Spin) -> Node:
 
 @pytest.fixture
 def services(node: Node) -> Services:
-    return Services(node, lambda stamp: time.time() - stamp.sec)
+    return Services(node)
 
 
 def reply(services: Services) -> Reply:
@@ -63,7 +62,7 @@ def test_a_service_that_never_appears_is_named(services: Services) -> None:
 
 def test_torque_on_never_overtakes_torque_off_when_servo_node_comes_late(node: Node) -> None:
     heard = list[bool]()
-    services = Services(node, lambda stamp: 0.0)
+    services = Services(node)
     services.call(Request(1, Service.TORQUE_ON))
     node.create_service(SetBool, "set_torque", lambda request, answer: _hear(heard, request, answer))
     client = services._clients[Service.TORQUE_ON]
@@ -75,7 +74,7 @@ def test_torque_on_never_overtakes_torque_off_when_servo_node_comes_late(node: N
 
 def test_what_a_goal_that_failed_had_asked_for_is_not_sent_any_more(node: Node) -> None:
     heard = list[bool]()
-    services = Services(node, lambda stamp: 0.0)
+    services = Services(node)
     services.call(Request(1, Service.TORQUE_ON))
     services.call(Request(2, Service.TORQUE_OFF))
     services.forget()

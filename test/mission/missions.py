@@ -206,7 +206,7 @@ def dock(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
         return 0.2, TaskReply(request.number, End.FAILED, Code.UNREACHABLE, "out of reach", suggested=where)
     world.attached = True
     world.docking = DockingReport(State.CHARGING, docked=True, charging=True)
-    return 100.0, TaskReply(request.number, End.DONE, energy=1000.0)
+    return 100.0, TaskReply(request.number, End.DONE)
 
 
 def undock(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
