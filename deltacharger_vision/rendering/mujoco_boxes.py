@@ -208,8 +208,8 @@ class BoxRasteriser:
 def _imported() -> tuple[Any, Any]:
     """Return MuJoCo and the class of its OpenGL contexts: of EGL on Linux, unless MUJOCO_GL says otherwise.
 
-    MuJoCo chooses its class while it is imported. Where that was done before, for mechanics alone, it has taken one of
-    windows, whose buffers cannot be made without a display.
+    MuJoCo chooses its class while it is imported. Where that was done before, for mechanics alone, it has taken GLFW's,
+    which makes no buffers without a display.
     """
     backend = os.environ.setdefault("MUJOCO_GL", "egl") if sys.platform == "linux" else ""
     try:
