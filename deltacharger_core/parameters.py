@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
 import math
 import types
 import typing
@@ -148,9 +149,15 @@ def declaration(item: dataclasses.Field[Any]) -> Declaration | None:
     return None if found is None else replace(found, name=item.name)
 
 
+@functools.cache
+def _hints(cls: type[Any]) -> Mapping[str, Any]:
+    """Return the types of a class's fields; what they are written as is compiled once."""
+    return typing.get_type_hints(cls)
+
+
 def declared(cls: type[Any], path: str = "") -> Iterator[Declaration]:
     """Yield the declaration of every parameter of a class, those of its groups with dotted names."""
-    hints = typing.get_type_hints(cls)
+    hints = _hints(cls)
     for item in dataclasses.fields(cls):
         name, found = f"{path}.{item.name}" if path else item.name, declaration(item)
         if dataclasses.is_dataclass(hints[item.name]):
@@ -193,15 +200,15 @@ def from_mapping(mapping: Any, cls: type[T], path: str = "") -> T:
     """
     if not isinstance(mapping, Mapping):
         raise ParameterError(path or "(top)", mapping, f"{brief(mapping)} is not a mapping of keys to values")
-    hints = typing.get_type_hints(cls)
+    hints = _hints(cls)
     names = [item.name for item in dataclasses.fields(cls)]  # type: ignore[arg-type]
-    known = f"; known are {', '.join(names)}"
     values: dict[str, Any] = {}
     for key, value in mapping.items():
         name = str(key) if len(str(key)) <= _LONGEST_KEY else brief(key)
         where = f"{path}.{name}" if path else name
         if key not in names:
-            raise ParameterError(where, value, f"unknown key{did_you_mean(key, names) or known}")
+            known = did_you_mean(key, names) or f"; known are {', '.join(names)}"
+            raise ParameterError(where, value, f"unknown key{known}")
         values[key] = _convert(value, hints[key], where)
     try:
         return cls(**values)

@@ -22,10 +22,12 @@ class Wait(NamedTuple):
     Attributes:
         until: s; up to then it only lets time pass, as far as it knows; what interrupts it is looked at in steps.
         reads: whether it judges by the servos' readings made until then.
+        nearing: m/s; it also ends at touch, and nears the target at this speed at most; 0 = it does not look for touch.
     """
 
     until: float = -math.inf
     reads: bool = False
+    nearing: float = 0.0
 
 
 NEXT = Wait()

@@ -212,7 +212,12 @@ class Context:
             self.hold()
 
     def move(
-        self, goal: Vector, speed: float, settle: bool = True, until: Callable[[], bool] | None = None
+        self,
+        goal: Vector,
+        speed: float,
+        settle: bool = True,
+        until: Callable[[], bool] | None = None,
+        spare: Callable[[], float] | None = None,
     ) -> Script[bool]:
         """Move on a straight line from the last commanded position to `goal` (m, charger_base); stand still on it while
         `is_blind`.
@@ -222,6 +227,7 @@ class Context:
             speed: peak, m/s.
             settle: come to rest at its end.
             until: ends the line, and the command, where it is then; looked at in every tick.
+            spare: s in which `until` cannot come true; None = it cannot before the electrodes touch.
 
         Returns:
             Whether `until` ended the line; the arm has not come to rest then.
@@ -239,7 +245,12 @@ class Context:
                 self._told, self.goal_angles = self.feed.hold(self.time), NAN3
                 self.feed.stop()
                 return True
-            yield Wait(self.feed.end) if until is None else NEXT
+            if until is None:
+                yield Wait(self.feed.end)
+            elif spare is None:
+                yield Wait(self.feed.end, reads=True, nearing=speed)
+            else:
+                yield Wait(min(self.feed.end, self.time + spare()), reads=True)
         if settle:
             yield from self.rest()
         return False

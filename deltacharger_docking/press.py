@@ -140,8 +140,12 @@ def _meet(context: Context, depth: float) -> Script[None]:
             yield from _press_on(context)
             return
         wanted = known.commanded + (parameters.current_aim - known.current) / slope_expected(context)
+        rise = slope_expected(context) * parameters.press_speed
         too_hard = yield from context.move(
-            (x, y, wanted), parameters.press_speed, until=lambda: context.contact.value > parameters.current_max
+            (x, y, wanted),
+            parameters.press_speed,
+            until=lambda: context.contact.value > parameters.current_max,
+            spare=lambda: 0.5 * (parameters.current_max - context.contact.value) / rise,
         )
         if too_hard:
             yield from context.rest()

@@ -98,6 +98,18 @@ class Mechanics(Motion):
             return
         self._accept(dx, dy, dz, dt)
 
+    def servo_push(self) -> float:
+        """Return the force (N) of motors and gears on the platform along z, less what holds the arm's weight.
+
+        The force of arms that turn by dθ = R dp is Rᵀ τ.
+        """
+        push = self._mass * self._gravity[2]
+        for row, motor, gear, (cosine, sine), (up, out) in zip(
+            self._rows, self.torques, self.gear, self._turns, self._elbows, strict=True
+        ):
+            push += row[2] * (motor + gear + up * cosine - out * sine)
+        return push
+
     def _set_inputs(
         self,
         inputs: tuple[object, ...],

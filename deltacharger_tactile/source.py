@@ -86,17 +86,13 @@ class ContactSource:
             share: of the force that the left pad carries.
         """
         pressed = self._press(pose, force, share)
-        first = time - (count - 1) * period
+        times = time - period * np.arange(count - 1, -1, -1)
         if pressed is not None and self._began is None:
-            self._began = first
-        result = []
-        for index in range(count):
-            now = first + index * period
-            step = 1.0 / FRAME_RATE if self._last is None else now - self._last
-            self._last = now
-            felt = 0.0 if pressed is None or self._began is None else now - self._began
-            result.append(self._sensor.read(pressed, self._docking, felt, step)[0])
-        return np.stack(result) if count > 1 else result[0][None]
+            self._began = float(times[0])
+        first = 1.0 / FRAME_RATE if self._last is None else float(times[0]) - self._last
+        self._last = time
+        felt = times - self._began if self._began is not None else np.zeros(count)
+        return self._sensor.course(pressed, self._docking, felt, (first, *[period] * (count - 1)))
 
     def _press(self, pose: Pose | None, force: float, share: float) -> Array | None:
         """Return the forces on the taxels (1, 2, 10, 10) N; None where nothing touches."""

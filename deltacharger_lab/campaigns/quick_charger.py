@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A charger in virtual time that computes only what somebody looks at.
 
-It is there because ten of its dockings take the time of one of `VirtualCharger`, whose kind it is.
+It is there because six of its dockings take the time of one of `VirtualCharger`, whose kind it is.
 
 Against `VirtualCharger`, which does what the nodes do at their rates: the world goes on in steps of 10 ms, not 5, and
 of twice that where the arm settles, and again where the electrodes rest on the target; the machine is stepped every
@@ -36,6 +36,7 @@ from deltacharger_tactile.source import ContactSource
 MOVING, STANDING = 8, 13  # ticks that one step of the machine may last
 SETTLING = 2  # ticks that one step of the world may last where the platform only comes after its goal
 _MORE = 0.005  # s before the machine's window, from which on readings of the servos are made: half a tick
+_NEAR = 0.005  # m of gap, below which the magnets may snap before the machine is stepped again
 _STILL = 1e-4  # m/s; what is left of a motion at this speed moves the contact current by less than its noise
 _SAME_PLACE, _SAME_TURN = 5e-4, 4e-3  # m and rad within which the pads feel the same, but for the force
 _SAME_FORCE = 0.2  # relative
@@ -74,6 +75,7 @@ class QuickCharger(VirtualCharger):
         self._arrived: tuple[Waypoint, ...] = ()  # the line whose end has been commanded
         self._followed: tuple[Waypoint, ...] = ()  # the line to which the next number belongs
         self._segment = 0
+        self._current = math.nan  # A, into the target when it was last looked at
         self._most_felt = 0.0  # N on the taxel that felt most
         self._felt_at: tuple[float, ...] | None = None  # pose (m, m, rad), force (N) and number of the contact
 
@@ -91,19 +93,31 @@ class QuickCharger(VirtualCharger):
 
     def _stride(self, most: int) -> int:
         """Return how many ticks may pass until the machine or a service has something to do."""
-        until = self._waits.until
+        until = self._quiet_until()
         for pending in self._pending:
             until = min(until, pending.due)
         left = (until - self.now) / TICK
         return 1 if left <= 1.0 else math.ceil(min(left, most) - 1e-6)
 
+    def _quiet_until(self) -> float:
+        """Return until when (s) the script only lets time pass: in free air nothing can be touched before."""
+        waits = self._waits
+        if not waits.nearing:
+            return waits.until
+        return min(waits.until, self.now + (self.world.mechanics.gap - _NEAR) / waits.nearing)
+
     def _stands(self) -> bool:
-        """Return whether neither goal, platform nor contactor is on its way anywhere."""
+        """Return whether neither goal, platform, contactor nor charge current is on its way anywhere."""
         if self._energised or self.world.circuit.closed:
-            return False
+            return self._charges_on()
         if self._trajectory and self.now - self._started < self._trajectory[-1].time + TICK:
             return False
         return self._speed() < _STILL
+
+    def _charges_on(self) -> bool:
+        """Return whether the platform stands still and the current has not changed since this was last asked."""
+        before, self._current = self._current, self.world.circuit.current
+        return self._current == before and self._current > 0.0 and self.world.mechanics.still
 
     def _world_ticks(self) -> int:
         """Return how many ticks one step of the world may take."""
@@ -153,7 +167,7 @@ class QuickCharger(VirtualCharger):
     def _pass(self, ticks: int, standing: bool) -> None:
         """Let `ticks` of 10 ms pass, feeding the machine the readings on which its next decision rests."""
         world, start, waits = self.world, self.now, self._waits
-        from_then_on = waits.until - (self.parameters.contact_window + _MORE) if waits.reads else math.inf
+        from_then_on = self._quiet_until() - (self.parameters.contact_window + _MORE) if waits.reads else math.inf
         if standing:
             world.step(ticks * TICK)
         most = self._world_ticks()

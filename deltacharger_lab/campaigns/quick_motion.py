@@ -1,48 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of a campaign's dockings: the usual ones, but short slow ones at a fraction of the cost, and told whole."""
+"""Lines of a campaign's dockings: the usual ones at a fifth of the cost, and told whole."""
 
 from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Iterator
 from itertools import pairwise
 
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
-from deltacharger_kinematics.line import PEAK_SPEED, REFUSED, way_done
+from deltacharger_kinematics.line import PEAK_SPEED, REFUSED, ArmLimits, way_done
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, Waypoint, between
 
-_SHORT, _SLOW = 0.008, 0.04  # m and m/s up to which the arms' own limits never bind well inside the workspace
 _MARGIN = 0.02  # share of the reach that both ends must keep from its edge
 _INTERVAL = 0.02  # s between two points, as in the usual lines
+_FEWEST = 24  # intervals from which differences tell the arms' accelerations to 1 %, and so the time to 0.5 %
 _LOOKS = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of a leg
 _REFUSED, _EDGE = int(REFUSED), 0.02  # m around the workspace box
 
 
 class QuickPlanner(Planner):
-    """Plans short slow lines point by point in plain floats; the others, and all that could be refused, as ever.
+    """Plans lines well inside the reach point by point in plain floats, and leaves all others to `Planner`.
 
-    Such a line has the time law and the points of the usual one. Its lead under the arm's weight is exact at both ends
-    and linear between them, which over 8 mm is right to 0.2 mN·m. Waypoints carry no velocities: nobody reads them.
+    Such a line has the time law of the usual one; whether it keeps the arms' limits is judged at its points alone. Its
+    lead under the arm's weight is exact at both ends and in the middle, and a parabola between them. Waypoints
+    carry no velocities: nobody reads them.
     """
 
     def __init__(self, parameters: DockingParameters, geometry: DeltaGeometry) -> None:
         super().__init__(parameters, geometry)
         self._scalar = ScalarDelta(geometry)
+        self._limits = ArmLimits()
         (x0, y0, z0), (x1, y1, z1) = geometry.workspace_min, geometry.workspace_max
         self._low = (x0 - _EDGE, y0 - _EDGE, z0 - _EDGE)
         self._high = (x1 + _EDGE, y1 + _EDGE, z1 + _EDGE)
 
     def line(self, start: Vector, goal: Vector, speed: float, push: float | None = None) -> tuple[Waypoint, ...]:
         """Return the waypoints from `start` to `goal` as `Planner.line` does."""
-        length = math.dist(start, goal)
-        if length <= _SHORT and speed <= _SLOW and self._is_inside(start) and self._is_inside(goal):
-            quick = self._short(start, goal, length, speed, push)
-            if quick is not None:
-                return quick
-        return super().line(start, goal, speed, push)
+        quick = self._quick(start, goal, speed, push)
+        return super().line(start, goal, speed, push) if quick is None else quick
 
     def check_way(self, speed: float, *places: Vector) -> None:
         """Refuse a way as `Planner.check_way` does; one that stays well inside the reach needs a few looks only."""
@@ -57,28 +56,57 @@ class QuickPlanner(Planner):
     def _is_inside(self, point: Vector) -> bool:
         return all(low <= value <= high for low, value, high in zip(self._low, point, self._high, strict=True))
 
-    def _short(
-        self, start: Vector, goal: Vector, length: float, speed: float, push: float | None
-    ) -> tuple[Waypoint, ...] | None:
+    def _quick(self, start: Vector, goal: Vector, speed: float, push: float | None) -> tuple[Waypoint, ...] | None:
         """Return the line, or None where a point of it needs the full check."""
-        parameters, geometry = self._parameters, self._scalar.geometry
-        duration = max(PEAK_SPEED * length / speed, 2.0 * _INTERVAL)
-        first = self._scalar.holding_torque(*start, parameters.gravity)
-        last = self._scalar.holding_torque(*goal, parameters.gravity)
-        allowed = (parameters.push_current if push is None else push) * parameters.torque_constant
-        softness, low, high = 1.0 / parameters.servo_stiffness, geometry.joint_min, geometry.joint_max
-        points = []
-        for share, way in _ways(math.ceil(duration / _INTERVAL)):
-            solved = self._scalar.solve(*between(start, goal, way))
+        duration = max(PEAK_SPEED * math.dist(start, goal) / speed, 2.0 * _INTERVAL)
+        count = max(math.ceil(duration / _INTERVAL), _FEWEST)
+        ways = _ways(count)
+        angles = []
+        for way in ways:
+            point = between(start, goal, way)
+            solved = self._scalar.solve(*point) if self._is_inside(point) else None
             if solved is None or solved[1] & _REFUSED or solved[2] < _MARGIN:
                 return None
-            held = between(first, last, way)
-            a, b, c = (
-                min(max(angle + torque * softness, low), high) for angle, torque in zip(solved[0], held, strict=True)
+            angles.append(solved[0])
+        duration = max(duration, self._fastest(angles))
+        return tuple(self._waypoints(start, goal, ways, angles, duration, push))
+
+    def _fastest(self, angles: list[Vector]) -> float:
+        """Return the shortest time (s) in which the arms can take these angles (rad), evenly apart in time."""
+        turn = bend = 0.0
+        for before, here, after in zip(angles, angles[1:], angles[2:]):  # noqa: B905 they differ in length
+            for a, b, c in zip(before, here, after, strict=True):
+                turn, bend = max(turn, abs(c - a)), max(bend, abs(c - b - b + a))
+        count = len(angles) - 1
+        return max(0.5 * count * turn / self._limits.speed, count * math.sqrt(bend / self._limits.acceleration))
+
+    def _waypoints(
+        self,
+        start: Vector,
+        goal: Vector,
+        ways: tuple[float, ...],
+        angles: list[Vector],
+        duration: float,
+        push: float | None,
+    ) -> Iterator[Waypoint]:
+        parameters, geometry = self._parameters, self._scalar.geometry
+        held = [
+            self._scalar.holding_torque(*point, parameters.gravity)
+            for point in (start, between(start, goal, 0.5), goal)
+        ]
+        allowed = (parameters.push_current if push is None else push) * parameters.torque_constant
+        softness, low, high = 1.0 / parameters.servo_stiffness, geometry.joint_min, geometry.joint_max
+        for index in range(1, len(ways)):
+            way, (a, b, c) = ways[index], angles[index]
+            first, middle, last = (1.0 - way) * (1.0 - 2.0 * way), 4.0 * way * (1.0 - way), way * (2.0 * way - 1.0)
+            d, e, f = (first * p + middle * q + last * r for p, q, r in zip(*held, strict=True))
+            led = (
+                min(max(a + d * softness, low), high),
+                min(max(b + e * softness, low), high),
+                min(max(c + f * softness, low), high),
             )
-            bound = (abs(held[0]) + allowed, abs(held[1]) + allowed, abs(held[2]) + allowed)
-            points.append(Waypoint(share * duration, (a, b, c), bound))
-        return tuple(points)
+            bound = abs(d) + allowed, abs(e) + allowed, abs(f) + allowed
+            yield Waypoint(index / (len(ways) - 1) * duration, led, bound)
 
 
 class WholeFeed(TrajectoryFeed):
@@ -96,7 +124,6 @@ class WholeFeed(TrajectoryFeed):
 
 
 @functools.lru_cache(maxsize=64)
-def _ways(count: int) -> tuple[tuple[float, float], ...]:
-    """Return (share of the time, share of the way) of the points of a line but its first."""
-    shares = [index / count for index in range(1, count + 1)]
-    return tuple((share, way_done(share)) for share in shares)
+def _ways(count: int) -> tuple[float, ...]:
+    """Return the share of the way that is done at the ends of `count` equal shares of a line's time."""
+    return tuple(way_done(index / count) for index in range(count + 1))
