@@ -157,7 +157,7 @@ def _hints(cls: type[Any]) -> Mapping[str, Any]:
 
 def declared(cls: type[Any], path: str = "") -> Iterator[Declaration]:
     """Yield the declaration of every parameter of a class, those of its groups with dotted names."""
-    hints = _hints(cls)
+    hints = _hints(cls)  # type: ignore[arg-type]  # a class is hashable
     for item in dataclasses.fields(cls):
         name, found = f"{path}.{item.name}" if path else item.name, declaration(item)
         if dataclasses.is_dataclass(hints[item.name]):
@@ -200,7 +200,7 @@ def from_mapping(mapping: Any, cls: type[T], path: str = "") -> T:
     """
     if not isinstance(mapping, Mapping):
         raise ParameterError(path or "(top)", mapping, f"{brief(mapping)} is not a mapping of keys to values")
-    hints = _hints(cls)
+    hints = _hints(cls)  # type: ignore[arg-type]  # a class is hashable
     names = [item.name for item in dataclasses.fields(cls)]  # type: ignore[arg-type]
     values: dict[str, Any] = {}
     for key, value in mapping.items():

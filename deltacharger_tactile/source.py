@@ -91,7 +91,7 @@ class ContactSource:
             self._began = float(times[0])
         first = 1.0 / FRAME_RATE if self._last is None else float(times[0]) - self._last
         self._last = time
-        felt = times - self._began if self._began is not None else np.zeros(count)
+        felt = times - (times[0] if self._began is None else self._began)
         return self._sensor.course(pressed, self._docking, felt, (first, *[period] * (count - 1)))
 
     def _press(self, pose: Pose | None, force: float, share: float) -> Array | None:
