@@ -15,7 +15,7 @@ from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.settings import CampaignSettings, scene_of, versions
 from deltacharger_lab.campaigns.store import Store, read_results, read_settings
-from deltacharger_lab.reports.docking import summary
+from deltacharger_lab.reports.docking import grounds, summary
 from deltacharger_lab.reports.docking.pictures import FORMS, PICTURES, without
 from deltacharger_lab.reports.docking.plan import CampaignPart, DockingPlan
 from deltacharger_lab.reports.report import Progress, Report
@@ -108,6 +108,7 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) 
         "upright": summary.summarise(upright) if upright is not None else None,
         "uncharged": _uncharged(upright) if upright is not None else [],
         "drawn": summary.by_drawn(upright) if upright is not None else [],
+        "nudges": summary.nudges(rows["nudged"]) if "nudged" in rows else {},
         "tilts": summary.by_tilt(rows["tilted"]) if "tilted" in rows else [],
         "near_zero": summary.near_zero(near) if near is not None else {},
         "pairs": _pairs(folders),
@@ -115,7 +116,9 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) 
     results["targets"] = summary.targets(results["parts"], results["upright"])
     progress("pictures")
     report.draw(PICTURES, directory, without(rows), rows=rows)
-    return report.write(directory, view=summary, forms={name: forms[name] for name in forms if name in rows})
+    exact = {part.name: part.exact for part in plan.parts}
+    shown = {name: forms[name] for name in forms if name in rows}
+    return report.write(directory, view=summary, grounds=grounds, exact=exact, forms=shown)
 
 
 def _read(folder: Path) -> summary.Columns | None:

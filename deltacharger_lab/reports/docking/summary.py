@@ -42,7 +42,7 @@ AXES = {"horizontal": (1000.0, " mm"), "vertical": (1000.0, " mm"), "angle": (ma
 """Of an estimate: scale and unit that its error is told in."""
 GUARDED = ("default", "soft_servos", "random", "upright", "edge", "soft")
 """Campaigns by whose dockings together most targets are judged."""
-CALIBRATED = ("random", "edge", "soft", "tilted")
+CALIBRATED = ("random", "edge", "soft", "tilted", "default", "second", "second_1N", "random_second", "high_row", "parked")
 """Campaigns of the table on the errors of estimates."""
 SAFE = (
     *(
@@ -60,6 +60,8 @@ SAFE = (
         "understated",
         "biased",
     ),
+    *("told_stiffness", "told_torque_constant", "told_gravity", "told_geometry", "high_row", "parked", "nudged"),
+    *("second", "second_1N", "random_second"),
     *("paper", "classes", "published"),
 )
 """Campaigns of the table on safety."""
@@ -192,6 +194,20 @@ def by_tilt(rows: Columns) -> list[Figures]:
         error = inside["last_horizontal_error"].astype(float)
         found.append({"low": low, "high": high, "error": 1000.0 * _rms(error[np.isfinite(error)]), **_briefly(inside)})
     return found
+
+
+def nudges(rows: Columns) -> Figures:
+    """Return how charges went on whose target was moved: how many opened, after how long, and what was unsafe (s)."""
+    live = part(rows, rows["charged"].astype(bool))
+    opened, unsafe = np.isfinite(live["nudge_opened"].astype(float)), live["energised_unsafe"].astype(float)
+    return {
+        "n": len(opened),
+        "opened": int(opened.sum()),
+        "delay": quantiles(live["nudge_opened"]),
+        "unsafe": int(np.sum(unsafe > 0.0)),
+        "unsafe_opened": int(np.sum((unsafe > 0.0) & opened)),
+        "seconds": quantiles(unsafe[unsafe > 0.0]),
+    }
 
 
 def near_zero(rows: Columns) -> Figures:

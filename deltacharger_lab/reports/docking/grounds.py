@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the docking report rests on: where each threshold was chosen, and what a headline becomes in other worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from deltacharger_core.parameters import declared
+from deltacharger_docking.parameters import DockingParameters
+
+CHOSEN = (5, 19)
+"""Seeds of campaigns on which rules and thresholds of docking are chosen; none of them is ever reported."""
+
+
+class Choice(NamedTuple):
+    """Parameters of docking that were chosen together."""
+
+    names: tuple[str, ...]
+    where: str
+
+
+_SEEDS = " and ".join(map(str, CHOSEN))
+CHOICES = (
+    Choice(
+        ("critical_angle", "electrode_half_gap", "electrode_half_length"),
+        "no seed: the paper's critical angle, and electrodes that have it",
+    ),
+    Choice(
+        ("clearance_min", "clearance_sigmas", "clearance_sigmas_sure", "clearance_contacts"),
+        "no seed: the formula of the clearance, and a rate of unsafe acts by the normal distribution and its tails",
+    ),
+    Choice(("current_min", "current_max", "back_off", "paper_step", "alignments_max"), "no seed: the paper"),
+    Choice(("docking_jitter",), "rigs 500–509 of the pads' generator, fitted to the paper's accuracies"),
+    Choice(
+        (
+            *("landing_limit", "overlap_loss_max", "redocking_gain_min", "alignment_tolerance"),
+            *("horizontal_scale", "horizontal_shared", "gain_error"),
+        ),
+        f"seeds {_SEEDS}",
+    ),
+    Choice(
+        (
+            *("approach_speed", "travel_speed", "search_speed", "press_speed", "run_up_speed"),
+            *("search_from", "near", "lift", "felt_current", "settle_touching", "drift_max"),
+        ),
+        f"the family 777001 of a trial, then seeds {_SEEDS}",
+    ),
+    Choice(
+        ("band_margin", "aim_below", "step_share", "step_near", "overshoot_back_off", "push_current", "release_current"),
+        f"statics of the arm, then seeds {_SEEDS}",
+    ),
+    Choice(
+        ("ease_current_max", "ease_spared_max", "slip_max", "slip_taken_back"),
+        "earlier campaigns whose seeds were not kept; 0.57 A once was moved to meet a target",
+    ),
+    Choice(
+        ("contradiction_start", "contradiction_each", "unsure_max", "unsure_move_sigmas", "roll_sigmas"),
+        "earlier campaigns whose seeds were not kept",
+    ),
+)
+
+
+def thresholds() -> Iterator[tuple[str, str]]:
+    """Yield each group of thresholds with their present values, and where they were chosen."""
+    known = {each.name: each for each in declared(DockingParameters)}
+    for choice in CHOICES:
+        values = (f"{name} {known[name].default:.4g} {known[name].unit}".rstrip() for name in choice.names)
+        yield ", ".join(values), choice.where
+
+
+class World(NamedTuple):
+    """A campaign beside the one that a headline is told of."""
+
+    name: str
+    about: str
+
+
+WORLDS = (
+    World("default", "as told"),
+    World("strike", "every tick and frame computed"),
+    World("random", "everything at once"),
+    World("second", "contact physics that no estimator has seen"),
+    World("random_second", "both"),
+    World("told_stiffness", "servo stiffness told wrongly by up to a factor of 4"),
+    World("told_torque_constant", "torque constant told wrongly by 20 %"),
+    World("told_gravity", "gravity told wrongly by up to 10°"),
+    World("told_geometry", "the arm's geometry told wrongly"),
+    World("high_row", "a row of taxels reads high after the tare"),
+    World("parked", "the robot stands askew by up to 5°"),
+    World("nudged", "the target is moved while it charges"),
+)
+"""The campaigns of the table on what headlines rest on, those that were not run left out."""
+
+
+def worlds(parts: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[World, Mapping[str, Any]]]:
+    """Yield each world that was run with its summary."""
+    for world in WORLDS:
+        if world.name in parts:
+            yield world, parts[world.name]
