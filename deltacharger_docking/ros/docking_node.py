@@ -26,6 +26,7 @@ from deltacharger_docking.observation import Command, DockingOutcome, Observatio
 from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.goals import Goals
+from deltacharger_docking.ros.hardware import Hardware
 from deltacharger_docking.ros.inputs import Inputs
 from deltacharger_docking.ros.reports import Reports
 from deltacharger_docking.ros.services import Services
@@ -68,7 +69,15 @@ class DockingNode(Node):
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
         self._reports = Reports(self, self._settings.servo_age_max)
         observe = self._inputs.observation  # takes no reply that the running goal waits for
-        self._goals = Goals(self, self._machine, self._lock, observe, self._begun, self._calls.misalignment, mount)
+        hardware = None if self._settings.keeps_clearance else Hardware(self)  # nobody else needs to know
+
+        def look() -> None:
+            if hardware is not None:
+                self._inputs.simulated = hardware.is_simulated()
+
+        self._goals = Goals(
+            self, self._machine, self._lock, observe, self._begun, self._calls.misalignment, mount, look
+        )
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)
         if not held:
             self.release()
