@@ -104,6 +104,8 @@ def _see_clearance(context: Context, target: Target, felt: FeltPose) -> Script[N
 
 def _verdict(context: Context, target: Target, felt: FeltPose) -> Verdict:
     if not felt.usable:
+        if math.isfinite(felt.angle) and abs(felt.angle) >= target.critical_angle:
+            raise CriticalAngle(too_tilted(felt.angle))
         raise EstimateUnsure("the tactile estimate is unsure, so clearance is not known; check pads and target")
     return tell_verdict(context, felt, target.critical_angle)
 
