@@ -21,7 +21,7 @@ class CampaignPart:
         scene: packaged scene.
         count: dockings; of a listed scene at most as many as it lists.
         about: what it is, for the page.
-        approach: "guarded" or "paper".
+        approach: of docking's parameters.
         exact: whether every tick and frame is computed.
     """
 
@@ -68,8 +68,8 @@ PARTS = (
     CampaignPart("understated", "edge_understated", 2_000, "`edge`, σ told 1.5 times too small"),
     CampaignPart("biased", "edge_biased", 2_000, "`edge`, estimates 0.5 mm off in both axes"),
     CampaignPart("paper", "random", 2_000, "the paper's constant steps, our estimate", "paper"),
-    CampaignPart("classes", "paper_classes", 2_000, "guarded steps, the paper's classes in place of our estimate"),
-    CampaignPart("published", "paper_classes", 2_000, "the paper's steps and classes", "paper"),
+    CampaignPart("published", "random", 2_000, "the paper's algorithm as printed, with its classes", "published"),
+    CampaignPart("published_clearance", "published_clearance", 2_000, "the same with our clearance rule", "published"),
     CampaignPart("exact", "random", 200, "`random`, every tick and frame computed as the nodes do", exact=True),
     CampaignPart("strike", "default", 2_000, "`default`, every tick and frame computed", exact=True),
 )

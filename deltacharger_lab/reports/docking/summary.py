@@ -60,7 +60,7 @@ SAFE = (
         "understated",
         "biased",
     ),
-    *("paper", "classes", "published"),
+    *("paper", "published", "published_clearance"),
 )
 """Campaigns of the table on safety."""
 
