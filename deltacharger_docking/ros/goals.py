@@ -56,7 +56,7 @@ class Goals:
             that is there at once.
         misalignment: gives the message of an estimate.
         mount: of the charger on its robot.
-        look: called before each goal begins, without the lock; may wait.
+        look: called before a goal that charges begins, without the lock; may wait.
     """
 
     def __init__(
@@ -176,11 +176,13 @@ class Goals:
         Raises:
             DockingError: it is refused.
         """
-        self._look()
+        request = goal.handle.request
+        if isinstance(request, Dock.Goal) and request.start_charging:
+            self._look()
         with self._lock:
             if self._refusal:
                 raise Busy(self._refusal)
-            start(goal.handle.request, self._observe())
+            start(request, self._observe())
             self._goal = goal
             self._begun()
         return goal

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether servos and board are simulated, as their nodes' ports show. Part of docking_node."""
+"""The nodes that own the hardware's ports, and whether these are a simulated charger's. Part of docking_node."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TIMEOUT = 2.0  # s for both to be there and to answer: nodes that start togethe
 _POLL = 0.02  # s
 
 
-class Hardware:
+class PortOwners:
     """Asks the nodes that own the hardware's ports which ones they have opened.
 
     A node that does not answer or has no port, such as a mock, and a port of another computer prove nothing.
