@@ -6,9 +6,15 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import socket
 import stat
 from collections.abc import Iterator
 from pathlib import Path
+
+CONTROL = "control"
+"""Name of the socket beside the ports of a simulated charger, on which it takes orders."""
+_TERMINALS = "/dev/pts/"
+_PATIENCE = 0.5  # s
 
 
 class Taken(Exception):
@@ -33,6 +39,24 @@ def charger(domain: int, namespace: str) -> Path:
     """Return the path in the private folder that is that of a charger, by its ROS domain and namespace."""
     name = namespace.strip("/").replace("/", "-")  # ROS knows no names with a dash
     return folder() / (f"{domain}-{name}" if name else str(domain))
+
+
+def is_simulated(port: str) -> bool:
+    """Return whether a serial port is that of a simulated charger which runs on this computer.
+
+    It is where the port is a pseudo-terminal and the charger's own socket listens beside it. No setting says so: a
+    robot's port is no terminal, and a cable that is passed on by a terminal has no such socket. False where unknown.
+    """
+    path = Path(port)
+    if not os.path.realpath(path).startswith(_TERMINALS) or not path.exists():
+        return False
+    try:
+        with socket.socket(socket.AF_UNIX) as charger:
+            charger.settimeout(_PATIENCE)
+            charger.connect(str(path.parent / CONTROL))
+    except OSError:
+        return False
+    return True
 
 
 def make(folder: Path) -> None:

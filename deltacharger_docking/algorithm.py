@@ -4,6 +4,7 @@
 1 coordinates of the electrodes; 2 go there; 3 where that pushes too hard already, back off once; 4 press until the
 current lies in its band; 5 measure the misalignment; 6 while it is not zero, and at most 15 times, move and press
 again; start charging. Whatever goes wrong is an exception, and the machine takes the arm back: the paper's line 7.
+What steps 5 and 6 have of ours is left out by `published`, the algorithm as printed.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from __future__ import annotations
 import math
 
 from deltacharger_core.script import NEXT, Script
+from deltacharger_docking import published
 from deltacharger_docking.charging import Order, charge
-from deltacharger_docking.clearance import judge
+from deltacharger_docking.clearance import FeltPose, judge
 from deltacharger_docking.codes import (
     CriticalAngle,
     DetectionStale,
@@ -27,8 +29,8 @@ from deltacharger_docking.context import Context
 from deltacharger_docking.energy import de_energise, energise, wait_for_single_sources
 from deltacharger_docking.goals import GoalDesk, check_place
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Service
-from deltacharger_docking.press import approach, contact, ease, first_push
-from deltacharger_docking.release import lift_off, take_off
+from deltacharger_docking.press import approach, contact, ease, first_push, press_again
+from deltacharger_docking.release import lift_off
 from deltacharger_docking.touch import Target, measure
 
 _ANSWER = 1.0  # s beyond locate_timeout, so that the phase ends with what the detector says
@@ -45,6 +47,10 @@ def dock(context: Context, target: Target, given: ElectrodePose | None) -> Scrip
     parameters = context.parameters
     context.known_contact = None
     electrodes = given or (yield from locate(context))  # 1
+    if parameters.approach == "published":
+        yield from prepare(context)
+        yield from published.dock(context, target, electrodes.position)
+        return
     check_roll(context, electrodes, target.critical_angle)
     yield from prepare(context)
     yield from approach(context, electrodes.position)  # 2
@@ -80,26 +86,6 @@ def stands_at_ease(context: Context, target: Target) -> Script[bool]:
         return False
     target.rest()
     return True
-
-
-def press_again(context: Context, depth: float, x: float, y: float) -> Script[None]:
-    """Lift off, move the command by (x, y) m and press again, down to `depth` (m, charger_base).
-
-    The command moves by what the measured pose is off, so that friction and a soft servo, which keep the platform
-    short of its command, are corrected as well.
-
-    Raises:
-        Unreachable: the way there leaves the arm's reach; the platform was not lifted.
-    """
-    parameters = context.parameters
-    commanded, z = context.commanded, context.position[2]
-    place = commanded[0] + x, commanded[1] + y, z - parameters.lift
-    context.check_way((*context.position[:2], place[2]), place, (*place[:2], z))
-    context.enter(State.ALIGN, parameters.align_timeout)
-    yield from take_off(context, place[2])
-    context.status.docked = False  # until the electrodes rest again
-    yield from context.move(place, parameters.travel_speed, settle=False)
-    yield from contact(context, depth)
 
 
 def locate(context: Context) -> Script[ElectrodePose]:
@@ -197,8 +183,7 @@ class TargetVisit:
         if goal.critical_angle and goal.critical_angle < order.critical_angle:
             order.critical_angle = goal.critical_angle
             known = context.status.estimate if context.status.charging else None
-            lost = known and known.usable and not judge(known, context.parameters, goal.critical_angle).leaves_clearance
-            if lost:
+            if known and self._is_too_tilted(known, goal.critical_angle):
                 return CriticalAngle("the goal's critical_angle is below what was measured on this target")
         if context.status.charging and goal.start_charging:
             if not goal.hold:
@@ -206,6 +191,13 @@ class TargetVisit:
         else:
             self._is_new = True
         return None
+
+    def _is_too_tilted(self, known: FeltPose, limit: float) -> bool:
+        """Return whether what was felt last forbids current below this critical angle, rad."""
+        parameters = self._context.parameters
+        if parameters.keeps_clearance:
+            return known.usable and not judge(known, parameters, limit).leaves_clearance
+        return known.classes is None or not known.classes.angle < limit
 
     def run(self) -> Script[None]:
         """Dock, then serve every goal on this target until contact is lost or the servos are limp."""
@@ -245,7 +237,10 @@ class TargetVisit:
     def _feel_again(self, target: Target) -> Script[None]:
         self._context.status.alignments = self._context.status.redockings = 0
         target.critical_angle = self._order.critical_angle
-        yield from align(self._context, target, stay=True)
+        if self._context.parameters.approach == "published":
+            yield from published.align(self._context, target)
+        else:
+            yield from align(self._context, target, stay=True)
 
     def _charge(self) -> Script[None]:
         """Close, report success or hold the goal, watch over charging, and open."""

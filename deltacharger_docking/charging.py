@@ -14,6 +14,7 @@ from deltacharger_docking.codes import (
     DockingError,
     EstimateUnsure,
     NoChargeCurrent,
+    NoTactileContact,
     PowerStale,
     TactileStale,
 )
@@ -105,7 +106,7 @@ def charge(context: Context, order: Order) -> Script[str]:
         DockingError: what ended charging; the caller opens and retracts.
     """
     watch, taper, counter = Watch(context), Taper(context.parameters), Counter()
-    checks = _clearance_checks(context, order)
+    checks = _clearance_checks(context, order) if context.parameters.keeps_clearance else _touch_checks(context)
     while True:
         problem = watch.problem()
         flow = taper.judge(context.time, context.observation.charge_current)
@@ -124,6 +125,14 @@ def charge(context: Context, order: Order) -> Script[str]:
             context.decide("stop", reason, energy_J=context.energy, time_s=context.time - order.since)
             return reason
         yield next(checks)
+
+
+def _touch_checks(context: Context) -> Script[None]:
+    """Look as often whether the pads feel anything: as printed, frames that are all zero end charging, and no more."""
+    while True:
+        yield from context.wait(context.parameters.clearance_period)
+        if not context.observation.tactile_contact:
+            raise NoTactileContact("the pads feel nothing any more while charging")
 
 
 def _clearance_checks(context: Context, order: Order) -> Script[None]:

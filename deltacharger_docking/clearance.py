@@ -17,8 +17,26 @@ from deltacharger_docking.parameters import DockingParameters
 
 
 @dataclass(frozen=True)
+class MisalignmentClasses:
+    """Centres of the paper's most probable classes; NaN where an axis has none.
+
+    Attributes:
+        angle: rad, of the size of the angle: 0, 1, … 5°, so that nothing above 5° is ever told.
+        vertical: m along y: −10, −5, 0, 5 or 10 mm.
+        horizontal: m along x, likewise.
+    """
+
+    angle: float
+    vertical: float
+    horizontal: float
+
+
+@dataclass(frozen=True)
 class FeltPose:
-    """Misalignment as felt: pose of the target in end_effector with standard deviations (rad, m)."""
+    """Misalignment as felt: pose of the target in end_effector with standard deviations (rad, m).
+
+    Beside the pose, where they were asked for, stand the paper's classes; None = not told.
+    """
 
     angle: float
     angle_stddev: float
@@ -29,6 +47,7 @@ class FeltPose:
     contact: bool = True
     sure: bool = True
     in_range: bool = True
+    classes: MisalignmentClasses | None = None
 
     @property
     def stddevs(self) -> tuple[float, float, float]:

@@ -155,7 +155,9 @@ class Context:
         while self.time < end:
             yield Wait(end, reads)
 
-    def ask(self, service: Service, error: type[DockingError], timeout: float, frames: int = 0) -> Script[Reply]:
+    def ask(
+        self, service: Service, error: type[DockingError], timeout: float, frames: int = 0, model: str = ""
+    ) -> Script[Reply]:
         """Call a service and return its reply, successful or not.
 
         Raises:
@@ -163,7 +165,7 @@ class Context:
         """
         self._calls.forget()  # nobody waits for an earlier one any more
         number = self._calls.number()
-        self._requests.append(Request(number, service, frames, timeout))
+        self._requests.append(Request(number, service, frames, timeout, model))
         end = self.time + timeout
         with self.waiting_for(service.value):
             while (reply := self._calls.take(number)) is None:

@@ -26,6 +26,7 @@ from deltacharger_docking.codes import (
     VoltageOutOfRange,
 )
 from deltacharger_docking.context import Context
+from deltacharger_docking.goals import unproven_hardware
 from deltacharger_docking.observation import Reply, Service
 
 _LAST_WORD = 0.2  # s before the phase ends in which it is still told why no current flows
@@ -166,6 +167,8 @@ class Watch:
     def speaks_against_closing(self) -> DockingError | None:
         """Return what must not be so at the instant of closing; from then on it is `problem` that looks."""
         context, observation = self._context, self._context.observation
+        if (unproven := unproven_hardware(observation, context.parameters)) is not None:
+            return unproven
         if observation.power_age > context.parameters.power_age_max:
             return PowerStale("charger_power stopped; check the board's cable and tactile_node")
         if observation.tactile_age > context.parameters.tactile_age_max:

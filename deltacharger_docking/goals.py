@@ -34,6 +34,19 @@ def check_goal(goal: DockGoal, planner: Planner, parameters: DockingParameters) 
         check_place(goal.electrodes, planner, parameters)
 
 
+def unproven_hardware(seen: Observation, parameters: DockingParameters) -> Rejected | None:
+    """Return why no current may flow as printed: only a charger that is known to be simulated may do without clearance.
+
+    None where nothing speaks against it. The shell must know it; what is not known is real hardware.
+    """
+    if parameters.keeps_clearance or seen.simulated:
+        return None
+    return Rejected(
+        "approach published closes the contactor without our clearance rule, and nothing proves that servos and board "
+        "are simulated: set published_clearance_rule, take approach guarded, or send the goal with start_charging false"
+    )
+
+
 def check_id(request_id: str) -> None:
     """Refuse a request_id that is too long to be repeated.
 

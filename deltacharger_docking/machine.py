@@ -27,7 +27,7 @@ from deltacharger_docking.codes import (
     TactileStale,
 )
 from deltacharger_docking.context import Context
-from deltacharger_docking.goals import GoalDesk, check_goal, check_id
+from deltacharger_docking.goals import GoalDesk, check_goal, check_id, unproven_hardware
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import Command, DockGoal, DockingOutcome, DockingStatus, Observation
 from deltacharger_docking.parameters import DockingParameters
@@ -104,6 +104,8 @@ class DockingMachine:
         if self.busy:
             raise Busy(self._what_goes_on())
         check_goal(goal, self._context.planner, self.parameters)
+        if goal.start_charging and (refusal := unproven_hardware(observation, self.parameters)) is not None:
+            raise refusal
         self._desk.begin(goal.request_id, observation)
         self._tell_goal(goal)
         if self._is_supervising and self._docking is not None:

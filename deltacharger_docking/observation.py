@@ -37,12 +37,16 @@ class Service(Enum):
 
 @dataclass(frozen=True)
 class Request:
-    """One call of a service; `number` comes back in the reply."""
+    """One call of a service; `number` comes back in the reply.
+
+    An estimate averages `frames` and has besides the classes of the packaged `model`, '' = none.
+    """
 
     number: int
     service: Service
     frames: int = 0
     timeout: float = 0.0
+    model: str = ""
 
 
 @dataclass(frozen=True)
@@ -78,7 +82,8 @@ class Observation:
     """Everything known at `time` (s, monotonic). Ages in s, inf = never; NaN = not measured.
 
     `duplicate_sources` names who publishes or serves beside another what docking works with; '' = nobody. `earlier` are
-    readings of the servos made since the last observation, where there were more than this one.
+    readings of the servos made since the last observation, where there were more than this one. `simulated` only where
+    servos and board are known to be a simulated charger's.
     """
 
     time: float
@@ -101,6 +106,7 @@ class Observation:
     duplicate_sources: str = ""
     replies: tuple[Reply, ...] = ()
     earlier: tuple[Reading, ...] = ()
+    simulated: bool = False
 
 
 @dataclass(frozen=True)

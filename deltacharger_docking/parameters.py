@@ -19,7 +19,7 @@ from deltacharger_core.machine import (
 from deltacharger_core.parameters import Bounded, ParameterError, choice, flag, number, numbers, words
 from deltacharger_kinematics.geometry import Vector
 
-APPROACHES = ("guarded", "paper")
+APPROACHES = ("guarded", "paper", "published")
 SIGNALS = ("contact", "max", "sum")
 _ORDERED = (
     ("target_voltage_min", "target_voltage_max"),
@@ -36,7 +36,10 @@ class DockingParameters(Bounded):
         ParameterError: a value lies outside its bounds, or two contradict each other.
     """
 
-    approach: str = choice("guarded", APPROACHES, "step rule: guarded, or the paper's constant steps")
+    approach: str = choice(
+        "guarded", APPROACHES, "guarded; paper: the paper's constant steps; published: its whole algorithm as printed"
+    )
+    published_clearance_rule: bool = flag(False, "whether published, too, needs clearance before current may flow")
     current_signal: str = choice("contact", SIGNALS, "what counts as current: contact, or the raw maximum or sum")
     servo_stiffness: float = number(SERVO_STIFFNESS, 1.0, 50.0, "N·m/rad", "servo stiffness in position mode")
     servo_damping: float = number(SERVO_DAMPING, 0.0, 10.0, "N·m·s/rad", "servo damping")
@@ -127,7 +130,7 @@ class DockingParameters(Bounded):
     unsure_move_min: float = number(0.002, 0.0, 0.02, "m", "offset from which an unsure estimate is followed")
     unsure_move_sigmas: float = number(3.0, 0.0, 10.0, "", "standard deviations at which an unsure offset is followed")
     charge_when_not_aligned: bool = flag(
-        True, "start charging after the last alignment as published; clearance is always required"
+        True, "start charging after the last alignment as published; what else current needs stays"
     )
     restarts_max: int = number(0, 0, 10, "", "how often docking begins again by itself; 0 = never")
     estimate_frames: int = number(24, 1, 240, "", "tactile frames averaged in one estimate")
@@ -182,6 +185,16 @@ class DockingParameters(Bounded):
         for lower, upper in _ORDERED:
             if getattr(self, lower) > getattr(self, upper):
                 raise ParameterError(lower, getattr(self, lower), f"{lower} must not lie above {upper}")
+
+    @property
+    def classes_of(self) -> str:
+        """The packaged model whose classes an estimate shall tell besides; '' = none."""
+        return "cnn" if self.approach == "published" else ""
+
+    @property
+    def keeps_clearance(self) -> bool:
+        """Whether current may flow only with clearance; the algorithm as printed does not know it."""
+        return self.approach != "published" or self.published_clearance_rule
 
     @property
     def gravity(self) -> Vector:

@@ -44,12 +44,12 @@ def contact(context: Context, depth: float) -> Script[None]:
         Overcurrent: the band was overshot again and again.
     """
     context.enter(State.CONTACT, context.parameters.contact_timeout)
-    if context.parameters.approach == "paper":
-        yield from _paper(context, depth)
-    else:
+    if context.parameters.approach == "guarded":
         yield from _meet(context, depth)
         yield from _guarded(context, depth)
         context.known_contact = KnownContact(context.commanded[2], context.position[2], context.contact.value)
+    else:
+        yield from _paper(context, depth)
     observation = context.observation
     if observation.tactile_age > context.parameters.tactile_age_max:
         raise TactileStale("tactile frames stopped during contact; check the board's cable and tactile_node")
@@ -65,6 +65,26 @@ def contact(context: Context, depth: float) -> Script[None]:
         contact_force_N=context.contact.force,
         z_m=context.position[2],
     )
+
+
+def press_again(context: Context, depth: float, x: float, y: float) -> Script[None]:
+    """Lift off, move the command by (x, y) m and press again, down to `depth` (m, charger_base).
+
+    The command moves by what the measured pose is off, so that friction and a soft servo, which keep the platform
+    short of its command, are corrected as well.
+
+    Raises:
+        Unreachable: the way there leaves the arm's reach; the platform was not lifted.
+    """
+    parameters = context.parameters
+    commanded, z = context.commanded, context.position[2]
+    place = commanded[0] + x, commanded[1] + y, z - parameters.lift
+    context.check_way((*context.position[:2], place[2]), place, (*place[:2], z))
+    context.enter(State.ALIGN, parameters.align_timeout)
+    yield from take_off(context, place[2])
+    context.status.docked = False  # until the electrodes rest again
+    yield from context.move(place, parameters.travel_speed, settle=False)
+    yield from contact(context, depth)
 
 
 def first_push(context: Context, target: Vector) -> Script[None]:

@@ -25,7 +25,11 @@ def measure(context: Context) -> Script[FeltPose]:
     context.enter(State.MEASURE, parameters.measure_timeout)
     context.doubtful = bool(context.observation.duplicate_sources)
     reply = yield from context.ask(
-        Service.ESTIMATE, TactileStale, parameters.service_timeout, parameters.estimate_frames
+        Service.ESTIMATE,
+        TactileStale,
+        parameters.service_timeout,
+        parameters.estimate_frames,
+        parameters.classes_of,
     )
     felt = reply.estimate
     if not reply.success or felt is None:
@@ -36,6 +40,22 @@ def measure(context: Context) -> Script[FeltPose]:
     if not felt.contact:
         raise NoTactileContact("the pads lost contact before the misalignment was measured")
     return felt
+
+
+def tell_verdict(context: Context, felt: FeltPose, critical_angle: float) -> Verdict:
+    """Judge clearance by a usable estimate, and tell the verdict by its numbers."""
+    parameters = context.parameters
+    verdict = judge(felt, parameters, critical_angle)
+    gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
+    left, sigma = clearance(felt.angle, felt.vertical, gap, length), clearance_stddev(felt, gap, length)
+    context.decide(
+        "verdict",
+        verdict.value,
+        clearance_m=left,
+        margin_3_sigma_m=left - parameters.clearance_sigmas * sigma - parameters.clearance_min,
+        margin_6_sigma_m=left - parameters.clearance_sigmas_sure * sigma - parameters.clearance_min,
+    )
+    return verdict
 
 
 class Target:
@@ -159,16 +179,7 @@ class Target:
         """Judge this contact, and the mean angle once two have been made."""
         parameters = self._context.parameters
         self._angles.append(felt.angle)
-        verdict = judge(felt, parameters, self.critical_angle)
-        gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
-        left, sigma = clearance(felt.angle, felt.vertical, gap, length), clearance_stddev(felt, gap, length)
-        self._context.decide(
-            "verdict",
-            verdict.value,
-            clearance_m=left,
-            margin_3_sigma_m=left - parameters.clearance_sigmas * sigma - parameters.clearance_min,
-            margin_6_sigma_m=left - parameters.clearance_sigmas_sure * sigma - parameters.clearance_min,
-        )
+        verdict = tell_verdict(self._context, felt, self.critical_angle)
         self._passed = self._passed + 1 if verdict.leaves_clearance else 0
         mean = sum(self._angles) / len(self._angles)
         centred = replace(felt, angle=mean, vertical=0.0)
@@ -176,7 +187,7 @@ class Target:
             len(self._angles) >= parameters.clearance_contacts
             and judge(centred, parameters, self.critical_angle) is Verdict.CRITICAL
         ):
-            raise CriticalAngle(_too_tilted(mean))
+            raise CriticalAngle(too_tilted(mean))
         return verdict
 
     def _look_elsewhere(self, felt: FeltPose) -> tuple[float, float]:
@@ -205,7 +216,7 @@ class Target:
     def _give_up(self, felt: FeltPose) -> None:
         limit = min(self.critical_angle, self._context.parameters.critical_angle)
         if math.isfinite(felt.angle) and abs(felt.angle) >= limit:
-            raise CriticalAngle(_too_tilted(felt.angle))
+            raise CriticalAngle(too_tilted(felt.angle))
         what = "outside what the estimator knows" if not felt.in_range else "unsure"
         raise EstimateUnsure(f"the tactile estimate stayed {what} after {self._unsure} dockings; check pads and target")
 
@@ -219,7 +230,8 @@ def _pointed_at(felt: FeltPose, sigmas: float) -> tuple[float, float]:
     return x, y
 
 
-def _too_tilted(angle: float) -> str:
+def too_tilted(angle: float) -> str:
+    """Return in words that an angle (rad) is too large."""
     return (
         f"the target is tilted by {math.degrees(angle):.1f}°: the electrodes would come too close to a short; "
         "level the target or the charger"

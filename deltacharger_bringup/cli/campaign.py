@@ -48,7 +48,7 @@ def add_campaign(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=SEED, default=1, metavar="S", help="of all that is drawn (1)")
     scenes = f"packaged campaign or YAML file that says what is drawn ({_DEFAULT_SCENES})"
     parser.add_argument("--scenes", default=_DEFAULT_SCENES, metavar="NAME|FILE", help=scenes)
-    parser.add_argument("--approach", choices=APPROACHES, default="guarded", help="step rule of docking (guarded)")
+    parser.add_argument("--approach", choices=APPROACHES, default="guarded", help="form of docking (guarded)")
     parser.add_argument("--exact", action="store_true", help="compute every tick and frame as the nodes do; slower")
     parser.add_argument("--workers", type=whole(1, 1024), metavar="K", help="processes on this computer (1)")
     parser.add_argument("--scheduler", default="", metavar="tcp://…", help="of Dask, whose workers run the dockings")

@@ -2,9 +2,9 @@
 """docking_node: the actions dock and undock over the docking state machine.
 
 Subscribes to servo_state, tactile_frame, charger_power; calls set_torque, tare, probe, set_contactor,
-predict_misalignment and detect_electrodes; publishes joint_trajectory, docking_state, docking_decision and
-/diagnostics. One thread, paced by servo_state, steps the machine, publishes what it commands and renews the contactor's
-lease: if that thread hangs, the lease lapses.
+predict_misalignment and detect_electrodes, as published get_parameters of servo_node and tactile_node, too; publishes
+joint_trajectory, docking_state, docking_decision and /diagnostics. One thread, paced by servo_state, steps the machine,
+publishes what it commands and renews the contactor's lease: if that thread hangs, the lease lapses.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from deltacharger_docking.parameters import DockingNodeParameters, DockingParame
 from deltacharger_docking.ros import messages as io
 from deltacharger_docking.ros.goals import Goals
 from deltacharger_docking.ros.inputs import Inputs
+from deltacharger_docking.ros.port_owners import PortOwners
 from deltacharger_docking.ros.reports import Reports
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
@@ -68,7 +69,15 @@ class DockingNode(Node):
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
         self._reports = Reports(self, self._settings.servo_age_max)
         observe = self._inputs.observation  # takes no reply that the running goal waits for
-        self._goals = Goals(self, self._machine, self._lock, observe, self._begun, self._calls.misalignment, mount)
+        owners = None if self._settings.keeps_clearance else PortOwners(self)  # nobody else needs them
+
+        def look() -> None:
+            if owners is not None:
+                self._inputs.simulated = owners.is_simulated()
+
+        self._goals = Goals(
+            self, self._machine, self._lock, observe, self._begun, self._calls.misalignment, mount, look
+        )
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)
         if not held:
             self.release()

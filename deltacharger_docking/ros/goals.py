@@ -56,6 +56,7 @@ class Goals:
             that is there at once.
         misalignment: gives the message of an estimate.
         mount: of the charger on its robot.
+        look: called before a goal that charges begins, without the lock; may wait.
     """
 
     def __init__(
@@ -67,6 +68,7 @@ class Goals:
         begun: Callable[[], None],
         misalignment: Callable[[FeltPose | None], Misalignment],
         mount: DockingNodeParameters,
+        look: Callable[[], None] = lambda: None,
     ) -> None:
         self._node = node
         self._machine = machine
@@ -75,6 +77,7 @@ class Goals:
         self._begun = begun
         self._misalignment = misalignment
         self._mount = mount
+        self._look = look
         self._goal: ServedGoal | None = None
         self._ended: GoalHandle | None = None  # of the goal that ended last
         self._refusal = ""
@@ -173,10 +176,13 @@ class Goals:
         Raises:
             DockingError: it is refused.
         """
+        request = goal.handle.request
+        if isinstance(request, Dock.Goal) and request.start_charging:
+            self._look()
         with self._lock:
             if self._refusal:
                 raise Busy(self._refusal)
-            start(goal.handle.request, self._observe())
+            start(request, self._observe())
             self._goal = goal
             self._begun()
         return goal

@@ -40,10 +40,12 @@ class Inputs:
 
     Attributes:
         refused: messages that were not taken.
+        simulated: whether servos and board are known to be a simulated charger's; what it tells as its observation's.
     """
 
     def __init__(self, node: Node) -> None:
         self.refused = Refusals()
+        self.simulated = False
         self._clock, self._logger = node.get_clock(), node.get_logger()
         self._lock = threading.Lock()
         self._servo = LatestMessage(node, ServoState, "servo_state", QoSProfile(depth=1))
@@ -157,7 +159,12 @@ class Inputs:
                 power_fault=power.fault,
             )
         return Observation(
-            time=now, replies=replies, contactor_refusal=contactor_refusal, duplicate_sources=self._double, **values
+            time=now,
+            replies=replies,
+            contactor_refusal=contactor_refusal,
+            duplicate_sources=self._double,
+            simulated=self.simulated,
+            **values,
         )
 
 

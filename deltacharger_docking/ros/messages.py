@@ -16,7 +16,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
 from deltacharger_core.rotation import rotation
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import FeltPose, MisalignmentClasses
 from deltacharger_docking.codes import Rejected
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingNodeParameters
@@ -28,9 +28,25 @@ _QUOTED = 60  # characters of what a client sent that a message repeats
 _UNIT = (0.9, 1.1)  # norm of a quaternion that somebody meant
 
 
-def estimate(message: Misalignment) -> FeltPose:
-    """Return the plain values of a Misalignment."""
-    return FeltPose(**{item.name: getattr(message, item.name) for item in fields(FeltPose)})
+_DEGREES = tuple(math.radians(degree) for degree in range(6))
+_OFFSETS = (-0.010, -0.005, 0.0, 0.005, 0.010)
+_CENTRES = {"angle": _DEGREES, "vertical": _OFFSETS, "horizontal": _OFFSETS}  # rad, m; as Misalignment.msg lists them
+
+
+def estimate(message: Misalignment, with_classes: bool = False) -> FeltPose:
+    """Return the plain values of a Misalignment; its most probable classes only where they were asked for."""
+    told = {item.name: getattr(message, item.name) for item in fields(FeltPose) if item.name != "classes"}
+    return FeltPose(**told, classes=_classes(message) if with_classes else None)
+
+
+def _classes(message: Misalignment) -> MisalignmentClasses:
+    """Return the centres of the most probable classes; NaN where probabilities are missing or not finite."""
+    found = {}
+    for axis, centres in _CENTRES.items():
+        shares = np.asarray(getattr(message, f"{axis}_probability"), dtype=float)
+        known = shares.shape == (len(centres),) and bool(np.isfinite(shares).all())
+        found[axis] = centres[int(np.argmax(shares))] if known else math.nan
+    return MisalignmentClasses(**found)
 
 
 def trajectory(waypoints: Sequence[Waypoint], stamp: Any, secret: str = "") -> JointTrajectory:

@@ -90,7 +90,7 @@ class Services:
             Service.TORQUE_ON: {"data": True},
             Service.TORQUE_OFF: {"data": False},
             Service.OPEN: {"close": False, "holder": _HOLDER},
-            Service.ESTIMATE: {"frames": request.frames},
+            Service.ESTIMATE: {"frames": request.frames, "model": request.model},
             Service.DETECT: {"timeout": duration(_LOOKING * request.timeout)},
         }
         asked = time.monotonic()
@@ -153,7 +153,7 @@ class Services:
         """Return what the reply of a service holds besides success and message."""
         service = request.service
         if service is Service.ESTIMATE:
-            felt = estimate(answer.misalignment)
+            felt = estimate(answer.misalignment, with_classes=bool(request.model))
             self._felt.append((felt, answer.misalignment))
             named = tuple(answer.sequences) if len(answer.sequences) == request.frames else ()
             return {"estimate": felt, "sequences": named, "asked": asked}

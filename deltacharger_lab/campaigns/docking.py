@@ -99,7 +99,7 @@ def dock_once(scene: CampaignScene, seed: int, number: int, approach: str, exact
         scene: what is drawn from.
         seed: of the campaign.
         number: of the docking.
-        approach: "guarded" or "paper".
+        approach: of docking's parameters.
         exact: every tick and every tactile frame as the nodes make them, slower.
     """
     row: dict[str, Any] = {"number": number, "seed": 0, "rig_seed": 0} | _nothing()

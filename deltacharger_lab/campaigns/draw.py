@@ -61,7 +61,7 @@ def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
         scene: what is drawn from.
         seed: of the campaign.
         number: of the docking, from 0.
-        approach: "guarded" or "paper".
+        approach: of docking's parameters.
 
     Raises:
         ValueError: what was drawn contradicts itself.

@@ -39,10 +39,13 @@ class Felt:
         self.first: Kept | None = None
         self.last: Kept | None = None
         self.frozen = False
-        if errors.paper:
+        if errors.paper or charger.parameters.classes_of:
             from deltacharger_lab.campaigns.paper import PaperClasses
 
-            charger.model = PaperClasses()
+            paper = PaperClasses()
+            charger.classes = paper.classes
+            if errors.paper:
+                charger.model = paper
         charger.answer[Service.ESTIMATE] = self._answer
 
     def _answer(self, reply: Reply) -> Reply | None:

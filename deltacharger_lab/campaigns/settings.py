@@ -42,7 +42,7 @@ class CampaignSettings:
     Attributes:
         n: dockings.
         seed: of the campaign.
-        approach: "guarded" or "paper".
+        approach: of docking's parameters.
         exact: whether every tick and frame is computed as the nodes would.
         scene: content of the scene.
         scene_name: name of the scene.

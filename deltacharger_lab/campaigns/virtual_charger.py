@@ -27,7 +27,7 @@ from deltacharger_core.machine import (
     TORQUE_CONSTANT,
 )
 from deltacharger_core.script import NEXT, Script
-from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.clearance import FeltPose, MisalignmentClasses
 from deltacharger_docking.codes import State
 from deltacharger_docking.context import Context
 from deltacharger_docking.machine import DockingMachine
@@ -61,7 +61,7 @@ class PoseModel(Protocol):
     """What makes an estimate of two averaged, tared pads."""
 
     def predict(self, left: np.ndarray, right: np.ndarray) -> Any:
-        """Return what has the attributes of docking's `FeltPose`."""
+        """Return what has the attributes of docking's `FeltPose`, but for its classes."""
 
 
 @functools.cache
@@ -115,6 +115,7 @@ class VirtualCharger:
         self.states: list[State] = []
         self.outcome: DockingOutcome | None = None
         self.model: PoseModel = packaged_model()
+        self.classes: Callable[[np.ndarray, np.ndarray], MisalignmentClasses] | None = None  # where they are asked for
         self.baseline = np.zeros((PADS, ROWS, COLUMNS))
         self._tared = False
         self._torque = False
@@ -235,6 +236,7 @@ class VirtualCharger:
             power_fault=fault,
             replies=tuple(self._replies),
             earlier=tuple(self._earlier),
+            simulated=True,
         )
 
     def _reading(self) -> tuple[Vector, Vector]:
@@ -296,8 +298,9 @@ class VirtualCharger:
         elif service is Service.ESTIMATE:
             left, right = np.mean(pending.frames, axis=0)
             felt = self.model.predict(left, right)
-            estimate = FeltPose(**{item.name: getattr(felt, item.name) for item in fields(FeltPose)})
-            return Reply(number, True, estimate=estimate)
+            told = {item.name: getattr(felt, item.name) for item in fields(FeltPose) if item.name != "classes"}
+            classes = self.classes(left, right) if self.classes and pending.request.model else None
+            return Reply(number, True, estimate=FeltPose(**told, classes=classes))
         elif service is Service.DETECT:
             return Reply(number, True, detection=GOAL)
         return Reply(number, True)

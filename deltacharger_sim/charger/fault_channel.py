@@ -25,7 +25,7 @@ from deltacharger_core import runtime
 from deltacharger_core.parameters import ParameterError, from_mapping
 from deltacharger_sim.charger.faults import Fault, Faults
 
-SOCKET = "control"
+SOCKET = runtime.CONTROL
 """Name of the socket in the ports' folder."""
 _LONGEST_LINE = 16384  # bytes of a request
 _LONGEST_ANSWER = 2**18  # bytes

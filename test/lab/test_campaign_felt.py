@@ -12,6 +12,7 @@ import pytest
 
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.observation import Reply, Service
+from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.docking import columns, dock_once
 from deltacharger_lab.campaigns.felt import AXES, Felt
 from deltacharger_lab.campaigns.keys import EstimatorErrors
@@ -34,7 +35,7 @@ TRUTH = (-0.002, 0.0012, 0.052)
 def charger(truth: tuple[float, float, float] | None = TRUTH) -> Any:
     """Return what `Felt` asks of a charger."""
     world = SimpleNamespace(misalignment=truth, snapshot=lambda: SimpleNamespace(clearance=0.004))
-    return SimpleNamespace(world=world, answer={}, model=None)
+    return SimpleNamespace(world=world, answer={}, model=None, parameters=DockingParameters())
 
 
 def answers(errors: EstimatorErrors, count: int, seed: int = 1) -> tuple[Felt, list[FeltPose]]:
@@ -123,3 +124,18 @@ def test_the_papers_classes_are_those_of_the_packaged_cnn() -> None:
     assert row["first_angle_stddev"] == 0.0
     assert math.degrees(row["felt_angle"]) == pytest.approx(round(math.degrees(row["felt_angle"])))
     assert row["felt_vertical"] in (-0.01, -0.005, 0.0, 0.005, 0.01)
+
+
+@pytest.mark.parametrize("paper", [False, True])
+def test_as_published_the_cnns_classes_move_the_arm_and_our_rule_hears_the_estimate(paper: bool) -> None:
+    content = {**QUICK, "estimator": {"paper": paper, "bias_angle": 0.2}}
+    printed = dock_once(parse_campaign_scene(content, "x"), 3, 0, "published")
+    assert printed["error"] == ""
+    assert printed["charged"], "no estimate, however wrong, keeps it from charging"
+    assert (printed["first_angle_stddev"] == 0.0) == paper
+    assert printed["felt_angle"] == pytest.approx(printed["first_angle_error"] + printed["final_angle"], abs=0.02)
+    rule = {"docking": {"published_clearance_rule": True}}
+    ruled = dock_once(parse_campaign_scene({**content, **rule}, "x"), 3, 0, "published")
+    assert ruled["error"] == ""
+    assert (ruled["code_name"], ruled["energised"]) == ("CRITICAL_ANGLE", 0.0)
+    assert ruled["moves"] == printed["moves"]

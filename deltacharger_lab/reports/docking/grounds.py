@@ -47,7 +47,15 @@ CHOICES = (
         f"the family 777001 of a trial, then seeds {_SEEDS}",
     ),
     Choice(
-        ("band_margin", "aim_below", "step_share", "step_near", "overshoot_back_off", "push_current", "release_current"),
+        (
+            "band_margin",
+            "aim_below",
+            "step_share",
+            "step_near",
+            "overshoot_back_off",
+            "push_current",
+            "release_current",
+        ),
         f"statics of the arm, then seeds {_SEEDS}",
     ),
     Choice(

@@ -14,8 +14,8 @@ from deltacharger_records.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED,
 FORMS = {
     "random": ("guarded, our estimate", BLUE),
     "paper": ("paper's steps, our estimate", GREEN),
-    "classes": ("guarded, paper's classes", ORANGE),
-    "published": ("paper's steps and classes", PURPLE),
+    "published": ("paper as printed", PURPLE),
+    "published_clearance": ("paper as printed, our clearance rule", ORANGE),
 }
 """The forms of Algorithm 1 that dock the same scenes."""
 _CODES = {

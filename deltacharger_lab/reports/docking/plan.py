@@ -21,7 +21,7 @@ class CampaignPart:
         scene: packaged scene.
         count: dockings; of a listed scene at most as many as it lists.
         about: what it is, for the page.
-        approach: "guarded" or "paper".
+        approach: of docking's parameters.
         exact: whether every tick and frame is computed.
     """
 
@@ -68,6 +68,7 @@ PARTS = (
     CampaignPart("understated", "edge_understated", 2_000, "`edge`, σ told 1.5 times too small"),
     CampaignPart("biased", "edge_biased", 2_000, "`edge`, estimates 0.5 mm off in both axes"),
     CampaignPart("paper", "random", 2_000, "the paper's constant steps, our estimate", "paper"),
+<<<<<<< HEAD
     CampaignPart("classes", "paper_classes", 2_000, "guarded steps, the paper's classes in place of our estimate"),
     CampaignPart("published", "paper_classes", 2_000, "the paper's steps and classes", "paper"),
     CampaignPart("told_stiffness", "told_stiffness", 2_000, "`default`, servo stiffness told ¼ to 4 times the true one"),
@@ -81,6 +82,11 @@ PARTS = (
     CampaignPart("second_1N", "second_1N", 1_000, "the same, by the pose model for sensors that tell nothing below 1 N"),
     CampaignPart("random_second", "random_second", 2_000, "`random`, pads and bars of the second contact physics"),
     CampaignPart("exact", "random", 1_000, "`random`, every tick and frame computed as the nodes do", exact=True),
+=======
+    CampaignPart("published", "random", 2_000, "the paper's algorithm as printed, with its classes", "published"),
+    CampaignPart("published_clearance", "published_clearance", 2_000, "the same with our clearance rule", "published"),
+    CampaignPart("exact", "random", 200, "`random`, every tick and frame computed as the nodes do", exact=True),
+>>>>>>> 8861e6e2b4f2880efd43954388318280c07b6f65
     CampaignPart("strike", "default", 2_000, "`default`, every tick and frame computed", exact=True),
 )
 

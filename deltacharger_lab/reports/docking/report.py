@@ -23,8 +23,8 @@ from deltacharger_lab.reports.report import Progress, Report
 CAMPAIGNS = "campaigns"
 _PAIRS = (
     ("random", "paper"),
-    ("random", "classes"),
     ("random", "published"),
+    ("random", "published_clearance"),
     ("exact", "random"),
     ("strike", "default"),
 )

@@ -42,7 +42,18 @@ AXES = {"horizontal": (1000.0, " mm"), "vertical": (1000.0, " mm"), "angle": (ma
 """Of an estimate: scale and unit that its error is told in."""
 GUARDED = ("default", "soft_servos", "random", "upright", "edge", "soft")
 """Campaigns by whose dockings together most targets are judged."""
-CALIBRATED = ("random", "edge", "soft", "tilted", "default", "second", "second_1N", "random_second", "high_row", "parked")
+CALIBRATED = (
+    "random",
+    "edge",
+    "soft",
+    "tilted",
+    "default",
+    "second",
+    "second_1N",
+    "random_second",
+    "high_row",
+    "parked",
+)
 """Campaigns of the table on the errors of estimates."""
 SAFE = (
     *(
@@ -62,7 +73,7 @@ SAFE = (
     ),
     *("told_stiffness", "told_torque_constant", "told_gravity", "told_geometry", "high_row", "parked", "nudged"),
     *("second", "second_1N", "random_second"),
-    *("paper", "classes", "published"),
+    *("paper", "published", "published_clearance"),
 )
 """Campaigns of the table on safety."""
 

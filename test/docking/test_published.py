@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Algorithm 1 as printed: classes move the arm and zero ends the loop; clearance counts only where it is asked for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from typing import Any
+
+import pytest
+
+from deltacharger_docking.clearance import MisalignmentClasses
+from deltacharger_docking.codes import Code, Rejected, State
+from deltacharger_docking.observation import Command, Decision, DockGoal, Observation, Reply, Request, Service
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
+from deltacharger_sim.parameters import TargetParameters, WorldParameters
+
+from .dockings import MILLIMETRE, assert_safe_at_home, quick_charger
+
+Step = tuple[float, float]
+ZERO: Step = (0.0, 0.0)
+RULE = {"published_clearance_rule": True}
+
+
+class Told:
+    """What a docking decided and felt; its estimates carry scripted classes in place of the CNN's.
+
+    Attributes:
+        offsets: (horizontal, vertical) mm of one look after the other; the last one is told again and again.
+        degrees: of the angle's class.
+        felt: replaces each estimate's values by these.
+        places: x, y of the platform (m) at each look.
+        models: whose classes were asked for.
+    """
+
+    def __init__(self, run: VirtualCharger, offsets: list[Step], degrees: float = 1.0, **felt: Any) -> None:
+        self.run, self.offsets, self.degrees, self.felt = run, offsets, degrees, felt
+        self.places: list[tuple[float, float]] = []
+        self.models: list[str] = []
+        self.decisions: list[Decision] = []
+        run.answer[Service.ESTIMATE] = self._answer
+        run._follow = self._follow  # type: ignore[method-assign]
+        self._carry_out = type(run)._follow
+
+    def _follow(self, command: Command) -> None:
+        self.decisions.extend(command.decisions)
+        self.models.extend(each.model for each in command.requests if each.service is Service.ESTIMATE)
+        self._carry_out(self.run, command)
+
+    def _answer(self, reply: Reply) -> Reply:
+        assert reply.estimate is not None
+        x, y, _ = self.run.world.snapshot().position
+        self.places.append((x, y))
+        horizontal, vertical = self.offsets.pop(0) if len(self.offsets) > 1 else self.offsets[0]
+        classes = MisalignmentClasses(math.radians(self.degrees), vertical * MILLIMETRE, horizontal * MILLIMETRE)
+        return replace(reply, estimate=replace(reply.estimate, classes=classes, **self.felt))
+
+    def of(self, kind: str) -> list[Decision]:
+        return [each for each in self.decisions if each.kind == kind]
+
+
+def published(*offsets: Step, place: tuple[float, ...] = (0.0, 0.0, 2.0), **more: Any) -> Told:
+    """A charger of `approach: published` and what it is told; parameters as `parameters`."""
+    parameters = {"approach": "published", **more.pop("parameters", {})}
+    return Told(quick_charger(*place, parameters=parameters), list(offsets) or [ZERO], **more)
+
+
+def test_the_arm_moves_by_exactly_the_centres_until_both_classes_are_zero() -> None:
+    told = published((5.0, -10.0), (-5.0, 0.0), ZERO, place=(0.0, -8.0, 1.0))
+    outcome = told.run.dock()
+    assert outcome.success, outcome.message
+    assert (outcome.alignments, outcome.redockings, outcome.aligned) == (2, 0, True)
+    moved = [tuple(value for _, value in each.values) for each in told.of("move")]
+    assert moved == [(5 * MILLIMETRE, -10 * MILLIMETRE), (-5 * MILLIMETRE, 0.0)]
+    (x, y), (a, b), (c, d) = told.places
+    assert (a - x, b - y) == pytest.approx((0.005, -0.010), abs=0.6 * MILLIMETRE)
+    assert (c - a, d - b) == pytest.approx((-0.005, 0.0), abs=0.6 * MILLIMETRE)
+    assert set(told.models) == {"cnn"}
+
+
+def test_zero_at_the_first_look_moves_nothing_whatever_the_estimate_says() -> None:
+    told = published(place=(4.0, 3.0, 2.0), sure=False, horizontal=0.004, vertical=0.003)
+    outcome = told.run.dock()
+    assert outcome.success, outcome.message
+    assert (outcome.alignments, told.run.world.record.contacts, len(told.places)) == (0, 1, 1)
+
+
+def test_after_fifteen_moves_charging_starts_though_the_looks_contradict_each_other() -> None:
+    told = published(*[(5.0, 0.0), (-5.0, 0.0)] * 8, (5.0, 0.0))
+    outcome = told.run.dock()
+    assert outcome.success, outcome.message
+    assert (outcome.alignments, outcome.redockings, outcome.aligned) == (15, 0, False)
+    assert not told.of("contradiction")
+    assert not told.of("verdict")
+
+
+def test_a_class_that_is_not_below_the_critical_angle_is_refused_before_any_move() -> None:
+    told = published((5.0, 5.0), degrees=5.0)
+    outcome = told.run.dock(DockGoal(GOAL, critical_angle=math.radians(4.0)))
+    assert outcome.code is Code.CRITICAL_ANGLE
+    assert outcome.alignments == 0
+    assert told.run.world.record.energised == 0.0
+    assert_safe_at_home(told.run)
+
+
+def test_nothing_above_five_degrees_is_told_so_that_the_probe_alone_finds_the_short() -> None:
+    told = published(place=(0.0, 0.0, 14.0), degrees=5.0)
+    assert told.run.dock().code is Code.SHORT_CIRCUIT
+    assert told.run.world.record.energised == 0.0
+    assert_safe_at_home(told.run)
+
+
+def test_pads_that_feel_nothing_end_it_before_and_while_charging() -> None:
+    told = published(contact=False)
+    assert told.run.dock().code is Code.NO_TACTILE_CONTACT
+    assert_safe_at_home(told.run)
+    told = published()
+    assert told.run.dock().success
+    told.run.distort = lambda observation: replace(observation, tactile_contact=False)
+    told.run.until(lambda: told.run.machine.status.code is Code.NO_TACTILE_CONTACT, 3.0)
+    told.run.distort = lambda observation: observation
+    told.run.until(lambda: told.run.machine.status.state is State.IDLE, 20.0)
+    assert_safe_at_home(told.run)
+
+
+@pytest.mark.parametrize("axis", [item.name for item in fields(MisalignmentClasses)])
+def test_a_class_that_is_not_told_is_refused_by_name(axis: str) -> None:
+    told = published()
+
+    def lose(reply: Reply) -> Reply:
+        estimate = told._answer(reply).estimate
+        assert estimate is not None
+        assert estimate.classes is not None
+        return replace(reply, estimate=replace(estimate, classes=replace(estimate.classes, **{axis: math.nan})))
+
+    told.run.answer[Service.ESTIMATE] = lose
+    outcome = told.run.dock()
+    assert outcome.code is Code.ESTIMATE_UNSURE
+    assert f"{axis}_probability" in outcome.message
+    assert_safe_at_home(told.run)
+
+
+def test_an_estimate_without_any_classes_is_refused() -> None:
+    told = published()
+    told.run.answer.clear()
+    outcome = told.run.dock()
+    assert outcome.code is Code.ESTIMATE_UNSURE
+    assert "angle, vertical, horizontal" in outcome.message
+
+
+def test_as_printed_current_flows_where_clearance_refuses_it() -> None:
+    wide = {"angle": math.radians(10.0), "vertical": 0.002}
+    told = published(**wide)
+    assert told.run.dock().success
+    told.run.run(3.0 * told.run.parameters.clearance_period)
+    assert told.run.machine.status.charging, "nor does a watch over clearance end it"
+    assert len(told.places) == 1
+    with_rule = published(parameters=RULE, **wide)
+    outcome = with_rule.run.dock()
+    assert outcome.code in (Code.MISALIGNED, Code.CRITICAL_ANGLE)
+    assert with_rule.run.world.record.energised == 0.0
+    assert_safe_at_home(with_rule.run)
+
+
+@pytest.mark.parametrize(
+    ("felt", "code", "contacts"),
+    [
+        ({"angle": 0.0, "vertical": 0.0}, Code.NONE, 1),
+        ({"angle": math.radians(7.5), "vertical": 0.0, "angle_stddev": 0.013}, Code.NONE, 2),
+        ({"angle": math.radians(7.0), "vertical": 0.004}, Code.MISALIGNED, 1),
+        ({"angle": math.radians(13.0)}, Code.CRITICAL_ANGLE, 1),
+        ({"sure": False}, Code.ESTIMATE_UNSURE, 1),
+    ],
+)
+def test_with_our_rule_clearance_decides_by_the_estimate_whatever_the_classes_say(
+    felt: dict[str, Any], code: Code, contacts: int
+) -> None:
+    told = published(parameters=RULE, **felt)
+    outcome = told.run.dock()
+    assert outcome.code is code, outcome.message
+    assert told.run.world.record.contacts == contacts
+    assert outcome.alignments == 0
+
+
+def test_with_our_rule_clearance_that_is_lost_while_charging_ends_it() -> None:
+    told = published(parameters=RULE)
+    assert told.run.dock().success
+    told.felt = {"vertical": 0.008}
+    told.run.until(lambda: told.run.machine.status.code is Code.CRITICAL_ANGLE, 10.0)
+    told.run.until(lambda: told.run.machine.status.state is State.IDLE, 20.0)
+    assert_safe_at_home(told.run)
+
+
+def unproven(observation: Observation) -> Observation:
+    return replace(observation, simulated=False)
+
+
+def real(told: Told) -> Told:
+    """The same charger, of which nobody knows that it is simulated."""
+    run, observe = told.run, told.run.observe
+    run.observe = lambda: unproven(observe())  # type: ignore[method-assign]
+    return told
+
+
+def test_before_hardware_that_is_not_proven_to_be_simulated_no_goal_that_charges_is_taken() -> None:
+    told = real(published())
+    with pytest.raises(Rejected, match="published_clearance_rule"):
+        told.run.begin(DockGoal(GOAL))
+    told.run.run(0.5)
+    assert math.dist(told.run.world.snapshot().position, told.run.parameters.home) < MILLIMETRE
+    assert told.run.dock(DockGoal(GOAL, start_charging=False)).success
+    with pytest.raises(Rejected):
+        told.run.begin(DockGoal(GOAL))
+    told.run.run(0.5)
+    assert told.run.world.record.energised == 0.0
+    assert told.run.machine.status.docked
+    with_rule = real(published(parameters=RULE))
+    assert with_rule.run.dock().success
+
+
+def test_hardware_that_is_no_longer_proven_keeps_the_contactor_open() -> None:
+    told = published()
+    told.run.begin(DockGoal(GOAL))
+    told.run.until(lambda: told.run.machine.status.state is State.MEASURE, 30.0)
+    told.run.distort = unproven
+    assert told.run.finish(60.0).code is Code.REJECTED
+    assert told.run.world.record.energised == 0.0
+    assert_safe_at_home(told.run)
+
+
+CANCELS = (State.APPROACH, State.CONTACT, State.MEASURE, State.ALIGN, State.ENERGISE)
+FAULTS = (State.CONTACT, State.ALIGN, State.ENERGISE, State.CHARGING)
+ENDS = [
+    *((state, {}, Code.CANCELED) for state in CANCELS),
+    *((state, {"hardware_error": 32}, Code.SERVO_FAULT) for state in FAULTS),
+]
+
+
+@pytest.mark.parametrize(("state", "fault", "code"), ENDS)
+def test_a_cancel_and_a_fault_in_every_phase_open_before_the_torque_goes(
+    state: State, fault: dict[str, Any], code: Code
+) -> None:
+    told = published((5.0, 0.0), ZERO)
+    run, seen = told.run, list[tuple[bool, bool]]()
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.machine.status.state is state, 60.0)
+    if fault:
+        run.distort = lambda observation: replace(observation, **fault)
+    else:
+        run.machine.cancel()
+    accept = run._accept
+
+    def note(request: Request) -> None:
+        if request.service is Service.TORQUE_OFF:
+            truth = run.world.snapshot()
+            seen.append((truth.contactor_closed, truth.charge_current > 0.5))
+        accept(request)
+
+    run._accept = note  # type: ignore[method-assign]
+    run.until(lambda: run.machine.status.code is code and run.machine.status.state is State.IDLE, 60.0)
+    assert seen
+    assert not any(map(any, seen))
+    assert not run.world.snapshot().contactor_closed
+    assert run.world.record.parted_live == 0
+
+
+def test_docked_without_current_a_goal_that_charges_measures_classes_where_it_stands() -> None:
+    told = published((5.0, 0.0), ZERO)
+    assert told.run.dock(DockGoal(GOAL, start_charging=False)).success
+    contacts = told.run.world.record.contacts
+    outcome = told.run.dock()
+    assert outcome.success, outcome.message
+    assert (told.run.world.record.contacts, len(told.places)) == (contacts, 3)
+
+
+def test_a_goal_that_lowers_the_critical_angle_ends_charging_above_it() -> None:
+    told = published(degrees=3.0)
+    assert told.run.dock().success
+    assert told.run.dock(DockGoal(GOAL, critical_angle=math.radians(4.0))).success
+    assert told.run.dock(DockGoal(GOAL, critical_angle=math.radians(2.0))).code is Code.CRITICAL_ANGLE
+    assert_safe_at_home(told.run)
+
+
+def test_the_raw_sum_of_currents_reads_docked_in_free_air_here_too() -> None:
+    nothing = WorldParameters(target=TargetParameters(present=False))
+    run = VirtualCharger(nothing, DockingParameters(approach="published", current_signal="sum", current_min=0.3))
+    assert run.dock().code is Code.NO_TACTILE_CONTACT
+    assert_safe_at_home(run)
