@@ -133,7 +133,7 @@ def test_as_published_the_cnns_classes_move_the_arm_and_our_rule_hears_the_estim
     assert printed["error"] == ""
     assert printed["charged"], "no estimate, however wrong, keeps it from charging"
     assert (printed["first_angle_stddev"] == 0.0) == paper
-    assert printed["felt_angle"] == pytest.approx(printed["first_angle_error"] + printed["final_angle"], abs=0.02)
+    assert printed["felt_angle"] == pytest.approx(printed["last_angle_error"] + printed["final_angle"], abs=0.01)
     rule = {"docking": {"published_clearance_rule": True}}
     ruled = dock_once(parse_campaign_scene({**content, **rule}, "x"), 3, 0, "published")
     assert ruled["error"] == ""

@@ -68,25 +68,27 @@ PARTS = (
     CampaignPart("understated", "edge_understated", 2_000, "`edge`, σ told 1.5 times too small"),
     CampaignPart("biased", "edge_biased", 2_000, "`edge`, estimates 0.5 mm off in both axes"),
     CampaignPart("paper", "random", 2_000, "the paper's constant steps, our estimate", "paper"),
-<<<<<<< HEAD
-    CampaignPart("classes", "paper_classes", 2_000, "guarded steps, the paper's classes in place of our estimate"),
-    CampaignPart("published", "paper_classes", 2_000, "the paper's steps and classes", "paper"),
-    CampaignPart("told_stiffness", "told_stiffness", 2_000, "`default`, servo stiffness told ¼ to 4 times the true one"),
-    CampaignPart("told_torque_constant", "told_torque_constant", 1_000, "`default`, torque constant told wrongly by 20 %"),
-    CampaignPart("told_gravity", "told_gravity", 1_000, "`default`, on slopes of up to 10° of which docking is not told"),
+    CampaignPart("published", "random", 2_000, "the paper's algorithm as printed, with its classes", "published"),
+    CampaignPart("published_clearance", "published_clearance", 2_000, "the same with our clearance rule", "published"),
+    CampaignPart(
+        "told_stiffness", "told_stiffness", 2_000, "`default`, servo stiffness told ¼ to 4 times the true one"
+    ),
+    CampaignPart(
+        "told_torque_constant", "told_torque_constant", 1_000, "`default`, torque constant told wrongly by 20 %"
+    ),
+    CampaignPart(
+        "told_gravity", "told_gravity", 1_000, "`default`, on slopes of up to 10° of which docking is not told"
+    ),
     CampaignPart("told_geometry", "told_geometry", 1_000, "`default`, arms built inaccurately and not calibrated"),
     CampaignPart("high_row", "high_row", 2_000, "`default`, a row of taxels reads 1–2 N too much after the tare"),
     CampaignPart("parked", "parked", 1_000, "`default`, robots that stand askew by up to 5°"),
     CampaignPart("nudged", "nudged", 1_000, "`default`, targets that are moved while they charge"),
     CampaignPart("second", "second", 2_000, "`default`, pads and bars of the second contact physics"),
-    CampaignPart("second_1N", "second_1N", 1_000, "the same, by the pose model for sensors that tell nothing below 1 N"),
+    CampaignPart(
+        "second_1N", "second_1N", 1_000, "the same, by the pose model for sensors that tell nothing below 1 N"
+    ),
     CampaignPart("random_second", "random_second", 2_000, "`random`, pads and bars of the second contact physics"),
     CampaignPart("exact", "random", 1_000, "`random`, every tick and frame computed as the nodes do", exact=True),
-=======
-    CampaignPart("published", "random", 2_000, "the paper's algorithm as printed, with its classes", "published"),
-    CampaignPart("published_clearance", "published_clearance", 2_000, "the same with our clearance rule", "published"),
-    CampaignPart("exact", "random", 200, "`random`, every tick and frame computed as the nodes do", exact=True),
->>>>>>> 8861e6e2b4f2880efd43954388318280c07b6f65
     CampaignPart("strike", "default", 2_000, "`default`, every tick and frame computed", exact=True),
 )
 
