@@ -137,5 +137,6 @@ def test_as_published_the_cnns_classes_move_the_arm_and_our_rule_hears_the_estim
     rule = {"docking": {"published_clearance_rule": True}}
     ruled = dock_once(parse_campaign_scene({**content, **rule}, "x"), 3, 0, "published")
     assert ruled["error"] == ""
-    assert (ruled["code_name"], ruled["energised"]) == ("CRITICAL_ANGLE", 0.0)
+    assert ruled["code_name"] in ("CRITICAL_ANGLE", "MISALIGNED")
+    assert ruled["energised"] == 0.0
     assert ruled["moves"] == printed["moves"]
