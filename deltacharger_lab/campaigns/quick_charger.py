@@ -19,19 +19,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.machine import CONTACT_FORCE, TORQUE_CONSTANT
+from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
+from deltacharger_lab.campaigns.pads import PadSource
 from deltacharger_lab.campaigns.quick_motion import QuickPlanner, WholeFeed
 from deltacharger_lab.campaigns.virtual_charger import TICK, Pending, VirtualCharger, counts
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.shared_world import SharedWorld
 from deltacharger_sim.world import World
-from deltacharger_tactile.parameters import TactileParameters
-from deltacharger_tactile.source import ContactSource
 
 MOVING, STANDING = 8, 13  # ticks that one step of the machine may last
 SETTLING = 2  # ticks that one step of the world may last where the platform only comes after its goal
@@ -55,21 +54,23 @@ class QuickCharger(VirtualCharger):
     Args:
         world: the simulated world; its `step` does not count here.
         parameters: of docking.
-        tactile: family of the pads.
+        pads: of `rig_seed` and `seed`.
         seed: course of noise and jitter.
         rig_seed: which device's pads.
+        geometry: the arm's dimensions as docking is told them; None = the true ones.
     """
 
     def __init__(
         self,
         world: WorldParameters,
         parameters: DockingParameters,
-        tactile: TactileParameters,
+        pads: PadSource,
         seed: int,
         rig_seed: int,
+        geometry: DeltaGeometry | None = None,
     ) -> None:
-        self._pads = ContactSource(tactile, rig_seed, seed)
-        super().__init__(world, parameters, seed, rig_seed, self._pads)
+        self._pads = pads
+        super().__init__(world, parameters, seed, rig_seed, pads, geometry)
         self.plant = _Unclocked(self.world, clock=lambda: 0.0)
         self._arrived: tuple[Waypoint, ...] = ()  # the line whose end has been commanded
         self._followed: tuple[Waypoint, ...] = ()  # the line to which the next number belongs
@@ -78,7 +79,7 @@ class QuickCharger(VirtualCharger):
         self._felt_at: tuple[float, ...] | None = None  # pose (m, m, rad), force (N) and number of the contact
 
     def _make_machine(self) -> DockingMachine:
-        parameters, geometry = self.parameters, DeltaGeometry()
+        parameters, geometry = self.parameters, self.geometry
         feed = WholeFeed(parameters.servo_damping / parameters.servo_stiffness)
         return DockingMachine(parameters, geometry, QuickPlanner(parameters, geometry), feed)
 
@@ -140,7 +141,8 @@ class QuickCharger(VirtualCharger):
             self._segment += 1
         point = line[self._segment]
         a, b, c = point.torque_bound
-        bound = [a / TORQUE_CONSTANT, b / TORQUE_CONSTANT, c / TORQUE_CONSTANT]
+        constant = self.parameters.torque_constant
+        bound = [a / constant, b / constant, c / constant]
         if elapsed >= point.time:
             return bound, list(point.angles)
         before, since = (
@@ -175,6 +177,8 @@ class QuickCharger(VirtualCharger):
     def _feels(self) -> bool:
         """Return whether some taxel feels 1 N; a contact that has hardly changed since it was felt is not felt anew."""
         pose, force = self.world.misalignment, self.world.mechanics.contact_force
+        if self.excess is not None and self._tared:  # which is felt without any contact, too
+            return float(np.nanmax(self.feel(1, 0.0)[0] - self.baseline)) >= CONTACT_FORCE
         if pose is None or not self._tared:
             self._felt_at = None
             return False
