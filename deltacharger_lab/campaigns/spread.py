@@ -85,7 +85,8 @@ def _checked(key: Declaration, value: Any, where: str) -> Value:
         value = int(value)
     problem = "has no value" if value is None else key.problem(value)
     if problem:
-        usage = "" if isinstance(value, int | float) else did_you_mean(value, key.choices) or f"; {_usage(key)}"
+        number = isinstance(value, int | float) and key.kind is not str
+        usage = "" if number else did_you_mean(value, key.choices) or f"; {_usage(key)}"
         raise ParameterError(where, value, problem + usage)
     checked: Value = key.kind(value)
     return checked
