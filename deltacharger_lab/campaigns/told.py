@@ -15,7 +15,7 @@ from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, LimbAdju
 from deltacharger_lab.campaigns.spread import Value
 
 _WRONG = 0.005  # m; who builds or measures an arm sees a part that is wrong by more
-_TURNED = 0.1  # rad; a motor's zero that is wrong by more puts the platform 4 mm off, which homing shows
+_TURNED = 0.1  # rad; a zero that is wrong by more puts the platform 12 mm off, which homing shows
 _GEOMETRY = "told.geometry."
 _COMMON = ("base_radius", "arm", "rod", "platform_radius", "z_offset")
 
