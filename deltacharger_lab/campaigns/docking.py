@@ -14,7 +14,7 @@ from deltacharger_lab.campaigns.disturbances import Nudging, high_row, watched_a
 from deltacharger_lab.campaigns.draw import Drawn, draw
 from deltacharger_lab.campaigns.felt import Felt
 from deltacharger_lab.campaigns.keys import known_keys
-from deltacharger_lab.campaigns.pads import make_pads
+from deltacharger_lab.campaigns.pads import FIRST, make_pads
 from deltacharger_lab.campaigns.parts import AXES
 from deltacharger_lab.campaigns.quick_charger import QuickCharger
 from deltacharger_lab.campaigns.scene import CampaignScene
@@ -158,7 +158,10 @@ def make_charger(drawn: Drawn, exact: bool) -> VirtualCharger:
     if exact:
         charger = VirtualCharger(drawn.world, drawn.docking, drawn.seed, drawn.rig_seed, pads, drawn.geometry)
     else:
-        charger = QuickCharger(drawn.world, drawn.docking, pads, drawn.seed, drawn.rig_seed, drawn.geometry)
+        charger = QuickCharger(
+            *(drawn.world, drawn.docking, pads, drawn.seed, drawn.rig_seed, drawn.geometry),
+            proportional=drawn.pads == FIRST,
+        )
     if drawn.high_row:
         charger.excess = high_row(drawn.high_row, drawn.seed)
     return charger

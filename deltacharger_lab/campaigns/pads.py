@@ -39,7 +39,8 @@ def make_pads(pads: str, tactile: TactileParameters, rig_seed: int, seed: int) -
         seed: course of noise and jitter.
     """
     if pads == SECOND:
-        source: PadSource = importlib.import_module("deltacharger_tactile.second").SecondSource(None, rig_seed, seed)
+        second = importlib.import_module("deltacharger_tactile.second.source")
+        source: PadSource = second.SecondSource(None, rig_seed, seed)
         return source
     return ContactSource(tactile, rig_seed, seed)
 

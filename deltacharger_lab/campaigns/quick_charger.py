@@ -58,6 +58,8 @@ class QuickCharger(VirtualCharger):
         seed: course of noise and jitter.
         rig_seed: which device's pads.
         geometry: the arm's dimensions as docking is told them; None = the true ones.
+        proportional: whether what the pads read grows with the force alone, so that what was felt tells what is felt
+            under a little more.
     """
 
     def __init__(
@@ -68,8 +70,10 @@ class QuickCharger(VirtualCharger):
         seed: int,
         rig_seed: int,
         geometry: DeltaGeometry | None = None,
+        proportional: bool = True,
     ) -> None:
         self._pads = pads
+        self._proportional = proportional
         super().__init__(world, parameters, seed, rig_seed, pads, geometry)
         self.plant = _Unclocked(self.world, clock=lambda: 0.0)
         self._arrived: tuple[Waypoint, ...] = ()  # the line whose end has been commanded
@@ -177,11 +181,12 @@ class QuickCharger(VirtualCharger):
     def _feels(self) -> bool:
         """Return whether some taxel feels 1 N; a contact that has hardly changed since it was felt is not felt anew."""
         pose, force = self.world.misalignment, self.world.mechanics.contact_force
-        if self.excess is not None and self._tared:  # which is felt without any contact, too
-            return float(np.nanmax(self.feel(1, 0.0)[0] - self.baseline)) >= CONTACT_FORCE
-        if pose is None or not self._tared:
+        if (self.excess is None and pose is None) or not self._tared:
             self._felt_at = None
             return False
+        if self.excess is not None or not self._proportional:
+            return float(np.nanmax(self.feel(1, 0.0)[0] - self.baseline)) >= CONTACT_FORCE
+        assert pose is not None
         known = self._felt_at
         if known is None or not self._is_known(known, pose, force):
             frame = self._pads.frames(self.world.time, pose, force, 1, 0.0, self.world.mechanics.pad_share)[0]
