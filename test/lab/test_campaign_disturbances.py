@@ -174,12 +174,12 @@ def test_second_pads_are_made_by_their_word_and_pairs_stay_pairs(monkeypatch: py
     scene = parse_campaign_scene({**QUICK, "pads": {"choose": ["first", "second"]}}, "x")
     rows = [dock_once(scene, 3, number, "guarded", exact=number == 0) for number in range(6)]
     assert [row["pads"] for row in rows] == made
+    first = [number for number, kind in enumerate(made) if kind == "first"]
     assert set(made) == {"first", "second"}
     assert columns(scene)["pads"][0] is str
     plain = [
         dock_once(parse_campaign_scene(QUICK, "x"), 3, number, "guarded", exact=number == 0) for number in range(6)
     ]
-    first = [number for number, kind in enumerate(made) if kind == "first"]
     same = [{name: rows[number][name] for name in plain[0]} for number in first]
     assert comparable(same) == comparable([plain[number] for number in first])
     for name in ("seed", "rig_seed", "goal_x", "place_roll", "world.servo.stiffness"):
