@@ -110,6 +110,11 @@ class Mechanics(Motion):
             push += row[2] * (motor + gear + up * cosine - out * sine)
         return push
 
+    def carry(self, dx: float, dy: float) -> None:
+        """Stretch the electrodes' bristle by the target's move (m), as the platform's own moves relax it."""
+        if self.contact_force > 0.0:
+            self.rub = self.rub[0] + self._touch.side * dx, self.rub[1] + self._touch.side * dy
+
     def _set_inputs(
         self,
         inputs: tuple[object, ...],

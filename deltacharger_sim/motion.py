@@ -72,6 +72,14 @@ class Motion(ABC):
             y: the same along y, m.
         """
 
+    def carry(self, dx: float, dy: float) -> None:
+        """Let the target move on by (dx, dy), m, before the next step: where it touches, its friction takes hold.
+
+        Raises:
+            NotImplementedError: this model's target stays where it is.
+        """
+        raise NotImplementedError(f"the target of {type(self).__name__} cannot move")
+
 
 MakeMotion = Callable[[WorldParameters, DeltaGeometry, Vector], Motion]
 """Makes the motion of an arm that stands at a point (m)."""

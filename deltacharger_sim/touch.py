@@ -16,11 +16,13 @@ class TargetTouch:
 
     Attributes:
         tilt: of the platform in contact; None where nothing tilts.
+        side: stiffness of the electrodes against moving sideways before they slide, N/m.
     """
 
     def __init__(self, parameters: WorldParameters) -> None:
         self._magnets, self._contact = parameters.magnets, parameters.contact
         self.tilt = PlatformTilt(parameters) if tilts(parameters) else None
+        self.side = min(2.0 * self._contact.stiffness, LATERAL_MOST)
         self._pull = 0.0
         self._aside = (0.0, 0.0)
 
@@ -63,7 +65,7 @@ class TargetTouch:
         if normal <= 0.0:
             return magnet, 0.0, 0.0, 0.0, 0.0, along
         contact = self._contact
-        side = min(2.0 * contact.stiffness, LATERAL_MOST)
+        side = self.side
         rx, ry = rub[0] - side * dx, rub[1] - side * dy
         size, most = hypot(rx, ry), contact.friction * normal
         if size > most:

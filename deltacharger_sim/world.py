@@ -23,6 +23,7 @@ from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.proven import UnprovenWarning, doubts
 
 _APART = 0.001  # m of gap that ends a docking; less is a bounce
+_NOTHING = 1e-9  # s
 T = TypeVar("T")
 Pose = tuple[float, float, float]
 
@@ -89,7 +90,7 @@ class World:
     """The simulated surroundings of one charger.
 
     Args:
-        parameters: everything about it.
+        parameters: everything about it; the attribute has the target where it stands now.
         tactile: model of the arrays; None = pads that read nothing.
         seed: of the current noise.
         geometry: of the delta.
@@ -132,6 +133,7 @@ class World:
         self._temperature = [parameters.servo.ambient_temperature] * 3
         self._goals: Vector = (0.0, 0.0, 0.0)
         self._goals_of: Vector | None = None
+        self._moving: tuple[float, float, float, float] | None = None  # m/s, m/s, rad/s of the target, s left
         for warning in doubts(parameters):
             warnings.warn(warning, UnprovenWarning, stacklevel=2)
 
@@ -158,17 +160,55 @@ class World:
         if self._late is not None:
             for index, enabled, reference, limit in self._late.due(self.time):
                 self._obey(index, enabled, reference, limit)
+        moved = self._moving is not None
+        if moved:
+            self._move(dt)
         target, position, jitter = self.parameters.target, mechanics.position, self._jitter
         x, y = target.x - position[0] + jitter[0], target.y - position[1] + jitter[1]
         mechanics.step(dt, self._enabled, self._reference, self._limit, x, y)
         self.time += dt
         if self._late is not None:
             self._late.keep(self.time, [self._state(index) for index in range(3)])
-        if not mechanics.still:
+        if moved or not mechanics.still:
             self._follow_contact()
         self.circuit.step(dt, self._overlap, mechanics.contact_force)
         self._heat(dt)
         self._take_record(dt)
+
+    def move_target(self, dx: float, dy: float, roll: float, seconds: float) -> None:
+        """Move the target from where it stands, steadily for `seconds` from now on; a move under way ends.
+
+        In contact the electrodes' friction drags the platform along, as far as it and the arm's stiffness go; beyond
+        they slide. The platform cannot turn, so that a turned target slides under it.
+
+        Args:
+            dx: m, charger_base.
+            dy: the same along y, m.
+            roll: about z through the target's centre, rad.
+            seconds: that it takes, above 0.
+
+        Raises:
+            NotImplementedError: the arm is moved by a model whose target stays where it is.
+        """
+        self._moving = dx / seconds, dy / seconds, roll / seconds, seconds
+        self.mechanics.carry(0.0, 0.0)
+
+    @property
+    def target_moves(self) -> bool:
+        """Whether the target is under way."""
+        return self._moving is not None
+
+    def _move(self, dt: float) -> None:
+        """Take the target along for a step."""
+        assert self._moving is not None
+        vx, vy, turn, left = self._moving
+        now = dt if dt < left else left
+        # What is left is no sum of steps: a rest of a nanosecond would be a step of its own.
+        self._moving = (vx, vy, turn, left - now) if left - now > _NOTHING else None
+        target, dx, dy = self.parameters.target, vx * now, vy * now
+        moved = dataclasses.replace(target, x=target.x + dx, y=target.y + dy, roll=target.roll + turn * now)
+        self.parameters = dataclasses.replace(self.parameters, target=moved)
+        self.mechanics.carry(dx, dy)
 
     @property
     def misalignment(self) -> Pose | None:

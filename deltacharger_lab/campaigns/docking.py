@@ -10,15 +10,16 @@ from typing import Any
 from deltacharger_docking.codes import Code, DockingError
 from deltacharger_docking.observation import DockGoal, DockingOutcome
 from deltacharger_lab.campaigns import felt as feeling
+from deltacharger_lab.campaigns.disturbances import Nudging, high_row, watched_after
 from deltacharger_lab.campaigns.draw import Drawn, draw
 from deltacharger_lab.campaigns.felt import Felt
 from deltacharger_lab.campaigns.keys import known_keys
+from deltacharger_lab.campaigns.pads import FIRST, make_pads
 from deltacharger_lab.campaigns.parts import AXES
 from deltacharger_lab.campaigns.quick_charger import QuickCharger
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.campaigns.servo_load import SECONDS, Effort, Rest
 from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
-from deltacharger_tactile.source import ContactSource
 
 LIMIT = 420.0  # simulated s; docking itself ends after goal_timeout and its way back
 CRASHED = "CRASHED"
@@ -44,6 +45,10 @@ RESULTS: dict[str, tuple[type, str]] = {
     "servo_current_3": (float, "A, of the third"),
     "servo_current_hottest": (float, "A, the largest of the three"),
     "ended": (str, f"name of the code that ended charging within those {SECONDS:g} s, else empty"),
+    "nudge_opened": (
+        float,
+        "s from the start of a nudge until the contactor opened; NaN = no nudge, or it stayed closed",
+    ),
     "shorts": (int, "times that live electrodes were shorted"),
     "energised": (float, "s that electrodes were live"),
     "energised_unsafe": (float, "s that electrodes were live with negative clearance"),
@@ -118,6 +123,7 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict
     """Run one docking to its outcome and return the columns of `RESULTS`."""
     charger = make_charger(drawn, exact)
     felt, effort = Felt(charger, drawn.estimator, drawn.seed), Effort(charger)
+    nudging = Nudging(drawn.nudge, charger.world) if drawn.nudge.moves else None
     above, top = 0.0, drawn.docking.current_max
     try:
         charger.begin(goal or DockGoal(drawn.goal))
@@ -130,21 +136,35 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict
             raise TimeoutError(f"no outcome within {LIMIT:g} s; state {charger.machine.status.state.name}")
         charger.tick()
         effort.look()
+        if nudging is not None:
+            nudging.look()
         if charger.machine.status.contact_current > top and charger.world.misalignment is not None:
             above += charger.now - before
     felt.frozen = True
     row = result(charger, charger.outcome, above) | _felt(felt)
     if charger.machine.status.charging:
-        row |= Rest(charger).watch()
+        watched = SECONDS
+        if nudging is not None:
+            watched = max(watched, drawn.nudge.after + watched_after(drawn.docking))
+        row |= Rest(charger, watched, nudging).watch()
+    if nudging is not None:
+        row["nudge_opened"] = nudging.opened
     return row | _record(charger) | {"servo_push": effort.most}
 
 
 def make_charger(drawn: Drawn, exact: bool) -> VirtualCharger:
     """Return the charger of a docking."""
+    pads = make_pads(drawn.pads, drawn.tactile, drawn.rig_seed, drawn.seed)
     if exact:
-        pads = ContactSource(drawn.tactile, drawn.rig_seed, drawn.seed)
-        return VirtualCharger(drawn.world, drawn.docking, drawn.seed, drawn.rig_seed, pads)
-    return QuickCharger(drawn.world, drawn.docking, drawn.tactile, drawn.seed, drawn.rig_seed)
+        charger = VirtualCharger(drawn.world, drawn.docking, drawn.seed, drawn.rig_seed, pads, drawn.geometry)
+    else:
+        charger = QuickCharger(
+            *(drawn.world, drawn.docking, pads, drawn.seed, drawn.rig_seed, drawn.geometry),
+            proportional=drawn.pads == FIRST,
+        )
+    if drawn.high_row:
+        charger.excess = high_row(drawn.high_row, drawn.seed)
+    return charger
 
 
 def result(charger: VirtualCharger, outcome: DockingOutcome, above: float) -> dict[str, Any]:

@@ -6,17 +6,20 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from deltacharger_core.parameters import ParameterError
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_lab.campaigns.disturbances import Nudge
 from deltacharger_lab.campaigns.keys import EstimatorErrors
+from deltacharger_lab.campaigns.pads import FIRST
 from deltacharger_lab.campaigns.parts import NOMINAL, build_parts, nested
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.campaigns.spread import Value
-from deltacharger_sim.parameters import TerminalParameters, WorldParameters
+from deltacharger_lab.campaigns.told import told_geometry, told_stiffness
+from deltacharger_sim.parameters import ServoParameters, TerminalParameters, WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
 
 _CAMERA: Vector = (0.0, 0.12, -0.12)  # m, charger_base; the usual mount, see deltacharger_vision.mount
@@ -38,6 +41,10 @@ class Drawn:
         seed: course of noise and jitter.
         rig_seed: which device's pads.
         estimator: what is wrong with each estimate.
+        geometry: the arm's dimensions as docking is told them; None = the true ones.
+        pads: which contact physics they have.
+        high_row: N that a row of taxels reads too much after each tare.
+        nudge: how the target is moved while it charges.
     """
 
     number: int
@@ -49,6 +56,10 @@ class Drawn:
     seed: int
     rig_seed: int
     estimator: EstimatorErrors
+    geometry: DeltaGeometry | None = None
+    pads: str = FIRST
+    high_row: float = 0.0
+    nudge: Nudge = field(default_factory=Nudge)
 
 
 def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
@@ -86,6 +97,10 @@ def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
         seed=source("seed").getrandbits(31),
         rig_seed=source("rig").getrandbits(31),
         estimator=EstimatorErrors(**nested(values, "estimator")),
+        geometry=told_geometry(values),
+        pads=str(values.get("pads", FIRST)),
+        high_row=float(values.get("taxels.high_row", 0.0)),
+        nudge=Nudge(**nested(values, "nudge")),
     )
 
 
@@ -129,8 +144,15 @@ def seen_at(
 def _derived(
     values: Mapping[str, Value], goal: ElectrodePose, source: Callable[[str], random.Random]
 ) -> dict[str, Value]:
-    """Return the values that others draw: a tilt for gravity from anywhere, a roll from the clearance it leaves."""
+    """Return the values that follow from others.
+
+    A tilt for gravity from anywhere, a roll from the clearance it leaves, and what is left of told stiffness within
+    docking's bounds.
+    """
     found: dict[str, Value] = {}
+    if "told.servo_stiffness" in values:
+        true = float(values.get("world.servo.stiffness", ServoParameters().stiffness))
+        found["told.servo_stiffness"] = told_stiffness(true, float(values["told.servo_stiffness"])) / true
     if "gravity.anywhere" in values:
         found |= {"gravity.tilt": 0.0, "gravity.azimuth": 0.0}
     if values.get("gravity.anywhere", False):

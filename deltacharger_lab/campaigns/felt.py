@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.observation import Reply, Service
 from deltacharger_lab.campaigns.keys import EstimatorErrors
+from deltacharger_lab.campaigns.pads import FROM_ONE_NEWTON, pose_model_from_one_newton
 from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 
 AXES = ("horizontal", "vertical", "angle")
@@ -46,6 +47,8 @@ class Felt:
             charger.classes = paper.classes
             if errors.paper:
                 charger.model = paper
+        if errors.model == FROM_ONE_NEWTON and not errors.paper:
+            charger.model = pose_model_from_one_newton()
         charger.answer[Service.ESTIMATE] = self._answer
 
     def _answer(self, reply: Reply) -> Reply | None:

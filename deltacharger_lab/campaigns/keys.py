@@ -7,8 +7,11 @@ import functools
 import math
 from dataclasses import dataclass, field
 
-from deltacharger_core.parameters import Declaration, declared, flag, like, number
+from deltacharger_core.parameters import Declaration, choice, declared, flag, like, number
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_lab.campaigns.disturbances import Nudge, Parked, Taxels
+from deltacharger_lab.campaigns.pads import FIRST, PACKAGED, PADS, POSE_MODELS
+from deltacharger_lab.campaigns.told import Told
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.parameters import PadContactParameters, TactileParameters
 
@@ -94,6 +97,7 @@ class EstimatorErrors:
         "errors are Student's t of so many degrees, as wide as the standard deviations, not the pads' own",
     )
     paper: bool = flag(False, "whether estimates are the classes of the paper's CNN, taken as sure")
+    model: str = choice(PACKAGED, POSE_MODELS, "pose model: packaged, or that for sensors that tell nothing below 1 N")
 
 
 @dataclass(frozen=True)
@@ -107,6 +111,11 @@ class _Campaign:
     hand_eye: _HandEye = field(default_factory=_HandEye)
     gravity: _Gravity = field(default_factory=_Gravity)
     estimator: EstimatorErrors = field(default_factory=EstimatorErrors)
+    told: Told = field(default_factory=Told)
+    taxels: Taxels = field(default_factory=Taxels)
+    parked: Parked = field(default_factory=Parked)
+    nudge: Nudge = field(default_factory=Nudge)
+    pads: str = choice(FIRST, PADS, "contact physics of the pads: first, by which pose models were trained, or second")
 
 
 TAKEN = {
@@ -114,13 +123,15 @@ TAKEN = {
     **{f"world.gravity_{axis}": "give gravity.tilt and gravity.azimuth" for axis in "xyz"},
     "tactile.contact.hole": "give electrode.hole",
     "world.step": "a campaign steps the world itself",
-    "docking.servo_stiffness": "it follows world.servo.stiffness",
-    **{f"docking.gravity_{axis}": "give gravity.tilt and gravity.known" for axis in "xyz"},
+    "docking.servo_stiffness": "it follows world.servo.stiffness; to tell it wrongly give told.servo_stiffness",
+    "docking.torque_constant": "it follows world.servo.torque_constant; to tell it wrongly give told.torque_constant",
+    **{f"docking.gravity_{axis}": "give gravity.tilt and gravity.known, or told.gravity_tilt" for axis in "xyz"},
     "docking.approach": "give --approach",
 }
 """Keys of the parts that a campaign sets itself, and what to write instead."""
 DERIVED = {"gravity.anywhere": ("gravity.tilt", "gravity.azimuth"), "shift.beyond_zero": ("shift.roll",)}
 """Keys that draw others, which then are not given."""
+_WORDS = ("pads", "estimator.model")  # the keys that are text
 
 
 @functools.cache
@@ -128,4 +139,5 @@ def known_keys() -> dict[str, Declaration]:
     """Return every key by its dotted name."""
     parts = {"": _Campaign, "world": WorldParameters, "tactile": TactileParameters, "docking": DockingParameters}
     keys = {key.name: key for section, part in parts.items() for key in declared(part, section)}
-    return {name: key for name, key in keys.items() if key.kind in (bool, int, float) and name not in TAKEN}
+    numbers = {name for name, key in keys.items() if key.kind in (bool, int, float)}
+    return {name: key for name, key in keys.items() if name in numbers.union(_WORDS).difference(TAKEN)}

@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
-from deltacharger_core.machine import DOCK_DISTANCE, GRAVITY, GRAVITY_STRENGTH
+from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import from_mapping
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.campaigns.spread import Value
+from deltacharger_lab.campaigns.told import tilted_gravity, told_gravity, told_stiffness
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
 
@@ -28,13 +28,21 @@ def build_parts(
         ParameterError: a part refuses them.
     """
     place = {axis: float(values.get(f"target.{axis}", 0.0)) + float(values.get(f"shift.{axis}", 0.0)) for axis in AXES}
-    gravity = _gravity(float(values.get("gravity.tilt", 0.0)), float(values.get("gravity.azimuth", 0.0)))
+    gravity = tilted_gravity(float(values.get("gravity.tilt", 0.0)), float(values.get("gravity.azimuth", 0.0)))
     content = nested(values, "world")
-    content.setdefault("target", {}).update(place, z=NOMINAL[2] + place["z"])
+    target = content.setdefault("target", {})
+    target.update(place, z=NOMINAL[2] + place["z"])
+    if heading := float(values.get("parked.heading", 0.0)):
+        target["tilt_y"] = target.get("tilt_y", 0.0) - heading
     content.update(_axes(gravity))
     world = from_mapping(content, WorldParameters, "world")
-    told = gravity if values.get("gravity.known", False) else GRAVITY
-    given: dict[str, Any] = {"servo_stiffness": world.servo.stiffness, "approach": approach, **_axes(told)}
+    factor, constant = (float(values.get(f"told.{name}", 1.0)) for name in ("servo_stiffness", "torque_constant"))
+    given: dict[str, Any] = {
+        "approach": approach,
+        "servo_stiffness": told_stiffness(world.servo.stiffness, factor),
+        "torque_constant": constant * world.servo.torque_constant,
+        **_axes(told_gravity(values, gravity)),
+    }
     docking = from_mapping(given | nested(values, "docking"), DockingParameters, "docking")
     pads = nested(values, "tactile")
     pads.setdefault("contact", {}).update(nested(values, "electrode"))
@@ -53,12 +61,6 @@ def nested(values: Mapping[str, Value], section: str) -> dict[str, Any]:
             level = level.setdefault(part, {})
         level[path[-1]] = value
     return result
-
-
-def _gravity(tilt: float, azimuth: float) -> Vector:
-    """Return gravity (m/s², charger_base) of a robot tilted by `tilt` toward `azimuth` (0 = +z, π/2 = +x)."""
-    level = GRAVITY_STRENGTH * math.sin(tilt)
-    return level * math.sin(azimuth), -GRAVITY_STRENGTH * math.cos(tilt), level * math.cos(azimuth)
 
 
 def _axes(gravity: Vector) -> dict[str, float]:

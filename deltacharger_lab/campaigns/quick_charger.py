@@ -19,19 +19,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.machine import CONTACT_FORCE, TORQUE_CONSTANT
+from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
+from deltacharger_lab.campaigns.pads import PadSource
 from deltacharger_lab.campaigns.quick_motion import QuickPlanner, WholeFeed
 from deltacharger_lab.campaigns.virtual_charger import TICK, Pending, VirtualCharger, counts
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.shared_world import SharedWorld
 from deltacharger_sim.world import World
-from deltacharger_tactile.parameters import TactileParameters
-from deltacharger_tactile.source import ContactSource
 
 MOVING, STANDING = 8, 13  # ticks that one step of the machine may last
 SETTLING = 2  # ticks that one step of the world may last where the platform only comes after its goal
@@ -56,21 +55,27 @@ class QuickCharger(VirtualCharger):
     Args:
         world: the simulated world; its `step` does not count here.
         parameters: of docking.
-        tactile: family of the pads.
+        pads: of `rig_seed` and `seed`.
         seed: course of noise and jitter.
         rig_seed: which device's pads.
+        geometry: the arm's dimensions as docking is told them; None = the true ones.
+        proportional: whether what the pads read grows with the force alone, so that what was felt tells what is felt
+            under a little more.
     """
 
     def __init__(
         self,
         world: WorldParameters,
         parameters: DockingParameters,
-        tactile: TactileParameters,
+        pads: PadSource,
         seed: int,
         rig_seed: int,
+        geometry: DeltaGeometry | None = None,
+        proportional: bool = True,
     ) -> None:
-        self._pads = ContactSource(tactile, rig_seed, seed)
-        super().__init__(world, parameters, seed, rig_seed, self._pads)
+        self._pads = pads
+        self._proportional = proportional
+        super().__init__(world, parameters, seed, rig_seed, pads, geometry)
         self.plant = _Unclocked(self.world, clock=lambda: 0.0)
         self._arrived: tuple[Waypoint, ...] = ()  # the line whose end has been commanded
         self._followed: tuple[Waypoint, ...] = ()  # the line to which the next number belongs
@@ -80,7 +85,7 @@ class QuickCharger(VirtualCharger):
         self._felt_at: tuple[float, ...] | None = None  # pose (m, m, rad), force (N) and number of the contact
 
     def _make_machine(self) -> DockingMachine:
-        parameters, geometry = self.parameters, DeltaGeometry()
+        parameters, geometry = self.parameters, self.geometry
         feed = WholeFeed(parameters.servo_damping / parameters.servo_stiffness)
         return DockingMachine(parameters, geometry, QuickPlanner(parameters, geometry), feed)
 
@@ -116,8 +121,9 @@ class QuickCharger(VirtualCharger):
 
     def _charges_on(self) -> bool:
         """Return whether the platform stands still and the current has not changed since this was last asked."""
-        before, self._current = self._current, self.world.circuit.current
-        return self._current == before and self._current > 0.0 and self.world.mechanics.still
+        world = self.world
+        before, self._current = self._current, world.circuit.current
+        return self._current == before and self._current > 0.0 and world.mechanics.still and not world.target_moves
 
     def _world_ticks(self) -> int:
         """Return how many ticks one step of the world may take."""
@@ -154,7 +160,8 @@ class QuickCharger(VirtualCharger):
             self._segment += 1
         point = line[self._segment]
         a, b, c = point.torque_bound
-        bound = [a / TORQUE_CONSTANT, b / TORQUE_CONSTANT, c / TORQUE_CONSTANT]
+        constant = self.parameters.torque_constant
+        bound = [a / constant, b / constant, c / constant]
         if elapsed >= point.time:
             return bound, list(point.angles)
         before, since = (
@@ -189,9 +196,12 @@ class QuickCharger(VirtualCharger):
     def _feels(self) -> bool:
         """Return whether some taxel feels 1 N; a contact that has hardly changed since it was felt is not felt anew."""
         pose, force = self.world.misalignment, self.world.mechanics.contact_force
-        if pose is None or not self._tared:
+        if (self.excess is None and pose is None) or not self._tared:
             self._felt_at = None
             return False
+        if self.excess is not None or not self._proportional:
+            return float(np.nanmax(self.feel(1, 0.0)[0] - self.baseline)) >= CONTACT_FORCE
+        assert pose is not None
         known = self._felt_at
         if known is None or not self._is_known(known, pose, force):
             frame = self._pads.frames(self.world.time, pose, force, 1, 0.0, self.world.mechanics.pad_share)[0]

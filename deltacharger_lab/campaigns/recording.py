@@ -34,6 +34,7 @@ from deltacharger_records.datasets.session import Rested, TouchSession, check_pl
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_tactile.dataset import ANGLE_CLASSES, VERSION, Dataset
 from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.source import ContactSource
 
 _TRIES = 3  # at a docking that fails
 _LIMIT = 120.0  # simulated s of one docking
@@ -134,7 +135,7 @@ def record_part(recording: Protocol, part: Part) -> list[Pressed]:
     world = WorldParameters(target=TargetParameters(roll=math.radians(part.angle_deg)))
     parameters = DockingParameters(servo_stiffness=world.servo.stiffness)
     seed = random.Random(where).getrandbits(31)
-    charger = QuickCharger(world, parameters, TactileParameters(), seed, recording.rig)
+    charger = QuickCharger(world, parameters, ContactSource(None, recording.rig, seed), seed, recording.rig)
     keeper, look = _Keeper(charger, recording), part.set == "angle"
     offsets = part.starts() if look else [(pose.horizontal, pose.vertical) for pose in part.poses()]
     x, y, z = part.target

@@ -11,13 +11,18 @@ from typing import Any
 from deltacharger_core.bounded_file import brief
 from deltacharger_core.parameters import Declaration, ParameterError, did_you_mean
 from deltacharger_core.yaml_file import read_yaml
+from deltacharger_lab.campaigns.contradictions import refuse_contradictions
 from deltacharger_lab.campaigns.keys import DERIVED, TAKEN, known_keys
 from deltacharger_lab.campaigns.parts import build_parts
 from deltacharger_lab.campaigns.spread import Spread, Value, read_spread
+from deltacharger_lab.campaigns.told import told_geometry
 from deltacharger_scenes.scene import find_file, packaged_files, read_file
 
 DEFAULT = "default"
-SECTIONS = ("target", "shift", "electrode", "camera", "hand_eye", "gravity", "estimator", "world", "tactile", "docking")
+SECTIONS = (
+    *("target", "shift", "electrode", "camera", "hand_eye", "gravity", "estimator", "told", "taxels", "pads", "parked"),
+    *("nudge", "world", "tactile", "docking"),
+)
 _BASE = "based_on"
 _TOP = ("name", "description", _BASE, "dockings", *SECTIONS)
 _LONGEST = 100_000  # dockings of a list
@@ -191,12 +196,14 @@ def _check_contradictions(scene: CampaignScene) -> None:
             if other in scene.spreads or any(other in values for values in scene.dockings):
                 raise ParameterError(other, other, f"is what {name} draws; remove one of them")
     low, high = (scene.spreads.get(f"world.circuit.voltage_{end}") for end in ("min", "max"))
-    if low is not None and high is not None and low.ends[1] >= high.ends[0]:
+    if low is not None and high is not None and float(low.ends[1]) >= float(high.ends[0]):
         raise ParameterError("world.circuit.voltage_min", low.ends[1], "reaches voltage_max; keep it below")
+    refuse_contradictions(scene.spreads, scene.dockings)
     listed: list[Mapping[str, Value]] = [{}, *scene.dockings]
     for values in listed:
         for end in (0, 1):
             corner = {name: spread.ends[end] for name, spread in scene.spreads.items()}
+            told_geometry({**corner, **values})
             build_parts({**corner, **values}, "guarded")
 
 

@@ -7,6 +7,7 @@ import statistics
 from typing import Any
 
 from deltacharger_docking.observation import Observation
+from deltacharger_lab.campaigns.disturbances import Nudging
 from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 from deltacharger_sim.mechanics import Mechanics
 
@@ -39,11 +40,15 @@ class Rest:
 
     Args:
         charger: right after its outcome.
+        seconds: for which it is watched.
+        nudging: what nudges its target meanwhile; None = nothing.
     """
 
-    def __init__(self, charger: VirtualCharger) -> None:
+    def __init__(self, charger: VirtualCharger, seconds: float = SECONDS, nudging: Nudging | None = None) -> None:
         self._charger = charger
-        self._from = charger.now + SECONDS - _LAST
+        self._until = charger.now + seconds
+        self._from = self._until - _LAST
+        self._nudging = nudging
         self._servos: tuple[list[float], list[float], list[float]] = ([], [], [])
         self._contact: list[float] = []
         self._push: list[float] = []
@@ -52,10 +57,13 @@ class Rest:
         """Let the time pass and return its columns of the results; currents of a charge that ended are unknown."""
         charger = self._charger
         distort, charger.distort = charger.distort, self._listen
-        end = charger.now + SECONDS
-        while charger.now < end and charger.machine.status.charging:
+        while charger.now < self._until and charger.machine.status.charging:
             charger.tick()
+            if self._nudging is not None:
+                self._nudging.look()
         charger.distort = distort
+        if self._nudging is not None and not charger.machine.status.charging:
+            self._see_open(self._nudging)
         if not charger.machine.status.charging:
             return {"ended": charger.machine.status.code.name}
         medians = [statistics.median(map(abs, currents)) for currents in self._servos]
@@ -65,6 +73,14 @@ class Rest:
             **{f"servo_current_{index}": value for index, value in enumerate(medians, 1)},
             "servo_current_hottest": max(medians),
         }
+
+    def _see_open(self, nudging: Nudging) -> None:
+        """Go on until the contactor that was told to open is open; one that is welded stays closed."""
+        charger = self._charger
+        until = charger.now + charger.parameters.open_timeout
+        while charger.world.circuit.closed and charger.now < until:
+            charger.tick()
+            nudging.look()
 
     def _listen(self, observation: Observation) -> Observation:
         if observation.time > self._from:

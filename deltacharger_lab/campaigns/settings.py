@@ -21,9 +21,9 @@ from deltacharger_lab.campaigns.scene import CampaignScene, parse_campaign_scene
 _COMPUTES = ("core", "kinematics", "sim", "docking", "tactile")  # packages, deltacharger_…
 _ALSO = (
     *("driver/errors.py", "driver/servos/mx64.py"),
-    *(f"lab/campaigns/{name}.py" for name in ("docking", "draw", "felt", "keys", "paper", "parts")),
-    *(f"lab/campaigns/{name}.py" for name in ("quick_charger", "quick_motion", "scene", "servo_load", "spread")),
-    "lab/campaigns/virtual_charger.py",
+    *(f"lab/campaigns/{name}.py" for name in ("contradictions", "disturbances", "docking", "draw", "felt", "keys")),
+    *(f"lab/campaigns/{name}.py" for name in ("pads", "paper", "parts", "quick_charger", "quick_motion", "scene")),
+    *(f"lab/campaigns/{name}.py" for name in ("servo_load", "spread", "told", "virtual_charger")),
 )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a campaign draws a value from: a number, a range on either scale, a normal distribution or a choice."""
+"""What a campaign draws a value from: a number or word, a range on either scale, a normal distribution or a choice."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import math
 import random
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 from deltacharger_core.bounded_file import brief
-from deltacharger_core.parameters import Declaration, ParameterError
+from deltacharger_core.parameters import Declaration, ParameterError, did_you_mean
 
-Value = float | bool
+Value = float | bool | str
 _REDRAWS = 1000  # of a normal distribution outside the bounds; then its mean
 _LOG, _SIDES = "log", "either_sign"
 HELP = (
@@ -28,7 +28,7 @@ class Spread:
     Attributes:
         shape: "fixed", "range", "log", "either_sign", "normal" or "choose".
         numbers: the value; low and high, of either sign those of the size; mean and standard deviation; or the choices.
-        key: bounds and kind; a number or a truth value.
+        key: bounds and kind; a number, a truth value or a word.
     """
 
     shape: str
@@ -44,7 +44,7 @@ class Spread:
             return self.numbers[source.randrange(len(self.numbers))]
         if self.shape == "normal":
             return self._normal(source)
-        last = self.numbers[1]
+        first, last = cast(tuple[float, float], self.numbers)
         if self.shape == _LOG:
             drawn = math.exp(source.uniform(math.log(first), math.log(last)))
             return min(max(drawn, first), last)
@@ -53,7 +53,7 @@ class Spread:
         return source.randint(int(first), int(last)) if self.key.kind is int else source.uniform(first, last)
 
     def _normal(self, source: random.Random) -> float:
-        mean, stddev = self.numbers
+        mean, stddev = cast(tuple[float, float], self.numbers)
         for _ in range(_REDRAWS):
             value = source.gauss(mean, stddev)
             if self.key.low <= value <= self.key.high:
@@ -66,8 +66,13 @@ class Spread:
         if self.shape == "normal":
             return self.numbers[0], self.numbers[0]
         if self.shape == _SIDES:
-            return -self.numbers[1], self.numbers[1]
-        return min(self.numbers), max(self.numbers)
+            return -float(self.numbers[1]), self.numbers[1]
+        known = cast(tuple[float, ...], self.numbers)  # or words alone, which have an order, too
+        return min(known), max(known)
+
+
+def _usage(key: Declaration) -> str:
+    return f"give one of {', '.join(key.choices)}, or {{choose: [ … ]}}" if key.kind is str else HELP
 
 
 def _checked(key: Declaration, value: Any, where: str) -> Value:
@@ -80,7 +85,8 @@ def _checked(key: Declaration, value: Any, where: str) -> Value:
         value = int(value)
     problem = "has no value" if value is None else key.problem(value)
     if problem:
-        usage = "" if isinstance(value, int | float) else f"; {HELP}"
+        number = isinstance(value, int | float) and key.kind is not str
+        usage = "" if number else did_you_mean(value, key.choices) or f"; {_usage(key)}"
         raise ParameterError(where, value, problem + usage)
     checked: Value = key.kind(value)
     return checked
@@ -90,7 +96,7 @@ def read_spread(value: Any, key: Declaration, where: str) -> Spread:
     """Return the spread that a YAML value describes.
 
     Args:
-        value: number, truth value, [low, high], {mean, stddev} or {choose}.
+        value: number, truth value, word, [low, high], {mean, stddev} or {choose}.
         key: what it may be.
         where: dotted key, for messages.
 
@@ -111,14 +117,14 @@ def read_spread(value: Any, key: Declaration, where: str) -> Spread:
         if len(value) == 1 and {_LOG, _SIDES} & set(value) and key.kind is float:
             shape, ends = next(iter(value.items()))
             return _read_scale(shape, ends, key, where)
-        raise ParameterError(where, dict(value), f"{brief(dict(value))} is no distribution; {HELP}")
+        raise ParameterError(where, dict(value), f"{brief(dict(value))} is no distribution; {_usage(key)}")
     return Spread("fixed", (_checked(key, value, where),), key)
 
 
 def _read_range(value: Any, key: Declaration, where: str) -> Spread:
-    if len(value) != 2 or key.kind is bool:
-        raise ParameterError(where, value, f"{brief(value)} is no range [low, high]; {HELP}")
-    low, high = (_checked(key, item, f"{where}[{index}]") for index, item in enumerate(value))
+    if len(value) != 2 or key.kind in (bool, str):
+        raise ParameterError(where, value, f"{brief(value)} is no range [low, high]; {_usage(key)}")
+    low, high = (cast(float, _checked(key, item, f"{where}[{index}]")) for index, item in enumerate(value))
     if low > high:
         raise ParameterError(where, value, f"{low:g} is above {high:g}; give the lower one first")
     return Spread("range", (low, high), key)
@@ -129,7 +135,7 @@ def _read_scale(shape: str, ends: Any, key: Declaration, where: str) -> Spread:
     where = f"{where}.{shape}"
     if not isinstance(ends, list | tuple):
         raise ParameterError(where, ends, f"{brief(ends)} is no range [low, high]; {HELP}")
-    low, high = _read_range(ends, key, where).numbers
+    low, high = cast(tuple[float, float], _read_range(ends, key, where).numbers)
     if shape == _LOG and low <= 0.0:
         raise ParameterError(where, ends, f"{low!r} has no logarithm; give numbers above 0")
     if shape == _SIDES:
@@ -140,7 +146,7 @@ def _read_scale(shape: str, ends: Any, key: Declaration, where: str) -> Spread:
 
 
 def _read_normal(value: Mapping[str, Any], key: Declaration, where: str) -> Spread:
-    mean, stddev = _checked(key, value["mean"], f"{where}.mean"), value["stddev"]
+    mean, stddev = cast(float, _checked(key, value["mean"], f"{where}.mean")), value["stddev"]
     known = not isinstance(stddev, bool) and isinstance(stddev, int | float)
     if not known or not 0.0 <= stddev <= key.high - key.low:
         raise ParameterError(

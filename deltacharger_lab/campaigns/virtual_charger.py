@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from deltacharger_core.arrays import Array
 from deltacharger_core.machine import (
     COLUMNS,
     CONTACT_FORCE,
@@ -24,7 +25,6 @@ from deltacharger_core.machine import (
     FRAME_RATE,
     PADS,
     ROWS,
-    TORQUE_CONSTANT,
 )
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.clearance import FeltPose, MisalignmentClasses
@@ -44,7 +44,7 @@ from deltacharger_docking.observation import (
 )
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT
-from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.shared_world import SharedWorld
@@ -90,10 +90,14 @@ class VirtualCharger:
 
     Args:
         world: the simulated world; None = defaults.
-        parameters: of docking; None = defaults with the world's servo stiffness.
+        parameters: of docking, and servo_node's torque constant; None = defaults with the world's servo stiffness.
         seed: course of noise and jitter.
         rig_seed: which device's pads.
         tactile: the pads; None = those of `rig_seed` and `seed`.
+        geometry: the arm's dimensions as docking is told them; None = the true ones.
+
+    Attributes:
+        excess: what taxels read too much after each tare (2, 10, 10) N; None = nothing.
     """
 
     def __init__(
@@ -103,10 +107,12 @@ class VirtualCharger:
         seed: int = 1,
         rig_seed: int = 900,
         tactile: TactileSource | None = None,
+        geometry: DeltaGeometry | None = None,
     ) -> None:
         self.now = 0.0
         world = world or WorldParameters()
         self.parameters = parameters or DockingParameters(servo_stiffness=world.servo.stiffness)
+        self.geometry = geometry or DeltaGeometry()
         self.world = World(world, tactile or ContactSource(None, rig_seed, seed), seed)
         self.plant = SharedWorld(self.world, clock=lambda: self.now)
         self.machine = self._make_machine()
@@ -117,6 +123,7 @@ class VirtualCharger:
         self.model: PoseModel = packaged_model()
         self.classes: Callable[[np.ndarray, np.ndarray], MisalignmentClasses] | None = None  # where they are asked for
         self.baseline = np.zeros((PADS, ROWS, COLUMNS))
+        self.excess: Array | None = None
         self._tared = False
         self._torque = False
         self._trajectory: tuple[Waypoint, ...] = ()
@@ -133,7 +140,7 @@ class VirtualCharger:
         self._frame_at = -math.inf
 
     def _make_machine(self) -> DockingMachine:
-        return DockingMachine(self.parameters)
+        return DockingMachine(self.parameters, self.geometry)
 
     def dock(self, goal: DockGoal | None = None, limit: float = 240.0) -> DockingOutcome:
         """Serve a Dock goal to its end."""
@@ -254,7 +261,7 @@ class VirtualCharger:
     def _servos(self) -> None:
         elapsed, previous, since = self.now - self._started, self._from, 0.0
         for point in self._trajectory:
-            self._bound = [torque / TORQUE_CONSTANT for torque in point.torque_bound]
+            self._bound = [torque / self.parameters.torque_constant for torque in point.torque_bound]
             if elapsed < point.time:
                 share = (elapsed - since) / (point.time - since)
                 self._goal = [a + share * (b - a) for a, b in zip(previous, point.angles, strict=True)]
@@ -292,6 +299,8 @@ class VirtualCharger:
             self._trajectory, self._goal = (), self._angles()
         elif service is Service.TARE:
             self.baseline, self._tared = np.mean(pending.frames, axis=0), True
+            if self.excess is not None:
+                self.baseline -= self.excess
         elif service is Service.PROBE:
             ohm, volt = self.plant.probe()
             return Reply(number, True, resistance=ohm, target_voltage=volt)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What keys of a scene cannot say together of what docking is told, of disturbances and of the pads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from deltacharger_core.parameters import ParameterError, declared
+from deltacharger_lab.campaigns.pads import SECOND
+from deltacharger_lab.campaigns.spread import Spread, Value
+from deltacharger_lab.campaigns.told import TOLD_STIFFNESS
+from deltacharger_sim.parameters import ServoParameters, TargetParameters
+
+_SIGMAS = 3.0  # of a normal distribution that count as its ends
+_TILT = {key.name: key for key in declared(TargetParameters)}["tilt_y"]
+
+_Ends = Mapping[str, tuple[Value, Value]]  # of each key
+_Problem = tuple[str, Value, str]  # key, value and what is wrong
+
+
+def refuse_contradictions(spreads: Mapping[str, Spread], dockings: Sequence[Mapping[str, Value]]) -> None:
+    """Refuse the first key without effect, or that no docking can have beside another.
+
+    Args:
+        spreads: of the keys that are drawn.
+        dockings: listed values, which go before.
+
+    Raises:
+        ParameterError: names the key.
+    """
+    drawn = {name: _ends_of(spread) for name, spread in spreads.items()}
+    for values in dockings or ({},):
+        ends = {**drawn, **{name: (value, value) for name, value in values.items()}}
+        for problem in (*_told(ends), *_disturbed(ends), *_pads(ends)):
+            raise ParameterError(*problem)
+
+
+def _ends_of(spread: Spread) -> tuple[Value, Value]:
+    if spread.shape != "normal":
+        return spread.ends
+    mean, reach = float(spread.numbers[0]), _SIGMAS * float(spread.numbers[1])
+    return max(mean - reach, spread.key.low), min(mean + reach, spread.key.high)
+
+
+def _is_nothing(ends: _Ends, *names: str) -> bool:
+    return all(ends.get(name, (0.0, 0.0)) == (0.0, 0.0) for name in names)
+
+
+def _numbers(ends: _Ends, name: str, default: float) -> tuple[float, float]:
+    low, high = ends.get(name, (default, default))
+    return float(low), float(high)
+
+
+def _told(ends: _Ends) -> Iterator[_Problem]:
+    if "told.gravity_tilt" in ends and False in ends.get("gravity.known", ()):
+        yield "gravity.known", False, "contradicts told.gravity_tilt, which tells gravity; remove one of them"
+    if "told.gravity_azimuth" in ends and _is_nothing(ends, "told.gravity_tilt"):
+        value = ends["told.gravity_azimuth"][0]
+        yield "told.gravity_azimuth", value, "has no effect where told.gravity_tilt is 0; remove one"
+    if "told.servo_stiffness" in ends:
+        factors = _numbers(ends, "told.servo_stiffness", 1.0)
+        true = _numbers(ends, "world.servo.stiffness", ServoParameters().stiffness)
+        least, most = factors[0] * true[0], factors[1] * true[1]
+        if most < TOLD_STIFFNESS.low or least > TOLD_STIFFNESS.high:
+            allowed = f"{TOLD_STIFFNESS.low:g} to {TOLD_STIFFNESS.high:g} {TOLD_STIFFNESS.unit}"
+            problem = f"makes {least:g} to {most:g} {TOLD_STIFFNESS.unit}; docking.servo_stiffness allows {allowed}"
+            yield "told.servo_stiffness", factors[0], problem
+
+
+def _disturbed(ends: _Ends) -> Iterator[_Problem]:
+    if "nudge.after" in ends and _is_nothing(ends, "nudge.x", "nudge.y", "nudge.roll"):
+        yield "nudge.after", ends["nudge.after"][0], "has no effect without nudge.x, nudge.y or nudge.roll"
+    heading, tilt = _numbers(ends, "parked.heading", 0.0), _numbers(ends, "world.target.tilt_y", 0.0)
+    least, most = tilt[0] - heading[1], tilt[1] - heading[0]
+    if not _TILT.low <= least <= most <= _TILT.high:
+        yield (
+            "parked.heading",
+            max(heading, key=abs),
+            f"makes faces tilted by {least:g} to {most:g} rad with world.target.tilt_y; "
+            f"allowed are {_TILT.low:g} to {_TILT.high:g} rad",
+        )
+
+
+def _pads(ends: _Ends) -> Iterator[_Problem]:
+    if ends.get("pads") == (SECOND, SECOND):
+        for name in ends:
+            if name.startswith(("tactile.", "electrode.")):
+                yield name, ends[name][0], "has no effect where pads is second, whose family is its own; remove one"
+    if "estimator.model" in ends and ends.get("estimator.paper") == (True, True):
+        yield "estimator.model", ends["estimator.model"][0], "has no effect where estimator.paper is true; remove one"

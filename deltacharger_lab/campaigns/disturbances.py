@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What happens to a docking besides: taxels that read too much, a robot parked askew, a target nudged at charging."""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import dataclass
+
+import numpy as np
+
+from deltacharger_core.arrays import Array
+from deltacharger_core.machine import COLUMNS, PADS, ROWS
+from deltacharger_core.parameters import number
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_sim.world import World
+
+LASTS = 0.2  # s of a nudge: somebody bumps into the target
+_LOOK = 0.5  # s that an estimate and what follows it take at most
+
+
+@dataclass(frozen=True)
+class Taxels:
+    """What taxels do that no tare takes away."""
+
+    high_row: float = number(0.0, 0.0, 5.0, "N", "what ten taxels in a row of one pad read too much after each tare")
+
+
+@dataclass(frozen=True)
+class Parked:
+    """How the robot stands before the target."""
+
+    heading: float = number(
+        0.0, -0.1, 0.1, "rad", "of the robot too far about +y, from +z to +x; the faces are turned back by it"
+    )
+
+
+@dataclass(frozen=True)
+class Nudge:
+    """How the target is moved while it is charged."""
+
+    x: float = number(0.0, -0.02, 0.02, "m", "by which the target is moved while it charges, charger_base")
+    y: float = number(0.0, -0.02, 0.02, "m", "the same along y")
+    roll: float = number(0.0, -0.2, 0.2, "rad", "the same about z, from +x to +y")
+    after: float = number(2.0, 0.0, 60.0, "s", "after closing of the contactor")
+
+    @property
+    def moves(self) -> bool:
+        """Whether there is any."""
+        return (self.x, self.y, self.roll) != (0.0, 0.0, 0.0)
+
+
+def high_row(excess: float, seed: int) -> Array:
+    """Return what each taxel reads too much (2, 10, 10) N: `excess` in one row of one pad, both drawn by `seed`."""
+    source = random.Random(f"{seed} taxels.high_row")
+    found = np.zeros((PADS, ROWS, COLUMNS))
+    found[source.randrange(PADS), source.randrange(ROWS)] = excess
+    return found
+
+
+class Nudging:
+    """Nudges the target of a charger once, and sees when the contactor opens for it.
+
+    Args:
+        nudge: what happens.
+        world: to which.
+
+    Attributes:
+        opened: s from the start of the nudge to the opening of the contactor; NaN = not nudged, or still closed.
+    """
+
+    def __init__(self, nudge: Nudge, world: World) -> None:
+        self._nudge, self._world = nudge, world
+        self._closed_at = self._began = math.nan  # s of live electrodes
+        self._done = False
+        self.opened = math.nan
+
+    def look(self) -> None:
+        """Begin the nudge where it is time; to be called after each tick."""
+        if self._done:
+            return
+        live, closed = self._world.record.energised, self._world.circuit.closed
+        if math.isnan(self._began):
+            if closed and live >= self._nudge.after:
+                self._began = live
+                self._world.move_target(self._nudge.x, self._nudge.y, self._nudge.roll, LASTS)
+        elif not closed:
+            self.opened, self._done = live - self._began, True
+
+
+def watched_after(parameters: DockingParameters) -> float:
+    """Return for how long (s) charging must be watched after a nudge, so that docking has felt what it can feel.
+
+    It ends charging after so many bad looks, made a period apart; one more may have begun before the nudge.
+    """
+    looks = 1 + max(parameters.unsafe_max, parameters.blind_max)
+    return LASTS + looks * (parameters.clearance_period + _LOOK)

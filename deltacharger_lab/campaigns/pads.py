@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pads and the pose model of a campaign's dockings, by the words that its scene has for them."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+from typing import Protocol
+
+from deltacharger_core.arrays import Array
+from deltacharger_core.machine import CONTACT_FORCE
+from deltacharger_sim.world import Pose, TactileSource
+from deltacharger_tactile import PoseEstimator, default_model
+from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.source import ContactSource
+
+FIRST, SECOND = "first", "second"
+PADS = (FIRST, SECOND)
+PACKAGED, FROM_ONE_NEWTON = "packaged", "1N"
+POSE_MODELS = (PACKAGED, FROM_ONE_NEWTON)
+
+
+class PadSource(TactileSource, Protocol):
+    """Both pads of one rig in one run of dockings, whatever physics presses them."""
+
+    def frames(
+        self, time: float, pose: Pose | None, force: float, count: int, period: float, share: float = 0.5
+    ) -> Array:
+        """Return frames (count, 2, 10, 10) N raw that end at `time`, a `period` (s) apart, all at one pose."""
+
+
+def make_pads(pads: str, tactile: TactileParameters, rig_seed: int, seed: int) -> PadSource:
+    """Return the pads of a docking.
+
+    Args:
+        pads: which contact physics: one of `PADS`.
+        tactile: family of rigs; the second physics has a family of its own.
+        rig_seed: which device.
+        seed: course of noise and jitter.
+    """
+    if pads == SECOND:
+        second = importlib.import_module("deltacharger_tactile.second.source")
+        source: PadSource = second.SecondSource(None, rig_seed, seed)
+        return source
+    return ContactSource(tactile, rig_seed, seed)
+
+
+@functools.cache
+def pose_model_from_one_newton() -> PoseEstimator:
+    """Return the packaged pose model for sensors that tell nothing below 1 N, read once per process."""
+    return default_model(CONTACT_FORCE)

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What docking is told of arm and gravity otherwise than it is: keys `told`, and what they make of the truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from deltacharger_core.machine import GRAVITY, GRAVITY_STRENGTH
+from deltacharger_core.parameters import declared, number
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, LimbAdjustment, Vector
+from deltacharger_lab.campaigns.spread import Value
+
+_WRONG = 0.005  # m; who builds or measures an arm sees a part that is wrong by more
+_TURNED = 0.1  # rad; a zero that is wrong by more puts the platform 12 mm off, which homing shows
+_GEOMETRY = "told.geometry."
+_COMMON = ("base_radius", "arm", "rod", "platform_radius", "z_offset")
+
+
+@dataclass(frozen=True)
+class ToldLimb:
+    """How docking's numbers of one limb differ from the true ones."""
+
+    radius_offset: float = number(0.0, -_WRONG, _WRONG, "m", "error of base radius − platform radius of this limb")
+    tangential_offset: float = number(0.0, -_WRONG, _WRONG, "m", "error of its plane, counter-clockwise about z")
+    height_offset: float = number(0.0, -_WRONG, _WRONG, "m", "error of its motor axis, toward +z")
+    arm: float = number(0.0, -_WRONG, _WRONG, "m", "error of the length of this arm")
+    rod: float = number(0.0, -_WRONG, _WRONG, "m", "error of the length of this rod")
+    angle_offset: float = number(0.0, -_TURNED, _TURNED, "rad", "error of this arm's zero: angle told less true angle")
+
+
+@dataclass(frozen=True)
+class ToldGeometry:
+    """How docking's dimensions of the arm differ from the true ones: told less true."""
+
+    base_radius: float = number(0.0, -_WRONG, _WRONG, "m", "error of the base radius; less platform_radius's it counts")
+    arm: float = number(0.0, -_WRONG, _WRONG, "m", "error of the length of all arms")
+    rod: float = number(0.0, -_WRONG, _WRONG, "m", "error of the length of all rods")
+    platform_radius: float = number(0.0, -_WRONG, _WRONG, "m", "error of the platform's radius")
+    z_offset: float = number(0.0, -_WRONG, _WRONG, "m", "error of the motor plane's place along z")
+    limb_0: ToldLimb = field(default_factory=ToldLimb)
+    limb_1: ToldLimb = field(default_factory=ToldLimb)
+    limb_2: ToldLimb = field(default_factory=ToldLimb)
+
+
+@dataclass(frozen=True)
+class Told:
+    """What docking takes arm and gravity for."""
+
+    servo_stiffness: float = number(1.0, 0.25, 4.0, "", "servo stiffness that docking is told, over the true one")
+    torque_constant: float = number(
+        1.0, 0.5, 2.0, "", "torque constant that docking and servo_node are told, over the true one"
+    )
+    gravity_tilt: float = number(0.0, 0.0, math.pi, "rad", "angle from true gravity to that which docking is told")
+    gravity_azimuth: float = number(0.0, -math.pi, math.pi, "rad", "direction of that angle, as of gravity.azimuth")
+    geometry: ToldGeometry = field(default_factory=ToldGeometry)
+
+
+TOLD_STIFFNESS = {key.name: key for key in declared(DockingParameters)}["servo_stiffness"]
+"""What docking may be told of it."""
+
+
+def told_stiffness(true: float, factor: float) -> float:
+    """Return the stiffness (N·m/rad) that docking is told: `factor` times the true one, within docking's own bounds."""
+    return min(max(factor * true, TOLD_STIFFNESS.low), TOLD_STIFFNESS.high)
+
+
+def told_gravity(values: Mapping[str, Value], true: Vector) -> Vector:
+    """Return the gravity (m/s², charger_base) that docking is told, where it is told any.
+
+    `told.gravity_tilt` turns the true one, level or not: first −y as `gravity.tilt` and `gravity.azimuth` do, then all
+    of it by the shortest rotation that brings −y to the true direction. Without it docking is told the true one where
+    `gravity.known`, else −y.
+    """
+    if "told.gravity_tilt" not in values:
+        return true if values.get("gravity.known", False) else GRAVITY
+    tilt, azimuth = float(values["told.gravity_tilt"]), float(values.get("told.gravity_azimuth", 0.0))
+    return _turned(tilted_gravity(tilt, azimuth), true)
+
+
+def tilted_gravity(tilt: float, azimuth: float) -> Vector:
+    """Return gravity (m/s², charger_base) of a robot tilted by `tilt` toward `azimuth` (0 = +z, π/2 = +x)."""
+    level = GRAVITY_STRENGTH * math.sin(tilt)
+    return level * math.sin(azimuth), -GRAVITY_STRENGTH * math.cos(tilt), level * math.cos(azimuth)
+
+
+def _turned(vector: Vector, true: Vector) -> Vector:
+    """Return a vector turned by the shortest rotation from −y to the direction of `true`.
+
+    With b = −y and the unit vector a of `true` that is v − ((a + b)·v / (1 + a·b)) (a + b) + 2 (b·v) a (Rodrigues).
+    Where they are opposite each half turn about an axis across y is as short: the one about x is taken.
+    """
+    size = math.hypot(*true)
+    ax, ay, az = (each / size for each in true)
+    x, y, z = vector
+    along = 1.0 - ay
+    if along < 1e-9:
+        return x, -y, -z
+    share = (ax * x + (ay - 1.0) * y + az * z) / along
+    return x - share * ax - 2.0 * y * ax, y - share * (ay - 1.0) - 2.0 * y * ay, z - share * az - 2.0 * y * az
+
+
+def told_geometry(values: Mapping[str, Value]) -> DeltaGeometry | None:
+    """Return the dimensions by which docking moves the arm; None = the true ones."""
+    names = (name for name in values if name.startswith(_GEOMETRY))
+    errors = {name.removeprefix(_GEOMETRY): float(values[name]) for name in names}
+    if not any(errors.values()):
+        return None
+    true = DeltaGeometry()
+    common = replace(true, **{name: getattr(true, name) + errors.get(name, 0.0) for name in _COMMON})
+    first, second, third = (_limb(common, index, errors) for index in range(LIMB_COUNT))
+    return replace(common, limbs=(first, second, third))
+
+
+def _limb(common: DeltaGeometry, index: int, errors: Mapping[str, float]) -> LimbAdjustment:
+    """Return what a limb differs in from the common dimensions as told."""
+    found: dict[str, Any] = {}
+    for item in declared(ToldLimb):
+        error = errors.get(f"limb_{index}.{item.name}", 0.0)
+        if error:
+            found[item.name] = error + (getattr(common, item.name) if item.name in ("arm", "rod") else 0.0)
+    return LimbAdjustment(**found)

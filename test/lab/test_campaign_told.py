@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What docking is told of arm and gravity otherwise than it is: docking has it, and the world keeps the truth."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_core.machine import GRAVITY_STRENGTH, TORQUE_CONSTANT
+from deltacharger_core.parameters import ParameterError
+from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_kinematics.trajectory_feed import Waypoint
+from deltacharger_lab.campaigns.docking import dock_once, make_charger
+from deltacharger_lab.campaigns.draw import draw
+from deltacharger_lab.campaigns.parts import build_parts
+from deltacharger_lab.campaigns.scene import load_campaign_scene, parse_campaign_scene
+from deltacharger_lab.campaigns.told import TOLD_STIFFNESS, told_geometry
+
+from .campaigns import QUICK, comparable
+
+
+@pytest.mark.parametrize(
+    ("content", "key", "problem"),
+    [
+        ({"told": {"servo_stifness": 2.0}}, "told.servo_stifness", "did you mean 'servo_stiffness'"),
+        ({"told": {"servo_stiffness": 5.0}}, "told.servo_stiffness", "0.25 to 4"),
+        ({"told": {"torque_constant": [0.4, 1.0]}}, "told.torque_constant[0]", "0.5 to 2"),
+        ({"told": {"geometry": {"arms": 0.001}}}, "told.geometry.arms", "did you mean 'arm'"),
+        ({"told": {"geometry": {"limb_3": {"arm": 0.001}}}}, "told.geometry.limb_3", "did you mean 'limb_"),
+        ({"told": {"geometry": {"limb_0": {"arm": 0.01}}}}, "told.geometry.limb_0.arm", "-0.005 to 0.005 m"),
+        ({"told": {"gravity_azimuth": 1.0}}, "told.gravity_azimuth", "no effect"),
+        ({"told": {"gravity_tilt": 0.0, "gravity_azimuth": 1.0}}, "told.gravity_azimuth", "no effect"),
+        ({"told": {"gravity_tilt": 0.1}, "gravity": {"tilt": 0.1, "known": False}}, "gravity.known", "contradicts"),
+        (
+            {"told": {"servo_stiffness": 4.0}, "world": {"servo": {"stiffness": [15.0, 20.0]}}},
+            "told.servo_stiffness",
+            "makes 60 to 80 N·m/rad; docking.servo_stiffness allows 1 to 50 N·m/rad",
+        ),
+        ({"docking": {"servo_stiffness": 9.0}}, "docking.servo_stiffness", "give told.servo_stiffness"),
+        ({"docking": {"torque_constant": 1.2}}, "docking.torque_constant", "give told.torque_constant"),
+        ({"docking": {"gravity_x": 1.2}}, "docking.gravity_x", "told.gravity_tilt"),
+        ({"dockings": [{"told": {"gravity_azimuth": 1.0}}]}, "told.gravity_azimuth", "no effect"),
+    ],
+)
+def test_what_is_refused(content: dict[str, Any], key: str, problem: str) -> None:
+    with pytest.raises(ParameterError) as refusal:
+        parse_campaign_scene(content, "bad")
+    assert refusal.value.key == key
+    assert problem in refusal.value.problem
+
+
+def test_stiffness_and_torque_constant_are_told_beside_the_true_ones() -> None:
+    world, _, docking = build_parts({"world.servo.stiffness": 5.0, "told.servo_stiffness": 2.5}, "guarded")
+    assert (world.servo.stiffness, docking.servo_stiffness) == (5.0, 12.5)
+    world, _, docking = build_parts({"world.servo.torque_constant": 1.2}, "guarded")
+    assert (world.servo.torque_constant, docking.torque_constant) == (1.2, 1.2)
+    world, _, docking = build_parts({"told.torque_constant": 0.8}, "guarded")
+    assert world.servo.torque_constant == TORQUE_CONSTANT
+    assert docking.torque_constant == pytest.approx(0.8 * TORQUE_CONSTANT)
+
+
+def test_a_row_has_the_factor_that_docking_could_be_told() -> None:
+    content = {"told": {"servo_stiffness": {"log": [0.25, 4.0]}}, "world": {"servo": {"stiffness": [2.5, 20.0]}}}
+    scene = parse_campaign_scene(content, "x")
+    drawn = [draw(scene, 2, number, "guarded") for number in range(150)]
+    told = np.array([one.docking.servo_stiffness for one in drawn])
+    true = np.array([one.world.servo.stiffness for one in drawn])
+    factors = np.array([one.values["told.servo_stiffness"] for one in drawn], dtype=float)
+    assert told == pytest.approx(factors * true)
+    assert (np.min(told), np.max(told)) == pytest.approx((TOLD_STIFFNESS.low, TOLD_STIFFNESS.high))
+    assert np.median(factors) == pytest.approx(1.0, rel=0.2)
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_a_servos_bound_in_amperes_follows_from_the_constant_that_is_told(exact: bool) -> None:
+    scene = parse_campaign_scene({**QUICK, "told": {"torque_constant": 0.8}}, "x")
+    charger = make_charger(draw(scene, 3, 0, "guarded"), exact)
+    charger._trajectory = (Waypoint(1.0, (0.0, 0.0, 0.0), (0.3, 0.6, 0.9)),)
+    charger._servos()
+    told = 0.8 * TORQUE_CONSTANT
+    assert charger._bound == pytest.approx([0.3 / told, 0.6 / told, 0.9 / told])
+
+
+def angle(one: Any, two: Any) -> float:
+    return math.acos(min(sum(a * b for a, b in zip(one, two, strict=True)) / GRAVITY_STRENGTH**2, 1.0))
+
+
+@pytest.mark.parametrize("true", [(0.0, 0.0), (0.3, 1.0), (math.pi, 0.0), (2.0, -2.0)])
+def test_gravity_is_told_so_far_off_the_true_one(true: tuple[float, float]) -> None:
+    stands = {"gravity.tilt": true[0], "gravity.azimuth": true[1]}
+    told = []
+    for azimuth in (0.0, 0.5 * math.pi):
+        world, _, docking = build_parts(
+            {**stands, "told.gravity_tilt": 0.2, "told.gravity_azimuth": azimuth}, "guarded"
+        )
+        down = world.gravity_x, world.gravity_y, world.gravity_z
+        assert angle(docking.gravity, down) == pytest.approx(0.2)
+        assert math.hypot(*docking.gravity) == pytest.approx(GRAVITY_STRENGTH)
+        told.append(docking.gravity)
+    assert angle(*told) == pytest.approx(math.acos(math.cos(0.2) ** 2))
+    world, _, docking = build_parts({**stands, "told.gravity_tilt": 0.0}, "guarded")
+    assert docking.gravity == pytest.approx((world.gravity_x, world.gravity_y, world.gravity_z))
+    level, _, docking = build_parts({"told.gravity_tilt": 0.2, "told.gravity_azimuth": 0.5 * math.pi}, "guarded")
+    assert docking.gravity[0] == pytest.approx(GRAVITY_STRENGTH * math.sin(0.2))
+    assert (level.gravity_x, level.gravity_z) == (0.0, 0.0)
+
+
+def test_geometry_is_told_as_true_plus_error() -> None:
+    assert told_geometry({"target.x": 0.01}) is None
+    assert told_geometry({"told.geometry.arm": 0.0}) is None
+    values = {"told.geometry.arm": 0.001, "told.geometry.limb_1.arm": 0.0005, "told.geometry.limb_2.angle_offset": 0.01}
+    told, true = told_geometry(values), DeltaGeometry()
+    assert told is not None
+    assert told.limb(0).arm == pytest.approx(true.arm + 0.001)
+    assert told.limb(1).arm == pytest.approx(true.arm + 0.0015)
+    assert told.limbs[2] == LimbAdjustment(angle_offset=0.01)
+    assert told.limb(0).rod == told.limb(1).rod == true.rod
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_docking_moves_by_the_told_geometry_in_a_world_that_keeps_the_true_one(exact: bool) -> None:
+    content = {**QUICK, "told": {"geometry": {"limb_0": {"angle_offset": 0.01}}}}
+    drawn = draw(parse_campaign_scene(content, "x"), 3, 0, "guarded")
+    charger = make_charger(drawn, exact)
+    assert charger.world.geometry == DeltaGeometry()
+    charger.dock(limit=120.0)
+    mechanics, delta = charger.world.mechanics, ScalarDelta(drawn.geometry)
+    believed = charger.machine._context.position
+    assert believed == pytest.approx(delta.forward(*mechanics.angles), abs=1e-4)
+    assert math.dist(believed, mechanics.position) == pytest.approx(
+        math.dist(delta.forward(*mechanics.angles), ScalarDelta().forward(*mechanics.angles)), abs=1e-4
+    )
+    assert math.dist(believed, mechanics.position) > 0.0003
+
+
+@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize("name", ["told_stiffness", "told_torque_constant", "told_gravity", "told_geometry"])
+def test_a_packaged_scene_docks(name: str, exact: bool) -> None:
+    row = dock_once(load_campaign_scene(name), 7, 0, "guarded", exact)
+    assert row["error"] == ""
+    assert (row["shorts"], row["energised_unsafe"]) == (0, 0.0)
+
+
+def test_pairs_stay_pairs() -> None:
+    base, wrong = load_campaign_scene("default"), load_campaign_scene("told_geometry")
+    for number in range(4):
+        one, two = (draw(scene, 7, number, "guarded") for scene in (base, wrong))
+        assert (one.world, one.goal, one.docking, one.seed) == (two.world, two.goal, two.docking, two.seed)
+        assert one.geometry is None
+        assert two.geometry is not None
+
+
+def test_what_is_told_truly_changes_no_row() -> None:
+    true = {"servo_stiffness": 1.0, "torque_constant": 1.0, "geometry": {"arm": 0.0, "limb_1": {"rod": 0.0}}}
+    names = list(dock_once(parse_campaign_scene(QUICK, "x"), 3, 0, "guarded"))
+    rows = [dock_once(parse_campaign_scene({**QUICK, **more}, "x"), 3, 0, "guarded") for more in ({}, {"told": true})]
+    (one,), (two,) = (comparable([{name: row[name] for name in names}]) for row in rows)
+    assert one == two
