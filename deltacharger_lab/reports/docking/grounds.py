@@ -77,7 +77,7 @@ def thresholds() -> Iterator[tuple[str, str]]:
         yield ", ".join(values), choice.where
 
 
-class World(NamedTuple):
+class OtherWorld(NamedTuple):
     """A campaign beside the one that a headline is told of."""
 
     name: str
@@ -85,23 +85,23 @@ class World(NamedTuple):
 
 
 WORLDS = (
-    World("default", "as told"),
-    World("strike", "every tick and frame computed"),
-    World("random", "everything at once"),
-    World("second", "contact physics that no estimator has seen"),
-    World("random_second", "both"),
-    World("told_stiffness", "servo stiffness told wrongly by up to a factor of 4"),
-    World("told_torque_constant", "torque constant told wrongly by 20 %"),
-    World("told_gravity", "gravity told wrongly by up to 10°"),
-    World("told_geometry", "the arm's geometry told wrongly"),
-    World("high_row", "a row of taxels reads high after the tare"),
-    World("parked", "the robot stands askew by up to 5°"),
-    World("nudged", "the target is moved while it charges"),
+    OtherWorld("default", "as told"),
+    OtherWorld("strike", "every tick and frame computed"),
+    OtherWorld("random", "everything at once"),
+    OtherWorld("second", "contact physics that no estimator has seen"),
+    OtherWorld("random_second", "both"),
+    OtherWorld("told_stiffness", "servo stiffness told wrongly by up to a factor of 4"),
+    OtherWorld("told_torque_constant", "torque constant told wrongly by 20 %"),
+    OtherWorld("told_gravity", "gravity told wrongly by up to 10°"),
+    OtherWorld("told_geometry", "the arm's geometry told wrongly"),
+    OtherWorld("high_row", "a row of taxels reads high after the tare"),
+    OtherWorld("parked", "the robot stands askew by up to 5°"),
+    OtherWorld("nudged", "the target is moved while it charges"),
 )
 """The campaigns of the table on what headlines rest on, those that were not run left out."""
 
 
-def worlds(parts: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[World, Mapping[str, Any]]]:
+def worlds(parts: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[OtherWorld, Mapping[str, Any]]]:
     """Yield each world that was run with its summary."""
     for world in WORLDS:
         if world.name in parts:

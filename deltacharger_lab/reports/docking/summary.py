@@ -55,27 +55,6 @@ CALIBRATED = (
     "parked",
 )
 """Campaigns of the table on the errors of estimates."""
-SAFE = (
-    *(
-        "default",
-        "soft_servos",
-        "random",
-        "upright",
-        "edge",
-        "zero",
-        "soft",
-        "seen",
-        "tilted",
-        "gaussian",
-        "tails",
-        "understated",
-        "biased",
-    ),
-    *("told_stiffness", "told_torque_constant", "told_gravity", "told_geometry", "high_row", "parked", "nudged"),
-    *("second", "second_1N", "random_second"),
-    *("paper", "published", "published_clearance"),
-)
-"""Campaigns of the table on safety."""
 
 
 def columns(results: dict[str, list[Any]]) -> Columns:
