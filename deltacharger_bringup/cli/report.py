@@ -59,7 +59,7 @@ def add_docking(parser: argparse.ArgumentParser) -> None:
     )
     count = "dockings of each campaign that is run (default: as planned, 200 to 20000)"
     parser.add_argument("-n", "--n", type=whole(1, 10_000_000), metavar="N", help=count)
-    parser.add_argument("--seed", type=SEED, default=8, metavar="S", help="of all campaigns (default: 8)")
+    parser.add_argument("--seed", type=SEED, metavar="S", help="of all campaigns (default: the report's own)")
     parser.add_argument("--workers", type=whole(1, 1024), default=1, metavar="K", help="processes on this computer (1)")
 
 

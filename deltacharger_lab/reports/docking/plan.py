@@ -93,14 +93,14 @@ PARTS = (
 )
 
 
-def make_plan(quick: bool = False, only: Sequence[str] = (), n: int | None = None, seed: int = SEED) -> DockingPlan:
+def make_plan(quick: bool = False, only: Sequence[str] = (), n: int | None = None, seed: int | None = None) -> DockingPlan:
     """Return the report that is committed, or a part of it.
 
     Args:
         quick: a hundredth of the dockings.
         only: names of the campaigns to run now; empty = all.
         n: dockings of each of these; None = as planned.
-        seed: of all campaigns.
+        seed: of all campaigns; None = `SEED`.
 
     Raises:
         ValueError: a name is not known; the message lists those that are.
@@ -116,4 +116,4 @@ def make_plan(quick: bool = False, only: Sequence[str] = (), n: int | None = Non
         if n is not None and part.name in chosen:
             count = n
         parts.append(replace(part, count=count))
-    return DockingPlan(tuple(parts), chosen, seed, quick)
+    return DockingPlan(tuple(parts), chosen, SEED if seed is None else seed, quick)
