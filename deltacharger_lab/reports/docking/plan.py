@@ -93,7 +93,9 @@ PARTS = (
 )
 
 
-def make_plan(quick: bool = False, only: Sequence[str] = (), n: int | None = None, seed: int | None = None) -> DockingPlan:
+def make_plan(
+    quick: bool = False, only: Sequence[str] = (), n: int | None = None, seed: int | None = None
+) -> DockingPlan:
     """Return the report that is committed, or a part of it.
 
     Args:
