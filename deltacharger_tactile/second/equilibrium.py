@@ -23,7 +23,7 @@ from deltacharger_tactile.second.parameters import SecondParameters
 
 _CHUNK = 48
 _ITERATIONS = 300
-_BALANCED, _SETTLED = 1e-8, 1e-5  # of the force; of the largest pressure
+_BALANCED, _SETTLED = 1e-8, 1e-4  # of the force; of the largest pressure
 _LEVER = 0.05  # m, that makes moments comparable with forces
 _FARTHEST = np.array([1e-3, 0.02, 0.02])  # m and rad of one step
 _SQUARE = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # where the monomials stand in the second moments of (1, y, x)
@@ -127,6 +127,8 @@ class _Work:
         self._force = np.where(self.touching, force, 0.0)
         self._work = self._force[:, None] * np.column_stack([np.ones(len(pose)), line[:, 1], line[:, 0]])
         self._points = gap.shape[1]
+        self._flat = self._index + self._points * np.arange(len(pose))[:, None]
+        self._stiff = np.diag([_SOFT, self._hold, self._hold])
 
     def settle(self, rest: Rest, rows: NDArray[np.int64]) -> None:
         """Find the rest of every contact and write it into `rest` at `rows`."""
@@ -165,7 +167,7 @@ class _Work:
         gradient = _sums(pressure, self._at[:, :, :3]) + force @ self._bars_at[:, :3] - self._work
         gradient[:, 1:] += self._hold * turn
         curvature = (_sums(slope, self._at) + rate @ self._bars_at)[:, _SQUARE].reshape(-1, 3, 3)
-        curvature += np.diag([_SOFT, self._hold, self._hold])
+        curvature += self._stiff
         return _Trial(total, gradient, curvature, pressure, slope, force)
 
     def _is_settled(self, trial: _Trial, load: Array) -> Mask:
@@ -177,19 +179,20 @@ class _Work:
     def _step(self, trial: _Trial, load: Array) -> tuple[Array, Array, Array]:
         """Return steps of state, load and deflection: Newton's of the first for what the others will be."""
         more = (trial.pressure - load) / (1.0 + _SHARE * trial.slope / self._pads.base)
-        grid = np.zeros((len(more), self._points))
-        np.put_along_axis(grid, self._index, more, axis=1)
-        deeper = np.take_along_axis(self._pads.deflect(grid), self._index, axis=1)
+        deeper = self._pads.deflect(self._grid(more)).ravel()[self._flat]
         wanted = _sums(trial.slope * deeper, self._at[:, :, :3]) - trial.gradient
         move = np.linalg.solve(trial.curvature, wanted[:, :, None])[:, :, 0]
         move /= np.maximum(np.abs(move) / _FARTHEST, 1.0).max(axis=1, keepdims=True)
         return move, more, deeper
 
+    def _grid(self, values: Array) -> Array:
+        grid = np.zeros((len(values), self._points))
+        grid.ravel()[self._flat] = values
+        return grid
+
     def _write(self, rest: Rest, rows: NDArray[np.int64], state: Array, trial: _Trial) -> None:
         pressure, force = trial.pressure * self.touching[:, None], trial.bars * self.touching[:, None]
-        grid = np.zeros((len(rows), self._points))
-        np.put_along_axis(grid, self._index, pressure, axis=1)
-        rest.taxels[rows] = self._pads.taxels(grid)
+        rest.taxels[rows] = self._pads.taxels(self._grid(pressure))
         rest.bars[rows] = force.reshape(len(rows), 2, -1).sum(axis=2)
         rest.state[rows] = np.where(self.touching[:, None], state, np.nan)
         pressed = _sums(pressure, self._at[:, :, :3]) + force @ self._bars_at[:, :3]
