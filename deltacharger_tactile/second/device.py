@@ -41,7 +41,7 @@ class Device:
         return Device(
             sheets=Sheets.draw(parameters.sheet, random),
             ridges=Ridges.draw(parameters.foundation, random),
-            line=float(np.clip(platform.line_share + platform.line_spread * random.standard_normal(), 0.0, 1.0)),
+            line=max(platform.line_share + platform.line_spread * float(random.standard_normal()), 0.0),
             lean=platform.lean_bias * random.standard_normal(2),
             magnets=float(np.clip(1.0 + parameters.docking.magnet_spread * random.standard_normal(), 0.5, 1.5)),
         )

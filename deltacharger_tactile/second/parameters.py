@@ -23,7 +23,7 @@ _DEGREE = math.pi / 180.0
 class FoundationParameters(Bounded):
     """The pad as a distributed foundation: an elastic skin over a layer that shears, and the ridge's errors of form."""
 
-    sub_samples: int = number(6, 1, 20, "", "points per taxel and axis; a finer grid moves taxels by < 2 % of the peak")
+    sub_samples: int = number(6, 1, 20, "", "points per taxel along y; half as many along x")
     modulus: float = number(0.8e6, 1e5, 1e8, "Pa", "Young's modulus of the skin (silicone of Shore A 20–30, handbook)")
     thickness: float = number(2.0e-3, 2e-4, 1e-2, "m", "of the skin (assumed)")
     confinement: float = number(
@@ -60,7 +60,7 @@ class PlatformParameters(Bounded):
 
     compliance: float = number(0.02, 1e-4, 1.0, "rad/(N·m)", "tilt per moment (0.01–0.03 assumed by the world)")
     line_share: float = number(
-        0.5, 0.0, 1.0, "", "share of the offset at which the force acts (assumed: middle of what overlaps)"
+        0.5, 0.0, 4.0, "", "share of the offset at which the force acts (assumed: middle of what overlaps)"
     )
     line_spread: float = number(0.1, 0.0, 0.5, "", "spread of that share, per rig (assumed)")
     lean_bias: float = number(0.015 * _DEGREE, 0.0, 2.0 * _DEGREE, "rad", "spread of both leans, per rig (assumed)")
@@ -119,26 +119,19 @@ class SecondParameters(Bounded):
         """Refuse what contradicts itself, by the key that must change."""
         foundation, bars, sheet = self.foundation, self.bars, self.sheet
         if foundation.base_stiffness < 0.5 * foundation.skin_stiffness:
-            _refuse(
-                "foundation.base_stiffness",
-                foundation.base_stiffness,
-                f"softer than half of the skin above it, {foundation.skin_stiffness:.3g} Pa/m; then the layer below "
-                "is what is indented: give more, or a thicker or softer skin",
-            )
+            limit = f"half of the skin's {foundation.skin_stiffness:.3g} Pa/m, so that not the skin is indented"
+            _refuse("foundation.base_stiffness", foundation.base_stiffness, f"is below {limit}; give more")
         if bars.seat >= bars.travel:
-            _refuse("bars.seat", bars.seat, f"not below bars.travel, {bars.travel:g} m, after which a bar is solid")
+            _refuse("bars.seat", bars.seat, f"is not below bars.travel, {bars.travel:g} m, after which a bar is solid")
         if bars.stop_stiffness < bars.rate:
-            _refuse("bars.stop_stiffness", bars.stop_stiffness, f"softer than bars.rate, {bars.rate:g} N/m")
+            _refuse("bars.stop_stiffness", bars.stop_stiffness, f"is softer than bars.rate, {bars.rate:g} N/m")
         if sheet.dead_band and sheet.dead_band <= 2.0 * sheet.dead_band_spread:
-            _refuse(
-                "sheet.dead_band_spread",
-                sheet.dead_band_spread,
-                f"twice it is not below sheet.dead_band, {sheet.dead_band:g} N, so that a taxel may have none",
-            )
+            limit = f"half of sheet.dead_band, {sheet.dead_band:g} N"
+            _refuse("sheet.dead_band_spread", sheet.dead_band_spread, f"is not below {limit}; some taxels had none")
         if sheet.dead_band + 2.0 * sheet.dead_band_spread >= sheet.full_scale:
-            _refuse("sheet.dead_band", sheet.dead_band, f"leaves nothing below the full scale, {sheet.full_scale:g} N")
+            _refuse("sheet.dead_band", sheet.dead_band, f"leaves nothing below sheet.full_scale, {sheet.full_scale:g} N")
         if sheet.edge_loss + 4.0 * sheet.neighbour >= 1.0:
-            _refuse("sheet.neighbour", sheet.neighbour, "four of it and sheet.edge_loss take all that a taxel feels")
+            _refuse("sheet.neighbour", sheet.neighbour, "times four, with sheet.edge_loss, takes all that a taxel feels")
 
     def to_json(self) -> str:
         """Return every value as one JSON object with sorted keys."""
@@ -150,4 +143,4 @@ class SecondParameters(Bounded):
 
 
 def _refuse(key: str, value: float, problem: str) -> None:
-    raise ParameterError(key, value, f"{value:g} is {problem}" if not problem.startswith(("twice", "four")) else problem)
+    raise ParameterError(key, value, f"{value:g} {problem}")
