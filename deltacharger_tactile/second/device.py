@@ -72,9 +72,7 @@ class Touches:
             repeat=np.clip(1.0 + parameters.sheet.repeatability * random.standard_normal((count, PADS)), 0.5, 1.5),
         )
 
-    def press(
-        self, model: Equilibrium, device: Device, pose: Array, force: Array | float, share: float = 0.5
-    ) -> Array:
+    def press(self, model: Equilibrium, device: Device, pose: Array, force: Array | float, share: float = 0.5) -> Array:
         """Return what the taxels bear (N, 2, 10, 10) N at poses (N, 3) in contact.
 
         A share of the force on the left pad, as a world with a leaning platform tells it, moves the force's line of

@@ -49,7 +49,7 @@ class Rest:
 
 
 class _Trial(NamedTuple):
-    """Energy (N,), its gradient (N, 3) and curvature (N, 3, 3) by z, α, β, pressure and its slope (N, K), bars' force."""
+    """Energy (N,), its gradient (N, 3) and curvature (N, 3, 3) by z, α, β; pressure, its slope (N, K), bars' force."""
 
     energy: Array
     gradient: Array
@@ -181,7 +181,7 @@ class _Work:
         more = (trial.pressure - load) / (1.0 + _SHARE * trial.slope / self._pads.base)
         deeper = self._pads.deflect(self._grid(more)).ravel()[self._flat]
         wanted = _sums(trial.slope * deeper, self._at[:, :, :3]) - trial.gradient
-        move = np.linalg.solve(trial.curvature, wanted[:, :, None])[:, :, 0]
+        move = np.asarray(np.linalg.solve(trial.curvature, wanted[:, :, None])[:, :, 0], dtype=np.float64)
         move /= np.maximum(np.abs(move) / _FARTHEST, 1.0).max(axis=1, keepdims=True)
         return move, more, deeper
 

@@ -97,7 +97,7 @@ class PadFoundation:
         return np.asarray(gap)
 
     def press(self, depth: Array) -> tuple[Array, Array, Array]:
-        """Return pressure (Pa), its slope (Pa/m) and the energy (J/m²) of the skin at indentations (m), 0 where none."""
+        """Return pressure (Pa), its slope (Pa/m) and the energy (J/m²) of the skin at indentations (m)."""
         pressed = depth > 0.0
         stretch = 1.0 - np.maximum(depth, 0.0) / self._thickness
         held = np.maximum(stretch, _LEAST_STRETCH)
@@ -112,17 +112,17 @@ class PadFoundation:
 
     def deflect(self, pressure: Array) -> Array:
         """Return the deflection (N, P) m of the layer below under a pressure (N, P) Pa on it."""
-        return self._filter(pressure).reshape(pressure.shape) / self.base
+        return np.asarray(self._filter(pressure).reshape(pressure.shape) / self.base)
 
     def taxels(self, pressure: Array) -> Array:
         """Return what the taxels bear (N, 2, 10, 10) N under a pressure (N, P) Pa; row 0 at +y, column 0 at +x."""
         down, right = self._shape[0] // ROWS, self._shape[1] // COLUMNS
         borne = self._filter(pressure).reshape(-1, PADS, ROWS, down, COLUMNS, right)
-        return np.maximum(borne.sum(axis=(3, 5)) * self.area, 0.0)
+        return np.asarray(np.maximum(borne.sum(axis=(3, 5)) * self.area, 0.0))
 
     def _filter(self, pressure: Array) -> Array:
         grid = pressure.reshape(-1, *self._shape)
-        return self._down.T @ ((self._down @ grid @ self._right.T) * self._spread) @ self._right
+        return np.asarray(self._down.T @ ((self._down @ grid @ self._right.T) * self._spread) @ self._right)
 
 
 def _waves(count: int) -> tuple[Array, Array]:

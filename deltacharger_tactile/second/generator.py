@@ -9,6 +9,7 @@ and back, and read after 0.3 to 3 s.
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ def dock_anew(
         raise DatasetError("second physics", f"{frames} frames of {len(known)} rows; give 1 or more, a row a docking")
     chosen = parameters or SecondParameters()
     pose = np.column_stack([known.horizontal, known.vertical, known.angle])
-    columns: dict[str, list[Array]] = {}
+    columns: dict[str, list[NDArray[Any]]] = {}
     order: list[NDArray[np.int64]] = []
     model = Equilibrium(chosen)
     for rig in np.unique(known.rig):
@@ -66,7 +67,7 @@ def dock_anew(
             for name, column in _measure(model, device, pose[part], random, frames, since_tare).items():
                 columns.setdefault(name, []).append(column)
     back = np.argsort(np.concatenate(order))
-    found = {name: np.concatenate(parts)[back] for name, parts in columns.items()}
+    found: dict[str, NDArray[Any]] = {name: np.concatenate(parts)[back] for name, parts in columns.items()}
     felt = found.pop("felt")
     dead = np.isnan(felt)
     cut = np.where(dead | (felt < threshold), 0.0, felt).astype(np.float32)
@@ -80,7 +81,7 @@ def dock_anew(
 
 def _measure(
     model: Equilibrium, device: Device, pose: Array, random: np.random.Generator, frames: int, since_tare: float
-) -> dict[str, Array]:
+) -> dict[str, NDArray[Any]]:
     """Dock once at each commanded pose (N, 3); returns columns of a data set, and what was felt (N, 2, 10, 10) N."""
     count, docking = len(pose), model.parameters.docking
     touches = Touches.draw(model.parameters, random, count)

@@ -51,14 +51,14 @@ class BarParameters(Bounded):
     seat: float = number(2e-5, 1e-6, 1e-3, "m", "approach over which a bar takes its preload (assumed: roughness)")
     travel: float = number(1.5e-3, 1e-4, 1e-2, "m", "after which a bar is solid (assumed)")
     stop_stiffness: float = number(1e6, 1e4, 1e9, "N/m", "of a bar that is solid (assumed)")
-    proud: float = number(-2e-4, -1e-3, 1e-3, "m", "by which bars touch before ridges do (assumed: after, by half a press)")
+    proud: float = number(-2e-4, -1e-3, 1e-3, "m", "by which bars touch before ridges do (assumed: after)")
 
 
 @dataclass(frozen=True)
 class PlatformParameters(Bounded):
     """What holds the platform against tilting, and where the force acts."""
 
-    compliance: float = number(0.02, 1e-4, 1.0, "rad/(N·m)", "tilt per moment (0.01–0.03 assumed by the world)")
+    compliance: float = number(0.02, 1e-4, 0.1, "rad/(N·m)", "tilt per moment (0.01–0.03; assumed)")
     line_share: float = number(
         0.5, 0.0, 4.0, "", "share of the offset at which the force acts (assumed: middle of what overlaps)"
     )
@@ -80,11 +80,13 @@ class SheetParameters(Bounded):
     gain_spread: float = number(0.12, 0.0, 0.5, "", "relative spread of the taxels' gains, per rig (assumed)")
     edge_loss: float = number(0.15, 0.0, 0.8, "", "sensitivity that the outer ring of taxels lacks (assumed)")
     neighbour: float = number(0.04, 0.0, 0.2, "", "share that each of four neighbours picks up (cover sheet; assumed)")
-    matrix: float = number(0.015, 0.0, 0.1, "", "share of the mean of its row and column that a taxel picks up (assumed)")
+    matrix: float = number(
+        0.015, 0.0, 0.1, "", "share of its row's and its column's mean that a taxel picks up (assumed)"
+    )
     dead_band: float = number(1.0, 0.0, 5.0, "N", "below which a taxel tells nothing (paper: 1–9 N)")
     dead_band_spread: float = number(0.1, 0.0, 1.0, "N", "spread of that, per taxel; cut at two of them (assumed)")
     fixed_offset: float = number(0.1, 0.0, 0.4, "N", "spread of the taxels' offsets, per rig (assumed)")
-    gain_drift: float = number(0.03, 0.0, 0.3, "", "spread of a pad's gain after warming up (0.36 %/K, 8 K; data sheet)")
+    gain_drift: float = number(0.03, 0.0, 0.3, "", "spread of a pad's gain when warm (0.36 %/K, data sheet; 8 K)")
     offset_drift: float = number(0.06, 0.0, 1.0, "N", "spread of a taxel's offset after warming up (assumed)")
     drift_time: float = number(600.0, 1.0, 1e5, "s", "time constant of warming up (assumed)")
     noise: float = number(0.02, 0.0, 0.5, "N", "of one sample of an unloaded taxel (assumed: two codes)")
@@ -129,9 +131,9 @@ class SecondParameters(Bounded):
             limit = f"half of sheet.dead_band, {sheet.dead_band:g} N"
             _refuse("sheet.dead_band_spread", sheet.dead_band_spread, f"is not below {limit}; some taxels had none")
         if sheet.dead_band + 2.0 * sheet.dead_band_spread >= sheet.full_scale:
-            _refuse("sheet.dead_band", sheet.dead_band, f"leaves nothing below sheet.full_scale, {sheet.full_scale:g} N")
+            _refuse("sheet.dead_band", sheet.dead_band, f"leaves nothing of the full scale, {sheet.full_scale:g} N")
         if sheet.edge_loss + 4.0 * sheet.neighbour >= 1.0:
-            _refuse("sheet.neighbour", sheet.neighbour, "times four, with sheet.edge_loss, takes all that a taxel feels")
+            _refuse("sheet.neighbour", sheet.neighbour, "times four, with sheet.edge_loss, leaves a taxel nothing")
 
     def to_json(self) -> str:
         """Return every value as one JSON object with sorted keys."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From what taxels bear to what the board reads: both sensor sheets of one rig, with their memory.
 
-In this order: bend of the characteristic, neighbours, matrix, edge, gains (of the taxel, of the pad in this contact, and
+In this order: bend of the characteristic, neighbours, matrix, edge, gains (of the taxel, of the pad in this contact and
 by warming up), hysteresis, creep, noise of the signal, dead band; then the zero (offset, warming up, what creep left),
 noise of the converter, clip, quantisation, dead taxels.
 
@@ -14,7 +14,6 @@ noise of the converter, clip, quantisation, dead taxels.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,9 +113,7 @@ class SheetSensor:
             if felt is not None:
                 crept += (1.0 - kept) * self._sheets.creep * felt
 
-    def read(
-        self, force: Array | None, repeat: Array | float = 1.0, count: int = 1, period: float = 0.0
-    ) -> Array:
+    def read(self, force: Array | None, repeat: Array | float = 1.0, count: int = 1, period: float = 0.0) -> Array:
         """Read both pads `count` times, the first time now, a `period` (s) apart under one force.
 
         What warms up is taken as it is at the first of them.

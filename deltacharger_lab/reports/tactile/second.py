@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What models that know the first contact physics alone make of the second: classifiers and the pretrained estimates."""
+"""What models that know the first contact physics alone make of the second: classifiers and pretrained estimates."""
 
 from __future__ import annotations
 
@@ -38,6 +38,7 @@ AXES = {"angle": (2, 180.0 / math.pi, "°"), "vertical": (1, 1e3, "mm"), "horizo
 """Where an axis stands in a pose, and the unit of its errors."""
 BELIEVED = 1.5
 """rms of error over σ up to which a σ is believed."""
+_COUNTED = ("n", "contact", "in_range", "sure", "drift", "acts", "unsafe")
 _SHARES = ("accuracy", "coverage", "act_rate", "drift_rate")
 
 
@@ -162,12 +163,11 @@ def summed(rows: Iterable[Row], *keys: str) -> list[Row]:
     """Return for each value of the keys the shares and the root mean squares of all rigs' dockings together."""
     found = []
     for values, members in grouped(rows, *keys):
-        total: Callable[[str], int] = lambda key, members=members: sum(row[key] for row in members)  # type: ignore[misc]
-        n, used = total("n"), total("in_range")
-        row: Row = dict(zip(keys, values, strict=True)) | {"n": n, "acts": total("acts"), "unsafe": total("unsafe")}
-        row |= {key: total(key) / n for key in ("contact", "in_range", "sure", "drift")}
+        total = {key: sum(row[key] for row in members) for key in _COUNTED}
+        row: Row = dict(zip(keys, values, strict=True)) | {key: total[key] for key in ("n", "acts", "unsafe")}
+        row |= {key: total[key] / total["n"] for key in ("contact", "in_range", "sure", "drift")}
         for name in AXES:
-            error, z, beyond = np.sum([row_[name] for row_ in members], axis=0) / (used or math.nan)
+            error, z, beyond = np.sum([each[name] for each in members], axis=0) / (total["in_range"] or math.nan)
             row[name] = {"rms": math.sqrt(error), "z": math.sqrt(z), "beyond": float(beyond)}
         found.append(row)
     return found
@@ -183,4 +183,3 @@ def unsafe(estimates: Iterable[Row]) -> float:
     """Return how often any estimate would have energised without clearance on the second physics."""
     chosen = [row["unsafe"] for row in estimates if row["physics"] == SECOND]
     return float(sum(chosen)) if chosen else math.nan
-
