@@ -32,7 +32,7 @@ _SOFT = 1.0  # N/m, that keeps a platform in free air from an infinite step
 
 
 @dataclass(frozen=True)
-class Rest:
+class RestingContact:
     """N contacts at rest.
 
     Attributes:
@@ -74,7 +74,7 @@ class Equilibrium:
         line: ArrayLike = (0.0, 0.0),
         lean: ArrayLike = (0.0, 0.0),
         ridges: Ridges | None = None,
-    ) -> Rest:
+    ) -> RestingContact:
         """Press the target against platforms.
 
         Args:
@@ -89,7 +89,7 @@ class Equilibrium:
         forces = np.broadcast_to(np.asarray(force, dtype=float), (count,))
         lines = np.broadcast_to(np.asarray(line, dtype=float), (count, 2))
         leans = np.broadcast_to(np.asarray(lean, dtype=float), (count, 2))
-        rest = Rest(
+        rest = RestingContact(
             np.zeros((count, PADS, ROWS, COLUMNS)),
             np.zeros((count, 2)),
             np.full((count, 3), np.nan),
@@ -130,7 +130,7 @@ class _Work:
         self._flat = self._index + self._points * np.arange(len(pose))[:, None]
         self._stiff = np.diag([_SOFT, self._hold, self._hold])
 
-    def settle(self, rest: Rest, rows: NDArray[np.int64]) -> None:
+    def settle(self, rest: RestingContact, rows: NDArray[np.int64]) -> None:
         """Find the rest of every contact and write it into `rest` at `rows`."""
         state = np.column_stack([2e-4 - self._highest, self._lean])
         load, sunk = np.zeros(self._gap.shape), np.zeros(self._gap.shape)  # on the lower layer, Pa; its deflection, m
@@ -190,7 +190,7 @@ class _Work:
         grid.ravel()[self._flat] = values
         return grid
 
-    def _write(self, rest: Rest, rows: NDArray[np.int64], state: Array, trial: _Trial) -> None:
+    def _write(self, rest: RestingContact, rows: NDArray[np.int64], state: Array, trial: _Trial) -> None:
         pressure, force = trial.pressure * self.touching[:, None], trial.bars * self.touching[:, None]
         rest.taxels[rows] = self._pads.taxels(self._grid(pressure))
         rest.bars[rows] = force.reshape(len(rows), 2, -1).sum(axis=2)

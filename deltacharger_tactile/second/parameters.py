@@ -55,7 +55,7 @@ class BarParameters(Bounded):
 
 
 @dataclass(frozen=True)
-class PlatformParameters(Bounded):
+class PlatformRestParameters(Bounded):
     """What holds the platform against tilting, and where the force acts."""
 
     compliance: float = number(0.02, 1e-4, 0.1, "rad/(N·m)", "tilt per moment (0.01–0.03; assumed)")
@@ -86,7 +86,9 @@ class SheetParameters(Bounded):
     dead_band: float = number(1.0, 0.0, 5.0, "N", "below which a taxel tells nothing (paper: 1–9 N)")
     dead_band_spread: float = number(0.1, 0.0, 1.0, "N", "spread of that, per taxel; cut at two of them (assumed)")
     fixed_offset: float = number(0.1, 0.0, 0.4, "N", "spread of the taxels' offsets, per rig (assumed)")
-    gain_drift: float = number(0.03, 0.0, 0.3, "", "spread of a pad's gain when warm (0.36 %/K, data sheet; 8 K)")
+    gain_drift: float = number(
+        0.03, 0.0, 0.3, "", "spread of a pad's gain when warm (0.36 %/K of that class; 8 K assumed)"
+    )
     offset_drift: float = number(0.06, 0.0, 1.0, "N", "spread of a taxel's offset after warming up (assumed)")
     drift_time: float = number(600.0, 1.0, 1e5, "s", "time constant of warming up (assumed)")
     noise: float = number(0.02, 0.0, 0.5, "N", "of one sample of an unloaded taxel (assumed: two codes)")
@@ -114,7 +116,7 @@ class SecondParameters(Bounded):
     docking: PadDockingParameters = field(default_factory=PadDockingParameters)
     foundation: FoundationParameters = field(default_factory=FoundationParameters)
     bars: BarParameters = field(default_factory=BarParameters)
-    platform: PlatformParameters = field(default_factory=PlatformParameters)
+    platform: PlatformRestParameters = field(default_factory=PlatformRestParameters)
     sheet: SheetParameters = field(default_factory=SheetParameters)
 
     def __post_init__(self) -> None:

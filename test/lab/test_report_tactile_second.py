@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tactile report on contact physics that no model has seen: what is counted, on little data, without any training."""
+"""The tactile report on contact physics that no model has seen: what is counted, on little data; nothing is trained."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import second
-from deltacharger_lab.reports.tactile.report import tasks
+from deltacharger_lab.reports.tactile.report import _second_targets, tasks
 from deltacharger_tactile import PoseEstimator
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.dataset import SUBSET_ANGLE
@@ -43,7 +43,8 @@ def test_the_pretrained_estimates_are_judged_on_both_and_trained_on_neither(monk
             other = told[cut, frames, "second"]
             assert other["in_range"] < row["in_range"], "a dead band of 1 N hides most of a contact"
             assert row["vertical"]["z"] < 2.0
-    assert second.unsafe(told.values()) == sum(row["unsafe"] for key, row in told.items() if key[2] == "second")
+    bad = [row | {"unsafe": 3} for row in told.values()]
+    assert second.unsafe(bad, [{"unsafe": 2}]) == 3 * 4 + 2, "those of the first physics are not counted"
     assert second.worst_z(told.values()) == max(told[0.25, 12, "second"][axis]["z"] for axis in second.AXES)
 
 
@@ -88,6 +89,16 @@ def test_models_keep_what_they_learnt_on_the_first(monkeypatch: pytest.MonkeyPat
     assert row["second"] == {key: pytest.approx(found[key]) for key in (*second._SHARES, "windows")}
     assert 1.0 / 6.0 < row["second"]["accuracy"] < 0.95
     assert row["second"]["drift_rate"] > 0.2, "frames of which most taxels tell nothing"
+
+
+def test_lost_coverage_that_no_drift_check_notices_is_a_target_missed() -> None:
+    calm = {"accuracy": 0.9, "coverage": 0.95, "act_rate": 0.9, "drift_rate": 0.0, "windows": [0.0, 0.0]}
+    cases = (calm, calm | {"coverage": 0.5, "windows": [0.0, 0.9]}, calm | {"coverage": 0.5})
+    models = [{"model": "lda", "target": "angle", "first": calm, "second": case} for case in cases]
+    unsafe, sigma, blind = _second_targets({"models": models, "estimates": [], "variants": []})
+    assert (blind["measured"], blind["met"], blind["unit"]) == (1.0, False, "of 3")
+    assert unsafe["met"] is None, "nothing was measured"
+    assert sigma["met"] is None
 
 
 def test_each_variant_lacks_a_law() -> None:

@@ -20,7 +20,7 @@ from deltacharger_tactile.second.foundation import PadFoundation, Ridges
 from deltacharger_tactile.second.parameters import (
     BarParameters,
     FoundationParameters,
-    PlatformParameters,
+    PlatformRestParameters,
     SecondParameters,
     SheetParameters,
 )
@@ -41,7 +41,7 @@ def test_force_and_moments_balance_and_nothing_pulls() -> None:
     rest = MODEL.solve(many, force, line, lean, RIDGES)
     assert np.isfinite(rest.state).all()
     assert np.allclose(rest.taxels.sum(axis=(1, 2, 3)) + rest.bars.sum(axis=1), force, rtol=1e-6)
-    platform = (rest.state[:, 1:] - lean) / PlatformParameters().compliance
+    platform = (rest.state[:, 1:] - lean) / PlatformRestParameters().compliance
     off = rest.moments + platform - force[:, None] * line[:, ::-1]
     assert np.abs(off).max() < 1e-6 * 0.048 * force.min()
     assert rest.taxels.min() >= 0.0
@@ -198,7 +198,7 @@ def test_contradictions_are_refused_by_key(values: dict[str, dict[str, float]], 
 def test_every_number_says_where_it_is_from_and_stands_on_the_page() -> None:
     sources = ("assumed", "data sheet", "handbook", "paper", "σ", "first physics", "Gent", "board", "points")
     page = PAGE.read_text("utf-8")
-    for cls in (FoundationParameters, BarParameters, PlatformParameters, SheetParameters):
+    for cls in (FoundationParameters, BarParameters, PlatformRestParameters, SheetParameters):
         for item in declared(cls):
             assert any(word in item.text for word in sources), item.name
             cells = (item.name, f"{item.default:.4g}", f"{item.low:.4g}…{item.high:.4g}", item.unit or "–", item.text)

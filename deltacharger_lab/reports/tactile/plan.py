@@ -56,7 +56,7 @@ def full_plan(seed: int) -> TactilePlan:
     judged = _trainable(("forest", "cnn", "lda", "pose"))
     seeds = (3 * seed,)
     rigs = tuple(range(860, 870))
-    return TactilePlan(rigs, seeds, names, judged, (860, 861, 862), 18, (860, 861), 60, 2000, 800, quick=False)
+    return TactilePlan(rigs, seeds, names, judged, (860, 861, 862), 18, (860, 861), 60, 2000, 600, quick=False)
 
 
 def quick_plan(seed: int) -> TactilePlan:

@@ -234,6 +234,24 @@ def _accuracy_targets(results: Row, name: str) -> list[Row]:
     return found
 
 
+def _second_targets(found: Row) -> list[Row]:
+    """Return what is asked of the models on the physics that none of them has seen."""
+    told = [row["second"] for row in found["models"]]
+    lost = [row for row in told if row["coverage"] < NOMINAL - POINTS]
+    unseen = [row for row in lost if max(row["drift_rate"], row["windows"][-1]) <= _OFTEN]
+    z, unsafe = second.worst_z(found["estimates"]), second.unsafe(found["estimates"], found["variants"])
+    return [
+        none("pretrained estimates, second physics and its families, unsafe acts", unsafe, ""),
+        at_most("pretrained estimate, second physics, rms of error over σ, worst axis", z, second.BELIEVED, ""),
+        at_most(
+            "judged models, second physics, neither covered nor noticed",
+            len(unseen) if told else math.nan,
+            0.0,
+            f"of {len(told)}",
+        ),
+    ]
+
+
 def targets(results: Row, plan: TactilePlan) -> list[Row]:
     """Return each target with what was measured and whether it is met."""
     name = default(plan)
@@ -253,13 +271,7 @@ def targets(results: Row, plan: TactilePlan) -> list[Row]:
         at_most(f"{who}, coverage off 95 %, no shift, worst target", off, 100.0 * POINTS, "points"),
         at_most(f"{who}, false drift alarms, frames and windows", 100.0 * alarms, 100.0 * FALSE_ALARMS, "%"),
         at_most(f"{who}, shifts neither covered nor noticed", missed, 0.0, f"of {len(others)}"),
-        none("pretrained estimates, second physics, unsafe acts", second.unsafe(results["second"]["estimates"]), ""),
-        at_most(
-            "pretrained estimate, second physics, rms of error over σ, worst axis",
-            second.worst_z(results["second"]["estimates"]),
-            second.BELIEVED,
-            "",
-        ),
+        *_second_targets(results["second"]),
         at_most(f"{who}, one prediction, p99", slow, 0.5, "ms"),
         at_most("slowest model, one prediction, p99", slowest_of_all, 10.0, "ms"),
         at_most("paper-size data set of one rig", results["generation_s"], 1.0, "s"),

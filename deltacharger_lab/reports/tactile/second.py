@@ -109,6 +109,7 @@ def variants() -> dict[str, SecondParameters]:
 
     told, free = {"dead_band": 0.0, "dead_band_spread": 0.0}, {"rate": 0.0, "preload": 0.0}
     upright, twice = {"lean_bias": 0.0, "lean_spread": 0.0}, {"line_share": 2.0}
+    stiff = twice | {"compliance": 0.1 * base.platform.compliance}
     plain = dict.fromkeys(
         ("hysteresis", "creep", "linearity", "repeatability", "edge_loss", "neighbour", "matrix", "gain_drift",
          "offset_drift"), 0.0,
@@ -123,6 +124,7 @@ def variants() -> dict[str, SecondParameters]:
         "plain sheets without dead band": other(sheet=plain | told),
         "the same, bars bear nothing": other(sheet=plain | told, bars=free),
         "the same, the force at twice the offset": other(sheet=plain | told, bars=free, platform=twice),
+        "the same, the platform ten times as stiff": other(sheet=plain | told, bars=free, platform=stiff),
     }
 
 
@@ -179,7 +181,7 @@ def worst_z(estimates: Iterable[Row]) -> float:
     return max((row[name]["z"] for row in chosen for name in AXES), default=math.nan)
 
 
-def unsafe(estimates: Iterable[Row]) -> float:
-    """Return how often any estimate would have energised without clearance on the second physics."""
-    chosen = [row["unsafe"] for row in estimates if row["physics"] == SECOND]
+def unsafe(estimates: Iterable[Row], variants: Iterable[Row]) -> float:
+    """Return how often an estimate would have energised without clearance on the second physics or a family of it."""
+    chosen = [row["unsafe"] for row in (*estimates, *variants) if row.get("physics") != FIRST]
     return float(sum(chosen)) if chosen else math.nan
