@@ -50,6 +50,21 @@ def test_more_dockings_tell_more(quick_report: Quick) -> None:
     assert found["1 docking"] < found["3 dockings"] >= 0.98
 
 
+def test_every_judged_model_and_both_estimates_meet_physics_that_none_has_seen(quick_report: Quick) -> None:
+    _, _, figures, page = quick_report
+    found = figures["second"]
+    assert {(row["model"], row["target"]) for row in found["models"]} == {
+        (name, target) for name in figures["judged"] for target in TARGETS
+    }
+    assert {(row["physics"], row["threshold"]) for row in found["estimates"]} == {
+        (physics, cut) for physics in ("first", "second") for cut in (0.25, 1.0)
+    }
+    section = page.split("## On contact physics that no model has seen")[1].split("\n## ")[0]
+    assert section.count("\n| ") == 3 + len(found["models"]) + len(found["estimates"]) + len(found["variants"])
+    assert found["digest"] in section
+    assert sum("second physics" in row["name"] for row in figures["targets"]) == 3
+
+
 def test_every_table_and_picture_says_that_the_data_are_simulated(quick_report: Quick) -> None:
     folder, _, _, page = quick_report
     lines = page.splitlines()

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deltacharger_lab.reports.tactile import second
 from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, TactilePlan, kind, threshold
 from deltacharger_lab.reports.tactile.shifts import NONE, SHIFTS, dock_again
 from deltacharger_tactile.classifiers import labels, reliability, splits
@@ -108,6 +109,13 @@ def _judge_shifts(
             found["shifts"].append({**where, "shift": shift.name, **told, "windows": windows[model.threshold]})
             if shift is NONE:
                 found["diagrams"].append({**where, **_diagram(model, rows)})
+    found["second"] = second.judge_models(
+        models,
+        known,
+        subset,
+        device,
+        lambda model, rows: [_windows(model, rows, size, plan.windows) for size in WINDOWS],
+    )
     return found
 
 

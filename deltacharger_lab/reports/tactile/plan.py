@@ -33,6 +33,7 @@ class TactilePlan:
         ceiling_rigs: devices of the section on one and several dockings.
         windows: windows of dockings drawn from each data set.
         repeats: single predictions that are timed.
+        second_count: dockings of the second contact physics on each rig by which the pretrained estimates are judged.
         quick: whether this is the short plan.
     """
 
@@ -45,6 +46,7 @@ class TactilePlan:
     ceiling_rigs: tuple[int, ...]
     windows: int
     repeats: int
+    second_count: int
     quick: bool
 
 
@@ -54,14 +56,14 @@ def full_plan(seed: int) -> TactilePlan:
     judged = _trainable(("forest", "cnn", "lda", "pose"))
     seeds = (3 * seed,)
     rigs = tuple(range(860, 870))
-    return TactilePlan(rigs, seeds, names, judged, (860, 861, 862), 18, (860, 861), 60, 2000, quick=False)
+    return TactilePlan(rigs, seeds, names, judged, (860, 861, 862), 18, (860, 861), 60, 2000, 600, quick=False)
 
 
 def quick_plan(seed: int) -> TactilePlan:
     """Return what a quick look and the tests measure: one rig, one seed, few models."""
     names = _trainable(("forest", "nn", "lda", "pose"))
     judged = _trainable(("lda", "pose"))
-    return TactilePlan((860,), (3 * seed,), names, judged, (860, 861), 3, (860,), 20, 200, quick=True)
+    return TactilePlan((860,), (3 * seed,), names, judged, (860, 861), 3, (860,), 20, 200, 60, quick=True)
 
 
 def default(plan: TactilePlan) -> str:

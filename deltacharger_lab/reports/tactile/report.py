@@ -14,8 +14,8 @@ import numpy as np
 
 from deltacharger_lab.reports.formats import grouped, percent
 from deltacharger_lab.reports.pool import ReportTask, joined, work
-from deltacharger_lab.reports.report import Progress, Report, at_least, at_most
-from deltacharger_lab.reports.tactile import parity, recorded, splits
+from deltacharger_lab.reports.report import Progress, Report, at_least, at_most, none
+from deltacharger_lab.reports.tactile import parity, recorded, second, splits
 from deltacharger_lab.reports.tactile.ceiling import CEILING, ROWS
 from deltacharger_lab.reports.tactile.measure import WINDOWS, cuda_timing, judge_rig, timing
 from deltacharger_lab.reports.tactile.pictures import PICTURES
@@ -23,6 +23,7 @@ from deltacharger_lab.reports.tactile.plan import SETS, TARGETS, TactilePlan, ab
 from deltacharger_lab.reports.tactile.shifts import NONE
 from deltacharger_tactile.classifiers.reliability import NOMINAL
 from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.second.parameters import SecondParameters
 
 HOLDS, FIRES, NEITHER = "coverage holds", "drift check fires", "NEITHER"
 POINTS = 0.015
@@ -79,6 +80,8 @@ def build(plan: TactilePlan, directory: Path, command: str, progress: Progress) 
         slowest=slowest,
         ways=splits,
         ceiling_name=CEILING,
+        AXES=second.AXES,
+        PHYSICS=(second.FIRST, second.SECOND),
     )
 
 
@@ -89,10 +92,18 @@ def _measure(results: dict[str, Any], plan: TactilePlan, progress: Progress) -> 
         times = work([ReportTask("run times", timing, (plan, kept))], progress)["run times"][0]
         cuda = work([ReportTask("CUDA", cuda_timing, (plan,))], progress)["CUDA"][0]
     rigs = found["rig"]
-    raw = {key: joined(each[key] for each in rigs) for key in ("accuracy", "shifts", "diagrams")}
+    raw = {key: joined(each[key] for each in rigs) for key in ("accuracy", "shifts", "diagrams", "second")}
     results["accuracy"] = accuracies(raw["accuracy"], plan.names)
     results["shifts"] = shifts(raw["shifts"])
     results["diagrams"] = diagrams(raw["diagrams"])
+    usual = [row for row in results["shifts"] if row["shift"] == NONE.name]
+    raw |= {key: joined(found[key]) for key in ("second estimates", "second variants")}
+    results["second"] = {
+        "digest": SecondParameters().digest(),
+        "models": second.table(raw["second"], usual),
+        "estimates": second.summed(raw["second estimates"], "threshold", "frames", "physics"),
+        "variants": second.summed(raw["second variants"], "variant"),
+    }
     results["splits"] = joined(found.get("splits", []))
     results["ceiling"] = mean_rows(joined(found.get("one docking", [])))
     results["parity"] = parity.table(joined(found.get("parity", [])), results["accuracy"])
@@ -115,6 +126,10 @@ def tasks(plan: TactilePlan, kept: str) -> list[ReportTask]:
             for part in SETS:
                 weight = len(SETS[part]) * (1.0 + 0.5 * len(plan.names))
                 found.append(ReportTask("rig", judge_rig, (rig, seed, part, plan, kept if first else ""), weight))
+    for rig in plan.rigs:
+        found.append(ReportTask("second estimates", second.judge_estimates, (rig, plan.seeds[0], plan), 1.0))
+    for rig in plan.ceiling_rigs:
+        found.append(ReportTask("second variants", second.judge_variants, (rig, plan.seeds[0], plan), 2.0))
     for name in plan.names:
         if name in _SPLIT_MODELS:
             for target in TARGETS:
@@ -219,6 +234,24 @@ def _accuracy_targets(results: Row, name: str) -> list[Row]:
     return found
 
 
+def _second_targets(found: Row) -> list[Row]:
+    """Return what is asked of the models on the physics that none of them has seen."""
+    told = [row["second"] for row in found["models"]]
+    lost = [row for row in told if row["coverage"] < NOMINAL - POINTS]
+    unseen = [row for row in lost if max(row["drift_rate"], row["windows"][-1]) <= _OFTEN]
+    z, unsafe = second.worst_z(found["estimates"]), second.unsafe(found["estimates"], found["variants"])
+    return [
+        none("pretrained estimates, second physics and its families, unsafe acts", unsafe, ""),
+        at_most("pretrained estimate, second physics, rms of error over σ, worst axis", z, second.BELIEVED, ""),
+        at_most(
+            "judged models, second physics, neither covered nor noticed",
+            len(unseen) if told else math.nan,
+            0.0,
+            f"of {len(told)}",
+        ),
+    ]
+
+
 def targets(results: Row, plan: TactilePlan) -> list[Row]:
     """Return each target with what was measured and whether it is met."""
     name = default(plan)
@@ -238,6 +271,7 @@ def targets(results: Row, plan: TactilePlan) -> list[Row]:
         at_most(f"{who}, coverage off 95 %, no shift, worst target", off, 100.0 * POINTS, "points"),
         at_most(f"{who}, false drift alarms, frames and windows", 100.0 * alarms, 100.0 * FALSE_ALARMS, "%"),
         at_most(f"{who}, shifts neither covered nor noticed", missed, 0.0, f"of {len(others)}"),
+        *_second_targets(results["second"]),
         at_most(f"{who}, one prediction, p99", slow, 0.5, "ms"),
         at_most("slowest model, one prediction, p99", slowest_of_all, 10.0, "ms"),
         at_most("paper-size data set of one rig", results["generation_s"], 1.0, "s"),

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One device and its target, what each of its contacts draws anew, and both through foundation and sheets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deltacharger_core.arrays import Array
+from deltacharger_core.machine import PADS
+from deltacharger_tactile.second.equilibrium import Equilibrium
+from deltacharger_tactile.second.foundation import Ridges
+from deltacharger_tactile.second.parameters import SecondParameters
+from deltacharger_tactile.second.sheet import Sheets
+
+
+@dataclass(frozen=True)
+class Device:
+    """What stays the same.
+
+    Attributes:
+        sheets: the sensors.
+        ridges: of the target.
+        line: share of the offset at which the force acts.
+        lean: (2,) rad of the platform against the target without any moment, about x and about y.
+        magnets: relative strength of the magnets.
+    """
+
+    sheets: Sheets
+    ridges: Ridges
+    line: float
+    lean: Array
+    magnets: float
+
+    @staticmethod
+    def draw(parameters: SecondParameters, seed: int) -> Device:
+        """Draw a device; the same seed gives the same device."""
+        random = np.random.default_rng([0x2ED, seed])
+        platform = parameters.platform
+        return Device(
+            sheets=Sheets.draw(parameters.sheet, random),
+            ridges=Ridges.draw(parameters.foundation, random),
+            line=max(platform.line_share + platform.line_spread * float(random.standard_normal()), 0.0),
+            lean=platform.lean_bias * random.standard_normal(2),
+            magnets=float(np.clip(1.0 + parameters.docking.magnet_spread * random.standard_normal(), 0.5, 1.5)),
+        )
+
+
+@dataclass(frozen=True)
+class Touches:
+    """What is drawn anew for each of N contacts.
+
+    Attributes:
+        jitter: (N, 3) displacement of the relative pose (x, y, angle), m and rad.
+        lean: (N, 2) rad, added to the device's.
+        repeat: (N, 2) gain of each pad.
+    """
+
+    jitter: Array
+    lean: Array
+    repeat: Array
+
+    @staticmethod
+    def draw(parameters: SecondParameters, random: np.random.Generator, count: int = 1) -> Touches:
+        """Draw `count` contacts."""
+        landing = parameters.docking
+        spread = np.array([landing.position_jitter, landing.position_jitter, landing.angle_jitter])
+        return Touches(
+            jitter=spread * random.standard_normal((count, 3)),
+            lean=parameters.platform.lean_spread * random.standard_normal((count, 2)),
+            repeat=np.clip(1.0 + parameters.sheet.repeatability * random.standard_normal((count, PADS)), 0.5, 1.5),
+        )
+
+    def press(self, model: Equilibrium, device: Device, pose: Array, force: Array | float, share: float = 0.5) -> Array:
+        """Return what the taxels bear (N, 2, 10, 10) N at poses (N, 3) in contact.
+
+        A share of the force on the left pad, as a world with a leaning platform tells it, moves the force's line of
+        action to where a beam on the pads' middles would have that share; the offset's part comes on top.
+        """
+        line = device.line * pose[:, :2]
+        line[:, 0] += model.parameters.dimensions.pad_distance * (2.0 * share - 1.0)
+        return model.solve(pose, force, line, device.lean + self.lean, device.ridges).taxels

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tactile report on contact physics that no model has seen: what is counted, on little data; nothing is trained."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_lab.reports.tactile import plan as tactile_plan
+from deltacharger_lab.reports.tactile import second
+from deltacharger_lab.reports.tactile.report import _second_targets, tasks
+from deltacharger_tactile import PoseEstimator
+from deltacharger_tactile.classifiers.classifier import Classifier
+from deltacharger_tactile.dataset import SUBSET_ANGLE
+from deltacharger_tactile.estimate import Estimate
+from deltacharger_tactile.generator import generate_paper
+from deltacharger_tactile.second.parameters import SecondParameters
+
+PLAN = dataclasses.replace(tactile_plan.quick_plan(1), second_count=60)
+
+
+def refuse(*_: Any, **__: Any) -> None:
+    raise AssertionError("nothing is trained on the second physics")
+
+
+def test_the_pretrained_estimates_are_judged_on_both_and_trained_on_neither(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(PoseEstimator, "fit", refuse)
+    rows = second.judge_estimates(860, 3, PLAN)
+    keys = {(row["physics"], row["threshold"], row["frames"]) for row in rows}
+    assert keys == {
+        (physics, cut, count) for physics in ("first", "second") for cut in (0.25, 1.0) for count in (12, 1)
+    }
+    told = {(row["threshold"], row["frames"], row["physics"]): row for row in second.summed(rows * 2, *KEYS)}
+    for (cut, frames, physics), row in told.items():
+        assert row["n"] == 2 * 60
+        assert 0 <= row["unsafe"] <= row["acts"] <= row["n"]
+        assert row["sure"] <= row["in_range"] <= row["contact"] <= 1.0
+        if physics == "first":
+            other = told[cut, frames, "second"]
+            assert other["in_range"] < row["in_range"], "a dead band of 1 N hides most of a contact"
+            assert row["vertical"]["z"] < 2.0
+    bad = [row | {"unsafe": 3} for row in told.values()]
+    assert second.unsafe(bad, [{"unsafe": 2}]) == 3 * 4 + 2, "those of the first physics are not counted"
+    assert second.worst_z(told.values()) == max(told[0.25, 12, "second"][axis]["z"] for axis in second.AXES)
+
+
+KEYS = ("threshold", "frames", "physics")
+
+
+def test_an_act_without_clearance_is_unsafe(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Bold:
+        """Says that all is aligned, and believes it."""
+
+        def predict(self, left: np.ndarray, right: np.ndarray) -> Estimate:
+            none, small, yes = np.zeros(len(left)), np.full(len(left), 1e-4), np.ones(len(left), dtype=bool)
+            chances = np.zeros((len(left), 6))
+            return Estimate(none, small, none, small, none, small, yes, yes, yes, chances, chances, chances, none, none)
+
+        def drifted(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+            return np.zeros(len(left), dtype=bool)
+
+    monkeypatch.setattr(second, "default_model", lambda cut: Bold())
+    (row, *_) = second.summed(second.judge_estimates(860, 3, PLAN), *KEYS)
+    assert row["acts"] == row["n"]
+    assert 0.2 * row["n"] < row["unsafe"] < row["n"], "most of ±12 mm and ±20° leaves no clearance"
+    assert row["angle"]["rms"] == pytest.approx(20.0 / math.sqrt(3.0), rel=0.2)
+
+
+def test_models_keep_what_they_learnt_on_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("sklearn", reason="trains with deltacharger[train]")
+    from deltacharger_lab.reports.tactile.measure import _calibrate, fitted
+    from deltacharger_tactile.classifiers import labels
+
+    known = generate_paper(rigs=(860,), seed=3, threshold=0.0)
+    rows = labels.examples(known, "angle")
+    model = fitted("lda", "angle", rows, 3)
+    half = np.arange(len(rows)) % 2 == 0
+    _calibrate(model, rows, np.flatnonzero(half), np.flatnonzero(~half))
+    monkeypatch.setattr(Classifier, "fit", refuse)
+    models, subset = {("lda", "angle"): model}, known.subset == SUBSET_ANGLE
+    (found,) = second.judge_models(models, known, subset, (860, 3), lambda *_: [0.5, 1.0])
+    usual = {"model": "lda", "target": "angle", "accuracy": 0.95, "coverage": 0.95, "act_rate": 0.9, "drift_rate": 0.0}
+    (row,) = second.table([found, found], [usual | {"windows": [0.0, 0.0]}])
+    assert row["first"]["accuracy"] == 0.95
+    assert row["second"] == {key: pytest.approx(found[key]) for key in (*second._SHARES, "windows")}
+    assert 1.0 / 6.0 < row["second"]["accuracy"] < 0.95
+    assert row["second"]["drift_rate"] > 0.2, "frames of which most taxels tell nothing"
+
+
+def test_lost_coverage_that_no_drift_check_notices_is_a_target_missed() -> None:
+    calm = {"accuracy": 0.9, "coverage": 0.95, "act_rate": 0.9, "drift_rate": 0.0, "windows": [0.0, 0.0]}
+    cases = (calm, calm | {"coverage": 0.5, "windows": [0.0, 0.9]}, calm | {"coverage": 0.5})
+    models = [{"model": "lda", "target": "angle", "first": calm, "second": case} for case in cases]
+    unsafe, sigma, blind = _second_targets({"models": models, "estimates": [], "variants": []})
+    assert (blind["measured"], blind["met"], blind["unit"]) == (1.0, False, "of 3")
+    assert unsafe["met"] is None, "nothing was measured"
+    assert sigma["met"] is None
+
+
+def test_each_variant_lacks_a_law() -> None:
+    found = second.variants()
+    assert found["as it is"] == SecondParameters()
+    assert len({family.digest() for family in found.values()}) == len(found)
+    quick = [task.name for task in tasks(tactile_plan.quick_plan(1), "")]
+    assert quick.count("second estimates") == len(PLAN.rigs)
+    assert quick.count("second variants") == len(PLAN.ceiling_rigs)
+    (row, *_) = second.judge_variants(860, 3, dataclasses.replace(PLAN, second_count=4))
+    assert row["variant"] == "as it is"
+    assert row["n"] == 4
