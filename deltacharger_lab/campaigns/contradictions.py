@@ -82,6 +82,10 @@ def _disturbed(ends: _Ends) -> Iterator[_Problem]:
 
 
 def _pads(ends: _Ends) -> Iterator[_Problem]:
+    if SECOND not in ends.get("pads", ()):
+        for name in ends:
+            if name.startswith("second."):
+                yield name, ends[name][0], "has no effect where pads is first; add pads: second"
     if ends.get("pads") == (SECOND, SECOND):
         for name in ends:
             if name.startswith(("tactile.", "electrode.")):

@@ -154,7 +154,7 @@ def run(drawn: Drawn, exact: bool = False, goal: DockGoal | None = None) -> dict
 
 def make_charger(drawn: Drawn, exact: bool) -> VirtualCharger:
     """Return the charger of a docking."""
-    pads = make_pads(drawn.pads, drawn.tactile, drawn.rig_seed, drawn.seed)
+    pads = make_pads(drawn.pads, drawn.tactile, drawn.second, drawn.rig_seed, drawn.seed)
     if exact:
         charger = VirtualCharger(drawn.world, drawn.docking, drawn.seed, drawn.rig_seed, pads, drawn.geometry)
     else:

@@ -15,12 +15,13 @@ from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_lab.campaigns.disturbances import Nudge
 from deltacharger_lab.campaigns.keys import EstimatorErrors
 from deltacharger_lab.campaigns.pads import FIRST
-from deltacharger_lab.campaigns.parts import NOMINAL, build_parts, nested
+from deltacharger_lab.campaigns.parts import NOMINAL, build_parts, nested, second_family
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.campaigns.spread import Value
 from deltacharger_lab.campaigns.told import told_geometry, told_stiffness
 from deltacharger_sim.parameters import ServoParameters, TerminalParameters, WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.second.parameters import SecondParameters
 
 _CAMERA: Vector = (0.0, 0.12, -0.12)  # m, charger_base; the usual mount, see deltacharger_vision.mount
 _GOAL_STDDEV_LEAST = 1e-6  # rad
@@ -43,6 +44,7 @@ class Drawn:
         estimator: what is wrong with each estimate.
         geometry: the arm's dimensions as docking is told them; None = the true ones.
         pads: which contact physics they have.
+        second: the family of pads of the second physics; None = its defaults.
         high_row: N that a row of taxels reads too much after each tare.
         nudge: how the target is moved while it charges.
     """
@@ -58,6 +60,7 @@ class Drawn:
     estimator: EstimatorErrors
     geometry: DeltaGeometry | None = None
     pads: str = FIRST
+    second: SecondParameters | None = None
     high_row: float = 0.0
     nudge: Nudge = field(default_factory=Nudge)
 
@@ -99,6 +102,7 @@ def draw(scene: CampaignScene, seed: int, number: int, approach: str) -> Drawn:
         estimator=EstimatorErrors(**nested(values, "estimator")),
         geometry=told_geometry(values),
         pads=str(values.get("pads", FIRST)),
+        second=second_family(values),
         high_row=float(values.get("taxels.high_row", 0.0)),
         nudge=Nudge(**nested(values, "nudge")),
     )

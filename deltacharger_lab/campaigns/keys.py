@@ -14,6 +14,7 @@ from deltacharger_lab.campaigns.pads import FIRST, PACKAGED, PADS, POSE_MODELS
 from deltacharger_lab.campaigns.told import Told
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.parameters import PadContactParameters, TactileParameters
+from deltacharger_tactile.second.parameters import SecondParameters
 
 
 @dataclass(frozen=True)
@@ -131,13 +132,21 @@ TAKEN = {
 """Keys of the parts that a campaign sets itself, and what to write instead."""
 DERIVED = {"gravity.anywhere": ("gravity.tilt", "gravity.azimuth"), "shift.beyond_zero": ("shift.roll",)}
 """Keys that draw others, which then are not given."""
+_FACTS = ("second.dimensions.", "second.docking.")  # of the product, the same in both physics
 _WORDS = ("pads", "estimator.model")  # the keys that are text
 
 
 @functools.cache
 def known_keys() -> dict[str, Declaration]:
     """Return every key by its dotted name."""
-    parts = {"": _Campaign, "world": WorldParameters, "tactile": TactileParameters, "docking": DockingParameters}
+    parts = {
+        "": _Campaign,
+        "world": WorldParameters,
+        "tactile": TactileParameters,
+        "second": SecondParameters,
+        "docking": DockingParameters,
+    }
     keys = {key.name: key for section, part in parts.items() for key in declared(part, section)}
     numbers = {name for name, key in keys.items() if key.kind in (bool, int, float)}
-    return {name: key for name, key in keys.items() if name in numbers.union(_WORDS).difference(TAKEN)}
+    settable = numbers.union(_WORDS).difference(TAKEN)
+    return {name: key for name, key in keys.items() if name in settable and not name.startswith(_FACTS)}

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import functools
-import importlib
 from typing import Protocol
 
 from deltacharger_core.arrays import Array
@@ -12,6 +11,7 @@ from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_sim.world import Pose, TactileSource
 from deltacharger_tactile import PoseEstimator, default_model
 from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.second.parameters import SecondParameters
 from deltacharger_tactile.source import ContactSource
 
 FIRST, SECOND = "first", "second"
@@ -29,19 +29,22 @@ class PadSource(TactileSource, Protocol):
         """Return frames (count, 2, 10, 10) N raw that end at `time`, a `period` (s) apart, all at one pose."""
 
 
-def make_pads(pads: str, tactile: TactileParameters, rig_seed: int, seed: int) -> PadSource:
+def make_pads(
+    pads: str, tactile: TactileParameters, second: SecondParameters | None, rig_seed: int, seed: int
+) -> PadSource:
     """Return the pads of a docking.
 
     Args:
         pads: which contact physics: one of `PADS`.
-        tactile: family of rigs; the second physics has a family of its own.
+        tactile: family of rigs of the first physics.
+        second: family of rigs of the second one; None = its defaults.
         rig_seed: which device.
         seed: course of noise and jitter.
     """
     if pads == SECOND:
-        second = importlib.import_module("deltacharger_tactile.second.source")
-        source: PadSource = second.SecondSource(None, rig_seed, seed)
-        return source
+        from deltacharger_tactile.second.source import SecondSource
+
+        return SecondSource(second, rig_seed, seed)
     return ContactSource(tactile, rig_seed, seed)
 
 

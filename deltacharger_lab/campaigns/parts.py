@@ -14,6 +14,7 @@ from deltacharger_lab.campaigns.spread import Value
 from deltacharger_lab.campaigns.told import tilted_gravity, told_gravity, told_stiffness
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
+from deltacharger_tactile.second.parameters import SecondParameters
 
 NOMINAL: Vector = (0.0, 0.0, DOCK_DISTANCE)  # m, charger_base; where a target stands from which its offsets count
 AXES = ("x", "y", "z", "roll")
@@ -47,6 +48,16 @@ def build_parts(
     pads = nested(values, "tactile")
     pads.setdefault("contact", {}).update(nested(values, "electrode"))
     return world, from_mapping(pads, TactileParameters, "tactile"), docking
+
+
+def second_family(values: Mapping[str, Value]) -> SecondParameters | None:
+    """Return the family of rigs of the second physics; None = its defaults.
+
+    Raises:
+        ParameterError: the values contradict each other.
+    """
+    content = nested(values, "second")
+    return from_mapping(content, SecondParameters, "second") if content else None
 
 
 def nested(values: Mapping[str, Value], section: str) -> dict[str, Any]:

@@ -166,9 +166,9 @@ def test_a_nudge_before_the_outcome_belongs_to_the_docking() -> None:
 def test_second_pads_are_made_by_their_word_and_pairs_stay_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[str] = []
 
-    def make(kind: str, *given: Any) -> ContactSource:
+    def make(kind: str, tactile: Any, _: Any, *seeds: int) -> ContactSource:
         made.append(kind)
-        return ContactSource(*given)
+        return ContactSource(tactile, *seeds)
 
     monkeypatch.setattr(docking, "make_pads", make)
     scene = parse_campaign_scene({**QUICK, "pads": {"choose": ["first", "second"]}}, "x")
@@ -227,7 +227,7 @@ def test_pads_that_tell_little_of_small_forces_are_felt_anew(dead_band: bool, mo
             raw = super().frames(*given)
             return np.where(raw < 1.5, np.fmin(raw, 0.1), raw) if dead_band else raw
 
-    monkeypatch.setattr(docking, "make_pads", lambda _, *given: Banded(*given))
+    monkeypatch.setattr(docking, "make_pads", lambda _, tactile, __, *seeds: Banded(tactile, *seeds))
     drawn = draw(parse_campaign_scene({**QUICK, "pads": "second"}, "x"), 3, 0, "guarded")
     charger = make_charger(drawn, False)
     charger.begin(docking.DockGoal(drawn.goal))
@@ -243,11 +243,21 @@ def test_pads_that_tell_little_of_small_forces_are_felt_anew(dead_band: bool, mo
     assert all(told is felt_now for told, felt_now in felt)
 
 
-@pytest.mark.skip(reason="deltacharger_tactile.second is not part of the package yet")
 @pytest.mark.parametrize("exact", [False, True])
-@pytest.mark.parametrize("name", ["second", "random_second"])
+@pytest.mark.parametrize("name", ["second", "second_sensitive", "random_second"])
 def test_a_packaged_scene_docks_on_second_pads(name: str, exact: bool) -> None:
     row = dock_once(load_campaign_scene(name), 7, 0, "guarded", exact)
     assert row["error"] == ""
     assert row["pads"] == "second"
     assert (row["shorts"], row["energised_unsafe"]) == (0, 0.0)
+
+
+def test_keys_of_the_second_family_reach_its_pads_and_are_refused_without_them() -> None:
+    scene = parse_campaign_scene({**QUICK, "pads": "second", "second": {"sheet": {"dead_band": 0.5}}}, "x")
+    drawn = draw(scene, 3, 0, "guarded")
+    assert drawn.second is not None
+    assert drawn.second.sheet.dead_band == 0.5
+    with pytest.raises(ParameterError, match="second.sheet.dead_band"):
+        parse_campaign_scene({**QUICK, "second": {"sheet": {"dead_band": 0.5}}}, "x")
+    with pytest.raises(ParameterError, match="dead_band_spread"):
+        parse_campaign_scene({**QUICK, "pads": "second", "second": {"sheet": {"dead_band": 0.1}}}, "x")
