@@ -22,13 +22,13 @@ class TargetTouch:
         self._magnets, self._contact = parameters.magnets, parameters.contact
         self.tilt = PlatformTilt(parameters) if tilts(parameters) else None
         self._pull = 0.0
-        self._aside = (0.0, 0.0)
 
     def lie(self, x: float, y: float) -> None:
         """Put the target's centre to (x, y) in end_effector, m."""
         distance = hypot(x, y) / self._magnets.width
         self._pull = self._magnets.force * max(self._magnets.floor, 1.0 / (1.0 + distance * distance))
-        self._aside = (x, y)
+        if self.tilt is not None:
+            self.tilt.lie(x, y)
 
     def forces(
         self, gap: float, dx: float, dy: float, rub: tuple[float, float], before: float
@@ -55,7 +55,7 @@ class TargetTouch:
         else:
             magnet, along = self._pull, 0.0
         if self.tilt is not None:
-            normal, stiffer = self.tilt.press(-gap, *self._aside)
+            normal, stiffer = self.tilt.press(-gap)
         elif gap >= 0.0:
             return magnet, 0.0, 0.0, 0.0, 0.0, along
         else:
