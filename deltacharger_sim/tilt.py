@@ -18,7 +18,7 @@ from deltacharger_sim.parameters import WorldParameters
 
 PAD = 0.048  # m from the middle to each pad, along x
 _ITERATIONS = 60
-_ENOUGH = 1e-8  # of the largest compression, by which a last Newton step may change one
+_ENOUGH = 1e-6  # of the largest compression, by which a last Newton step may change one
 _SHORTEST = 1e-6  # m of half an overlap; bars that lie further apart press as on one spot
 _OVERSHOT = -0.5  # of the slope along a Newton step; one that ends beyond is cut back
 
@@ -75,7 +75,7 @@ class PlatformTilt:
         """Return normal force (N) and stiffness (N/m) at a compression (m) of the target's centre by the platform."""
         depth += self._lift
         if depth + self._reach <= 0.0:
-            self.angles, self.left_share = (0.0, 0.0), 0.5
+            self.angles, self.left_share, self._tangent = (0.0, 0.0), 0.5, (0.0, 0.0, 0.0)
             return 0.0, 0.0
         a0, a1, b0, b1, n0, n1, m0, m1 = self._linear or self._lie_flat()
         alpha, beta = a0 + a1 * depth, b0 + b1 * depth
@@ -84,7 +84,7 @@ class PlatformTilt:
         spread = abs(a) * self._up + abs(b) * self._half
         if spread <= middle <= self._travel - spread:
             force = n0 + n1 * depth
-            self.angles, self.left_share = (alpha, beta), left_share(force, m0 + m1 * depth)
+            self.angles, self.left_share, self._tangent = (alpha, beta), left_share(force, m0 + m1 * depth), (depth, a1, b1)
             return force, n1
         return self._settle(depth)
 
