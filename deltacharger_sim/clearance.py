@@ -52,6 +52,8 @@ def _common(terminal: TerminalParameters, x: float, y: float, cosine: float, sin
 
     The second is cut at the first's four sides (Sutherland–Hodgman).
     """
+    if sine == 0.0 and cosine > 0.0:
+        return max(terminal.length - abs(x), 0.0) * max(terminal.height - abs(y), 0.0)
     half_x, half_y = 0.5 * terminal.length, 0.5 * terminal.height
     along_x, along_y, across_x, across_y = half_x * cosine, half_x * sine, -half_y * sine, half_y * cosine
     polygon = [

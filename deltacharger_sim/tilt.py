@@ -44,7 +44,8 @@ class PlatformTilt:
 
     Attributes:
         angles: of the platform about x and y, rad, of the last `press`.
-        left_share: of the contact force on the left pad (at +x), 0 to 1, by the lever rule.
+        swing: how far the face swung aside along x and y by its tilt in the last step, m. The electrodes feel it in the
+            next one: friction within a step then hangs on no tilt, and each costs no iteration more.
     """
 
     def __init__(self, parameters: WorldParameters) -> None:
@@ -55,7 +56,10 @@ class PlatformTilt:
         self._travel = contact.hard_stop
         self._length, self._up = terminal.length, 0.5 * (terminal.gap + terminal.height)
         self.angles = (0.0, 0.0)
-        self.left_share = 0.5
+        self._load = (0.0, 0.0)  # Σ N (N) and Σ u N (N·m) of the last `press`
+        self.swing = (0.0, 0.0)
+        self._lever = parameters.platform.lever
+        self._kept = (0.0, 0.0)  # angles at the last step's end
         self._tangent = (0.0, 0.0, 0.0)  # compression (m) of the last iteration's end, dα/dD and dβ/dD (rad/m)
         self.lie(0.0, 0.0)
 
@@ -75,7 +79,7 @@ class PlatformTilt:
         """Return normal force (N) and stiffness (N/m) at a compression (m) of the target's centre by the platform."""
         depth += self._lift
         if depth + self._reach <= 0.0:
-            self.angles, self.left_share, self._tangent = (0.0, 0.0), 0.5, (0.0, 0.0, 0.0)
+            self.angles, self._load, self._tangent = (0.0, 0.0), (0.0, 0.0), (0.0, 0.0, 0.0)
             return 0.0, 0.0
         a0, a1, b0, b1, n0, n1, m0, m1 = self._linear or self._lie_flat()
         alpha, beta = a0 + a1 * depth, b0 + b1 * depth
@@ -84,9 +88,21 @@ class PlatformTilt:
         spread = abs(a) * self._up + abs(b) * self._half
         if spread <= middle <= self._travel - spread:
             force = n0 + n1 * depth
-            self.angles, self.left_share, self._tangent = (alpha, beta), left_share(force, m0 + m1 * depth), (depth, a1, b1)
+            self.angles, self._load, self._tangent = (alpha, beta), (force, m0 + m1 * depth), (depth, a1, b1)
             return force, n1
         return self._settle(depth)
+
+    @property
+    def left_share(self) -> float:
+        """Share of the contact force on the left pad (at +x) after the last `press`, 0 to 1, by the lever rule."""
+        return left_share(*self._load)
+
+    def keep(self) -> tuple[tuple[float, float], float]:
+        """Take the last `press` as a step's end; return its tilt (rad) and left share."""
+        (alpha, beta), (before_a, before_b), lever = self.angles, self._kept, self._lever
+        self.swing = (lever * (beta - before_b), lever * (before_a - alpha)) if alpha or beta else (0.0, 0.0)
+        self._kept = self.angles
+        return self.angles, self.left_share
 
     def _lie_flat(self) -> tuple[float, ...]:
         """Return what α, β, Σ N and Σ u N are while all of both bars presses: (constant, slope over D) of each."""
@@ -111,7 +127,7 @@ class PlatformTilt:
         c, half, up = self._compliance, self._half, self._up
         if c == 0.0:
             stiff, _, _, _, _, _, force, moment_u, _, _ = self._sums(depth, 0.0, 0.0)
-            self.left_share = left_share(force, moment_u)
+            self._load = force, moment_u
             return force, stiff
         (last, turn_a, turn_b), (alpha, beta) = self._tangent, self.angles
         # From where the last solution's tangent leads.
@@ -137,7 +153,7 @@ class PlatformTilt:
         # What the tilt gives way as the centre goes deeper: dα = −c Σ k v …, the same system with another right side.
         wa, wb = -c * kv, c * ku
         da, db = (bb * wa - ab * wb) / determinant, (aa * wb - ab * wa) / determinant
-        self.angles, self.left_share, self._tangent = (alpha, beta), left_share(force, moment_u), (depth, da, db)
+        self.angles, self._load, self._tangent = (alpha, beta), (force, moment_u), (depth, da, db)
         return force, max(stiff + kv * da - ku * db, 0.0)
 
     def _cut_back(

@@ -63,6 +63,9 @@ class TargetTouch:
                 stiffer -= softer
         if normal <= 0.0:
             return magnet, 0.0, 0.0, 0.0, 0.0, stiffer
+        if self.tilt is not None:
+            swung_x, swung_y = self.tilt.swing
+            dx, dy = dx + swung_x, dy + swung_y
         contact = self._contact
         side = min(2.0 * contact.stiffness, LATERAL_MOST)
         rx, ry = rub[0] - side * dx, rub[1] - side * dy
