@@ -58,6 +58,7 @@ class PlatformTilt:
         self.angles = (0.0, 0.0)
         self._load = (0.0, 0.0)  # Σ N (N) and Σ u N (N·m) of the last `press`
         self.swing = (0.0, 0.0)
+        self._lifts = False  # whether the last `press` found an end lifted or a stop reached
         self._lever = parameters.platform.lever
         self._kept = (0.0, 0.0)  # angles at the last step's end
         self._tangent = (0.0, 0.0, 0.0)  # compression (m) of the last iteration's end, dα/dD and dβ/dD (rad/m)
@@ -81,16 +82,22 @@ class PlatformTilt:
         if depth + self._reach <= 0.0:
             self.angles, self._load, self._tangent = (0.0, 0.0), (0.0, 0.0), (0.0, 0.0, 0.0)
             return 0.0, 0.0
+        if self._lifts:
+            return self._settle(depth)
         a0, a1, b0, b1, n0, n1, m0, m1 = self._linear or self._lie_flat()
         alpha, beta = a0 + a1 * depth, b0 + b1 * depth
+        if self._is_lifting(depth, alpha, beta):
+            return self._settle(depth)
+        force = n0 + n1 * depth
+        self.angles, self._load, self._tangent = (alpha, beta), (force, m0 + m1 * depth), (depth, a1, b1)
+        return force, n1
+
+    def _is_lifting(self, depth: float, alpha: float, beta: float) -> bool:
+        """Return whether not all of both bars presses, or any of it on its stop."""
         a, b = alpha - self._target[0], beta - self._target[1]
         middle = depth + a * self._middle[1] - b * self._middle[0]
         spread = abs(a) * self._up + abs(b) * self._half
-        if spread <= middle <= self._travel - spread:
-            force = n0 + n1 * depth
-            self.angles, self._load, self._tangent = (alpha, beta), (force, m0 + m1 * depth), (depth, a1, b1)
-            return force, n1
-        return self._settle(depth)
+        return not spread <= middle <= self._travel - spread
 
     @property
     def left_share(self) -> float:
@@ -127,7 +134,7 @@ class PlatformTilt:
         c, half, up = self._compliance, self._half, self._up
         if c == 0.0:
             stiff, _, _, _, _, _, force, moment_u, _, _ = self._sums(depth, 0.0, 0.0)
-            self._load = force, moment_u
+            self._load, self._lifts = (force, moment_u), self._is_lifting(depth, 0.0, 0.0)
             return force, stiff
         (last, turn_a, turn_b), (alpha, beta) = self._tangent, self.angles
         # From where the last solution's tangent leads.
@@ -154,6 +161,7 @@ class PlatformTilt:
         wa, wb = -c * kv, c * ku
         da, db = (bb * wa - ab * wb) / determinant, (aa * wb - ab * wa) / determinant
         self.angles, self._load, self._tangent = (alpha, beta), (force, moment_u), (depth, da, db)
+        self._lifts = self._is_lifting(depth, alpha, beta)
         return force, max(stiff + kv * da - ku * db, 0.0)
 
     def _cut_back(
