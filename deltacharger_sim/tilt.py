@@ -169,7 +169,7 @@ class PlatformTilt:
     ) -> tuple[float, float]:
         """Return the tilt (rad) on a step that ended at `there` where the energy hardly falls or rises any more.
 
-        Its slope along the step is `slope` at the start and `ends` < 0 at the end; the Illinois rule halves what is left.
+        Its slope along the step is `slope` at the start and `ends` < 0 at the end. By the Illinois rule.
         """
         (alpha, beta), (da, db), c = there, step, self._compliance
         low, high, at_low, at_high, back = 0.0, 1.0, ends, slope, 0.0  # shares of the step, from its end
@@ -205,11 +205,10 @@ class PlatformTilt:
         stiff, first, force, higher, lower = p0 + q0, p1 + q1, pn + qn, my + up, my - up
         p0v, q0v = p0 * higher, q0 * lower
         kv = p0v + q0v
-        return (
-            *(stiff, mx * stiff + first, kv),
-            *(mx * (mx * stiff + 2.0 * first) + p2 + q2, mx * kv + p1 * higher + q1 * lower, p0v * higher + q0v * lower),
-            *(force, mx * force + pm + qm, pn * higher + qn * lower, most),
-        )
+        kuu, kuv = mx * (mx * stiff + 2.0 * first) + p2 + q2, mx * kv + p1 * higher + q1 * lower
+        kvv = p0v * higher + q0v * lower
+        moment_u, moment_v = mx * force + pm + qm, pn * higher + qn * lower
+        return stiff, mx * stiff + first, kv, kuu, kuv, kvv, force, moment_u, moment_v, most
 
     def _line(self, pressed: float, b: float, k: float) -> tuple[float, float, float, float, float]:
         """Return Σ k, Σ k w, Σ k w², Σ N and Σ w N of a bar compressed by pressed − b w, |w| up to half its overlap."""
