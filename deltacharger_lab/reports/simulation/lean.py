@@ -23,7 +23,7 @@ COMPLIANCES = (0.0, 0.01, 0.02, 0.03)  # rad/(N·m)
 CONTACTS = (1e5, 1e6)  # N/m
 TOLD_YAWS = (1.0, 2.0, 5.0)  # °
 MODEST = 3.5  # ° of lean, up to which the position is judged
-_REFERENCE_STEP = {False: 1e-4, True: 2e-4}  # s; by whether it is a first look
+_REFERENCE_STEP = {False: 2e-4, True: 5e-4}  # s; by whether it is a first look
 _FINEST = 1e-3  # s of the steps that every point of the rough treatment takes; the shorter one only some
 _ROUGH_TILTS = ((0.1, -0.1), (-0.03, 0.1))  # rad
 
@@ -102,6 +102,7 @@ def errors(case: Case, name: str, finest: float) -> list[dict[str, Any]]:
                 "case": _key(case),
                 "name": case.name,
                 "step": step,
+                "finest": finest,
                 "rms_mm": 1000.0 * rms(path["trace"], exact["trace"]),
                 "force_percent": 100.0 * (found["force"] / rest["force"] - 1.0),
                 "tilt_deg": math.degrees(off),
@@ -115,7 +116,7 @@ def errors(case: Case, name: str, finest: float) -> list[dict[str, Any]]:
 
 def remains(contact: float, compliance: float, quick: bool) -> dict[str, Any]:
     """Return what yaw remains at rest for each yaw of the target (°), and the pitch that lifts a whole bar (°)."""
-    angles = TOLD_YAWS if quick else tuple(0.25 * index for index in range(23))
+    angles = TOLD_YAWS if quick else tuple(0.25 * index for index in range(23)) + (5.7,)
     yaws = []
     for yaw in dict.fromkeys((*angles, *TOLD_YAWS)):
         found = _at_rest(Case(yaw, 0.0, compliance, contact))
@@ -149,7 +150,7 @@ def rough(contact: float, compliance: float, steps: tuple[float, ...]) -> list[d
     """Dock against strong leans and treat the arm roughly; return whether all stayed finite and came to rest."""
     rows = []
     for step, (tilt_x, tilt_y) in itertools.product(steps, _ROUGH_TILTS):
-        lean = {
+        lean: dict[str, Any] = {
             "platform": PlatformParameters(compliance=compliance),
             "target": TargetParameters(tilt_x=tilt_x, tilt_y=tilt_y),
         }
