@@ -18,14 +18,14 @@ from deltacharger_sim.parameters import WorldParameters
 
 PAD = 0.048  # m from the middle to each pad, along x
 _ITERATIONS = 60
-_ENOUGH = 1e-6  # of the largest compression, by which a last Newton step may change one
+_ENOUGH = 1e-4  # of the largest compression that a last Newton step may change; its error is the square of that
 _SHORTEST = 1e-6  # m of half an overlap; bars that lie further apart press as on one spot
 _OVERSHOT = -0.5  # of the slope along a Newton step; one that ends beyond is cut back
 
 _NOTHING = (0.0, 0.0, 0.0, 0.0, 0.0)
 # Over what presses: Σ k, Σ k u, Σ k v, Σ k u², Σ k u v, Σ k v² of its stiffness, Σ N, Σ u N, Σ v N of its force,
-# and the largest compression (m).
-_Sums = tuple[float, float, float, float, float, float, float, float, float, float]
+# and the largest and the least compression (m).
+_Sums = tuple[float, float, float, float, float, float, float, float, float, float, float]
 
 
 def tilts(parameters: WorldParameters) -> bool:
@@ -133,15 +133,15 @@ class PlatformTilt:
         """Return force and stiffness where an end lifts or a stop is reached, by iteration from the last angles."""
         c, half, up = self._compliance, self._half, self._up
         if c == 0.0:
-            stiff, _, _, _, _, _, force, moment_u, _, _ = self._sums(depth, 0.0, 0.0)
-            self._load, self._lifts = (force, moment_u), self._is_lifting(depth, 0.0, 0.0)
+            stiff, _, _, _, _, _, force, moment_u, _, most, least = self._sums(depth, 0.0, 0.0)
+            self._load, self._lifts = (force, moment_u), least < 0.0 or most > self._travel
             return force, stiff
         (last, turn_a, turn_b), (alpha, beta) = self._tangent, self.angles
         # From where the last solution's tangent leads.
         alpha, beta = alpha + (depth - last) * turn_a, beta + (depth - last) * turn_b
         da = db = slope = 0.0
         for _ in range(_ITERATIONS):
-            stiff, ku, kv, kuu, kuv, kvv, force, moment_u, moment_v, most = self._sums(depth, alpha, beta)
+            stiff, ku, kv, kuu, kuv, kvv, force, moment_u, moment_v, most, least = self._sums(depth, alpha, beta)
             # α + c Σ v N = 0 and β − c Σ u N = 0, with their derivatives by α and β.
             ra, rb = alpha + c * moment_v, beta - c * moment_u
             ends = ra * da + rb * db
@@ -161,7 +161,7 @@ class PlatformTilt:
         wa, wb = -c * kv, c * ku
         da, db = (bb * wa - ab * wb) / determinant, (aa * wb - ab * wa) / determinant
         self.angles, self._load, self._tangent = (alpha, beta), (force, moment_u), (depth, da, db)
-        self._lifts = self._is_lifting(depth, alpha, beta)
+        self._lifts = least < 0.0 or most > self._travel
         return force, max(stiff + kv * da - ku * db, 0.0)
 
     def _cut_back(
@@ -208,7 +208,7 @@ class PlatformTilt:
         kuu, kuv = mx * (mx * stiff + 2.0 * first) + p2 + q2, mx * kv + p1 * higher + q1 * lower
         kvv = p0v * higher + q0v * lower
         moment_u, moment_v = mx * force + pm + qm, pn * higher + qn * lower
-        return stiff, mx * stiff + first, kv, kuu, kuv, kvv, force, moment_u, moment_v, most
+        return stiff, mx * stiff + first, kv, kuu, kuv, kvv, force, moment_u, moment_v, most, 2.0 * middle - most
 
     def _line(self, pressed: float, b: float, k: float) -> tuple[float, float, float, float, float]:
         """Return Σ k, Σ k w, Σ k w², Σ N and Σ w N of a bar compressed by pressed − b w, |w| up to half its overlap."""
