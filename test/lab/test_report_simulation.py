@@ -10,9 +10,8 @@ from typing import Any
 import pytest
 
 from deltacharger_lab.reports.simulation import extremes as simulation_extremes
-from deltacharger_lab.reports.simulation import lean
+from deltacharger_lab.reports.simulation import lean, stability
 from deltacharger_lab.reports.simulation import plan as simulation_plan
-from deltacharger_lab.reports.simulation import stability
 from deltacharger_lab.reports.simulation.parts import PADS, PARTS
 from deltacharger_lab.reports.simulation.scenes import LIGHT, docking, rms, world
 from deltacharger_sim import stability_map
@@ -83,7 +82,7 @@ def test_leaning_contacts_are_told_and_rest_where_the_reference_does(quick_repor
     for row in figures["lean_remains"]:
         force, up = 79.1, 0.0087
         lifts = math.degrees(force / (2.0 * row["contact"] * up) + row["compliance"] * force * up)
-        assert row["bar_lifts"] == pytest.approx(lifts, rel=0.02)
+        assert row["bar_lifts"] == pytest.approx(lifts, rel=0.03)
 
 
 def test_energy_only_falls_and_its_account_is_whole(quick_report: Quick) -> None:

@@ -29,7 +29,7 @@ _ROUGH_TILTS = ((0.1, -0.1), (-0.03, 0.1))  # rad
 
 
 @dataclass(frozen=True)
-class Case:
+class LeanCase:
     """A target that leans by `yaw` about y and `pitch` about x (°), `aside` (m), and what yields."""
 
     yaw: float
@@ -54,22 +54,22 @@ class Case:
 
 
 CASES = (
-    Case(1.0, 0.0, 0.01, 1e5),
-    Case(3.0, 0.0, 0.0, 1e5),
-    Case(3.0, 0.0, 0.01, 1e6),
-    Case(3.0, 0.0, 0.03, 1e5),
-    Case(5.7, 0.0, 0.01, 1e5),
-    Case(5.7, 0.0, 0.03, 1e5),
-    Case(5.7, 0.0, 0.03, 1e6),
-    Case(0.0, 1.0, 0.03, 1e6),
-    Case(0.0, 3.0, 0.0, 1e6),
-    Case(0.0, 3.0, 0.01, 1e5),
-    Case(0.0, 5.7, 0.03, 1e5),
-    Case(3.0, -2.0, 0.03, 1e5, (0.003, -0.002)),
+    LeanCase(1.0, 0.0, 0.01, 1e5),
+    LeanCase(3.0, 0.0, 0.0, 1e5),
+    LeanCase(3.0, 0.0, 0.01, 1e6),
+    LeanCase(3.0, 0.0, 0.03, 1e5),
+    LeanCase(5.7, 0.0, 0.01, 1e5),
+    LeanCase(5.7, 0.0, 0.03, 1e5),
+    LeanCase(5.7, 0.0, 0.03, 1e6),
+    LeanCase(0.0, 1.0, 0.03, 1e6),
+    LeanCase(0.0, 3.0, 0.0, 1e6),
+    LeanCase(0.0, 3.0, 0.01, 1e5),
+    LeanCase(0.0, 5.7, 0.03, 1e5),
+    LeanCase(3.0, -2.0, 0.03, 1e5, (0.003, -0.002)),
 )
 
 
-def cases(plan: SimulationPlan) -> tuple[Case, ...]:
+def cases(plan: SimulationPlan) -> tuple[LeanCase, ...]:
     """Return those that are measured."""
     return CASES[::4] if plan.quick else CASES
 
@@ -86,7 +86,7 @@ def times(plan: SimulationPlan) -> list[dict[str, Any]]:
     return [{"case": key, "step": step, "moving": moving} for (key, step), moving in fastest.items()]
 
 
-def errors(case: Case, name: str, finest: float) -> list[dict[str, Any]]:
+def errors(case: LeanCase, name: str, finest: float) -> list[dict[str, Any]]:
     """Return the light model's errors at every step against a model in steps of `finest` s.
 
     Path with friction and weight; force, tilt and share at rest without, where they are one number.
@@ -117,15 +117,15 @@ def errors(case: Case, name: str, finest: float) -> list[dict[str, Any]]:
 
 def remains(contact: float, compliance: float, quick: bool) -> dict[str, Any]:
     """Return what yaw remains at rest for each yaw of the target (°), and the pitch that lifts a whole bar (°)."""
-    angles = TOLD_YAWS if quick else tuple(0.25 * index for index in range(23)) + (5.7,)
+    angles = TOLD_YAWS if quick else (*tuple(0.25 * index for index in range(23)), 5.7)
     yaws = []
     for yaw in dict.fromkeys((*angles, *TOLD_YAWS)):
-        found = _at_rest(Case(yaw, 0.0, compliance, contact))
+        found = _at_rest(LeanCase(yaw, 0.0, compliance, contact))
         yaws.append({"yaw": yaw, "rest": yaw - math.degrees(found["tilt"][1]), "share": found["share"]})
     low, high = 0.0, math.degrees(0.1)
     for _ in range(12):
         pitch = 0.5 * (low + high)
-        found = _at_rest(Case(0.0, pitch, compliance, contact))
+        found = _at_rest(LeanCase(0.0, pitch, compliance, contact))
         terminal = WorldParameters().terminal
         drop = 0.5 * (terminal.gap + terminal.height) * (math.radians(pitch) - found["tilt"][0])
         # While both bars press, the compression on the axis is the force over both stiffnesses.
@@ -140,7 +140,7 @@ def remains(contact: float, compliance: float, quick: bool) -> dict[str, Any]:
 
 def order(plan: SimulationPlan) -> dict[str, Any]:
     """Return how the path's error against a tenth of the first step falls with the step, without friction."""
-    parameters = Case(3.0, 0.0, 0.02, 1e5).parameters(friction=0.0, gravity_y=0.0)
+    parameters = LeanCase(3.0, 0.0, 0.02, 1e5).parameters(friction=0.0, gravity_y=0.0)
     exact = docking(LIGHT, parameters, plan.order_steps[0] / 10.0)["trace"]
     sizes = [1000.0 * rms(docking(LIGHT, parameters, step)["trace"], exact) for step in plan.order_steps]
     ends = [math.log(values[-1] / values[0]) for values in (sizes, plan.order_steps)]
@@ -191,9 +191,9 @@ def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def _at_rest(case: Case) -> dict[str, Any]:
+def _at_rest(case: LeanCase) -> dict[str, Any]:
     return docking(LIGHT, case.parameters(friction=0.0, gravity_y=0.0), TARGET_STEP)
 
 
-def _key(case: Case) -> str:
+def _key(case: LeanCase) -> str:
     return f"{case.name}; {case.compliance:g}; {case.contact:g}"
