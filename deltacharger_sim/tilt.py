@@ -169,7 +169,8 @@ class PlatformTilt:
     ) -> tuple[float, float]:
         """Return the tilt (rad) on a step that ended at `there` where the energy hardly falls or rises any more.
 
-        Its slope along the step is `slope` at the start and `ends` < 0 at the end. By the Illinois rule.
+        Its slope along the step is `slope` at the start and `ends` < 0 at the end. By a secant in a bracket whose
+        far end counts half, after the Illinois rule.
         """
         (alpha, beta), (da, db), c = there, step, self._compliance
         low, high, at_low, at_high, back = 0.0, 1.0, ends, slope, 0.0  # shares of the step, from its end
