@@ -16,7 +16,7 @@ _COLOURS = dict(zip(COMPLIANCES, (FAINT, BLUE, GREEN, PURPLE), strict=True))
 
 def remaining_yaw(results: dict[str, Any], path: Path) -> None:
     """Draw the yaw and the left pad's share at rest over the target's yaw, with the reference's cases."""
-    about = "docked, without friction; lines: light model at 10 ms, by compliance in rad/(N·m)"
+    about = "docked, without friction of the gears; lines: light model at 10 ms, by compliance in rad/(N·m)"
     marks = "light model, 0.1 ms" if results["absent"] else "MuJoCo"
     with picture(path, 10.0, 6.6, "What is left of a target's yaw", about) as figure:
         for column, contact in enumerate(CONTACTS):
