@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 from deltacharger_sim.parameters import TerminalParameters
 
-Point = tuple[float, float]
-Polygon = list[Point]
+Polygon = list[tuple[float, float]]
 
 
 @dataclass(frozen=True)
@@ -32,60 +31,63 @@ class Overlap:
 def overlap(terminal: TerminalParameters, x: float, y: float, angle: float) -> Overlap:
     """Return how the bars lie for a target at (x, y) m, turned by `angle` rad, in end_effector."""
     cosine, sine = math.cos(angle), math.sin(angle)
-    ours = [_bar(terminal, side) for side in (1.0, -1.0)]
-    theirs = [
-        [(x + cosine * u - sine * v, y + sine * u + cosine * v) for u, v in _bar(terminal, side)]
-        for side in (1.0, -1.0)
-    ]
     # From one bar's centre to the wrong one's; the target's bars lie along its own turned y.
     pitch = 0.5 * (terminal.gap + terminal.height)
     across_x, across_y = sine * pitch, -pitch - cosine * pitch
     down = _separation(terminal, x + across_x, y + across_y, cosine, sine)
     up = _separation(terminal, x - across_x, y - across_y, cosine, sine)
-    areas = [_area(_clip(ours[0], theirs[0])), _area(_clip(ours[1], theirs[1]))]
-    crossed = [
-        down < 0.0 and _area(_clip(ours[0], theirs[1])) > 0.0,
-        up < 0.0 and _area(_clip(ours[1], theirs[0])) > 0.0,
-    ]
-    short = (crossed[0] or crossed[1]) and (areas[0] > 0.0 or areas[1] > 0.0)
-    matched = areas[0] + areas[1]
+    # The same from one bar's centre to that of its mate: upper from upper, lower from lower.
+    aside_x, aside_y = -sine * pitch, cosine * pitch - pitch
+    matched = _common(terminal, x + aside_x, y + aside_y, cosine, sine)
+    matched += _common(terminal, x - aside_x, y - aside_y, cosine, sine)
+    short = matched > 0.0 and (
+        (down < 0.0 and _common(terminal, x + across_x, y + across_y, cosine, sine) > 0.0)
+        or (up < 0.0 and _common(terminal, x - across_x, y - across_y, cosine, sine) > 0.0)
+    )
     return Overlap(matched, matched / (2.0 * terminal.length * terminal.height), min(down, up), short)
 
 
-def _bar(terminal: TerminalParameters, side: float) -> Polygon:
-    """Return the corners of the upper (side +1) or lower (−1) bar, counter-clockwise."""
-    half = 0.5 * terminal.length
-    centre = side * 0.5 * (terminal.gap + terminal.height)
-    low, high = centre - 0.5 * terminal.height, centre + 0.5 * terminal.height
-    return [(-half, low), (half, low), (half, high), (-half, high)]
+def _common(terminal: TerminalParameters, x: float, y: float, cosine: float, sine: float) -> float:
+    """Return the common area (m²) of two bars, the second's centre at (x, y) m from the first's, turned.
 
-
-def _clip(subject: Polygon, window: Polygon) -> Polygon:
-    """Return the part of `subject` inside the convex, counter-clockwise `window` (Sutherland–Hodgman)."""
-    result = subject
-    for (ax, ay), (bx, by) in zip(window, window[1:] + window[:1], strict=True):
-        edge_x, edge_y = bx - ax, by - ay
-        corners, result = result, []
-        sides = [edge_x * (py - ay) - edge_y * (px - ax) for px, py in corners]
-        for index, (point, side) in enumerate(zip(corners, sides, strict=True)):
-            previous, before = corners[index - 1], sides[index - 1]
-            if (side >= 0.0) != (before >= 0.0):
-                share = before / (before - side)
-                result.append(
-                    (previous[0] + share * (point[0] - previous[0]), previous[1] + share * (point[1] - previous[1]))
-                )
-            if side >= 0.0:
-                result.append(point)
-        if not result:
-            break
-    return result
-
-
-def _area(polygon: Polygon) -> float:
-    total = 0.0
-    for (ax, ay), (bx, by) in zip(polygon, polygon[1:] + polygon[:1], strict=True):
-        total += ax * by - bx * ay
+    The second is cut at the first's four sides (Sutherland–Hodgman).
+    """
+    if sine == 0.0 and cosine > 0.0:
+        return max(terminal.length - abs(x), 0.0) * max(terminal.height - abs(y), 0.0)
+    half_x, half_y = 0.5 * terminal.length, 0.5 * terminal.height
+    along_x, along_y, across_x, across_y = half_x * cosine, half_x * sine, -half_y * sine, half_y * cosine
+    polygon = [
+        (x - along_x - across_x, y - along_y - across_y),
+        (x + along_x - across_x, y + along_y - across_y),
+        (x + along_x + across_x, y + along_y + across_y),
+        (x - along_x + across_x, y - along_y + across_y),
+    ]
+    for axis, sign, most in ((0, 1.0, half_x), (0, -1.0, half_x), (1, 1.0, half_y), (1, -1.0, half_y)):
+        inside = [most - sign * point[axis] for point in polygon]
+        if min(inside) >= 0.0:
+            continue
+        if max(inside) <= 0.0:
+            return 0.0
+        polygon = _cut(polygon, inside)
+    (before_x, before_y), total = polygon[-1], 0.0
+    for corner_x, corner_y in polygon:
+        total += before_x * corner_y - before_y * corner_x
+        before_x, before_y = corner_x, corner_y
     return max(0.5 * total, 0.0)
+
+
+def _cut(polygon: Polygon, inside: list[float]) -> Polygon:
+    """Return the part of a convex polygon whose distances inside of a line (m) are not negative."""
+    kept = []
+    (before_x, before_y), before = polygon[-1], inside[-1]
+    for (corner_x, corner_y), here in zip(polygon, inside, strict=True):
+        if (here >= 0.0) != (before >= 0.0):
+            share = before / (before - here)
+            kept.append((before_x + share * (corner_x - before_x), before_y + share * (corner_y - before_y)))
+        if here >= 0.0:
+            kept.append((corner_x, corner_y))
+        before_x, before_y, before = corner_x, corner_y, here
+    return kept
 
 
 def _separation(terminal: TerminalParameters, x: float, y: float, cosine: float, sine: float) -> float:

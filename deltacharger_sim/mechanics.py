@@ -293,7 +293,7 @@ class Mechanics(Motion):
             self._take_up_play()
         tilt = self._touch.tilt
         if tilt is not None:
-            self.tilt, self.pad_share = tilt.angles, tilt.left_share
+            self.tilt, self.pad_share = tilt.keep()
 
     def _take_up_play(self) -> None:
         """Let each powered encoder run ahead of its arm toward its goal, as far as the play allows."""

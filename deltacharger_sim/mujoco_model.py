@@ -6,9 +6,7 @@ parallelograms force it to; the rods' ends are tied to it by equality constraint
 solver and no formula of the light model is used. The touched faces are a sphere and a plane, the stop behind the
 electrodes' springs a second sphere further back.
 
-A contact that MuJoCo regularises with R = (1 − d)/d · A (A its estimate of the bodies' inverse weight) and pulls back
-with solref = (−s, −b) is a spring of s/((1 − d) A) at rest, whatever else acts; s is chosen so that this is the
-electrodes' stiffness, and b = 2√s. MuJoCo documentation, "Solver parameters".
+Stiffnesses are set as mujoco_springs.py says. Where target or platform lean, the face is that of mujoco_lean.py.
 """
 
 from __future__ import annotations
@@ -18,9 +16,11 @@ from typing import Any
 
 from deltacharger_core.parameters import ParameterError
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
+from deltacharger_sim import mujoco_lean
+from deltacharger_sim.mujoco_springs import IMPEDANCE, spring
 from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.tilt import tilts
 
-IMPEDANCE = 0.9  # d of contacts and joint stops: how much of the solver's motion a constraint decides
 TIGHT = 0.9999  # d of what must not give: closed loops and dry friction
 STICTION = 1e4  # how much stiffer friction is than the contact's normal; with 1 a pressed contact creeps by cm/s
 END_STOP = 2000.0  # N·m/rad behind a joint limit, as in the light model
@@ -59,9 +59,6 @@ def refuse(parameters: WorldParameters) -> None:
     without = (
         ("servo.backlash", parameters.servo.backlash, "play"),
         ("servo.stall_sag", parameters.servo.stall_sag, "loss of stall torque"),
-        ("platform.compliance", parameters.platform.compliance, "tilt of the platform"),
-        ("target.tilt_x", parameters.target.tilt_x, "tilt of the target"),
-        ("target.tilt_y", parameters.target.tilt_y, "tilt of the target"),
     )
     for key, value, what in without:
         if value != 0.0:
@@ -83,21 +80,18 @@ def build(parameters: WorldParameters, geometry: DeltaGeometry, step: float, int
     if integrator not in integrators():
         raise ValueError(f"integrator {integrator!r}: the installed MuJoCo has {', '.join(integrators())}")
     model = mujoco.MjModel.from_xml_string(_xml(parameters, geometry, step, integrator))
-    contact = parameters.contact
-    inverse = float(model.body_invweight0[model.body("platform").id, 0])
-    for index, stiffness in enumerate((2.0 * contact.stiffness, contact.hard_stop_stiffness)[: model.npair]):
-        model.pair_solref[index] = spring(stiffness, inverse)
+    if tilts(parameters):
+        mujoco_lean.set_springs(model, parameters)
+    else:
+        contact = parameters.contact
+        inverse = float(model.body_invweight0[model.body("platform").id, 0])
+        for index, stiffness in enumerate((2.0 * contact.stiffness, contact.hard_stop_stiffness)[: model.npair]):
+            model.pair_solref[index] = spring(stiffness, inverse)
     for index in range(LIMB_COUNT):
         joint = model.joint(f"arm{index}").id
         inverse = float(model.dof_invweight0[model.jnt_dofadr[joint]])
         model.jnt_solref[joint] = spring(END_STOP, inverse)
     return model
-
-
-def spring(stiffness: float, inverse: float, impedance: float = IMPEDANCE) -> tuple[float, float]:
-    """Return the solref of a constraint that is a spring of `stiffness` at rest, given its inverse weight."""
-    s = stiffness * (1.0 - impedance) * inverse
-    return -s, -2.0 * math.sqrt(s)
 
 
 def rod_angles(geometry: DeltaGeometry, index: int, position: Vector, angle: float) -> tuple[float, float]:
@@ -130,6 +124,7 @@ def _xml(parameters: WorldParameters, geometry: DeltaGeometry, step: float, inte
 </worldbody>
 <equality>
 {"".join(f'<connect site1="tip{index}" site2="foot{index}" {tie}/>' for index in limbs)}
+{mujoco_lean.hinges(parameters)}
 </equality>
 <contact>{_pairs(parameters)}</contact>
 <actuator>
@@ -173,13 +168,19 @@ def _platform(parameters: WorldParameters, geometry: DeltaGeometry) -> str:
         f'<joint name="{axis}" type="slide" axis="{way}"/>'
         for axis, way in zip("xyz", ("1 0 0", "0 1 0", "0 0 1"))  # noqa: B905
     )
-    plane = f'<geom name="target" type="plane" size="1 1 1" pos="0 0 {parameters.target.z!r}" quat="0 1 0 0" '
+    turn = "0 1 0 0"
+    if tilts(parameters):
+        turn = " ".join(map(repr, mujoco_lean.plane_turn(parameters)))
+        touching = mujoco_lean.face(parameters)
+    else:
+        touching = f"""<geom name="electrodes" {sphere} pos="0 0 {-_RADIUS}"/>
+ <geom name="stop" {sphere} pos="0 0 {-_RADIUS - parameters.contact.hard_stop!r}"/>"""
+    plane = f'<geom name="target" type="plane" size="1 1 1" pos="0 0 {parameters.target.z!r}" quat="{turn}" '
     plane += 'contype="0" conaffinity="0"/>'
     return f"""<body name="platform">
  <inertial pos="0 0 0" mass="{geometry.platform_mass!r}" diaginertia="1e-4 1e-4 1e-4"/>
  {slides}{"".join(feet)}
- <geom name="electrodes" {sphere} pos="0 0 {-_RADIUS}"/>
- <geom name="stop" {sphere} pos="0 0 {-_RADIUS - parameters.contact.hard_stop!r}"/>
+ {touching}
 </body>
 {plane if parameters.target.present else ""}"""
 
@@ -188,6 +189,8 @@ def _pairs(parameters: WorldParameters) -> str:
     if not parameters.target.present:
         return ""
     rub = max(parameters.contact.friction, 1e-5)  # MuJoCo takes none below
+    if tilts(parameters):
+        return mujoco_lean.pairs(rub)
     how = f'condim="3" friction="{rub!r} {rub!r}" solimp="{IMPEDANCE} {IMPEDANCE} 0.001"'
     return "".join(f'<pair geom1="target" geom2="{name}" {how}/>' for name in ("electrodes", "stop"))
 

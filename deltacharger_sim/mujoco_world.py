@@ -16,7 +16,9 @@ from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim import mujoco_model
 from deltacharger_sim.motion import Motion
+from deltacharger_sim.mujoco_lean import Leaning
 from deltacharger_sim.parameters import MagnetParameters, WorldParameters
+from deltacharger_sim.tilt import tilts
 from deltacharger_sim.world import TactileSource, World
 
 STEP = 0.001  # s; with `discrete` the settled force is as right as at a tenth of it
@@ -60,6 +62,7 @@ class MujocoMechanics(Motion):
         self._arms = [int(self.model.joint(name).qposadr[0]) for name in names]
         self._axes = [int(self.model.joint(axis).qposadr[0]) for axis in "xyz"]
         self._inputs: tuple[object, ...] = ()
+        self._leaning = Leaning(self.model, parameters) if tilts(parameters) and parameters.target.present else None
         self._begin(geometry, start)
         self._read()
 
@@ -84,6 +87,8 @@ class MujocoMechanics(Motion):
             self._inputs = inputs
             self._command(enabled, reference, limit)
         data, model, present = self.data, self.model, self._parameters.target.present
+        if self._leaning is not None:
+            self._leaning.lie(self.position, x, y)
         offset, vertical = math.hypot(x, y), self._axes[2]
         for _ in range(max(1, round(dt / self._step))):
             if present:
@@ -113,6 +118,9 @@ class MujocoMechanics(Motion):
         self.angles = (place[first], place[second], place[third])
         self.rates = (speed[first], speed[second], speed[third])
         self.torques = (force[0], force[1], force[2])
+        if self._leaning is not None:
+            self.contact_force, self.tilt, self.pad_share = self._leaning.read(data, self.position[0])
+            return
         rows = [int(row) for row in data.contact.efc_address] if data.ncon else []
         self.contact_force = float(sum(data.efc_force[row] for row in rows if row >= 0))
 

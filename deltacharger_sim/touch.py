@@ -24,13 +24,13 @@ class TargetTouch:
         self.tilt = PlatformTilt(parameters) if tilts(parameters) else None
         self.side = min(2.0 * self._contact.stiffness, LATERAL_MOST)
         self._pull = 0.0
-        self._aside = (0.0, 0.0)
 
     def lie(self, x: float, y: float) -> None:
         """Put the target's centre to (x, y) in end_effector, m."""
         distance = hypot(x, y) / self._magnets.width
         self._pull = self._magnets.force * max(self._magnets.floor, 1.0 / (1.0 + distance * distance))
-        self._aside = (x, y)
+        if self.tilt is not None:
+            self.tilt.lie(x, y)
 
     def forces(
         self, gap: float, dx: float, dy: float, rub: tuple[float, float], before: float
@@ -46,24 +46,28 @@ class TargetTouch:
 
         Returns:
             The tangents are the lateral one and what the normal one gains. The magnets' own, which is negative, counts
-            only while it is less than half of `before`.
+            only while it is less than half of the others'.
         """
-        reach = self._magnets.range
-        if gap > 0.0:
-            ratio = 1.0 + gap / reach
-            magnet = self._pull / (ratio * ratio)
-            softer = 2.0 * magnet / (ratio * reach)
-            along = -softer if softer < 0.5 * before else 0.0
-        else:
-            magnet, along = self._pull, 0.0
         if self.tilt is not None:
-            normal, stiffer = self.tilt.press(-gap, *self._aside)
-        elif gap >= 0.0:
-            return magnet, 0.0, 0.0, 0.0, 0.0, along
-        else:
+            normal, stiffer = self.tilt.press(-gap)
+        elif gap < 0.0:
             normal, stiffer = self._press(-gap)
+        else:
+            normal = stiffer = 0.0
+        magnet = self._pull
+        if gap > 0.0:
+            # With a lean, an end may press while the middle is still apart.
+            reach = self._magnets.range
+            ratio = 1.0 + gap / reach
+            magnet /= ratio * ratio
+            softer = 2.0 * magnet / (ratio * reach)
+            if softer < 0.5 * (before + stiffer):
+                stiffer -= softer
         if normal <= 0.0:
-            return magnet, 0.0, 0.0, 0.0, 0.0, along
+            return magnet, 0.0, 0.0, 0.0, 0.0, stiffer
+        if self.tilt is not None:
+            swung_x, swung_y = self.tilt.swing
+            dx, dy = dx + swung_x, dy + swung_y
         contact = self._contact
         side = self.side
         rx, ry = rub[0] - side * dx, rub[1] - side * dy
@@ -71,7 +75,7 @@ class TargetTouch:
         if size > most:
             scale = most / size
             rx, ry, side = rx * scale, ry * scale, side * scale
-        return magnet, normal, rx, ry, side, along + stiffer
+        return magnet, normal, rx, ry, side, stiffer
 
     def _press(self, depth: float) -> tuple[float, float]:
         """Return the normal force (N) and stiffness (N/m) of both electrodes at a compression (m)."""

@@ -257,7 +257,7 @@ def test_keys_of_the_second_family_reach_its_pads_and_are_refused_without_them()
     drawn = draw(scene, 3, 0, "guarded")
     assert drawn.second is not None
     assert drawn.second.sheet.dead_band == 0.5
-    with pytest.raises(ParameterError, match="second.sheet.dead_band"):
+    with pytest.raises(ParameterError, match=r"second\.sheet\.dead_band"):
         parse_campaign_scene({**QUICK, "second": {"sheet": {"dead_band": 0.5}}}, "x")
     with pytest.raises(ParameterError, match="dead_band_spread"):
         parse_campaign_scene({**QUICK, "pads": "second", "second": {"sheet": {"dead_band": 0.1}}}, "x")

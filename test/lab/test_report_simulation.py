@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 from typing import Any
 
 import pytest
 
 from deltacharger_lab.reports.simulation import extremes as simulation_extremes
+from deltacharger_lab.reports.simulation import lean, stability
 from deltacharger_lab.reports.simulation import plan as simulation_plan
-from deltacharger_lab.reports.simulation import stability
 from deltacharger_lab.reports.simulation.parts import PADS, PARTS
 from deltacharger_lab.reports.simulation.scenes import LIGHT, docking, rms, world
 from deltacharger_sim import stability_map
@@ -26,7 +27,8 @@ MEASURES_WITH = ("matplotlib",)
 
 def test_the_targets_that_do_not_hang_on_the_machine_are_met(quick_report: Quick) -> None:
     verdicts = {target["name"]: target["met"] for target in quick_report[2]["targets"]}
-    machine = {"light model at 10 ms, in motion", "whole report"}
+    lean_speed = "light model at 10 ms with lean and compliance, in motion, slowest"
+    machine = {"light model at 10 ms, in motion", lean_speed, "whole report"}
     assert machine < set(verdicts)
     assert all(met for name, met in verdicts.items() if name not in machine), verdicts
 
@@ -58,6 +60,29 @@ def test_every_extreme_and_every_part_is_told(quick_report: Quick) -> None:
     docked = {row["part"] for row in figures["parts"]}
     assert docked == set(list(PARTS)[: simulation_plan.QUICK.parts])
     assert all(row["step_us"] > 0.0 and row["memory_kb"] > 0.0 for row in figures["costs"])
+
+
+def test_leaning_contacts_are_told_and_rest_where_the_reference_does(quick_report: Quick) -> None:
+    _, _, figures, page = quick_report
+    assert "## Leaning contacts" in page
+    cases = lean.cases(simulation_plan.QUICK)
+    assert {(row["name"], row["step"]) for row in figures["lean"]} == {
+        (case.name, step) for case in cases for step in lean.STEPS
+    }
+    assert {row["case"] for row in figures["lean_times"]} == {"level", *(row["case"] for row in figures["lean"])}
+    for row in figures["lean"]:
+        assert abs(row["force_percent"]) < 3.0
+        assert row["tilt_deg"] < 0.2
+        assert abs(row["share_percent"]) < 1.0
+    for row in figures["lean_remains"]:
+        rest = [point["rest"] for point in row["yaws"]]
+        assert rest == sorted(rest)
+        assert all(point["rest"] < point["yaw"] or row["compliance"] == 0.0 for point in row["yaws"])
+    # With both bars flat, force and compliance say when one lifts: F/(2 k up) + c F up.
+    for row in figures["lean_remains"]:
+        force, up = 80.0, 0.0087
+        lifts = math.degrees(force / (2.0 * row["contact"] * up) + row["compliance"] * force * up)
+        assert row["bar_lifts"] == pytest.approx(lifts, rel=0.05)
 
 
 def test_energy_only_falls_and_its_account_is_whole(quick_report: Quick) -> None:

@@ -17,7 +17,6 @@ from deltacharger_sim.mujoco_world import MujocoMechanics, mujoco_world
 from deltacharger_sim.parameters import (
     ContactParameters,
     MagnetParameters,
-    PlatformParameters,
     ServoParameters,
     TargetParameters,
     WorldParameters,
@@ -135,9 +134,6 @@ def test_the_hard_stop_and_the_bound_hold_in_both(pair: Any) -> None:
     [
         (WorldParameters(servo=ServoParameters(backlash=0.01)), "servo.backlash"),
         (WorldParameters(servo=ServoParameters(stall_sag=0.5)), "servo.stall_sag"),
-        (WorldParameters(platform=PlatformParameters(compliance=0.01)), "platform.compliance"),
-        (WorldParameters(target=TargetParameters(tilt_x=0.01)), "target.tilt_x"),
-        (WorldParameters(target=TargetParameters(tilt_y=-0.01)), "target.tilt_y"),
     ],
 )
 def test_what_the_reference_does_not_have_is_refused_by_key(parameters: WorldParameters, key: str) -> None:

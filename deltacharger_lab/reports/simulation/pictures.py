@@ -10,6 +10,7 @@ import numpy as np
 
 from deltacharger_lab.reports.formats import tens
 from deltacharger_lab.reports.simulation.energy import PARTS
+from deltacharger_lab.reports.simulation.lean_picture import remaining_yaw
 from deltacharger_lab.reports.simulation.plan import MUJOCO, MUJOCO_FAST
 from deltacharger_lab.reports.simulation.scenes import LIGHT
 from deltacharger_lab.reports.simulation.stability import DIVERGED
@@ -126,4 +127,5 @@ PICTURES = {
     "simulation-map.png": _map,
     "simulation-energy.png": _energy,
     "simulation-docking.png": _docking,
+    "simulation-lean.png": remaining_yaw,
 }

@@ -12,7 +12,7 @@ from deltacharger_lab.reports.formats import fixed
 from deltacharger_lab.reports.page import rendered
 from deltacharger_lab.reports.pool import ReportTask, joined, work
 from deltacharger_lab.reports.report import Progress, Report, at_least, at_most, none
-from deltacharger_lab.reports.simulation import energy, extremes, models, parts, stability
+from deltacharger_lab.reports.simulation import energy, extremes, lean, models, parts, stability
 from deltacharger_lab.reports.simulation.pictures import PICTURES
 from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan, absent, models_here
 from deltacharger_lab.reports.simulation.scenes import LIGHT, rms
@@ -39,6 +39,7 @@ def build(plan: SimulationPlan, directory: Path, command: str, progress: Progres
     }
     progress("run times, alone")
     results["times"] = models.times(plan, names)
+    results["lean_times"] = lean.times(plan)
     results["costs"] = parts.costs(plan)
     results["imports"] = parts.imports()
     traces = _measure(results, plan, names, progress)
@@ -62,11 +63,12 @@ def _measure(
     found = work(tasks(plan, names, exact), progress)
     paths = [each["rubbing"]["trace"] for each in references]
     results["references_apart_mm"] = 1000.0 * rms(*paths) if len(paths) == 2 else None
-    for name in ("errors", "extremes", "energy", "dockings"):
+    for name in ("errors", "extremes", "energy", "dockings", "lean_remains"):
         results[name] = found[name]
-    for name in ("map", "parts"):
+    for name in ("map", "parts", "lean", "lean_rough"):
         results[name] = joined(found[name])
     results["convergence"] = found["convergence"][0]
+    results["lean_order"] = found["lean_order"][0]
     return found["traces"]
 
 
@@ -93,6 +95,7 @@ def tasks(plan: SimulationPlan, names: tuple[str, ...], exact: dict[str, Any]) -
     docked = list(parts.PARTS)[: plan.parts]
     found += [ReportTask("parts", parts.answer, (name, plan.dockings), 5.0) for name in docked]
     found += [ReportTask("traces", models.trace, (LIGHT, step), 0.2) for step in (0.001, 0.01, 0.1)]
+    found += lean.tasks(plan, names)
     if MUJOCO in names:
         found.append(ReportTask("traces", models.trace, (MUJOCO, 0.001), 0.5))
     return found
@@ -122,6 +125,7 @@ def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
         none("light model, extremes whose law is broken", len(broken), kept),
         at_most("passive charger's energy, largest gain", gain, 1.0, "%"),
         at_least("order of convergence, free motion", order, 1.0, ""),
+        *lean.targets(results),
         at_most("whole report", results["elapsed_s"] / 60.0, 10.0, "min"),
     ]
 

@@ -105,8 +105,8 @@ def docking(model: str, parameters: WorldParameters, step: float) -> dict[str, A
     """Approach, snap, push and hold: places every SAMPLE, settled force and current, and what it cost.
 
     Returns:
-        trace (list of m), force (N), current (A), speed (m/s left at the end), and how many times faster than real time
-        one core was in motion (`moving`) and in all (`all`).
+        trace (list of m), force (N), current (A), tilt (rad about x and y), share (of the left pad), speed (m/s left at
+        the end), and how many times faster than real time one core was in motion (`moving`) and in all (`all`).
     """
     arm = Arm(model_world(model, parameters, step), step)
     arm.go((0.0, 0.0, TRAVEL), 1.0)
@@ -123,6 +123,8 @@ def docking(model: str, parameters: WorldParameters, step: float) -> dict[str, A
         "trace": trace,
         "force": mechanics.contact_force,
         "current": arm.contact_current(),
+        "tilt": mechanics.tilt,
+        "share": mechanics.pad_share,
         "speed": arm.speed,
         "moving": PATH_TICKS * TICK / max(moved, 1e-6),
         "all": (PATH_TICKS * TICK + hold) / max(arm.used, 1e-6),

@@ -39,13 +39,13 @@ def _cell(point: dict[str, Any]) -> str:
     return PROVEN if point["path_mm"] <= PATH_LIMIT else PATH_OFF
 
 
-def roughly(name: str, servo: float, contact: float, step: float) -> dict[str, Any]:
-    """Treat the arm roughly: full speed against the target, sideways, limp, torn off.
+def roughly(name: str, servo: float, contact: float, step: float, **changes: Any) -> dict[str, Any]:
+    """Treat the arm roughly: full speed against the target, sideways, limp, torn off; `changes` as those of `world`.
 
     Returns:
         bounded (whether every number stayed finite and near), imbalance (N at worst).
     """
-    arm = Arm(model_world(name, world(contact, servo), step), step)
+    arm = Arm(model_world(name, world(contact, servo, **changes), step), step)
     bounded, imbalance = True, 0.0
     stages: tuple[tuple[tuple[float, float, float] | None, float], ...] = (
         ((0.0, 0.0, 0.05), 0.5),

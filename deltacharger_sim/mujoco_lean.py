@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A leaning contact in MuJoCo: a target whose face is tilted, a platform that yields about x and y, bars that may lift.
+
+The face of the platform hangs on two hinges, `platform.lever` behind it, with springs of 1/compliance, critical
+damping and an inertia of their own; without compliance there are none. Each bar touches by points along the line in
+which it overlaps its mate, each with its share of the bar's stiffness and of the stop behind it. Nothing is small
+here: angles are finite, the target's force is normal to its own face, and friction at the face bends the hinges.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from deltacharger_sim.mujoco_springs import IMPEDANCE, share, share_impedance, spring
+from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.tilt import left_share
+
+POINTS = 24  # of each bar; with 8 a contact of which one end lifts presses up to 1 % less
+INERTIA = 2.3e-4  # kg·m² of the platform about x and about y: 0.274 kg over a plate of 0.1 m
+_RADIUS = 1e-5  # m of a point; on a tilted face a larger one would touch earlier
+_SPECK = 1e-6  # kg of the face, whose mass is the platform's
+# At equal distances, and a little further apart than the middles of equal pieces: with the line's own ∫ w² dw.
+_PLACES = tuple(
+    (2 * index + 1 - POINTS) / (POINTS * math.sqrt(1.0 - 1.0 / POINTS**2)) for index in range(POINTS)
+)  # of half the overlap
+_HINGES = ("lean_x", "lean_y")
+_NAMES = tuple((layer, side, index) for layer in ("bar", "stop") for side in (1, -1) for index in range(POINTS))
+
+
+def face(parameters: WorldParameters) -> str:
+    """Return the XML of the platform's face."""
+    platform, joints = parameters.platform, ""
+    if platform.compliance > 0.0:
+        joints = '<joint name="lean_x" axis="1 0 0"/><joint name="lean_y" axis="0 1 0"/>'
+    # A body that a spring of impedance d holds moves as one of 1/(1 − d) of its inertia.
+    inertia = (1.0 - IMPEDANCE) * INERTIA
+    points = "".join(
+        f'<geom name="{layer}{side}_{index}" type="sphere" size="{_RADIUS}" pos="{u!r} {v!r} {w!r}" mass="0" '
+        'contype="0" conaffinity="0"/>'
+        for (layer, side, index), (u, v, w) in zip(_NAMES, places(parameters, 0.0, 0.0), strict=True)
+    )
+    return f"""<body name="face" pos="0 0 {-platform.lever!r}">
+ <inertial pos="0 0 0" mass="{_SPECK}" diaginertia="{inertia!r} {inertia!r} {inertia!r}"/>
+ {joints}{points}
+</body>"""
+
+
+def hinges(parameters: WorldParameters) -> str:
+    """Return the XML of the springs of the hinges.
+
+    They are constraints: with springs and dampers of the joints themselves MuJoCo's integrator `discrete` makes the
+    contacts softer, by 5 % at 0.2 ms.
+    """
+    if parameters.platform.compliance == 0.0:
+        return ""
+    how = f'solimp="{IMPEDANCE} {IMPEDANCE} 0.001"'
+    return "".join(f'<joint name="{name}" joint1="{name}" {how}/>' for name in _HINGES)
+
+
+def places(parameters: WorldParameters, x: float, y: float) -> list[tuple[float, float, float]]:
+    """Return every point's place in the face (m) while the target's centre is at (x, y) in end_effector, m."""
+    terminal = parameters.terminal
+    half, up = 0.5 * max(terminal.length - abs(x), 0.0), 0.5 * (terminal.gap + terminal.height)
+    front = parameters.platform.lever - _RADIUS
+    back = front - parameters.contact.hard_stop
+    return [
+        (0.5 * x + half * _PLACES[index], 0.5 * y + side * up, back if layer == "stop" else front)
+        for layer, side, index in _NAMES
+    ]
+
+
+def plane_turn(parameters: WorldParameters) -> tuple[float, float, float, float]:
+    """Return the quaternion (w, x, y, z) that turns a plane's normal from +z to the target's, which looks along −z."""
+    half_x, half_y = 0.5 * parameters.target.tilt_x, 0.5 * parameters.target.tilt_y
+    sine_x, cosine_x, sine_y, cosine_y = math.sin(half_x), math.cos(half_x), math.sin(half_y), math.cos(half_y)
+    # About y, then about x, of a plane that was turned by π about x.
+    return -sine_x * cosine_y, cosine_x * cosine_y, -sine_x * sine_y, -cosine_x * sine_y
+
+
+def pairs(rub: float) -> str:
+    """Return the XML of the contacts with the target, with a coefficient of friction."""
+    d = share_impedance(2 * POINTS)
+    how = f'condim="3" friction="{rub!r} {rub!r}" solimp="{d!r} {d!r} 0.001"'
+    return "".join(f'<pair geom1="target" geom2="{layer}{side}_{index}" {how}/>' for layer, side, index in _NAMES)
+
+
+def set_springs(model: Any, parameters: WorldParameters) -> None:
+    """Give every contact of a compiled model its share of the stiffness, and the hinges theirs."""
+    contact, inverse = parameters.contact, float(model.body_invweight0[model.body("face").id, 0])
+    for index in range(model.npair):
+        stiffness = 2.0 * contact.stiffness if index < 2 * POINTS else contact.hard_stop_stiffness
+        model.pair_solref[index] = share(stiffness, inverse, 2 * POINTS)
+    for name in _HINGES if parameters.platform.compliance > 0.0 else ():
+        inverse = float(model.dof_invweight0[model.jnt_dofadr[model.joint(name).id]])
+        model.eq_solref[model.equality(name).id] = spring(1.0 / parameters.platform.compliance, inverse)
+
+
+class Leaning:
+    """Places the points of a model that leans, and reads what it does.
+
+    Args:
+        model: of `mujoco_model.build`.
+        parameters: of the world.
+    """
+
+    def __init__(self, model: Any, parameters: WorldParameters) -> None:
+        self._model, self._parameters = model, parameters
+        self._points = int(model.geom("bar1_0").id)
+        self._plane = int(model.geom("target").id) if parameters.target.present else -1
+        names = _HINGES if parameters.platform.compliance > 0.0 else ()
+        self._hinges = [int(model.joint(name).qposadr[0]) for name in names]
+
+    def lie(self, position: tuple[float, float, float], x: float, y: float) -> None:
+        """Put the points where the bars overlap with the target's centre at (x, y) in end_effector, m.
+
+        Args:
+            position: of the platform, m; the target's face goes where it leaves the centre.
+            x: m.
+            y: m.
+        """
+        place = places(self._parameters, x, y)
+        self._model.geom_pos[self._points : self._points + len(place)] = place
+        self._model.geom_pos[self._plane] = (position[0] + x, position[1] + y, self._parameters.target.z)
+
+    def read(self, data: Any, x: float) -> tuple[float, tuple[float, float], float]:
+        """Return force along z (N), tilt about x and y (rad) and the left pad's share with the platform at x (m)."""
+        force = moment = 0.0
+        contacts = data.contact
+        for index in range(data.ncon):
+            row = int(contacts.efc_address[index])
+            if row >= 0:
+                # The contact's frame has its axes as rows; the third column is how much of each is along z.
+                pressed = -float(contacts.frame[index].reshape(3, 3)[:, 2] @ data.efc_force[row : row + 3])
+                force, moment = force + pressed, moment + pressed * (float(contacts.pos[index, 0]) - x)
+        tilt = tuple(float(data.qpos[hinge]) for hinge in self._hinges)
+        return force, (tilt[0], tilt[1]) if tilt else (0.0, 0.0), left_share(force, moment)

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A leaning contact: MuJoCo and the light model against statics, and against each other on their way there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deltacharger_kinematics.geometry import DeltaGeometry
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_sim import mujoco_model
+from deltacharger_sim.mujoco_springs import IMPEDANCE, share, share_impedance
+from deltacharger_sim.mujoco_world import mujoco_world, pull
+from deltacharger_sim.parameters import (
+    ContactParameters,
+    PlatformParameters,
+    ServoParameters,
+    TargetParameters,
+    WorldParameters,
+)
+
+ArmFactory = Callable[..., Any]
+COMMAND = 0.086  # m
+
+
+def leaning(compliance: float, pitch: float, yaw: float, stiffness: float = 1e5, **changes: Any) -> WorldParameters:
+    """Angles in degrees; the platform tilts about its own face, where friction has no lever."""
+    return WorldParameters(
+        contact=ContactParameters(stiffness=stiffness, hard_stop_stiffness=max(1e6, 2.0 * stiffness)),
+        platform=PlatformParameters(compliance=compliance, lever=0.0),
+        target=TargetParameters(tilt_x=math.radians(pitch), tilt_y=math.radians(yaw)),
+        **changes,
+    )
+
+
+def settled(arm: ArmFactory, parameters: WorldParameters, mujoco: bool) -> Any:
+    """Dock on the axis and wait; return the motion."""
+    pressing = arm(parameters)
+    if mujoco:
+        pytest.importorskip("mujoco", reason="the reference of the simulation is deltacharger[sim]")
+        pressing.world = mujoco_world(parameters, step=2e-4)
+    pressing.go((0.0, 0.0, 0.07), 0.6)
+    pressing.go((0.0, 0.0, COMMAND), 1.4)
+    return pressing.world.mechanics
+
+
+def statics(parameters: WorldParameters) -> tuple[float, float, float]:
+    """Return force (N) and tilt about x and y (rad) on the axis, weightless, by springs, magnets and root finding."""
+    from scipy.optimize import brentq, minimize
+
+    delta, servo, target = ScalarDelta(), parameters.servo.stiffness, parameters.target
+    compliance, contact = parameters.platform.compliance, parameters.contact
+    u, v = np.meshgrid(0.07 * ((np.arange(2000) + 0.5) / 2000 - 0.5), (0.0087, -0.0087))
+
+    def compressed(depth: float, tilt: np.ndarray) -> np.ndarray:
+        return np.maximum(depth + (tilt[0] - target.tilt_x) * v - (tilt[1] - target.tilt_y) * u, 0.0)
+
+    def tilted(depth: float) -> np.ndarray:
+        def energy(scaled: np.ndarray) -> float:
+            tilt = 0.01 * scaled
+            springs = contact.stiffness * np.sum(compressed(depth, tilt) ** 2) / 2000
+            return float(0.5 * (tilt @ tilt / compliance + springs))
+
+        if compliance == 0.0:
+            return np.zeros(2)
+        return 0.01 * minimize(energy, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-12}).x
+
+    def force(depth: float) -> float:
+        return float(contact.stiffness * np.sum(compressed(depth, tilted(depth))) / 2000)
+
+    def balance(depth: float) -> float:
+        z = target.z + depth
+        lever = sum(delta.jacobian(0.0, 0.0, z)[6:]) / 3.0
+        push = servo * (delta.inverse(0.0, 0.0, COMMAND)[0] - delta.inverse(0.0, 0.0, z)[0]) / lever
+        return push + pull(parameters.magnets, -depth, 0.0) - force(depth)
+
+    depth = brentq(balance, -0.002, 0.002, xtol=1e-9)
+    return (force(depth), *tilted(depth))
+
+
+@pytest.mark.parametrize("mujoco", [False, True])
+@pytest.mark.parametrize(
+    ("compliance", "pitch", "yaw", "stiffness"),
+    [(0.0, 0.0, 2.0, 1e5), (0.02, 0.0, 1.0, 1e5), (0.01, 0.0, 2.0, 1e6), (0.03, 2.0, 0.0, 1e6), (0.02, -2.0, 1.5, 1e5)],
+)
+def test_force_and_tilt_at_rest_are_those_of_statics(
+    arm: ArmFactory, mujoco: bool, compliance: float, pitch: float, yaw: float, stiffness: float
+) -> None:
+    parameters = leaning(compliance, pitch, yaw, stiffness, servo=ServoParameters(friction=0.0), gravity_y=0.0)
+    force, alpha, beta = statics(parameters)
+    found = settled(arm, parameters, mujoco)
+    assert found.contact_force == pytest.approx(force, rel=0.005)
+    assert found.tilt == pytest.approx((alpha, beta), rel=0.01, abs=2e-5)
+    # By the lever rule: what turns the platform about y is the moment of the contact.
+    if compliance > 0.0:
+        assert found.pad_share - 0.5 == pytest.approx(0.5 * beta / compliance / force / 0.048, rel=0.02, abs=1e-3)
+
+
+def test_both_dock_alike_with_friction_weight_and_a_lever(arm: ArmFactory) -> None:
+    pytest.importorskip("mujoco", reason="the reference of the simulation is deltacharger[sim]")
+    parameters = replace(leaning(0.02, -1.0, 2.0), platform=PlatformParameters(compliance=0.02, lever=0.02))
+    light, other = arm(parameters), arm(parameters)
+    other.world = mujoco_world(parameters, step=2e-4)
+    squares = []
+    for tick in range(24):
+        for each in (light, other):
+            each.aim((0.0, 0.0, 0.06 + 0.026 * min((tick + 1) / 16.0, 1.0)))
+            each.run(0.05)
+        squares.append(math.dist(light.world.mechanics.position, other.world.mechanics.position) ** 2)
+    assert math.sqrt(sum(squares[5:]) / len(squares[5:])) < 1e-4
+    first, second = light.world.mechanics, other.world.mechanics
+    # Friction holds the face while it swings aside by lever · tilt, so that the platform goes the other way.
+    assert second.position[0] < -0.5 * 0.02 * second.tilt[1] < 0.0
+    assert first.position[0] == pytest.approx(second.position[0], abs=8e-5)
+    assert first.tilt == pytest.approx(second.tilt, rel=0.05)
+
+
+def test_the_stop_holds_an_end_that_is_pressed_beyond_its_travel(arm: ArmFactory) -> None:
+    parameters = leaning(0.0, 0.0, 5.0, 1e3, servo=ServoParameters(friction=0.0), gravity_y=0.0)
+    light, other = (settled(arm, parameters, mujoco) for mujoco in (False, True))
+    assert -light.gap + 0.035 * math.radians(5.0) > 0.002
+    assert other.contact_force == pytest.approx(light.contact_force, rel=0.01)
+    assert other.gap == pytest.approx(light.gap, abs=4e-5)
+
+
+@pytest.mark.parametrize("count", [1, 16])
+def test_constraints_in_parallel_are_as_stiff_and_as_firm_as_one(count: int) -> None:
+    inverse, d = 2.0, share_impedance(count)
+    s, b = share(1e5, inverse, count)
+    assert count * -s / ((1.0 - d) * inverse) == pytest.approx(1e5)
+    assert (1.0 - d) / d / count == pytest.approx((1.0 - IMPEDANCE) / IMPEDANCE)
+    assert count * b / (1.0 - d) == pytest.approx(share(1e5, inverse, 1)[1] / (1.0 - IMPEDANCE))
+
+
+def test_what_is_level_has_the_model_of_two_spheres() -> None:
+    pytest.importorskip("mujoco", reason="the reference of the simulation is deltacharger[sim]")
+    integrator = mujoco_model.integrators()[0]
+    level = mujoco_model.build(WorldParameters(), DeltaGeometry(), 1e-3, integrator)
+    assert (level.npair, level.njnt, level.neq) == (2, 12, 3)
+    leans = mujoco_model.build(leaning(0.01, 0.0, 1.0), DeltaGeometry(), 1e-3, integrator)
+    assert (leans.njnt, leans.neq) == (14, 5)
+    assert leans.npair > 2
