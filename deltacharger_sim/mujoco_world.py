@@ -114,7 +114,7 @@ class MujocoMechanics(Motion):
         self.rates = (speed[first], speed[second], speed[third])
         self.torques = (force[0], force[1], force[2])
         rows = [int(row) for row in data.contact.efc_address] if data.ncon else []
-        self.contact_force = float(sum(data.efc_force[row] for row in rows if row >= 0))
+        self.contact_force = self.peak_force = float(sum(data.efc_force[row] for row in rows if row >= 0))
 
 
 def mujoco_world(
