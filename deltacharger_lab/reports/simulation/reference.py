@@ -30,6 +30,7 @@ TOLERANCE = 1e-8  # relative, of a step
 _LOW, _MIDDLE, _HIGH = -0.005, 0.02, 0.105  # m of z; two polynomials cover it
 _DEGREE, _GOOD = 20, 1e-12  # their degree; rad that they may be off
 _ABSOLUTE = (1e-4, 1e-2, 1.0)  # of z (m), speed (m/s) and bristle torque (N·m), each times the tolerance
+_STRIDE = 0.02  # s of a step at most; the kinematics have no meaning far away
 _MOST_PIECES = 100_000
 # A piece begins beyond the kink that ended the last one by so much (m, N·m): its own events then find the next crossing.
 _BEYOND, _BEYOND_TORQUE = 1e-13, 1e-10
@@ -145,7 +146,7 @@ class _Axis:
         wanted = [time for time in times if now < time <= end + 1e-12]
         found = solve_ivp(
             self._rates, (now, end), state, "DOP853", dense_output=bool(wanted), events=[turn, *events],
-            rtol=self._tolerance, atol=self._tolerance * np.array(_ABSOLUTE),
+            rtol=self._tolerance, atol=self._tolerance * np.array(_ABSOLUTE), max_step=_STRIDE,
         )  # fmt: skip
         after, state = float(found.t[-1]), found.y[:, -1]
         if not _LOW < state[0] < _HIGH:
