@@ -30,7 +30,7 @@ TOLERANCE = 1e-8  # relative, of a step
 _LOW, _MIDDLE, _HIGH = -0.005, 0.02, 0.105  # m of z; two polynomials cover it
 _DEGREE, _GOOD = 20, 1e-12  # their degree; rad that they may be off
 _ABSOLUTE = (1e-4, 1e-2, 1.0)  # of z (m), speed (m/s) and bristle torque (N·m), each times the tolerance
-_STRIDE = 0.02  # s of a step at most; the kinematics have no meaning far away
+_STRIDE, _PHASE = 0.02, 5.0  # s, and rad of the contact's oscillation, of a step at most: longer ones only fail
 _MOST_PIECES = 100_000
 # A piece begins beyond the kink that ended the last one by so much (m, N·m): its own events then find the next crossing.
 _BEYOND, _BEYOND_TORQUE = 1e-13, 1e-10
@@ -97,7 +97,8 @@ def angle(z: float) -> tuple[float, float, float]:
     """Return θ (rad), θ′ (rad/m) and θ″ (rad/m²) of every limb at z (m) on the axis."""
     low, high = (_MIDDLE, _HIGH) if z > _MIDDLE else (_LOW, _MIDDLE)
     scale = 2.0 / (high - low)
-    u, values = (z - low) * scale - 1.0, []
+    # Trial points of a step may lie far out, where a polynomial means nothing.
+    u, values = min(max((z - low) * scale - 1.0, -1.0), 1.0), []
     for row in _fit(low, high):
         value = 0.0
         for each in row:
@@ -146,7 +147,7 @@ class _Axis:
         wanted = [time for time in times if now < time <= end + 1e-12]
         found = solve_ivp(
             self._rates, (now, end), state, "DOP853", dense_output=bool(wanted), events=[turn, *events],
-            rtol=self._tolerance, atol=self._tolerance * np.array(_ABSOLUTE), max_step=_STRIDE,
+            rtol=self._tolerance, atol=self._tolerance * np.array(_ABSOLUTE), max_step=self._stride(float(state[0])),
         )  # fmt: skip
         after, state = float(found.t[-1]), found.y[:, -1]
         if not _LOW < state[0] < _HIGH:
@@ -178,6 +179,8 @@ class _Axis:
         """Name the next smooth piece; `ended` tells which events ended the last one."""
         for which in ended:
             if which == 0:
+                if not self._contact and math.isnan(self.course.speed):
+                    self.course.speed = float(state[1])
                 back = self._contact > 0
                 wall = self._wall + (self._electrodes.hard_stop if self._contact == 2 else 0.0)
                 self._contact = self._contact - 1 if back else 1
@@ -195,6 +198,12 @@ class _Axis:
 
     def _contact_at(self, z: float) -> int:
         return 0 if z < self._wall else 1 if z < self._wall + self._electrodes.hard_stop else 2
+
+    def _stride(self, z: float) -> float:
+        contact = self._electrodes
+        stiff = (0.0, 2.0 * contact.stiffness, 2.0 * contact.stiffness + contact.hard_stop_stiffness)[self._contact]
+        mass = self._mass + 3.0 * self._servo.inertia * angle(z)[1] ** 2
+        return min(_STRIDE, _PHASE * math.sqrt(mass / stiff)) if stiff else _STRIDE
 
     def _raw(self, z: float, speed: float) -> float:
         """Return what spring and damper of a servo ask for (N·m), before any bound."""
