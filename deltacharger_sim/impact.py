@@ -4,9 +4,9 @@
 A step of milliseconds ends before or after an impact and never at its height, and backward Euler takes away what would
 bounce. So, from shortly before touch, a second and finer course of z alone goes along with the steps, with Jacobian,
 mass, goals and torque limits of the step: M v̇ = Σ θ′ clip(k (goal − θ) − d θ̇) + gears + weight + magnets − electrodes,
-the lateral motion being that of the step. Its sub-steps follow the trapezoidal rule, which keeps the energy of a bounce,
-are short beside the period of the contact, and are cut where the gap closes or opens and where the stop is met. Its
-largest force is the step's, once the step itself has contact. The light model's own course does not know of it.
+the lateral motion being that of the step. Its sub-steps follow the trapezoidal rule, which keeps the energy of a
+bounce, are short beside the period of the contact, and are cut where the gap closes or opens and where the stop is met.
+Its largest force is the step's, once the step itself has contact. The light model's own course does not know of it.
 
 It begins where the magnets begin to pull, so that the speed of the strike is not the step's, and ends when it rests or
 its sub-steps are spent: a bounce that nobody drives never strikes harder than the first. Electrodes are springs and a
@@ -21,7 +21,6 @@ from typing import NamedTuple
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.touch import TargetTouch
 
-_BRISTLE = 400.0  # N·m/rad of a gear before it slips, as in the mechanics
 _PHASE = 0.3  # rad of the contact's oscillation in a sub-step; the force at a turn is then within 1 %
 _LONGEST = 0.002  # s of a sub-step, a third of the time in which servos of 0.91 N·m·s/rad brake the platform
 _SHARE = 0.15  # of the way over which the magnets' pull changes, in a sub-step of flight
@@ -42,7 +41,7 @@ class StepForces(NamedTuple):
 
     Attributes:
         drives: of the powered servos.
-        gears: Σ θ′² of all gears, 1/m².
+        gears: stiffness of all gears' bristles along z, N/m.
         friction: of all gears along z, N.
         carried: weight along z, N.
         mass: that moves along z, kg.
@@ -82,14 +81,11 @@ class Impact:
         self._left, self._branch = 0, _OPEN
 
     def concerns(self, gap: float, speed: float, dt: float) -> bool:
-        """Return whether a step of `dt` s that begins with a `gap` (m), closing at `speed` (m/s), may bring a strike."""
+        """Return whether a step of `dt` s that begins with a `gap` (m), closing at `speed` (m/s), may strike."""
         if self.follows:
             return True
-        way = _AHEAD * speed * dt
-        if gap > -self._early:
-            soon = gap < self._near + self._early + way
-        else:
-            soon = 0.0 < gap + self._depth < way
+        way, early = _AHEAD * speed * dt, self._early
+        soon = gap < self._near + early + way if gap > -early else 0.0 < gap + self._depth < way
         if self._spent:
             self._spent = soon
             return False
@@ -114,7 +110,7 @@ class Impact:
         self._touch.lie(forces.x, forces.y)
         self._advance(dt, gap, forces)
         self._apart = self._apart + dt if self._touched != pressed else 0.0
-        if self._apart > _WAITS or not (self._touched or pressed) and speed <= 0.0:
+        if self._apart > _WAITS or (speed <= 0.0 and not (self._touched or pressed)):
             self.follows = False
             return 0.0
         if not pressed:
@@ -127,7 +123,7 @@ class Impact:
         low, high, push, grip = _linear(forces.drives)
         k, d, mass, most = self._stiffness, self._damping, forces.mass, forces.friction
         pull = self._touch.forces(0.0, 0.0, 0.0, (0.0, 0.0), 0.0)[0]
-        bristle, flights = _BRISTLE * forces.gears, _MOST_IN_STEP
+        bristle, flights = forces.gears, _MOST_IN_STEP
         while dt > 0.0:
             gap, speed = self._gap, self._speed
             asked = k * (at - gap) + d * speed
@@ -205,7 +201,7 @@ class Impact:
 
 
 def _trapezoid(h: float, speed: float, force: float, mass: float, damping: float, tangent: float) -> float:
-    """Return the speed after `h` s: M (v₁ − v₀)/h = F − K h (v₀ + v₁)/4 − C (v₀ + v₁)/2, `tangent` K/4, `damping` C/2."""
+    """Return the speed after `h` s: M (v₁ − v₀)/h = F − (K h/4 + C/2) (v₀ + v₁), `tangent` K/4, `damping` C/2."""
     rate, held = mass / h, damping + tangent * h
     return (speed * (rate - held) + force) / (rate + held)
 

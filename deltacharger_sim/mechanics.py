@@ -107,7 +107,7 @@ class Mechanics(Motion):
         self.peak_force = max(struck, self.contact_force)
 
     def _strike(self, joints: list[_Joint], gap: float, dx: float, dy: float, dt: float) -> float:
-        """Return the largest force (N) of a strike within the step, lateral displacement (m) and forces being its own."""
+        """Return the largest force (N) of a strike within a step from `gap` (m) on that goes dx, dy (m) sideways."""
         k, momentum = self._parameters.servo.stiffness, self._inertia * dt
         yields = 0.5 * k + self._parameters.servo.damping / dt
         drives, squares, friction, gear, carried = [], 0.0, 0.0, 0.0, self._mass * self._gravity[2]
@@ -121,7 +121,7 @@ class Mechanics(Motion):
                 drives.append((gz, lead - yields * (gx * dx + gy * dy), limit))
         mass = self._mass + self._parameters.servo.inertia * squares
         x, y = self._aside
-        forces = StepForces(drives, squares, friction, carried, mass, x, y)
+        forces = StepForces(drives, GEAR_BRISTLE * squares, friction, carried, mass, x, y)
         return self._impact.step(dt, gap, self.velocity[2], gear, forces, self._found[3] > 0.0)
 
     def _set_inputs(

@@ -134,9 +134,7 @@ class TestPeak:
     @pytest.mark.parametrize("servo", [2.5, 15.0])
     @pytest.mark.parametrize("stiffness", [1e4, 1e5, 1e6, 1e8])
     @pytest.mark.parametrize("magnets", [0.0, 60.0])
-    def test_the_step_does_not_decide_it(
-        self, arm: ArmFactory, servo: float, stiffness: float, magnets: float
-    ) -> None:
+    def test_the_step_does_not_decide_it(self, arm: ArmFactory, servo: float, stiffness: float, magnets: float) -> None:
         parameters = WorldParameters(
             servo=ServoParameters(stiffness=servo),
             contact=ContactParameters(stiffness=stiffness),

@@ -21,7 +21,7 @@ class ExtrapolatedMechanics(Mechanics):
     ) -> None:
         """Advance by `dt` s; arguments as those of `Motion.step`."""
         whole = copy.copy(self)
-        whole.__class__ = Mechanics  # its halves are plain steps
+        whole.__class__ = Mechanics  # type: ignore[assignment]  # its halves are plain steps
         whole._impact = copy.copy(self._impact)
         whole.step(dt, enabled, reference, limit, x, y)
         peak = 0.0

@@ -71,7 +71,7 @@ def axis_world(contact: float, servo: float, magnets: float = 60.0) -> WorldPara
 
 
 def strike_orders(parameters: WorldParameters, strike: Strike) -> tuple[float, list[Order], float]:
-    """Return where the charger begins (m), commands along the strike's line, led by the servos' lag, and the time (s)."""
+    """Return where the charger begins (m), commands along the line, led by the lag, and how long it takes (s)."""
     servo, target = parameters.servo, parameters.target.z
     start, deeper = target - _BEFORE, 0.002 * (parameters.contact.stiffness < 1e5 and strike.beyond > 0.0)
     way = _BEFORE + strike.beyond + deeper
@@ -98,7 +98,7 @@ def obey(moved: World, orders: Sequence[Order], duration: float, step: float) ->
 
 
 def strikes(contact: float, servo: float, steps: tuple[float, ...]) -> list[dict[str, Any]]:
-    """Return the light model's peak (N) of every strike at every step, beside the reference's and that of steps' ends."""
+    """Return the light model's peak (N) of every strike and step, with its error and that of steps' ends (%)."""
     rows = []
     for strike in STRIKES:
         parameters = axis_world(contact, servo, strike.magnets)
@@ -141,7 +141,12 @@ def integrators(steps: tuple[float, ...]) -> list[dict[str, Any]]:
             runs = [(name, docking(name, axis_world(contact, 15.0), step)) for name in (LIGHT, EXTRAPOLATED) * 3]
             for name in (LIGHT, EXTRAPOLATED):
                 mine = [run for which, run in runs if which == name]
-                row = {"model": name, "contact": contact, "step": step, "us": 1000.0 / max(run["moving"] for run in mine)}
+                row = {
+                    "model": name,
+                    "contact": contact,
+                    "step": step,
+                    "us": 1000.0 / max(run["moving"] for run in mine),
+                }
                 path = 1000.0 * rms(mine[0]["trace"], exact["trace"])
                 rows.append({**row, "path_mm": path, "percent": 100.0 * (mine[0]["peak"] / exact["peak"] - 1.0)})
     return rows
@@ -188,7 +193,9 @@ def tiny_steps(contact: float, steps: tuple[float, ...]) -> list[dict[str, Any]]
         first, second = ends[-2] - ends[-3], ends[-1] - ends[-2]
         order = math.log2(first / second) if first / second > 0.0 else math.nan
         limit = ends[-1] + second / (2.0**order - 1.0)
-        coarse = {f"{1000.0 * step:g}": 100.0 * (_tiny(name, contact, step)[1] / limit - 1.0) for step in (5e-3, 1e-2, 2e-2)}
+        coarse = {
+            f"{1000.0 * step:g}": 100.0 * (_tiny(name, contact, step)[1] / limit - 1.0) for step in (5e-3, 1e-2, 2e-2)
+        }
         row = {"name": name, "contact": contact, "ends": ends, "order": order, "limit": limit, "percent": coarse}
         exact = math.nan
         if name == "on the axis":
@@ -228,7 +235,8 @@ def worst(rows: Sequence[dict[str, Any]], key: str = "percent", **wanted: Any) -
 
 def at_docking(rows: Sequence[dict[str, Any]]) -> float:
     """Return the worst error (%) at the steps docking uses, up to 1e6 N/m."""
-    return max(abs(row["percent"]) for row in rows if row["step"] in DOCKING_STEPS and row["contact"] <= STIFFEST)
+    found = [row for row in rows if row["step"] in DOCKING_STEPS and row["contact"] <= STIFFEST]
+    return max(abs(float(row["percent"])) for row in found)
 
 
 def axis_extreme(parameters: WorldParameters) -> AxisCourse:

@@ -109,14 +109,17 @@ def _energy(results: dict[str, Any], path: Path) -> None:
 
 
 def _impact(results: dict[str, Any], path: Path) -> None:
-    about = "worst error in % of all strikes and servos against the converged reference; left as told, right by steps' ends"
+    about = (
+        "worst error in % of all strikes and servos against the converged reference; left as told, right by steps' ends"
+    )
     with picture(path, 10.0, 4.4, "Peak force of an impact", about) as figure:
         from matplotlib.colors import LogNorm
 
         rows = results["strikes"]
         steps, contacts = (sorted({row[key] for row in rows}) for key in ("step", "contact"))
-        panels = zip(figure.subplots(1, 2), ("percent", "ends_percent"), ("resolved within the step", "forces at steps' ends"))
-        for axes, key, title in panels:  # noqa: B007
+        panels = figure.subplots(1, 2)
+        titles = {"percent": "resolved within the step", "ends_percent": "forces at steps' ends"}
+        for axes, (key, title) in zip(panels, titles.items(), strict=True):
             values = [[worst(rows, key, step=step, contact=contact) or 0.0 for step in steps] for contact in contacts]
             shown = [[max(abs(value), 0.1) for value in row] for row in values]
             axes.imshow(shown, origin="lower", aspect="auto", cmap="viridis", norm=LogNorm(0.5, 100.0))

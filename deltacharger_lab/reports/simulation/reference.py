@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The charger on its axis as one degree of freedom, integrated to convergence: what impacts and the map are judged by.
 
-At x = y = 0 and without weight all limbs do the same, so that the platform's z is all that moves: M(z) z̈ + ½ M′ ż² = 3 θ′
-(τ + f) + magnets − electrodes, with M = m + 3 I θ′² (m platform and rods, I rotor), the servos' torque τ = clip(k (goal −
-θ) − d θ′ ż, ±limit), and the gear's friction f, a bristle, as a state. θ(z) is a polynomial through the
-answers of `ScalarDelta`, good to 1e-12 rad, whose derivatives are exact. Nothing here comes from the light model's equations or step.
+At x = y = 0 and without weight all limbs do the same, so that the platform's z is all that moves: M(z) z̈ + ½ M′ ż² =
+3 θ′ (τ + f) + magnets − electrodes, with M = m + 3 I θ′² (m platform and rods, I rotor), the servos' torque τ = clip(k
+(goal − θ) − d θ′ ż, ±limit), and the gear's friction f, a bristle, as a state. θ(z) is a polynomial through the answers
+of `ScalarDelta`, good to 1e-12 rad, whose derivatives are exact. Nothing here comes from the light model's equations or
+step.
 
 Everything is smooth between touch, stop, saturation, slip and commands; each of these ends a piece of the integration
-(scipy's DOP853, order 8, dense output and root finding), so that no step ever crosses a kink and the contact's period is
-resolved by the error control. `tolerance` is its knob; the report tells what a hundred times tighter one changes.
+(scipy's DOP853, order 8, with root finding), so that no step ever crosses a kink and the error control resolves the
+contact's period. `tolerance` is its knob; the report tells what a thousand times tighter one changes.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _DEGREE, _GOOD = 20, 1e-12  # their degree; rad that they may be off
 _ABSOLUTE = (1e-4, 1e-2, 1.0)  # of z (m), speed (m/s) and bristle torque (N·m), each times the tolerance
 _STRIDE, _PHASE = 0.02, 5.0  # s, and rad of the contact's oscillation, of a step at most: longer ones only fail
 _MOST_PIECES = 100_000
-# A piece begins beyond the kink that ended the last one by so much (m, N·m): its own events then find the next crossing.
+# A piece begins beyond the kink that ended the last one by so much (m, N·m): its events then find the next crossing.
 _BEYOND, _BEYOND_TORQUE = 1e-13, 1e-10
 
 Order = tuple[float, float, float]
@@ -79,7 +80,7 @@ def on_axis(
 
 @cache
 def _fit(low: float, high: float) -> tuple[tuple[float, ...], ...]:
-    """Return coefficients, highest first, of θ (rad) and its first two derivatives by u, −1 at `low` and 1 at `high`."""
+    """Return coefficients, highest first, of θ (rad) and two derivatives by u, −1 at `low` and 1 at `high`."""
     delta = ScalarDelta(DeltaGeometry())
 
     def exactly(u: float) -> float:

@@ -148,8 +148,9 @@ def is_calm(row: dict[str, Any]) -> bool:
 
 
 def settled(errors: Iterable[dict[str, Any]]) -> list[float]:
-    """Return the forces (N) at which runs with friction came to rest, at steps up to 10 ms."""
-    return [row["force_rubbing"] for row in errors if is_calm(row) and row["step"] <= 0.01 if row["force_rubbing"] > 0]
+    """Return the forces (N) at which runs with friction rest, at steps up to 10 ms that are right without it."""
+    calm = [row for row in errors if is_calm(row) and row["step"] <= 0.01 and abs(row["force_percent"]) < 0.5]
+    return [row["force_rubbing"] for row in calm if row["force_rubbing"] > 0]
 
 
 def ends(runs: Sequence[dict[str, Any]]) -> list[str]:

@@ -112,8 +112,8 @@ def docking(model: str, parameters: WorldParameters, step: float) -> dict[str, A
     """Approach, snap, push and hold: places every SAMPLE, settled force and current, and what it cost.
 
     Returns:
-        trace (list of m), force (N), peak (N), current (A), speed (m/s left at the end; NaN where MuJoCo began anew), and
-        how many times faster than real time one core was in motion (`moving`) and in all (`all`).
+        trace (list of m), force (N), peak (N), current (A), speed (m/s left at the end; NaN where MuJoCo began anew),
+        and how many times faster than real time one core was in motion (`moving`) and in all (`all`).
     """
     arm = Arm(model_world(model, parameters, step), step)
     arm.go((0.0, 0.0, TRAVEL), 1.0)
