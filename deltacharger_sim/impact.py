@@ -24,7 +24,7 @@ from deltacharger_sim.touch import TargetTouch
 _PHASE = 0.3  # rad of the contact's oscillation in a sub-step; the force at a turn is then within 1 %
 _LONGEST = 0.002  # s of a sub-step, a third of the time in which servos of 0.91 N·m·s/rad brake the platform
 _SHARE = 0.15  # of the way over which the magnets' pull changes, in a sub-step of flight
-_MOST = 160  # sub-steps from touch on
+_MOST = 160  # sub-steps from touch on, those of contacts so soft that none need be short not counted
 _MOST_IN_STEP = 80  # of flight in one step
 _WAITS = 0.06  # s that one of the two courses may be in contact without the other
 _CALM = 2e-4  # m/s, below which nothing strikes
@@ -136,13 +136,14 @@ class Impact:
                 magnet = pull / (ratio * ratio)
                 softer = 2.0 * magnet / (ratio * self._range)
             normal, stiff = self._normal(gap)
-            h = min(self._longest(gap, speed, mass), dt)
+            longest = self._longest(gap, speed, mass)
+            h = min(longest, dt)
             gear = min(max(self._gear - 0.5 * bristle * h * speed, -most), most)
             force += d * held * speed + gear + forces.carried + magnet - normal
             h, after = self._move(h, force, mass, 0.5 * d * held, 0.25 * (k * held + stiff - softer))
             self._gear = min(max(self._gear - bristle * (gap - self._gap), -most), most)
             dt, flights = dt - h, flights - 1
-            self._left -= self._touched
+            self._left -= self._touched and longest < _LONGEST
             calm = self._branch and abs(after) < _CALM and abs(after - speed) * mass < h * (0.01 * normal + 0.1)
             if calm or flights < 0 or self._left < 0:
                 self.follows, self._spent = False, True

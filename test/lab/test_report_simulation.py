@@ -68,7 +68,7 @@ def test_peaks_are_told_right_where_those_of_steps_ends_are_not(quick_report: Qu
     assert {row["strike"] for row in rows} == {strike.name for strike in impact.STRIKES}
     assert {row["contact"] for row in rows} == set(simulation_plan.QUICK.strike_contacts)
     for row in rows:
-        assert abs(row["percent"]) <= 15.0, row
+        assert row["grazes"] or abs(row["percent"]) <= 15.0, row
     stiff = [row for row in rows if row["contact"] >= 1e6 and row["step"] >= 0.005]
     assert all(row["ends_percent"] < -20.0 for row in stiff)
 

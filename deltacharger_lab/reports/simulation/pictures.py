@@ -115,7 +115,7 @@ def _impact(results: dict[str, Any], path: Path) -> None:
     with picture(path, 10.0, 4.4, "Peak force of an impact", about) as figure:
         from matplotlib.colors import LogNorm
 
-        rows = results["strikes"]
+        rows = [row for row in results["strikes"] if not row["grazes"]]
         steps, contacts = (sorted({row[key] for row in rows}) for key in ("step", "contact"))
         panels = figure.subplots(1, 2)
         titles = {"percent": "resolved within the step", "ends_percent": "forces at steps' ends"}

@@ -18,7 +18,7 @@ from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan, abs
 from deltacharger_lab.reports.simulation.scenes import LIGHT, rms
 
 TARGET_STEP = 0.01  # s
-PEAKS = "peak force at the steps docking uses (5 and 10 ms), contact ≤ 1e6 N/m, worst"
+PEAKS = "peak force at the steps docking uses (5 to 20 ms), contact ≤ 1e6 N/m, worst"
 ENERGY_STEPS = (0.0001, 0.001, 0.005, 0.01, 0.05)
 
 
