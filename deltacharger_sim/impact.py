@@ -21,7 +21,7 @@ from typing import NamedTuple
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.touch import TargetTouch
 
-_PHASE = 0.3  # rad of the contact's oscillation in a sub-step; the force at a turn is then within 1 %
+_PHASE = 0.4  # rad of the contact's oscillation in a sub-step; the force at a turn is then within 2 %
 _LONGEST = 0.002  # s of a sub-step, a third of the time in which servos of 0.91 N·m·s/rad brake the platform
 _SHARE = 0.15  # of the way over which the magnets' pull changes, in a sub-step of flight
 _MOST = 160  # sub-steps from touch on, those of contacts so soft that none need be short not counted
@@ -29,6 +29,7 @@ _MOST_IN_STEP = 80  # of flight in one step
 _WAITS = 0.06  # s that one of the two courses may be in contact without the other
 _CALM = 2e-4  # m/s, below which nothing strikes
 _AHEAD = 2.0  # steps at the speed of the approach, in which the finer course begins at the latest
+_STRIDE = 0.005  # m that a step of the light model moves the platform at most
 _OPEN, _PRESSED, _STOPPED = 0, 1, 2
 
 Drive = tuple[float, float, float]
@@ -63,6 +64,7 @@ class Impact:
 
     Attributes:
         follows: whether a strike is being followed.
+        reach: gap (m) from which on a step may matter.
     """
 
     def __init__(self, parameters: WorldParameters) -> None:
@@ -73,9 +75,11 @@ class Impact:
         self._near = self._range if parameters.magnets.force > 0.0 else 0.0
         self._stiffness, self._damping = servo.stiffness, servo.damping
         self._touch = TargetTouch(parameters)
+        self._pull_at, self._pull = (math.nan, math.nan), 0.0
         target, terminal = parameters.target, parameters.terminal
         # With a lean the electrodes meet before the middle of the faces does, by no more than this.
         self._early = terminal.length * abs(target.tilt_y) + (terminal.gap + terminal.height) * abs(target.tilt_x)
+        self.reach = self._near + self._early + _AHEAD * _STRIDE
         self.follows = self._spent = self._touched = False
         self._gap = self._speed = self._gear = self._peak = self._apart = 0.0
         self._left, self._branch = 0, _OPEN
@@ -107,7 +111,10 @@ class Impact:
             self._gap, self._speed, self._gear, self._left = gap, speed, gear, _MOST
             self._branch = _OPEN if gap > 0.0 else _PRESSED if gap > -self._depth else _STOPPED
             self._peak = self._apart = 0.0
-        self._touch.lie(forces.x, forces.y)
+        if (forces.x, forces.y) != self._pull_at:
+            self._pull_at = (forces.x, forces.y)
+            self._touch.lie(forces.x, forces.y)
+            self._pull = self._touch.forces(0.0, 0.0, 0.0, (0.0, 0.0), 0.0)[0]
         self._advance(dt, gap, forces)
         self._apart = self._apart + dt if self._touched != pressed else 0.0
         if self._apart > _WAITS or (speed <= 0.0 and not (self._touched or pressed)):
@@ -122,7 +129,7 @@ class Impact:
         """Go on by `dt` s in sub-steps, or until it rests or they are spent."""
         low, high, push, grip = _linear(forces.drives)
         k, d, mass, most = self._stiffness, self._damping, forces.mass, forces.friction
-        pull = self._touch.forces(0.0, 0.0, 0.0, (0.0, 0.0), 0.0)[0]
+        pull = self._pull
         bristle, flights = forces.gears, _MOST_IN_STEP
         while dt > 0.0:
             gap, speed = self._gap, self._speed
@@ -147,7 +154,9 @@ class Impact:
             calm = self._branch and abs(after) < _CALM and abs(after - speed) * mass < h * (0.01 * normal + 0.1)
             if calm or flights < 0 or self._left < 0:
                 self.follows, self._spent = False, True
-                return
+                break
+        if self._branch:
+            self._note(self._gap, self._gap)
 
     def _longest(self, gap: float, speed: float, mass: float) -> float:
         """Return how long a sub-step may be (s)."""
@@ -188,8 +197,12 @@ class Impact:
             after = _trapezoid(h, speed, force, mass, damping, tangent) if h > 0.0 else speed
             self._branch += 1 if to < lower else -1
             to = edge
-        if to < self._early and (self._branch or self._touch.tilt is not None):
-            self._note(to, gap - 0.5 * h * speed * speed / (speed - after) if speed > 0.0 >= after else to)
+        turned = speed > 0.0 >= after
+        if self._branch:
+            self._touched = True
+        # The force grows with the depth: between turns there is no peak, where a lean does not change what is touched.
+        if (turned and self._branch) or (self._touch.tilt is not None and to < self._early):
+            self._note(to, gap - 0.5 * h * speed * speed / (speed - after) if turned else to)
         self._gap, self._speed = to, after
         return h, after
 

@@ -101,10 +101,11 @@ class Mechanics(Motion):
             self.step(0.5 * dt, enabled, reference, limit, x, y)
             self.step(0.5 * dt, enabled, reference, limit, x, y)
             return
-        gap = self._target_z - self.position[2]
-        struck = self._strike(joints, gap, dx, dy, dt) if self._impact.concerns(gap, self.velocity[2], dt) else 0.0
+        gap, struck = self._target_z - self.position[2], 0.0
+        if (gap < self._impact.reach or self._impact.follows) and self._impact.concerns(gap, self.velocity[2], dt):
+            struck = self._strike(joints, gap, dx, dy, dt)
         self._accept(dx, dy, dz, dt)
-        self.peak_force = max(struck, self.contact_force)
+        self.peak_force = struck if struck > self.contact_force else self.contact_force
 
     def _strike(self, joints: list[_Joint], gap: float, dx: float, dy: float, dt: float) -> float:
         """Return the largest force (N) of a strike within a step from `gap` (m) on that goes dx, dy (m) sideways."""
