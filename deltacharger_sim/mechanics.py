@@ -20,6 +20,7 @@ import math
 
 from deltacharger_core.machine import NOMINAL_VOLTAGE
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, DeltaGeometry, Vector
+from deltacharger_sim.impact import Impact, StepForces
 from deltacharger_sim.linkage import Linkage
 from deltacharger_sim.motion import Motion
 from deltacharger_sim.parameters import WorldParameters
@@ -67,6 +68,7 @@ class Mechanics(Motion):
             )
         )
         self._touch = TargetTouch(parameters)
+        self._impact = Impact(parameters)
         self._play = 0.5 * parameters.servo.backlash
         here = self._linkage.linearise(*start)
         if here is None:
@@ -78,6 +80,7 @@ class Mechanics(Motion):
         # holds all of d²θ/dt² = (dθ/dp) a + (d/dt dθ/dp) v; with the exact rates half of the second term would miss.
         self._spin: Vector = (0.0, 0.0, 0.0)
         self._inputs: tuple[object, ...] = ()
+        self._aside = (0.0, 0.0)
         self._servos: tuple[tuple[float, float, float, float, float], ...] = ()
         self._found: tuple[list[float], list[float], float, float, float, float] = ([], [], 0.0, 0.0, 0.0, 0.0)
 
@@ -88,15 +91,41 @@ class Mechanics(Motion):
         inputs = (dt, enabled, reference, limit, x, y)
         if inputs == self._inputs:
             if self.still:
+                self.peak_force = self.contact_force
                 return
         else:
             self._set_inputs(inputs, dt, enabled, reference, limit, x, y)
-        dx, dy, dz = self._solve(self._joints(dt), dt)
+        joints = self._joints(dt)
+        dx, dy, dz = self._solve(joints, dt)
         if dt > _FINEST and (dx * dx + dy * dy + dz * dz > _FARTHEST or self.imbalance > _UNSOLVED):
             self.step(0.5 * dt, enabled, reference, limit, x, y)
+            peak = self.peak_force
             self.step(0.5 * dt, enabled, reference, limit, x, y)
+            self.peak_force = max(peak, self.peak_force)
             return
+        gap, struck = self._target_z - self.position[2], 0.0
+        if (gap < self._impact.reach or self._impact.follows) and self._impact.concerns(gap, self.velocity[2], dt):
+            struck = self._strike(joints, gap, dx, dy, dt)
         self._accept(dx, dy, dz, dt)
+        self.peak_force = struck if struck > self.contact_force else self.contact_force
+
+    def _strike(self, joints: list[_Joint], gap: float, dx: float, dy: float, dt: float) -> float:
+        """Return the largest force (N) of a strike within a step from `gap` (m) on that goes dx, dy (m) sideways."""
+        k, momentum = self._parameters.servo.stiffness, self._inertia * dt
+        yields = 0.5 * k + self._parameters.servo.damping / dt
+        drives, squares, friction, gear, carried = [], 0.0, 0.0, 0.0, self._mass * self._gravity[2]
+        for joint, spin in zip(joints, self._spin, strict=True):
+            gx, gy, gz, lead, slope, limit, bristle, rubs, _, _, weight = joint
+            squares += gz * gz
+            friction += abs(gz) * rubs
+            gear += gz * bristle
+            carried += gz * (weight - momentum * spin)
+            if slope > 0.0:
+                drives.append((gz, lead - yields * (gx * dx + gy * dy), limit))
+        mass = self._mass + self._parameters.servo.inertia * squares
+        x, y = self._aside
+        forces = StepForces(drives, GEAR_BRISTLE * squares, friction, carried, mass, x, y)
+        return self._impact.step(dt, gap, self.velocity[2], gear, forces, self._found[3] > 0.0)
 
     def servo_push(self) -> float:
         """Return the force (N) of motors and gears on the platform along z, less what holds the arm's weight.
@@ -130,6 +159,7 @@ class Mechanics(Motion):
         known = self._inputs[:4]
         self._inputs = inputs
         self._touch.lie(x, y)
+        self._aside = (x, y)
         if inputs[:4] == known:
             return
         self._inertia = servo.inertia / (dt * dt)

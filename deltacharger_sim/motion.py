@@ -30,6 +30,7 @@ class Motion(ABC):
         tilt: of the platform about x and y, rad; 0 without compliance.
         pad_share: share of the contact force that the left pad carries; 0.5 without compliance or tilt.
         contact_force: normal force on the electrodes together, N.
+        peak_force: the largest within the last step, N.
         magnet_force: pull of the magnets, N.
         imbalance: what the last step's solution left unbalanced, N; small unless the step is long and friction slips.
         still: whether the last step moved nothing, so that the next one with the same inputs will not either.
@@ -42,7 +43,7 @@ class Motion(ABC):
         self.velocity = self.angles = self.rates = self.torques = self.slack = _NONE
         self.tilt = (0.0, 0.0)
         self.pad_share = 0.5
-        self.contact_force = self.magnet_force = self.imbalance = 0.0
+        self.contact_force = self.peak_force = self.magnet_force = self.imbalance = 0.0
         self.still = False
 
     @property

@@ -122,7 +122,7 @@ class MujocoMechanics(Motion):
             self.contact_force, self.tilt, self.pad_share = self._leaning.read(data, self.position[0])
             return
         rows = [int(row) for row in data.contact.efc_address] if data.ncon else []
-        self.contact_force = float(sum(data.efc_force[row] for row in rows if row >= 0))
+        self.contact_force = self.peak_force = float(sum(data.efc_force[row] for row in rows if row >= 0))
 
 
 def mujoco_world(

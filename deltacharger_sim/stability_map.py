@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the light model has been shown to be right; written by `deltacharger report simulation`, never by hand.
 
-A cell is '+' where nothing diverged, the settled force is within 0.5 % of a bisection and the path within
-0.3 mm rms of that of the finest step; 'p' where the path is not, 'f' where the force is not, 'd' where it
-diverged.
+A cell is '+' where nothing diverged, the settled force is within 0.5 % of a bisection, the path within 0.3 mm
+rms of the converged course of the charger on its axis and the peak force within 15 % of its peak; 's' where the
+peak is not, 'p' where the path is not, 'f' where the force is not, 'd' where it diverged.
 """
 
 from __future__ import annotations

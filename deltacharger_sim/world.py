@@ -53,8 +53,8 @@ class Record:
         unpowered_live: times that a servo lost its torque while the electrodes were live.
         broken_current: largest current that the contactor had to interrupt, A.
         contacts: dockings, bounces not counted.
-        peak_force: largest normal force, N.
-        peak_push: largest force of the servos along z, N.
+        peak_force: largest normal force, that of impacts within a step included, N.
+        peak_push: largest force on the target along z without that of the magnets, N: of the servos and of impacts.
     """
 
     energised_shorts: int = 0
@@ -303,7 +303,7 @@ class World:
 
     def _take_record(self, dt: float) -> None:
         record, circuit = self.record, self.circuit
-        force = self.mechanics.contact_force
+        force = self.mechanics.peak_force
         if force > record.peak_force:
             record.peak_force = force
         if self._docked and force - self.mechanics.magnet_force > record.peak_push:

@@ -107,7 +107,8 @@ class TestRecord:
         good.run(0.1)
         assert good.world.record.broken_current < 1.0
         assert record["contacts"] == 1
-        assert 60.0 < record["peak_force"] < 130.0
+        # A command that jumps by 24 mm lets the magnets pull it in at 0.3 m/s.
+        assert good.world.mechanics.contact_force < record["peak_force"] < 200.0
 
     def test_a_short_that_comes_while_charging_is_recorded(self, arm: ArmFactory) -> None:
         dragged = arm(WorldParameters(target=SIX_DEGREES))

@@ -10,6 +10,7 @@ from typing import Any
 
 from deltacharger_core.machine import GRAVITY, MAGNET_FORCE, TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import Vector
+from deltacharger_lab.reports.simulation.impact import axis_extreme
 from deltacharger_lab.reports.simulation.scenes import DELTA, Arm, model_world, world
 from deltacharger_sim.parameters import (
     LEVER,
@@ -84,13 +85,12 @@ def _mirrored(arm: Arm) -> Verdict:
 def _impact(arm: Arm) -> Verdict:
     arm.go((0.0, 0.0, 0.07), 1.0)
     arm.aim((0.0, 0.0, 0.1))
-    peak = 0.0
-    for _ in range(max(1, round(2.0 / arm.step))):
-        arm.run(arm.step)
-        peak = max(peak, arm.world.mechanics.contact_force)
+    arm.run(2.0)
+    peak = arm.world.record.peak_force
     most = 3.0 * arm.world.parameters.servo.stall_torque / LEVER + MAGNET_FORCE
     settled = arm.world.mechanics.contact_force
-    about = f"peak {peak:.0f} N, settles at {settled:.1f} N, {arm.speed:.0e} m/s left"
+    exact = axis_extreme(arm.world.parameters).peak
+    about = f"peak {peak:.0f} N (converged {exact:.0f}), settles at {settled:.1f} N, {arm.speed:.0e} m/s left"
     return arm.speed < _CALM and 60.0 < settled < most, about
 
 

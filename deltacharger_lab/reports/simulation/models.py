@@ -34,7 +34,10 @@ def both(name: str, step: float) -> dict[str, Any]:
 
 
 def errors(name: str, step: float, exact: dict[str, Any]) -> dict[str, Any]:
-    """Return the errors of a model at a step (s): path in mm rms, force in %, current in A; NaN where it diverged."""
+    """Return the errors of a model at a step (s): path in mm rms, forces in %, current in A; NaN where it diverged.
+
+    The peak is that of the docking without friction and weight, against the converged one of `exact["axis"]`.
+    """
     found = both(name, step)
     force = settled_exactly(WITHOUT, 0.086)
     return {
@@ -42,6 +45,7 @@ def errors(name: str, step: float, exact: dict[str, Any]) -> dict[str, Any]:
         "step": step,
         "rms_mm": 1000.0 * rms(found["rubbing"]["trace"], exact["rubbing"]["trace"]),
         "rms_free_mm": 1000.0 * rms(found["free"]["trace"], exact["free"]["trace"]),
+        "peak_percent": 100.0 * (found["free"]["peak"] / exact["axis"]["peak"] - 1.0),
         "force_percent": 100.0 * (found["free"]["force"] / force - 1.0),
         "force_rubbing": found["rubbing"]["force"],
         "current_error": found["free"]["current"] - exact["free"]["current"],

@@ -10,13 +10,14 @@ import numpy as np
 
 from deltacharger_lab.reports.formats import tens
 from deltacharger_lab.reports.simulation.energy import PARTS
+from deltacharger_lab.reports.simulation.impact import worst
 from deltacharger_lab.reports.simulation.lean_picture import remaining_yaw
-from deltacharger_lab.reports.simulation.plan import MUJOCO, MUJOCO_FAST
+from deltacharger_lab.reports.simulation.plan import MUJOCO, MUJOCO_FAST, MUJOCO_USUAL
 from deltacharger_lab.reports.simulation.scenes import LIGHT
 from deltacharger_lab.reports.simulation.stability import DIVERGED
 from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, Axes, note, picture
 
-_COLOURS = {LIGHT: BLUE, MUJOCO: ORANGE, MUJOCO_FAST: GREEN}
+_COLOURS = {LIGHT: BLUE, MUJOCO: ORANGE, MUJOCO_FAST: GREEN, MUJOCO_USUAL: PURPLE}
 _FLOOR = 1e-7  # % of force error, drawn for what is smaller
 _DIVERGED_AT = 30.0  # mm, where a diverged run is drawn
 
@@ -25,9 +26,10 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
     about = "1.2 s of docking with friction against MuJoCo in steps of 0.05 ms; each point is a step, in ms"
     if results["absent"]:
         about = "1.2 s of docking with friction against the light model's finest step; each point is a step, in ms"
-    with picture(path, 10.0, 5.0, "Error against run time", about) as figure:
-        left, right = figure.subplots(1, 2)
-        for axes, key, text in ((left, "rms_mm", "path, mm rms"), (right, "force_percent", "settled force, %")):
+    with picture(path, 13.5, 5.0, "Error against run time", about) as figure:
+        left, middle, right = figure.subplots(1, 3)
+        columns = ((left, "rms_mm", "path, mm rms"), (middle, "peak_percent", "peak force, %"))
+        for axes, key, text in (*columns, (right, "force_percent", "solver tolerance: settled force, %")):
             for name in results["models"]:
                 _curve(axes, results, name, key)
             axes.set(title=text, xscale="log", yscale="log", xlabel="processor time per simulated second, ms")
@@ -35,6 +37,8 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
         left.axhline(0.15, color=RED, linewidth=1.0, linestyle="--")
         left.axvline(2.0, color=RED, linewidth=1.0, linestyle="--")
         left.text(2.2, 5e-3, "targets: 0.15 mm,\n500 × real time", color=RED, fontsize=8, va="top", ha="left")
+        middle.set_ylim(1e-2, 200.0)
+        middle.axhline(15.0, color=RED, linewidth=1.0, linestyle="--")
         right.axhline(0.5, color=RED, linewidth=1.0, linestyle="--")
         right.text(0.98, 0.7, "target: 0.5 %", color=RED, fontsize=8, ha="right", transform=right.get_yaxis_transform())
         right.plot([], [], "x", color=FAINT, label="diverged or restless")
@@ -105,6 +109,31 @@ def _energy(results: dict[str, Any], path: Path) -> None:
         right.legend(fontsize=8, loc="lower right", bbox_to_anchor=(1.02, 1.0), ncols=4, columnspacing=0.9)
 
 
+def _impact(results: dict[str, Any], path: Path) -> None:
+    about = (
+        "worst error in % of all strikes and servos against the converged reference; left as told, right by steps' ends"
+    )
+    with picture(path, 10.0, 4.4, "Peak force of an impact", about) as figure:
+        from matplotlib.colors import LogNorm
+
+        rows = [row for row in results["strikes"] if not row["grazes"]]
+        steps, contacts = (sorted({row[key] for row in rows}) for key in ("step", "contact"))
+        panels = figure.subplots(1, 2)
+        titles = {"percent": "resolved within the step", "ends_percent": "forces at steps' ends"}
+        for axes, (key, title) in zip(panels, titles.items(), strict=True):
+            values = [[worst(rows, key, step=step, contact=contact) or 0.0 for step in steps] for contact in contacts]
+            shown = [[max(abs(value), 0.1) for value in row] for row in values]
+            axes.imshow(shown, origin="lower", aspect="auto", cmap="viridis", norm=LogNorm(0.5, 100.0))
+            for index, row in enumerate(values):
+                for column, value in enumerate(row):
+                    colour = "white" if abs(value) < 15.0 else INK
+                    axes.text(column, index, f"{value:+.1f}", ha="center", va="center", fontsize=8, color=colour)
+            axes.set_xticks(range(len(steps)), [f"{1000.0 * step:g}" for step in steps])
+            axes.set_yticks(range(len(contacts)), [tens(each) for each in contacts])
+            axes.set(title=title, xlabel="step, ms", ylabel="contact stiffness, N/m per electrode")
+            axes.grid(visible=False)
+
+
 def _docking(results: dict[str, Any], path: Path) -> None:
     about = "approach, snap, push, pull off; commands every 0.1 s"
     with picture(path, 10.0, 5.2, "One docking by every model", about) as figure:
@@ -125,6 +154,7 @@ def _docking(results: dict[str, Any], path: Path) -> None:
 PICTURES = {
     "simulation-error-time.png": _error_time,
     "simulation-map.png": _map,
+    "simulation-impact.png": _impact,
     "simulation-energy.png": _energy,
     "simulation-docking.png": _docking,
     "simulation-lean.png": remaining_yaw,

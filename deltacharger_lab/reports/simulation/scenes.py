@@ -13,11 +13,13 @@ from typing import Any
 from deltacharger_core.machine import SERVO_STIFFNESS, STALL_CURRENT, TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_lab.reports.simulation.usual import as_users_set_it, was_reset
 from deltacharger_sim.parameters import ContactParameters, ServoParameters, WorldParameters
 from deltacharger_sim.world import World
 
 DELTA = ScalarDelta()
 LIGHT = "light"
+EXTRAPOLATED = "light, extrapolated"
 TICK = 0.1  # s between commands of the docking; every step of the report divides it
 SAMPLE = 0.01  # s between places that are compared, where the step allows
 TRAVEL, PUSH = 0.060, 0.086  # m of command along z before and at the end of the docking
@@ -26,14 +28,19 @@ PATH_TICKS, HOLD = 12, 1.0  # of the compared path; s of rest after it, until th
 
 
 def model_world(name: str, parameters: WorldParameters, step: float) -> World:
-    """Return a world of the light model, or of MuJoCo with one of its integrators, whose steps are of `step` s."""
+    """Return a world of a light model, or of MuJoCo with one of its integrators, whose steps are of `step` s."""
     if name == LIGHT:
         return World(parameters)
+    if name == EXTRAPOLATED:
+        from deltacharger_lab.reports.simulation.extrapolated import ExtrapolatedMechanics
+
+        return World(parameters, mechanics=ExtrapolatedMechanics)
     from deltacharger_sim.mujoco_world import mujoco_world
 
     # That it diverges somewhere is what the report finds out.
     logging.getLogger("deltacharger_sim.mujoco_world").setLevel(logging.ERROR)
-    return mujoco_world(parameters, step=step, integrator=name.split()[-1])
+    found = mujoco_world(parameters, step=step, integrator=name.split()[-1])
+    return as_users_set_it(found) if "usual" in name else found
 
 
 class Arm:
@@ -105,8 +112,9 @@ def docking(model: str, parameters: WorldParameters, step: float) -> dict[str, A
     """Approach, snap, push and hold: places every SAMPLE, settled force and current, and what it cost.
 
     Returns:
-        trace (list of m), force (N), current (A), tilt (rad about x and y), share (of the left pad), speed (m/s left at
-        the end), and how many times faster than real time one core was in motion (`moving`) and in all (`all`).
+        trace (list of m), force (N), peak (N), current (A), tilt (rad about x and y), share (of the left pad), speed
+        (m/s left at the end; NaN where MuJoCo began anew), and how many times faster than real time one core was in
+        motion (`moving`) and in all (`all`).
     """
     arm = Arm(model_world(model, parameters, step), step)
     arm.go((0.0, 0.0, TRAVEL), 1.0)
@@ -122,10 +130,11 @@ def docking(model: str, parameters: WorldParameters, step: float) -> dict[str, A
     return {
         "trace": trace,
         "force": mechanics.contact_force,
+        "peak": arm.world.record.peak_force,
         "current": arm.contact_current(),
         "tilt": mechanics.tilt,
         "share": mechanics.pad_share,
-        "speed": arm.speed,
+        "speed": math.nan if was_reset(arm.world) else arm.speed,
         "moving": PATH_TICKS * TICK / max(moved, 1e-6),
         "all": (PATH_TICKS * TICK + hold) / max(arm.used, 1e-6),
     }

@@ -8,25 +8,28 @@ from typing import Any
 
 from deltacharger_lab.reports.simulation.plan import SimulationPlan
 from deltacharger_lab.reports.simulation.scenes import Arm, docking, model_world, rms, settled_exactly, world
+from deltacharger_lab.reports.simulation.usual import was_reset
 
-DIVERGED, FORCE_OFF, PATH_OFF, PROVEN = "d", "f", "p", "+"
-FORCE_LIMIT, PATH_LIMIT = 0.5, 0.3  # % and mm rms that a proven point may be off
+DIVERGED, FORCE_OFF, PATH_OFF, PEAK_OFF, PROVEN = "d", "f", "p", "s", "+"
+FORCE_LIMIT, PATH_LIMIT, PEAK_LIMIT = 0.5, 0.3, 15.0  # %, mm rms and % that a proven point may be off
 MODULE = "stability_map.py"
 
 
-def column(name: str, servo: float, contact: float, steps: tuple[float, ...], finest: float) -> list[dict[str, Any]]:
-    """Return the points of a servo and contact stiffness, judged against the model itself in steps of `finest` s."""
+def column(
+    name: str, servo: float, contact: float, steps: tuple[float, ...], exact: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """Return the points of a servo and contact stiffness, judged against the converged reference's path and peak."""
     parameters = world(contact, servo, friction=0.0, gravity_y=0.0)
-    exact = docking(name, parameters, finest)
     force = settled_exactly(parameters, 0.086)
     points = []
     for step in steps:
-        found = exact if step == finest else docking(name, parameters, step)
+        found = docking(name, parameters, step)
         rough = roughly(name, servo, contact, step)
         off = 100.0 * abs(found["force"] / force - 1.0)
         path = 1000.0 * rms(found["trace"], exact["trace"])
         point = {"model": name, "servo": servo, "contact": contact, "step": step, "force_percent": off}
-        point |= {"path_mm": path, "speed": found["speed"], **rough}
+        peak = 100.0 * (found["peak"] / exact["peak"] - 1.0)
+        point |= {"path_mm": path, "peak_percent": peak, "speed": found["speed"], **rough}
         points.append({**point, "cell": _cell(point)})
     return points
 
@@ -36,7 +39,9 @@ def _cell(point: dict[str, Any]) -> str:
         return DIVERGED
     if not point["force_percent"] <= FORCE_LIMIT:
         return FORCE_OFF
-    return PROVEN if point["path_mm"] <= PATH_LIMIT else PATH_OFF
+    if not point["path_mm"] <= PATH_LIMIT:
+        return PATH_OFF
+    return PROVEN if abs(point["peak_percent"]) <= PEAK_LIMIT else PEAK_OFF
 
 
 def roughly(name: str, servo: float, contact: float, step: float, **changes: Any) -> dict[str, Any]:
@@ -61,7 +66,7 @@ def roughly(name: str, servo: float, contact: float, step: float, **changes: Any
             arm.aim(point)
         for _ in range(max(1, round(seconds / max(step, 0.005)))):
             arm.run(max(step, 0.005))
-            bounded = bounded and arm.is_bounded()
+            bounded = bounded and arm.is_bounded() and not was_reset(arm.world)
             imbalance = max(imbalance, arm.world.mechanics.imbalance)
         if not bounded:
             break

@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Impacts: peak force over contact stiffness, step, speed and servo stiffness, against the converged reference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from deltacharger_core.machine import STALL_CURRENT
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_lab.reports.simulation.plan import MUJOCO, MUJOCO_USUAL, SimulationPlan
+from deltacharger_lab.reports.simulation.reference import TOLERANCE, AxisCourse, Order, angle, on_axis
+from deltacharger_lab.reports.simulation.scenes import (
+    DELTA,
+    EXTRAPOLATED,
+    LIGHT,
+    PATH_TICKS,
+    PUSH,
+    SAMPLE,
+    TICK,
+    TRAVEL,
+    docking,
+    model_world,
+    rms,
+    world,
+)
+from deltacharger_sim.parameters import MagnetParameters, WorldParameters
+from deltacharger_sim.world import World
+
+STIFFEST = 1e6  # N/m per electrode up to which the target holds
+DOCKING_STEPS = (0.005, 0.01, 0.02)  # s of the world while docking: node and exact campaigns, quick campaigns
+COMMANDS = 0.02  # s between commands of a strike; every step of the grid divides it
+_STANDS, _BEFORE = 0.2, 0.014  # s at rest, and m before the target, where a strike begins
+_AFTER = 0.12  # s after the last command
+_GRAZING = 5e-5  # m of the stop's depth that should not decide
+_SNAP_GAP = 0.0025  # m before the target where a snap's line ends: within every servo's unstable range
+
+
+@dataclass(frozen=True)
+class Strike:
+    """How the target is struck.
+
+    Attributes:
+        name: told on the page.
+        speed: of the commanded line, m/s.
+        magnets: N.
+        beyond: where the line ends, m beyond the target; soft electrodes are pushed 2 mm deeper.
+    """
+
+    name: str
+    speed: float
+    magnets: float = 60.0
+    beyond: float = 0.001
+
+
+STRIKES = (
+    Strike("10 mm/s", 0.01),
+    Strike("25 mm/s", 0.025),
+    Strike("120 mm/s", 0.12),
+    Strike("10 mm/s, no magnets", 0.01, 0.0),
+    Strike("25 mm/s, no magnets", 0.025, 0.0),
+    Strike("120 mm/s, no magnets", 0.12, 0.0),
+    Strike("snap by the magnets", 0.02, 60.0, -_SNAP_GAP),
+)
+
+
+def axis_world(contact: float, servo: float, magnets: float = 60.0) -> WorldParameters:
+    """Return parameters of a charger on its axis, weightless and without gear friction."""
+    return world(contact, servo, friction=0.0, gravity_y=0.0, magnets=MagnetParameters(force=magnets))
+
+
+def strike_orders(parameters: WorldParameters, strike: Strike) -> tuple[float, list[Order], float]:
+    """Return where the charger begins (m), commands along the line, led by the lag, and how long it takes (s)."""
+    servo, target = parameters.servo, parameters.target.z
+    start, deeper = target - _BEFORE, 0.002 * (parameters.contact.stiffness < 1e5 and strike.beyond > 0.0)
+    way = _BEFORE + strike.beyond + deeper
+    count, lag = math.ceil(way / (strike.speed * COMMANDS) - 1e-9), servo.damping / servo.stiffness
+    orders = [(0.0, angle(start)[0], STALL_CURRENT)]
+    for index in range(count + 1):
+        theta, slope, _ = angle(start + min(strike.speed * COMMANDS * (index + 1), way))
+        ahead = lag * slope * strike.speed if index < count else 0.0
+        orders.append((_STANDS + COMMANDS * index, theta + ahead, STALL_CURRENT))
+    return start, orders, COMMANDS * round((_STANDS + _AFTER) / COMMANDS + count)
+
+
+def obey(moved: World, orders: Sequence[Order], duration: float, step: float) -> float:
+    """Let a world obey commands in steps of `step` s and return the largest force at an end of a step (N)."""
+    told, ends = 0, 0.0
+    for index in range(round(duration / step)):
+        while told < len(orders) and orders[told][0] <= index * step + 1e-9:
+            for servo in range(3):
+                moved.command(servo, True, *orders[told][1:])
+            told += 1
+        moved.step(step)
+        ends = max(ends, moved.mechanics.contact_force)
+    return ends
+
+
+def strikes(contact: float, servo: float, steps: tuple[float, ...]) -> list[dict[str, Any]]:
+    """Return the light model's peak (N) of every strike and step, with its error and that of steps' ends (%)."""
+    rows = []
+    for strike in STRIKES:
+        parameters = axis_world(contact, servo, strike.magnets)
+        start, orders, duration = strike_orders(parameters, strike)
+        exact = on_axis(parameters, start, orders, duration).peak
+        grazes = _grazes(parameters, start, orders, duration, exact)
+        for step in steps:
+            moved = World(parameters, start=(0.0, 0.0, start))
+            ends, peak = obey(moved, orders, duration, step), moved.record.peak_force
+            row = {"contact": contact, "servo": servo, "strike": strike.name, "step": step, "exact": exact}
+            percent, ends_percent = 100.0 * (peak / exact - 1.0), 100.0 * (ends / exact - 1.0)
+            rows.append({**row, "peak": peak, "percent": percent, "ends_percent": ends_percent, "grazes": grazes})
+    return rows
+
+
+def _grazes(parameters: WorldParameters, start: float, orders: list[Order], duration: float, exact: float) -> bool:
+    """Return whether the reference's own peak changes by more than the target were the stop 0.05 mm nearer.
+
+    Soft electrodes that only just reach their stop strike it or do not; less than a step's path error decides.
+    """
+    contact = parameters.contact
+    if contact.stiffness > 1e4:
+        return False
+    nearer = replace(parameters, contact=replace(contact, hard_stop=contact.hard_stop - _GRAZING))
+    return abs(on_axis(nearer, start, orders, duration).peak / exact - 1.0) > 0.15
+
+
+def docking_orders() -> list[Order]:
+    """Return the commands of `scenes.docking` on the axis: at rest at TRAVEL 1 s after leaving home, then its path."""
+    orders = [(0.0, angle(TRAVEL)[0], STALL_CURRENT)]
+    for index in range(PATH_TICKS):
+        share = min((index + 1) / 8.0, 1.0)
+        orders.append((1.0 + TICK * index, angle(TRAVEL + (PUSH - TRAVEL) * share)[0], STALL_CURRENT))
+    return orders
+
+
+def axis_docking(contact: float, servo: float) -> dict[str, Any]:
+    """Return path (list of m) and peak force (N) of `scenes.docking` without weight and gear friction, converged."""
+    found = on_axis(axis_world(contact, servo), 0.0, docking_orders(), 1.0 + PATH_TICKS * TICK, SAMPLE)
+    trace: list[Vector] = [(0.0, 0.0, z) for z in found.trace[round(1.0 / SAMPLE) :]]
+    return {"contact": contact, "servo": servo, "trace": trace, "peak": found.peak}
+
+
+def integrators(steps: tuple[float, ...]) -> list[dict[str, Any]]:
+    """Return path error (mm rms) and peak error (%) of the axis docking, on 1e5 and 1e6 N/m, and run time (µs per ms).
+
+    Models are the light one and its extrapolated competitor; times are those of the fastest of three runs in turn.
+    """
+    rows = []
+    for contact in (1e5, 1e6):
+        exact = axis_docking(contact, 15.0)
+        for step in steps:
+            runs = [(name, docking(name, axis_world(contact, 15.0), step)) for name in (LIGHT, EXTRAPOLATED) * 3]
+            for name in (LIGHT, EXTRAPOLATED):
+                mine = [run for which, run in runs if which == name]
+                row = {
+                    "model": name,
+                    "contact": contact,
+                    "step": step,
+                    "us": 1000.0 / max(run["moving"] for run in mine),
+                }
+                path = 1000.0 * rms(mine[0]["trace"], exact["trace"])
+                rows.append({**row, "path_mm": path, "percent": 100.0 * (mine[0]["peak"] / exact["peak"] - 1.0)})
+    return rows
+
+
+def others(name: str, contacts: tuple[float, ...], step: float) -> list[dict[str, Any]]:
+    """Return MuJoCo's peak of the strike at 25 mm/s, here in steps of 1 ms or less: another law of contact."""
+    rows = []
+    for contact in contacts:
+        parameters = axis_world(contact, 15.0)
+        start, orders, duration = strike_orders(parameters, STRIKES[1])
+        exact = on_axis(parameters, start, orders, duration).peak
+        moved = model_world(name, parameters, step)
+        led = [(0.0, *orders[0][1:]), *((when + 1.0, *rest) for when, *rest in orders)]
+        obey(moved, [(when, goal, bound) for when, goal, bound in led], duration + 1.0, step)
+        peak = moved.record.peak_force
+        rows.append({"model": name, "contact": contact, "step": step, "exact": exact, "peak": peak})
+    return rows
+
+
+def tolerances(contacts: tuple[float, ...]) -> list[dict[str, Any]]:
+    """Return how the reference's peak (N) changes with its tolerance, in % of the tightest."""
+    rows = []
+    for contact in contacts:
+        parameters = axis_world(contact, 15.0)
+        start, orders, duration = strike_orders(parameters, STRIKES[1])
+        peaks = [on_axis(parameters, start, orders, duration, tolerance=each).peak for each in _TOLERANCES]
+        changes = [100.0 * (peak / peaks[-1] - 1.0) for peak in peaks[:-1]]
+        rows.append({"contact": contact, "peak": peaks[-1], "percent": dict(zip(map(str, _TOLERANCES), changes))})  # noqa: B905
+    return rows
+
+
+_TOLERANCES = (1e-5, 1e-6, TOLERANCE, 1e-11)
+
+
+def tiny_steps(contact: float, steps: tuple[float, ...]) -> list[dict[str, Any]]:
+    """Return how the whole light model's force at the ends of tiny steps converges: on the axis and off it, sliding.
+
+    `steps` are halved from one to the next; the order is that of the last three, and the limit Richardson's of it.
+    """
+    rows = []
+    for name in ("on the axis", "off the axis, sliding"):
+        ends = [_tiny(name, contact, step)[0] for step in steps]
+        first, second = ends[-2] - ends[-3], ends[-1] - ends[-2]
+        order = math.log2(first / second) if first / second > 0.0 else math.nan
+        limit = ends[-1] + second / (2.0**order - 1.0)
+        coarse = {
+            f"{1000.0 * step:g}": 100.0 * (_tiny(name, contact, step)[1] / limit - 1.0) for step in (5e-3, 1e-2, 2e-2)
+        }
+        row = {"name": name, "contact": contact, "ends": ends, "order": order, "limit": limit, "percent": coarse}
+        exact = math.nan
+        if name == "on the axis":
+            parameters = axis_world(contact, 15.0)
+            exact = on_axis(parameters, *strike_orders(parameters, STRIKES[1])).peak
+        rows.append({**row, "exact": exact})
+    return rows
+
+
+def _tiny(name: str, contact: float, step: float) -> tuple[float, float]:
+    """Return the largest force at an end of a step and the peak told (N) of a strike at 25 mm/s."""
+    if name == "on the axis":
+        parameters = axis_world(contact, 15.0)
+        start, orders, duration = strike_orders(parameters, STRIKES[1])
+        moved = World(parameters, start=(0.0, 0.0, start))
+        return obey(moved, orders, duration, step), moved.record.peak_force
+    parameters = replace(axis_world(contact, 15.0), target=replace(WorldParameters().target, x=0.03, y=0.02))
+    begin, lag = (0.02, 0.02, parameters.target.z - _BEFORE), parameters.servo.damping / parameters.servo.stiffness
+    moved, ends, count, every = World(parameters, start=begin), 0.0, 30, round(COMMANDS / step)
+    for index in range(count + 10):
+        share, ahead = (min(each / count, 1.0) for each in (index + 1, index + 1 + lag / COMMANDS))
+        # It slides along x by 10 mm while it comes 15 mm nearer; the lag is led by the point ahead.
+        there, on = ((0.02 + 0.01 * part, 0.02, begin[2] + 0.015 * part) for part in (share, ahead))
+        for servo, goal in enumerate(DELTA.inverse(*(on if index < count else there))):
+            moved.command(servo, True, goal, STALL_CURRENT)
+        for _ in range(every):
+            moved.step(step)
+            ends = max(ends, moved.mechanics.contact_force)
+    return ends, moved.record.peak_force
+
+
+def worst(rows: Sequence[dict[str, Any]], key: str = "percent", **wanted: Any) -> float | None:
+    """Return the error that is farthest from 0 of the rows that have the wanted values."""
+    found = [row[key] for row in rows if all(row[name] == value for name, value in wanted.items())]
+    return max(found, key=abs) if found else None
+
+
+def at_docking(rows: Sequence[dict[str, Any]], grazing: bool = True) -> float:
+    """Return the worst error (%) at the steps docking uses, up to 1e6 N/m, with or without strikes that graze the stop."""
+    found = [row for row in rows if row["step"] in DOCKING_STEPS and row["contact"] <= STIFFEST]
+    return max(abs(float(row["percent"])) for row in found if grazing or not row["grazes"])
+
+
+def axis_extreme(parameters: WorldParameters) -> AxisCourse:
+    """Return the extreme scene "20 mm beyond the target at full speed", weightless."""
+    free = replace(parameters, gravity_y=0.0)
+    orders = [(0.0, angle(0.07)[0], STALL_CURRENT), (1.0, angle(0.1)[0], STALL_CURRENT)]
+    return on_axis(free, 0.0, orders, 1.5)
+
+
+def tasks(plan: SimulationPlan, names: Sequence[str]) -> list[tuple[str, Any, tuple[Any, ...], float]]:
+    """Return name, function, arguments and weight of the section's work."""
+    found: list[tuple[str, Any, tuple[Any, ...], float]] = [
+        ("strikes", strikes, (contact, servo, plan.strike_steps), 1.0 + contact / 2e8)
+        for contact in plan.strike_contacts
+        for servo in plan.strike_servos
+    ]
+    found.append(("integrators", integrators, (plan.strike_steps,), 2.0))
+    found.append(("tolerances", tolerances, ((min(plan.strike_contacts), 1e5, max(plan.strike_contacts)),), 5.0))
+    found += [("tiny_steps", tiny_steps, (contact, plan.tiny_steps), 5.0) for contact in (1e5, 1e6)]
+    for name, step in ((MUJOCO, 1e-3), (MUJOCO, 1e-4), (MUJOCO_USUAL, 1e-3), (MUJOCO_USUAL, 1e-4)):
+        if name in names:
+            found.append(("others", others, (name, plan.strike_contacts, step), 0.005 / step))
+    return found

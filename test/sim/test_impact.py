@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws of an impact within a step: energy, the spring alone, rest, and that the step does not decide its height."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_sim.impact import Impact
+from deltacharger_sim.parameters import (
+    ContactParameters,
+    MagnetParameters,
+    PlatformParameters,
+    ServoParameters,
+    TargetParameters,
+    WorldParameters,
+)
+from deltacharger_sim.world import World
+
+ArmFactory = Callable[..., Any]
+NO_MAGNETS = MagnetParameters(force=0.0)
+SLIPPERY = ServoParameters(friction=0.0, unpowered_friction=0.0)
+DELTA = ScalarDelta()
+STEPS = (0.001, 0.005, 0.01, 0.02)
+
+
+def mass_along_z(world: World, z: float) -> float:
+    """Effective mass on the axis, kg: platform, rods, and rotors through the Jacobian."""
+    geometry, turn = world.geometry, 1.0 / sum(DELTA.jacobian(0.0, 0.0, z)[6:])
+    rotors = 3.0 * world.parameters.servo.inertia * turn * turn
+    return geometry.platform_mass + 1.5 * geometry.rod_mass + rotors
+
+
+def thrown(speed: float, stiffness: float, step: float, gap: float = 0.002, **changes: Any) -> World:
+    """A limp arm without friction and weight that flies at its target, until after it has bounced."""
+    parameters = WorldParameters(
+        servo=SLIPPERY, contact=ContactParameters(stiffness=stiffness), magnets=NO_MAGNETS, gravity_y=0.0, **changes
+    )
+    world = World(parameters, start=(0.0, 0.0, 0.08 - gap))
+    mechanics: Any = world.mechanics
+    turn = 1.0 / sum(DELTA.jacobian(0.0, 0.0, 0.08 - gap)[6:])
+    mechanics.velocity = (0.0, 0.0, speed)
+    mechanics.rates = mechanics._spin = (turn * speed,) * 3
+    for _ in range(round(0.3 / step)):
+        world.step(step)
+    return world
+
+
+def pressed(arm: ArmFactory, parameters: WorldParameters, step: float, speed: float, depth: float = 0.002) -> Any:
+    """Moved at a speed (m/s) from 12 mm before the target to `depth` beyond it, servos led by their lag."""
+    found, servo = arm(parameters, step), parameters.servo
+    found.go((0.0, 0.0, 0.068), max(2.0, 10.0 * servo.damping / servo.stiffness))
+    held, stiffness = DELTA.holding_torque(0.0, 0.0, 0.08, found.gravity), servo.stiffness
+    count, lag = math.ceil((0.012 + depth) / speed / 0.02), servo.damping / stiffness
+    for index in range(count + 1):
+        z = 0.068 + min(speed * 0.02 * (index + 1), 0.012 + depth)
+        ahead = lag * speed / sum(DELTA.jacobian(0.0, 0.0, z)[6:]) if index < count else 0.0
+        for servo_index, (angle, torque) in enumerate(zip(DELTA.inverse(0.0, 0.0, z), held, strict=True)):
+            found.world.command(servo_index, True, angle + torque / stiffness + ahead, 4.1)
+        found.run(0.02)
+    found.run(max(0.2, 10.0 * lag))
+    return found
+
+
+class TestSpring:
+    @pytest.mark.parametrize("step", STEPS)
+    @pytest.mark.parametrize("stiffness", [1e5, 1e6, 1e7, 1e9])
+    @pytest.mark.parametrize("speed", [0.01, 0.12])
+    def test_an_undamped_strike_peaks_at_v_times_the_root_of_k_m(
+        self, step: float, stiffness: float, speed: float
+    ) -> None:
+        world = thrown(speed, stiffness, step)
+        expected = speed * math.sqrt(2.0 * stiffness * mass_along_z(world, 0.08))
+        assert world.record.contacts == 1
+        assert world.record.peak_force == pytest.approx(expected, rel=0.03)
+
+    def test_a_spring_that_bottoms_strikes_its_stop(self) -> None:
+        world = thrown(0.12, 1e3, 0.005)
+        contact, mass = world.parameters.contact, mass_along_z(world, 0.08)
+        # Energy: ½ m v² = k s² + 2 k s d + (k + K/2) d² with the travel s to the stop and d beyond it.
+        k, stop, s = contact.stiffness, contact.hard_stop_stiffness, contact.hard_stop
+        left, b, a = 0.5 * mass * 0.12**2 - k * s * s, 2.0 * k * s, k + 0.5 * stop
+        beyond = (-b + math.sqrt(b * b + 4.0 * a * left)) / (2.0 * a)
+        expected = 2.0 * k * (s + beyond) + stop * beyond
+        assert world.record.peak_force == pytest.approx(expected, rel=0.03)
+
+    def test_a_leaning_target_is_struck_less_hard_than_a_flat_one(self) -> None:
+        leaning = {"target": TargetParameters(tilt_y=0.01), "platform": PlatformParameters(compliance=0.01)}
+        flat, askew = thrown(0.1, 1e6, 0.005), thrown(0.1, 1e6, 0.005, **leaning)
+        assert 0.2 * flat.record.peak_force < askew.record.peak_force < flat.record.peak_force
+
+
+class TestPeak:
+    @pytest.mark.parametrize("stiffness", [1e3, 1e5, 1e7, 1e9])
+    @pytest.mark.parametrize("servo", [2.5, 20.0])
+    def test_it_holds_no_more_energy_than_came_in(self, arm: ArmFactory, stiffness: float, servo: float) -> None:
+        speed = 0.06
+        parameters = WorldParameters(
+            servo=ServoParameters(stiffness=servo, friction=0.0),
+            contact=ContactParameters(stiffness=stiffness),
+            magnets=NO_MAGNETS,
+            gravity_y=0.0,
+        )
+        found = pressed(arm, parameters, 0.01, speed)
+        world = found.world
+        contact, peak = parameters.contact, world.record.peak_force
+        k, stop, s = 2.0 * contact.stiffness, contact.hard_stop_stiffness, contact.hard_stop
+        depth = peak / k if peak <= k * s else s + (peak - k * s) / (k + stop)
+        held = 0.5 * k * depth * depth + 0.5 * stop * max(depth - s, 0.0) ** 2
+        most = 3.0 * parameters.servo.stall_torque / 0.0375  # N that the servos can push at all
+        came = 0.5 * mass_along_z(world, 0.08) * (1.15 * speed) ** 2
+        assert 0.0 < held <= came + most * depth
+        assert peak <= most + math.sqrt(most**2 + 2.0 * (k + stop) * came)
+
+    @pytest.mark.parametrize("stiffness", [1e3, 1e5, 1e6])
+    def test_the_slower_it_comes_the_nearer_it_is_to_what_rests(self, arm: ArmFactory, stiffness: float) -> None:
+        parameters = WorldParameters(
+            servo=ServoParameters(friction=0.0),
+            contact=ContactParameters(stiffness=stiffness),
+            magnets=NO_MAGNETS,
+            gravity_y=0.0,
+        )
+        over = []
+        for speed in (0.06, 0.01, 0.0005):
+            found = pressed(arm, parameters, 0.01, speed, 0.001)
+            over.append(found.world.record.peak_force / found.world.mechanics.contact_force)
+        assert over[0] > over[1] >= over[2] >= 1.0
+        assert over[2] < 1.05
+
+    @pytest.mark.parametrize("servo", [2.5, 15.0])
+    @pytest.mark.parametrize("stiffness", [1e4, 1e5, 1e6, 1e8])
+    @pytest.mark.parametrize("magnets", [0.0, 60.0])
+    def test_the_step_does_not_decide_it(self, arm: ArmFactory, servo: float, stiffness: float, magnets: float) -> None:
+        parameters = WorldParameters(
+            servo=ServoParameters(stiffness=servo),
+            contact=ContactParameters(stiffness=stiffness),
+            magnets=MagnetParameters(force=magnets),
+        )
+        peaks = [pressed(arm, parameters, step, 0.025).world.record.peak_force for step in STEPS]
+        assert peaks[1:] == pytest.approx([peaks[0]] * 3, rel=0.15)
+
+    def test_a_snap_strikes_harder_than_it_holds(self, arm: ArmFactory) -> None:
+        found = arm(WorldParameters(contact=ContactParameters(stiffness=1e6)))
+        found.go((0.0, 0.0, 0.06))
+        found.go((0.0, 0.0, 0.0775))
+        assert found.world.record.contacts == 1
+        assert found.world.record.peak_force > 2.0 * found.world.mechanics.contact_force
+
+
+class TestQuiet:
+    def test_nothing_is_struck_without_contact(self, arm: ArmFactory) -> None:
+        found = arm(WorldParameters(magnets=NO_MAGNETS), 0.01)
+        for _ in range(3):
+            found.go((0.0, 0.0, 0.0795), 0.5)
+            found.go((0.0, 0.0, 0.06), 0.3)
+        assert found.world.record.contacts == 0
+        assert found.world.record.peak_force == found.world.record.peak_push == 0.0
+
+    def test_nothing_is_struck_where_there_is_no_target(self) -> None:
+        world = thrown(0.1, 1e6, 0.005, target=TargetParameters(present=False))
+        assert world.record.peak_force == 0.0
+
+    def test_what_rests_does_not_strike_and_what_is_pressed_on_gently_does_not_either(self, arm: ArmFactory) -> None:
+        found = arm(WorldParameters(contact=ContactParameters(stiffness=1e6)), 0.01)
+        found.dock()
+        for depth in (0.083, 0.084, 0.085, 0.084):
+            found.world.record.peak_force = 0.0
+            found.aim((0.0, 0.0, depth))
+            highest = 0.0
+            for _ in range(100):
+                found.world.step(0.01)
+                highest = max(highest, found.world.mechanics.contact_force)
+            assert found.world.record.peak_force == highest
+            assert found.world.mechanics.peak_force == found.world.mechanics.contact_force
+
+    @pytest.mark.parametrize("stiffness", [1e3, 1e9])
+    def test_its_work_is_bounded(self, arm: ArmFactory, stiffness: float, monkeypatch: pytest.MonkeyPatch) -> None:
+        count, move = [0], Impact._move
+
+        def counted(self: Impact, *arguments: Any) -> Any:
+            count[0] += 1
+            return move(self, *arguments)
+
+        monkeypatch.setattr(Impact, "_move", counted)
+        found = arm(WorldParameters(contact=ContactParameters(stiffness=stiffness)), 0.1)
+        found.go((0.0, 0.0, 0.07))
+        found.go((0.0, 0.0, 0.1), 2.0)
+        assert 10 < count[0] < 1000
+        assert math.isfinite(found.world.record.peak_force)
+        before = count[0]
+        found.run(2.0)
+        assert count[0] == before
