@@ -139,9 +139,20 @@ def _root(package: str) -> Path:
 
 
 def meaning(path: Path) -> bytes:
-    """Return what a file says to Python: comments and layout of code change no docking. Of other files, every byte."""
+    """Return what a file says to Python: comments, docstrings and layout of code change no docking.
+
+    Of other files, every byte.
+    """
     content = path.read_bytes()
-    return ast.dump(ast.parse(content)).encode() if path.suffix == ".py" else content
+    if path.suffix != ".py":
+        return content
+    tree = ast.parse(content)
+    for node in ast.walk(tree):
+        if isinstance(body := getattr(node, "body", None), list):
+            body[:] = [
+                line for line in body if not (isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant))
+            ]
+    return ast.dump(tree).encode()
 
 
 def flat(content: Mapping[str, Any], path: str = "") -> dict[str, Any]:

@@ -54,3 +54,15 @@ def test_an_edit_of_any_file_changes_the_digest(monkeypatch: pytest.MonkeyPatch)
         found.add(settings._digest())
     assert len(found | {first}) == len(files) + 1
     assert {name.partition("/")[0] for name in files} == {*settings._COMPUTES, "driver", "lab"}
+
+
+def test_words_about_code_are_no_part_of_the_digest(tmp_path: Path) -> None:
+    def meaning(text: str) -> bytes:
+        (tmp_path / "module.py").write_text(text, "utf-8")
+        return settings.meaning(tmp_path / "module.py")
+
+    plain = meaning("A = 1\ndef f():\n    return 'x'\n")
+    assert (
+        meaning('"""Words."""\nA = 1  # a number\n"""More."""\ndef f():\n    """Say."""\n    return \'x\'\n') == plain
+    )
+    assert meaning("A = 1\ndef f():\n    return 'y'\n") != plain
