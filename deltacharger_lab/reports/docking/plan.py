@@ -87,6 +87,7 @@ PARTS = (
     CampaignPart(
         "second_1N", "second_1N", 1_000, "the same, by the pose model for sensors that tell nothing below 1 N"
     ),
+    CampaignPart("second_sensitive", "second_sensitive", 1_000, "the same, sheets that tell forces from 0.25 N on"),
     CampaignPart("random_second", "random_second", 2_000, "`random`, pads and bars of the second contact physics"),
     CampaignPart("exact", "random", 1_000, "`random`, every tick and frame computed as the nodes do", exact=True),
     CampaignPart("strike", "default", 2_000, "`default`, every tick and frame computed", exact=True),
