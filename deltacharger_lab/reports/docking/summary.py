@@ -50,6 +50,7 @@ CALIBRATED = (
     "default",
     "second",
     "second_1N",
+    "second_sensitive",
     "random_second",
     "high_row",
     "parked",
