@@ -14,10 +14,11 @@ import pytest
 from deltacharger_bringup.cli.main import main
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.summary import upper_bound
+from deltacharger_lab.reports.docking import grounds
 from deltacharger_lab.reports.docking import report as docking_report
 from deltacharger_lab.reports.docking import summary as docking_summary
 from deltacharger_lab.reports.docking.pictures import PICTURES
-from deltacharger_lab.reports.docking.plan import PARTS, QUICK, make_plan
+from deltacharger_lab.reports.docking.plan import PARTS, QUICK, SEED, make_plan
 from deltacharger_lab.reports.docking.summary import Columns
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra campaign)")
@@ -173,3 +174,33 @@ def test_an_unknown_campaign_is_refused_with_those_that_there_are(
     code, answer, _ = report(capsys, "--only", "egde", "--out", str(tmp_path))
     assert code == 2
     assert "edge" in answer["error"]
+
+
+def test_each_threshold_is_a_parameter_and_names_where_it_was_chosen() -> None:
+    rows = list(grounds.thresholds())
+    assert sum(values.count(",") + 1 for values, _ in rows) == len(
+        {n for choice in grounds.CHOICES for n in choice.names}
+    )
+    assert any("clearance_min 0.0003 m" in values and "no seed" in where for values, where in rows)
+    assert SEED not in grounds.CHOSEN
+
+
+def test_headlines_are_told_beside_every_campaign_that_contradicts_them() -> None:
+    names = {part.name: part for part in PARTS}
+    beside = {world.name for world in grounds.WORLDS}
+    assert beside <= names.keys()
+    contradicting = {name for name in names if name.startswith(("told_", "second", "random_second"))}
+    assert contradicting | {"high_row", "parked", "nudged"} <= beside
+    parts = {name: docking_summary.summarise(rows(4)) for name in ("default", "second")}
+    assert [world.name for world, _ in grounds.worlds(parts)] == ["default", "second"]
+
+
+def test_nudges_count_who_opened_and_who_was_unsafe() -> None:
+    every = rows(6, nudge_opened=math.nan)
+    every["nudge_opened"] = np.array([0.2, 0.4, math.nan, math.nan, 2.0, math.nan])
+    every["energised_unsafe"] = np.array([0.1, 0.0, 0.3, 0.0, 0.0, 0.0])
+    every["charged"][5] = False
+    found = docking_summary.nudges(every)
+    assert (found["n"], found["opened"], found["unsafe"], found["unsafe_opened"]) == (5, 3, 2, 1)
+    assert found["delay"]["median"] == pytest.approx(0.4)
+    assert found["seconds"]["max"] == pytest.approx(0.3)
