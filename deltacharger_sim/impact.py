@@ -19,6 +19,7 @@ import math
 from typing import NamedTuple
 
 from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.tilt import tilts
 from deltacharger_sim.touch import TargetTouch
 
 _PHASE = 0.4  # rad of the contact's oscillation in a sub-step; the force at a turn is then within 2 %
@@ -27,6 +28,8 @@ _SHARE = 0.15  # of the way over which the magnets' pull changes, in a sub-step 
 _MOST = 160  # sub-steps from touch on, those of contacts so soft that none need be short not counted
 _MOST_IN_STEP = 80  # of flight in one step
 _WAITS = 0.06  # s that one of the two courses may be in contact without the other
+_SOONEST = 1e-5  # s of a sub-step of flight that ends at touch
+_OFF = 0.1  # relative, and N: how far the force of a leaning contact may be from what its tangent promises
 _CALM = 2e-4  # m/s, below which nothing strikes
 _AHEAD = 2.0  # steps at the speed of the approach, in which the finer course begins at the latest
 _STRIDE = 0.005  # m that a step of the light model moves the platform at most
@@ -75,6 +78,7 @@ class Impact:
         self._near = self._range if parameters.magnets.force > 0.0 else 0.0
         self._stiffness, self._damping = servo.stiffness, servo.damping
         self._touch = TargetTouch(parameters)
+        self._onset = 0.0  # m of gap at which the faces first touch
         self._pull_at, self._pull = (math.nan, math.nan), 0.0
         target, terminal = parameters.target, parameters.terminal
         # With a lean the electrodes meet before the middle of the faces does, by no more than this.
@@ -84,12 +88,15 @@ class Impact:
         self._gap = self._speed = self._gear = self._peak = self._apart = 0.0
         self._left, self._branch = 0, _OPEN
 
-    def concerns(self, gap: float, speed: float, dt: float) -> bool:
-        """Return whether a step of `dt` s that begins with a `gap` (m), closing at `speed` (m/s), may strike."""
+    def concerns(self, gap: float, speed: float, dt: float, onset: float) -> bool:
+        """Return whether a step of `dt` s that begins with a `gap` (m), closing at `speed` (m/s), may strike.
+
+        The faces first touch at a gap of `onset` m.
+        """
         if self.follows:
             return True
-        way, early = _AHEAD * speed * dt, self._early
-        soon = gap < self._near + early + way if gap > -early else 0.0 < gap + self._depth < way
+        way, first = _AHEAD * speed * dt, onset if onset > self._near else self._near
+        soon = gap < first + way if gap > -self._early else 0.0 < gap + self._depth < way
         if self._spent:
             self._spent = soon
             return False
@@ -106,15 +113,14 @@ class Impact:
             forces: of the step.
             pressed: whether the light model has contact at its end.
         """
-        if not self.follows:
-            self.follows, self._touched = True, gap < 0.0
-            self._gap, self._speed, self._gear, self._left = gap, speed, gear, _MOST
-            self._branch = _OPEN if gap > 0.0 else _PRESSED if gap > -self._depth else _STOPPED
-            self._peak = self._apart = 0.0
         if (forces.x, forces.y) != self._pull_at:
             self._pull_at = (forces.x, forces.y)
-            self._touch.lie(forces.x, forces.y)
-            self._pull = self._touch.forces(0.0, 0.0, 0.0, (0.0, 0.0), 0.0)[0]
+            self._lie(*self._pull_at)
+        if not self.follows:
+            self.follows, self._touched = True, gap < self._onset
+            self._gap, self._speed, self._gear, self._left = gap, speed, gear, _MOST
+            self._branch = _OPEN if gap > self._onset else _PRESSED if gap > -self._depth else _STOPPED
+            self._peak = self._apart = 0.0
         self._advance(dt, gap, forces)
         self._apart = self._apart + dt if self._touched != pressed else 0.0
         if self._apart > _WAITS or (speed <= 0.0 and not (self._touched or pressed)):
@@ -124,6 +130,11 @@ class Impact:
             return 0.0
         peak, self._peak = self._peak, 0.0
         return peak
+
+    def _lie(self, x: float, y: float) -> None:
+        """Put the target's centre to (x, y) in end_effector, m."""
+        self._touch.lie(x, y)
+        self._pull = self._touch.forces(0.0, 0.0, 0.0, (0.0, 0.0), 0.0)[0]
 
     def _advance(self, dt: float, at: float, forces: StepForces) -> None:
         """Go on by `dt` s in sub-steps, or until it rests or they are spent."""
@@ -151,8 +162,7 @@ class Impact:
             self._gear = min(max(self._gear - bristle * (gap - self._gap), -most), most)
             dt, flights = dt - h, flights - 1
             self._left -= self._touched and longest < _LONGEST
-            calm = self._branch and abs(after) < _CALM and abs(after - speed) * mass < h * (0.01 * normal + 0.1)
-            if calm or flights < 0 or self._left < 0:
+            if flights < 0 or self._left < 0 or (stiff > 0.0 and _is_calm(h, speed, after, mass, normal, stiff)):
                 self.follows, self._spent = False, True
                 break
         if self._branch:
@@ -160,18 +170,12 @@ class Impact:
 
     def _longest(self, gap: float, speed: float, mass: float) -> float:
         """Return how long a sub-step may be (s)."""
-        branch = self._branch
-        if self._touch.tilt is not None and gap < self._early + _LONGEST * abs(speed):
-            branch = branch or _PRESSED  # where a leaning face is met is not known beforehand
-        if branch:
-            return min(_LONGEST, _PHASE * math.sqrt(mass / self._springs[branch]))
+        if self._branch:
+            return min(_LONGEST, _PHASE * math.sqrt(mass / self._springs[self._branch]))
         return min(_LONGEST, _SHARE * (gap + self._range) / max(abs(speed), _CALM))
 
     def _normal(self, gap: float) -> tuple[float, float]:
         """Return normal force (N) and stiffness (N/m)."""
-        if self._touch.tilt is not None:
-            _, normal, _, _, _, stiff = self._touch.forces(gap, 0.0, 0.0, (0.0, 0.0), 0.0)
-            return normal, stiff if normal > 0.0 else 0.0
         if self._branch == _OPEN:
             return 0.0, 0.0
         first, both = self._springs[_PRESSED], self._springs[self._branch]
@@ -200,9 +204,8 @@ class Impact:
         turned = speed > 0.0 >= after
         if self._branch:
             self._touched = True
-        # The force grows with the depth: between turns there is no peak, where a lean does not change what is touched.
-        if (turned and self._branch) or (self._touch.tilt is not None and to < self._early):
-            self._note(to, gap - 0.5 * h * speed * speed / (speed - after) if turned else to)
+        if turned and self._branch:  # the force grows with the depth: between turns there is no peak
+            self._note(to, gap - 0.5 * h * speed * speed / (speed - after))
         self._gap, self._speed = to, after
         return h, after
 
@@ -212,6 +215,69 @@ class Impact:
         if normal > 0.0:
             self._touched = True
             self._peak = max(self._peak, normal)
+
+
+class LeaningImpact(Impact):
+    """The finer course where target or platform may lean: the force hangs on the depth by what presses of the bars.
+
+    A sub-step is short enough for its tangent to foretell the force at its end, also where a bar comes to lie flat.
+    """
+
+    def __init__(self, parameters: WorldParameters) -> None:
+        super().__init__(parameters)
+        self._felt = (math.nan, 0.0, 0.0)  # gap (m), normal force (N) and stiffness (N/m) there
+
+    def _lie(self, x: float, y: float) -> None:
+        super()._lie(x, y)
+        assert self._touch.tilt is not None
+        self._onset, self._felt = self._touch.tilt.onset, (math.nan, 0.0, 0.0)
+
+    def _longest(self, gap: float, speed: float, mass: float) -> float:
+        ahead = gap - self._onset
+        if ahead > 0.0:
+            longest = super()._longest(gap, speed, mass)
+            return min(longest, max(ahead / speed, _SOONEST)) if speed > _CALM else longest
+        _, stiff = self._normal(gap)
+        return min(_LONGEST, _PHASE * math.sqrt(mass / stiff)) if stiff > 0.0 else _LONGEST
+
+    def _normal(self, gap: float) -> tuple[float, float]:
+        if gap >= self._onset:
+            return 0.0, 0.0
+        if gap != self._felt[0]:
+            assert self._touch.tilt is not None
+            self._felt = (gap, *self._touch.tilt.press(-gap))
+        return self._felt[1:]
+
+    def _move(self, h: float, force: float, mass: float, damping: float, tangent: float) -> tuple[float, float]:
+        gap, speed = self._gap, self._speed
+        before, stiff = self._normal(gap)
+        least = _PHASE * math.sqrt(mass / self._springs[_STOPPED])
+        while True:
+            after = _trapezoid(h, speed, force, mass, damping, tangent)
+            to = gap - 0.5 * h * (speed + after)
+            normal, stiffer = self._normal(to)
+            if h <= least or abs(normal - before - stiff * (gap - to)) <= _OFF * max(normal, before) + _OFF:
+                break
+            h *= 0.5
+        turned = gap - 0.5 * h * speed * speed / (speed - after) if speed > 0.0 >= after else to
+        if normal > 0.0 or before > 0.0:
+            self._touched = True
+            self._peak = max(self._peak, before, normal + stiffer * max(to - turned, 0.0))
+        self._branch = _PRESSED if normal > 0.0 else _OPEN
+        self._gap, self._speed = to, after
+        return h, after
+
+
+def _is_calm(h: float, speed: float, after: float, mass: float, normal: float, stiff: float) -> bool:
+    """Return whether neither acceleration nor speed, which can add v √(K M), changes the force by much."""
+    little = 0.01 * normal + 0.1  # N
+    slow = -_CALM < after < _CALM or after * after * mass * stiff < little * little
+    return slow and abs(after - speed) * mass < h * little
+
+
+def make_impact(parameters: WorldParameters) -> Impact:
+    """Return the finer course of a world."""
+    return LeaningImpact(parameters) if tilts(parameters) else Impact(parameters)
 
 
 def _trapezoid(h: float, speed: float, force: float, mass: float, damping: float, tangent: float) -> float:

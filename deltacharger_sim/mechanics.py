@@ -20,7 +20,7 @@ import math
 
 from deltacharger_core.machine import NOMINAL_VOLTAGE
 from deltacharger_kinematics.geometry import LIMB_DIRECTIONS, DeltaGeometry, Vector
-from deltacharger_sim.impact import Impact, StepForces
+from deltacharger_sim.impact import StepForces, make_impact
 from deltacharger_sim.linkage import Linkage
 from deltacharger_sim.motion import Motion
 from deltacharger_sim.parameters import WorldParameters
@@ -36,6 +36,7 @@ _ENOUGH = 1e-5**2  # N² of imbalance that ends the iteration
 _FARTHEST = 0.005**2  # m² that a step may move the platform; one that would go further is taken in halves
 _UNSOLVED = 0.01  # N of imbalance above which a step is taken in halves
 _FINEST = 0.001  # s of a step that is not halved any more
+_ASIDE = 1e-6  # m sideways that change neither the magnets' pull nor what overlaps
 _REST = 1e-10  # m in a step, below which it is tried to stand still
 _REST_ENOUGH = 1e-6**2  # N² of imbalance that lets it
 
@@ -68,7 +69,7 @@ class Mechanics(Motion):
             )
         )
         self._touch = TargetTouch(parameters)
-        self._impact = Impact(parameters)
+        self._impact = make_impact(parameters)
         self._play = 0.5 * parameters.servo.backlash
         here = self._linkage.linearise(*start)
         if here is None:
@@ -80,7 +81,7 @@ class Mechanics(Motion):
         # holds all of d²θ/dt² = (dθ/dp) a + (d/dt dθ/dp) v; with the exact rates half of the second term would miss.
         self._spin: Vector = (0.0, 0.0, 0.0)
         self._inputs: tuple[object, ...] = ()
-        self._aside = (0.0, 0.0)
+        self._aside = (math.inf, math.inf)
         self._servos: tuple[tuple[float, float, float, float, float], ...] = ()
         self._found: tuple[list[float], list[float], float, float, float, float] = ([], [], 0.0, 0.0, 0.0, 0.0)
 
@@ -104,7 +105,8 @@ class Mechanics(Motion):
             self.peak_force = max(peak, self.peak_force)
             return
         gap, struck = self._target_z - self.position[2], 0.0
-        if (gap < self._impact.reach or self._impact.follows) and self._impact.concerns(gap, self.velocity[2], dt):
+        impact, speed = self._impact, self.velocity[2]
+        if (gap < impact.reach or impact.follows) and impact.concerns(gap, speed, dt, self._touch.onset):
             struck = self._strike(joints, gap, dx, dy, dt)
         self._accept(dx, dy, dz, dt)
         self.peak_force = struck if struck > self.contact_force else self.contact_force
@@ -158,8 +160,10 @@ class Mechanics(Motion):
         servo = self._parameters.servo
         known = self._inputs[:4]
         self._inputs = inputs
-        self._touch.lie(x, y)
-        self._aside = (x, y)
+        aside_x, aside_y = self._aside
+        if not (-_ASIDE < x - aside_x < _ASIDE and -_ASIDE < y - aside_y < _ASIDE):
+            self._touch.lie(x, y)
+            self._aside = (x, y)
         if inputs[:4] == known:
             return
         self._inertia = servo.inertia / (dt * dt)

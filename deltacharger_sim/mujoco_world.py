@@ -120,9 +120,10 @@ class MujocoMechanics(Motion):
         self.torques = (force[0], force[1], force[2])
         if self._leaning is not None:
             self.contact_force, self.tilt, self.pad_share = self._leaning.read(data, self.position[0])
-            return
-        rows = [int(row) for row in data.contact.efc_address] if data.ncon else []
-        self.contact_force = self.peak_force = float(sum(data.efc_force[row] for row in rows if row >= 0))
+        else:
+            rows = [int(row) for row in data.contact.efc_address] if data.ncon else []
+            self.contact_force = float(sum(data.efc_force[row] for row in rows if row >= 0))
+        self.peak_force = self.contact_force
 
 
 def mujoco_world(

@@ -76,6 +76,11 @@ class PlatformTilt:
         self._reach = tilt_y * middle_x - tilt_x * middle_y + abs(tilt_x) * self._up + abs(tilt_y) * half
         self._linear: tuple[float, ...] = ()
 
+    @property
+    def onset(self) -> float:
+        """Gap (m) between platform and target's centre at which the first end touches while the platform is level."""
+        return self._lift + self._reach
+
     def press(self, depth: float) -> tuple[float, float]:
         """Return normal force (N) and stiffness (N/m) at a compression (m) of the target's centre by the platform."""
         depth += self._lift

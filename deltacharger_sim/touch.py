@@ -32,6 +32,11 @@ class TargetTouch:
         if self.tilt is not None:
             self.tilt.lie(x, y)
 
+    @property
+    def onset(self) -> float:
+        """Gap of the faces (m) at which the first of them touches."""
+        return 0.0 if self.tilt is None else self.tilt.onset
+
     def forces(
         self, gap: float, dx: float, dy: float, rub: tuple[float, float], before: float
     ) -> tuple[float, float, float, float, float, float]:

@@ -116,6 +116,22 @@ class TestPeak:
         assert 0.0 < held <= came + most * depth
         assert peak <= most + math.sqrt(most**2 + 2.0 * (k + stop) * came)
 
+    @pytest.mark.parametrize(
+        ("yaw", "pitch", "compliance", "stiffness"),
+        [(0.1, 0.0, 0.03, 1e6), (0.05, 0.0, 0.01, 1e5), (0.0, 0.05, 0.0, 1e6), (0.05, -0.03, 0.03, 1e5)],
+    )
+    def test_a_leaning_face_is_struck_as_the_whole_model_says_in_tiny_steps(
+        self, arm: ArmFactory, yaw: float, pitch: float, compliance: float, stiffness: float
+    ) -> None:
+        parameters = WorldParameters(
+            contact=ContactParameters(stiffness=stiffness),
+            platform=PlatformParameters(compliance=compliance),
+            target=TargetParameters(tilt_x=pitch, tilt_y=yaw),
+        )
+        fine = pressed(arm, parameters, 2e-4, 0.03).world.record.peak_force
+        for step in (0.005, 0.01, 0.02):
+            assert pressed(arm, parameters, step, 0.03).world.record.peak_force == pytest.approx(fine, rel=0.06)
+
     @pytest.mark.parametrize("stiffness", [1e3, 1e5, 1e6])
     def test_the_slower_it_comes_the_nearer_it_is_to_what_rests(self, arm: ArmFactory, stiffness: float) -> None:
         parameters = WorldParameters(
