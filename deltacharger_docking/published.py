@@ -6,8 +6,8 @@
     else go back, charging has failed. All-zero tactile frames end it.
 
 No filter, no contradiction between looks, no clearance, no arm put at ease, no contact made anew. What is felt are
-the classes of the paper's CNN: whole degrees of |angle| up to 5°, so that only a goal whose `critical_angle` lies
-below 5° is ever refused for its angle, and offsets of 0, ±5 and ±10 mm.
+the classes of the paper's CNN: whole degrees of |angle| up to 5°, so that only a goal whose `critical_angle` is
+5° or less is ever refused for its angle, and offsets of 0, ±5 and ±10 mm.
 
 Where the print is silent, the least that works: the current is `current_signal`, tared at the standoff before the
 place; as magnets hold the electrodes, they are lifted by `lift` before they move sideways and pressed again by the

@@ -18,7 +18,7 @@ _LAST = 1.0  # s at the end that count
 class Effort:
     """Largest push so far while in contact: the servos' force along z at the platform, gravity and impacts apart.
 
-    What the platform's own mass adds when it strikes a stiff target, which depends on the step, is not in it.
+    What the platform's own mass adds when it strikes a stiff target is not in it.
 
     Attributes:
         most: N along z, 0 where the electrodes were never in contact.
