@@ -11,10 +11,13 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
+from deltacharger_core.bounded_file import parse_json
+
 CONTROL = "control"
 """Name of the socket beside the ports of a simulated charger, on which it takes orders."""
 _TERMINALS = "/dev/pts/"
 _PATIENCE = 0.5  # s
+_LONGEST_ANSWER = 16384  # bytes
 
 
 class Taken(Exception):
@@ -44,19 +47,23 @@ def charger(domain: int, namespace: str) -> Path:
 def is_simulated(port: str) -> bool:
     """Return whether a serial port is that of a simulated charger which runs on this computer.
 
-    It is where the port is a pseudo-terminal and the charger's own socket listens beside it. No setting says so: a
-    robot's port is no terminal, and a cable that is passed on by a terminal has no such socket. False where unknown.
+    It is where the port is a pseudo-terminal and the charger whose socket listens beside it says that it serves this
+    one. No setting says so: a robot's port is no terminal, and no charger serves a terminal that passes a cable on.
+    False where unknown.
     """
-    path = Path(port)
-    if not os.path.realpath(path).startswith(_TERMINALS) or not path.exists():
+    path, terminal = Path(port), os.path.realpath(port)
+    if not terminal.startswith(_TERMINALS) or not path.exists():
         return False
     try:
         with socket.socket(socket.AF_UNIX) as charger:
             charger.settimeout(_PATIENCE)
             charger.connect(str(path.parent / CONTROL))
-    except OSError:
+            charger.sendall(b'{"command": "ports"}\n')
+            with charger.makefile("rb") as answer:
+                told = parse_json(answer.readline(_LONGEST_ANSWER).decode())
+    except (OSError, ValueError):
         return False
-    return True
+    return isinstance(told, dict) and terminal in (told.get("ports") or ())
 
 
 def make(folder: Path) -> None:

@@ -131,6 +131,8 @@ def _touch_checks(context: Context) -> Script[None]:
     """Look as often whether the pads feel anything: as printed, frames that are all zero end charging, and no more."""
     while True:
         yield from context.wait(context.parameters.clearance_period)
+        if context.observation.tactile_age > context.parameters.tactile_age_max:
+            raise TactileStale("tactile frames stopped while charging; check the board's cable and tactile_node")
         if not context.observation.tactile_contact:
             raise NoTactileContact("the pads feel nothing any more while charging")
 

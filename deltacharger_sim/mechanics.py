@@ -129,6 +129,11 @@ class Mechanics(Motion):
         forces = StepForces(drives, GEAR_BRISTLE * squares, friction, carried, mass, x, y)
         return self._impact.step(dt, gap, self.velocity[2], gear, forces, self._found[3] > 0.0)
 
+    @property
+    def onset(self) -> float:
+        """Gap at which the first end of the faces touches, m."""
+        return self._touch.onset
+
     def servo_push(self) -> float:
         """Return the force (N) of motors and gears on the platform along z, less what holds the arm's weight.
 

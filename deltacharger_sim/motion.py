@@ -30,7 +30,7 @@ class Motion(ABC):
         tilt: of the platform about x and y, rad; 0 without compliance.
         pad_share: share of the contact force that the left pad carries; 0.5 without compliance or tilt.
         contact_force: normal force on the electrodes together, N.
-        peak_force: the largest within the last step, N.
+        peak_force: the largest within the last step, N; of MuJoCo that at its end.
         magnet_force: pull of the magnets, N.
         imbalance: what the last step's solution left unbalanced, N; small unless the step is long and friction slips.
         still: whether the last step moved nothing, so that the next one with the same inputs will not either.
@@ -50,6 +50,11 @@ class Motion(ABC):
     def gap(self) -> float:
         """Distance between the touched faces (m); negative = springs compressed, inf = there is no target."""
         return self._target_z - self.position[2]
+
+    @property
+    def onset(self) -> float:
+        """Gap at which the first end of the faces touches, m; 0 where nothing leans."""
+        return 0.0
 
     @property
     def voltage(self) -> float:

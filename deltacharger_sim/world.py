@@ -189,9 +189,15 @@ class World:
 
         Raises:
             NotImplementedError: the arm is moved by a model whose target stays where it is.
+            ParameterError: the target would leave the bounds of its parameters.
+            ValueError: a number is not finite, or the time not above 0.
         """
-        self._moving = dx / seconds, dy / seconds, roll / seconds, seconds
+        if not (0.0 < seconds < math.inf and all(map(math.isfinite, (dx, dy, roll)))):
+            raise ValueError(f"a move by ({dx!r}, {dy!r}) m and {roll!r} rad in {seconds!r} s is none")
         self.mechanics.carry(0.0, 0.0)
+        target = self.parameters.target
+        dataclasses.replace(target, x=target.x + dx, y=target.y + dy, roll=target.roll + roll)  # within its bounds
+        self._moving = dx / seconds, dy / seconds, roll / seconds, seconds
 
     @property
     def target_moves(self) -> bool:

@@ -69,18 +69,18 @@ class DockingNode(Node):
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
         self._reports = Reports(self, self._settings.servo_age_max)
         observe = self._inputs.observation  # takes no reply that the running goal waits for
-        owners = None if self._settings.keeps_clearance else PortOwners(self)  # nobody else needs them
-
-        def look() -> None:
-            if owners is not None:
-                self._inputs.simulated = owners.is_simulated()
-
+        self._owners = None if self._settings.keeps_clearance else PortOwners(self)  # nobody else needs them
         self._goals = Goals(
-            self, self._machine, self._lock, observe, self._begun, self._calls.misalignment, mount, look
+            self, self._machine, self._lock, observe, self._begun, self._calls.misalignment, mount, self._look_whose
         )
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)
         if not held:
             self.release()
+
+    def _look_whose(self) -> None:
+        """Find out whose ports docking works with, where that decides what it may do."""
+        if self._owners is not None:
+            self._inputs.simulated = self._owners.is_simulated()
 
     def release(self) -> None:
         """Begin to work, with the goals that wait."""
@@ -141,7 +141,8 @@ class DockingNode(Node):
                 self._pace()
                 started = time.monotonic()
                 with self._lock:
-                    self._inputs.look(self._between_looks())
+                    if self._inputs.look(self._between_looks()) and self._inputs.simulated:
+                        self._inputs.simulated = self._owners is not None and self._owners.are_the_same()
                     observation = self._observe()
                     self._goals.forward_cancel()
                     command = self._machine.step(observation)

@@ -177,7 +177,7 @@ class Goals:
             DockingError: it is refused.
         """
         request = goal.handle.request
-        if isinstance(request, Dock.Goal) and request.start_charging:
+        if isinstance(request, Dock.Goal) and request.start_charging and not self._machine.busy:
             self._look()
         with self._lock:
             if self._refusal:

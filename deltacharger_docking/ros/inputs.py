@@ -66,15 +66,16 @@ class Inputs:
         """Let servo_state wake nobody until the next `wait`."""
         self._servo.rest()
 
-    def look(self, period: float) -> None:
-        """Look for second sources, where the last look is longer than `period` s ago."""
+    def look(self, period: float) -> bool:
+        """Look for second sources, where the last look is longer than `period` s ago; return whether it was."""
         now = time.monotonic()
         if now - self._looked < period:
-            return
+            return False
         before = self._double
         self._looked, self._double = now, self._duplicates.look()
         if self._double and self._double != before:
             self._logger.warning(f"second source, so no contactor closes: {self._double}")
+        return True
 
     def observation(self, replies: tuple[Reply, ...] = (), contactor_refusal: str = "") -> Observation:
         """Return what is known now; from any thread. An estimate that nobody can vouch for is refused here."""

@@ -109,7 +109,8 @@ class QuickCharger(VirtualCharger):
         waits = self._waits
         if not waits.nearing:
             return waits.until
-        return min(waits.until, self.now + (self.world.mechanics.gap - _NEAR) / waits.nearing)
+        mechanics = self.world.mechanics
+        return min(waits.until, self.now + (mechanics.gap - mechanics.onset - _NEAR) / waits.nearing)
 
     def _stands(self) -> bool:
         """Return whether neither goal, platform, contactor nor charge current is on its way anywhere."""

@@ -2,9 +2,9 @@
 """How faults are ordered from a simulated charger that runs in another process: a Unix socket beside its ports.
 
 One connection carries one JSON object on one line each way. Requests: {"command": "begin", "kind", "last", "servo",
-"amount"} with the keys of a scene's fault, {"command": "clear"}, {"command": "active"}. Answers: {"success": true,
-"active": [...]} or {"success": false, "error"}. Only the user who runs the charger may connect. Both sides have bounds
-in time and bytes, and no client waits for another.
+"amount"} with the keys of a scene's fault, {"command": "clear"}, {"command": "active"}, {"command": "ports"}. Answers:
+{"success": true, "active": [...]}, {"success": true, "ports": [...]} or {"success": false, "error"}. Only the user who
+runs the charger may connect. Both sides have bounds in time and bytes, and no client waits for another.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import socket
 import stat
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,9 +74,11 @@ def _listens(path: Path) -> bool:
     return True
 
 
-def answer(faults: Faults, request: Any) -> Answer:
-    """Carry out one request and return what to answer."""
+def answer(faults: Faults, request: Any, ports: Sequence[str] = ()) -> Answer:
+    """Carry out one request and return what to answer; `ports` are the terminals that the charger serves."""
     command = request.get("command") if isinstance(request, dict) else None
+    if command == "ports":
+        return {"success": True, "ports": list(ports)}
     if command == "begin":
         try:
             fault = from_mapping({key: value for key, value in request.items() if key != "command"}, Fault)
@@ -86,7 +88,7 @@ def answer(faults: Faults, request: Any) -> Answer:
     elif command == "clear":
         faults.clear()
     elif command != "active":
-        return {"success": False, "error": f"unknown command {command!r}; there are begin, clear, active"}
+        return {"success": False, "error": f"unknown command {command!r}; there are begin, clear, active, ports"}
     return {"success": True, "active": faults.active()}
 
 

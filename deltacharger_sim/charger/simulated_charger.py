@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
+import os
 import tempfile
 import threading
 import time
@@ -115,7 +116,8 @@ class SimulatedCharger:
                 return False
 
     def _listen(self, faults: Faults, path: Path, opened: contextlib.ExitStack) -> None:
-        control = ControlServer(path, lambda request: answer(faults, request))
+        ports = [os.path.realpath(terminal.path) for terminal in self._terminals]
+        control = ControlServer(path, lambda request: answer(faults, request, ports))
         opened.callback(control.close)
         name = runtime.charger(domain(), self._namespace)
         try:
