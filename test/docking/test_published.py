@@ -124,6 +124,16 @@ def test_pads_that_feel_nothing_end_it_before_and_while_charging() -> None:
     assert_safe_at_home(told.run)
 
 
+def test_pads_that_fall_silent_end_charging() -> None:
+    told = published()
+    assert told.run.dock().success
+    told.run.distort = lambda observation: replace(observation, tactile_age=1.0)
+    told.run.until(lambda: told.run.machine.status.code is Code.TACTILE_STALE, 3.0)
+    told.run.distort = lambda observation: observation
+    told.run.until(lambda: told.run.machine.status.state is State.IDLE, 20.0)
+    assert_safe_at_home(told.run)
+
+
 @pytest.mark.parametrize("axis", [item.name for item in fields(MisalignmentClasses)])
 def test_a_class_that_is_not_told_is_refused_by_name(axis: str) -> None:
     told = published()

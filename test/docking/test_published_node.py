@@ -12,20 +12,27 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from deltacharger.msg import Misalignment
+from deltacharger.msg import ChargerPower, Misalignment, ServoState, TactileFrame
+from deltacharger.srv import Probe, SetContactor
+from rclpy.node import Node
+from std_srvs.srv import SetBool
 
 from deltacharger_core.runtime import CONTROL, is_simulated
 from deltacharger_docking.ros.messages import estimate
+from deltacharger_docking.ros.port_owners import PortOwners
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
 from deltacharger_ros.unknown import unknown_misalignment
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene, parse_scene
 from deltacharger_sim.charger.fault_channel import ControlServer
+from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
-from ..chargers import DEADLINE, new_namespace
+from ..chargers import DEADLINE, Spin, new_namespace
 from ..quick import SCENE
+from ..waiting import wait_until
 
+HEARD = ("servo_state", "tactile_frame", "charger_power", "set_torque", "set_contactor", "probe")
 PLACE = Pose(0.0, 0.0, 0.080)
 
 
@@ -86,7 +93,16 @@ def test_only_a_terminal_beside_which_a_simulated_charger_listens_is_its_port(tm
         assert not is_simulated(str(port)), "a cable passed on by a terminal is as real as any"
         server = ControlServer(tmp_path / CONTROL, lambda request: {})
         try:
+            assert not is_simulated(str(port)), "a listener that says nothing of it"
+        finally:
+            server.close()
+        served = ["/dev/pts/none", os.ttyname(slave)]
+        server = ControlServer(tmp_path / CONTROL, lambda request: {"success": True, "ports": served})
+        try:
             assert is_simulated(str(port))
+            served.pop()
+            assert not is_simulated(str(port)), "its charger serves another one"
+            served.append(os.ttyname(slave))
             device = tmp_path / "ttyUSB0"
             device.touch()
             assert not is_simulated(str(device)), "no terminal"
@@ -121,3 +137,48 @@ def test_probabilities_that_are_missing_or_nan_tell_no_class(axis: str, shares: 
     classes = estimate(message(**{axis: shares}), with_classes=True).classes
     told: Mapping[str, float] = vars(classes or SimpleNamespace())
     assert {name for name, value in told.items() if value != value} == {axis}
+
+
+class Owner(Node):
+    """Stands for the node of a port: publishes and serves what docking takes for its."""
+
+    def __init__(self, context: Any, namespace: str, name: str, port: str) -> None:
+        super().__init__(name, namespace=namespace, context=context)
+        self.declare_parameter("port", port)
+
+    def work(self, namespace: str) -> None:
+        """Publish and serve in a namespace."""
+        topics: dict[str, Any] = {"servo_state": ServoState}
+        services: dict[str, Any] = {"set_torque": SetBool}
+        if self.get_name() == "tactile_node":
+            topics = {"tactile_frame": TactileFrame, "charger_power": ChargerPower}
+            services = {"set_contactor": SetContactor, "probe": Probe}
+        for topic, kind in topics.items():
+            self.create_publisher(kind, f"{namespace}/{topic}", 1)
+        for service, kind in services.items():
+            self.create_service(kind, f"{namespace}/{service}", lambda request, response: response)
+
+
+@pytest.mark.ros
+def test_the_nodes_that_are_heard_and_ordered_must_prove_it_and_stay(context: Any, spin: Spin, tmp_path: Path) -> None:
+    """Nodes of the right names that are simulated do not vouch for others that docking has been remapped to."""
+    ours, robot = (f"/{new_namespace().strip('/')}" for _ in range(2))
+    with SimulatedCharger(
+        parse_scene({"nodes": [], "simulation": {}}, "test").simulation, tmp_path / "ports"
+    ) as charger:
+        names = (("servo_node", charger.servo_port), ("tactile_node", charger.board_port))
+        simulated = [spin(Owner(context, ours, name, str(port))) for name, port in names]
+        docking = spin(Node("docking_node", namespace=ours, context=context))
+        remaps = [item for name in HEARD for item in ("-r", f"{name}:={robot}/{name}")]
+        elsewhere = spin(Node("remapped", namespace=ours, context=context, cli_args=["--ros-args", *remaps]))
+        for owner in simulated:
+            owner.work(ours)
+        for name, _ in names:
+            spin(Owner(context, robot, name, "/dev/ttyUSB0")).work(robot)
+        owners = PortOwners(docking)
+        wait_until(owners.is_simulated)
+        assert not PortOwners(elsewhere).is_simulated()
+        assert owners.are_the_same()
+        spin(Owner(context, robot, "stranger", "/dev/ttyUSB0")).work(ours)
+        wait_until(lambda: not owners.are_the_same())
+        assert not owners.is_simulated(), "two nodes publish and serve it"

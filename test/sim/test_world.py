@@ -319,3 +319,13 @@ class TestSharedWorld:
             thread.join(20.0)
         assert not errors
         assert not any(thread.is_alive() for thread in threads)
+
+
+def test_a_target_that_cannot_be_moved_so_stays_where_it_is() -> None:
+    world = World(WorldParameters())
+    for move in ((math.nan, 0.0, 0.0, 0.2), (0.001, 0.0, 0.0, 0.0), (0.001, 0.0, 0.0, math.inf), (0.3, 0.0, 0.0, 0.2)):
+        with pytest.raises(ValueError, match="is none|outside"):
+            world.move_target(*move)
+    assert not world.target_moves
+    world.step(0.01)
+    assert world.parameters.target.x == 0.0
