@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 import time
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -32,11 +33,16 @@ class ReportTask:
     weight: float = 1.0
 
 
+class ReportFailed(RuntimeError):
+    """A part of a report could not be measured; the message has the trace of the process that tried."""
+
+
 def work(tasks: Sequence[ReportTask], progress: Callable[[str], None]) -> dict[str, list[Any]]:
     """Run all tasks and return their results by name, in the order of the tasks.
 
     Raises:
         KeyboardInterrupt: interrupted; nothing runs on.
+        ReportFailed: a task raised something.
     """
     order = sorted(range(len(tasks)), key=lambda index: -tasks[index].weight)
     found: dict[int, Any] = {}
@@ -69,7 +75,10 @@ def _quiet_pool(processes: int) -> Any:
 
 def _run(numbered: tuple[int, ReportTask]) -> tuple[int, Any]:
     index, task = numbered
-    return index, task.run(*task.arguments)
+    try:
+        return index, task.run(*task.arguments)
+    except Exception:  # many cannot be sent to another process, which would wait for ever
+        raise ReportFailed(f"{task.name}{task.arguments!r:.200}: {traceback.format_exc()}") from None
 
 
 def joined(parts: Iterable[Sequence[Any]]) -> list[Any]:

@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 
 from deltacharger_lab.reports.page import write_html
-from deltacharger_lab.reports.pool import ReportTask, work
+from deltacharger_lab.reports.pool import ReportFailed, ReportTask, work
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import splits as tactile_splits
 from deltacharger_lab.reports.tactile.pictures import PICTURES
 from deltacharger_lab.reports.tactile.report import FIRES, HOLDS, NEITHER, accuracies, shifts
 from deltacharger_lab.reports.tactile.shifts import SHIFTS
+from deltacharger_tactile.classifiers.classifier import Classifier
 
 from .conftest import Quick
 
@@ -117,6 +118,12 @@ def test_tasks_come_back_in_their_order() -> None:
     told: list[str] = []
     assert work(tasks, told.append) == {"sum": [1, 2, 3]}
     assert told[-1].startswith("100 %")
+
+
+def test_a_task_that_fails_ends_the_work_with_its_trace() -> None:
+    tasks = [ReportTask("sum", max, (1, 2)), ReportTask("model", Classifier.load, ("/nowhere.npz",))]
+    with pytest.raises(ReportFailed, match=r"model.*nowhere\.npz"):
+        work(tasks, lambda told: None)
 
 
 def test_the_one_file_holds_its_pictures(tmp_path: Path) -> None:
