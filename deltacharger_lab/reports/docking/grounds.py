@@ -10,7 +10,7 @@ from deltacharger_core.parameters import declared
 from deltacharger_docking.parameters import DockingParameters
 
 CHOSEN = (5, 19)
-"""Seeds of campaigns on which rules and thresholds of docking are chosen; none of them is ever reported."""
+"""Seeds of campaigns on which rules and thresholds of docking are chosen; the report has another."""
 
 
 class Choice(NamedTuple):
