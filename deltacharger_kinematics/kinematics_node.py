@@ -33,6 +33,7 @@ from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.qos import SERVICE
 
 _DEFAULT_DEPTH = 10
 POINTS_MAX = 1_000_000
@@ -56,8 +57,20 @@ class KinematicsNode(Node):
         self._servo_state: Subscription[ServoState] | None = None  # only while somebody wants what is made of it
         self.create_timer(_LOOK, self._listen_while_wanted)
         group = ReentrantCallbackGroup()
-        self.create_service(SolveInverseKinematics, "solve_inverse_kinematics", self._on_inverse, callback_group=group)
-        self.create_service(SolveForwardKinematics, "solve_forward_kinematics", self._on_forward, callback_group=group)
+        self.create_service(
+            SolveInverseKinematics,
+            "solve_inverse_kinematics",
+            self._on_inverse,
+            callback_group=group,
+            qos_profile=SERVICE,
+        )
+        self.create_service(
+            SolveForwardKinematics,
+            "solve_forward_kinematics",
+            self._on_forward,
+            callback_group=group,
+            qos_profile=SERVICE,
+        )
 
     def close(self) -> None:
         """Nothing to make safe: this node drives nothing."""

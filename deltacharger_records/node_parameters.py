@@ -18,6 +18,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.geometry_file import geometry_to_mapping, load_geometry
 from deltacharger_records.recording.folder import PARAMETERS
+from deltacharger_ros.qos import SERVICE
 
 _FILE, _GEOMETRY = "geometry_file", "geometry"
 
@@ -31,8 +32,8 @@ class ParameterReader:
     """
 
     def __init__(self, node: Node, name: str) -> None:
-        self._names: Any = node.create_client(ListParameters, f"{name}/list_parameters")
-        self._values: Any = node.create_client(GetParameters, f"{name}/get_parameters")
+        self._names: Any = node.create_client(ListParameters, f"{name}/list_parameters", qos_profile=SERVICE)
+        self._values: Any = node.create_client(GetParameters, f"{name}/get_parameters", qos_profile=SERVICE)
 
     def is_ready(self) -> bool:
         """Whether it can be asked."""

@@ -13,6 +13,8 @@ from action_msgs.msg import GoalStatus
 from rclpy.action.client import ActionClient
 from rclpy.node import Node
 
+from deltacharger_ros.qos import ACTION
+
 REFUSED, LOST = -1, -2
 """How a goal ended, besides the statuses of GoalStatus: not taken, and who served it went away."""
 
@@ -52,7 +54,7 @@ class ActionCaller:
         lost_timeout: float,
     ) -> None:
         self._node: Any = node
-        self._client: ActionClient[Any, Any, Any] = ActionClient(node, kind, name)
+        self._client: ActionClient[Any, Any, Any] = ActionClient(node, kind, name, **ACTION)
         self._on_end = on_end
         self._lost_timeout = lost_timeout
         self._lock = threading.RLock()

@@ -14,6 +14,8 @@ from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, Serv
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
+from deltacharger_ros.qos import ACTION
+
 GoalHandle: TypeAlias = "ServerGoalHandle[Any, Any, Any]"  # in words, since Jazzy's class is not generic
 
 _LOOK = 1.0  # s between two looks whether somebody still works on a goal
@@ -119,6 +121,7 @@ class WorkServer:
             handle_accepted_callback=accepted,
             cancel_callback=lambda handle: CancelResponse.ACCEPT if may_cancel(handle) else CancelResponse.REJECT,
             callback_group=ReentrantCallbackGroup(),
+            **ACTION,
         )
 
     def destroy(self) -> None:

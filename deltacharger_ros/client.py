@@ -26,6 +26,7 @@ from rclpy.signals import SignalHandlerOptions
 from deltacharger_ros.guest import Guest
 from deltacharger_ros.messages import duration, fill_pose, to_outcome, to_progress
 from deltacharger_ros.outcomes import DockRequest, Outcome, Progress
+from deltacharger_ros.qos import ACTION
 
 _INPUTS = ("servo_state", "tactile_frame", "charger_power")
 _LOST_AFTER = 5.0  # s without an action server in the graph before a running goal counts as lost
@@ -54,8 +55,8 @@ class ChargerClient(Guest):
             context = self._owned = Context()
             rclpy.init(context=context, args=[], signal_handler_options=SignalHandlerOptions.NO)
         super().__init__("charger_client", context, namespace)
-        self._dock: ActionClient[Any, Any, Any] = ActionClient(self.node, Dock, "dock")
-        self._undock: ActionClient[Any, Any, Any] = ActionClient(self.node, Undock, "undock")
+        self._dock: ActionClient[Any, Any, Any] = ActionClient(self.node, Dock, "dock", **ACTION)
+        self._undock: ActionClient[Any, Any, Any] = ActionClient(self.node, Undock, "undock", **ACTION)
         self._waitables = [self._dock, self._undock]
         self.serve()
 

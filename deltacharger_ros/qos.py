@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -24,6 +26,13 @@ STATE = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 """docking_state as a subscriber wants it: changes in order. The publisher keeps one, the present, for late ones."""
+
+SERVICE = QoSProfile(depth=1000)
+"""Services. Fast DDS queues the answers to all clients with each of them: with the usual depth of 10, others who call
+without end push out the answer of a client whose thread is late by a moment."""
+
+ACTION: dict[str, Any] = {f"{service}_service_qos_profile": SERVICE for service in ("goal", "result", "cancel")}
+"""Actions, keywords of their clients and servers: their services alike."""
 
 DEFAULT_DEPTH = 10
 """Depth of the topics with default quality of service."""

@@ -28,6 +28,7 @@ from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_ros import node_support
 from deltacharger_ros.on_demand import OnDemandSubscription
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.unknown import unknown_misalignment
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.estimate import Estimate
@@ -94,7 +95,11 @@ class MisalignmentNode(Node):
         self._publisher = self.create_publisher(Misalignment, "misalignment", QoSProfile(depth=1))
         self._frames = OnDemandSubscription(self, TactileFrame, "tactile_frame", self._receive, qos_profile_sensor_data)
         self.create_service(
-            PredictMisalignment, "predict_misalignment", self._predict, callback_group=ReentrantCallbackGroup()
+            PredictMisalignment,
+            "predict_misalignment",
+            self._predict,
+            callback_group=ReentrantCallbackGroup(),
+            qos_profile=SERVICE,
         )
         self._thread: threading.Thread | None = None
         if rate > 0.0:

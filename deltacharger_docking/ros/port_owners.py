@@ -13,6 +13,7 @@ from rclpy.node import Node
 
 from deltacharger_core.runtime import is_simulated
 from deltacharger_ros.action_caller import result_of
+from deltacharger_ros.qos import SERVICE
 
 _OWNERS = (
     (("servo_state",), ("set_torque",)),
@@ -77,7 +78,7 @@ class PortOwners:
 
 def _port_is_simulated(node: Node, owner: str, end: float) -> bool:
     """Return whether the port of a node (full name) is a simulated charger's; False where two nodes have that name."""
-    client: Any = node.create_client(GetParameters, f"{owner}/get_parameters")
+    client: Any = node.create_client(GetParameters, f"{owner}/get_parameters", qos_profile=SERVICE)
     try:
         while not client.service_is_ready():
             if time.monotonic() > end:

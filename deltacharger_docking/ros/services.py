@@ -22,6 +22,7 @@ from deltacharger_docking.observation import ElectrodePose, Reply, Request, Serv
 from deltacharger_docking.ros.messages import estimate
 from deltacharger_ros.action_caller import result_of
 from deltacharger_ros.messages import duration, seconds
+from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.unknown import unknown_misalignment
 
 _RENEWAL = 0.1  # s between renewals of the lease
@@ -47,14 +48,14 @@ class Services:
         self._undelivered: list[tuple[Request, float]] = []  # and until when their services are waited for, s
         self._token = ""  # of the closing that is wanted, '' = none: who does not know it cannot renew the lease
         self._clients: dict[Service, Any] = {
-            Service.TORQUE_ON: node.create_client(SetBool, "set_torque"),
-            Service.TARE: node.create_client(Trigger, "tare"),
-            Service.PROBE: node.create_client(Probe, "probe"),
-            Service.ESTIMATE: node.create_client(PredictMisalignment, "predict_misalignment"),
-            Service.DETECT: node.create_client(DetectElectrodes, "detect_electrodes"),
+            Service.TORQUE_ON: node.create_client(SetBool, "set_torque", qos_profile=SERVICE),
+            Service.TARE: node.create_client(Trigger, "tare", qos_profile=SERVICE),
+            Service.PROBE: node.create_client(Probe, "probe", qos_profile=SERVICE),
+            Service.ESTIMATE: node.create_client(PredictMisalignment, "predict_misalignment", qos_profile=SERVICE),
+            Service.DETECT: node.create_client(DetectElectrodes, "detect_electrodes", qos_profile=SERVICE),
         }
         self._clients[Service.TORQUE_OFF] = self._clients[Service.TORQUE_ON]
-        self._contactor: Any = node.create_client(SetContactor, "set_contactor")
+        self._contactor: Any = node.create_client(SetContactor, "set_contactor", qos_profile=SERVICE)
         self._clients[Service.OPEN] = self._contactor
 
     def call(self, request: Request) -> None:

@@ -38,7 +38,7 @@ from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_ros.qos import LATEST
+from deltacharger_ros.qos import LATEST, SERVICE
 from deltacharger_ros.unknown import unknown
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
@@ -68,9 +68,19 @@ class TactileNode(Node):
         self._diagnostics = Diagnostics(self)
         self._tare = SharedCall(lambda: self._keeper.link.tare(), _TARE_SHARED)
         # Each with workers of its own: whoever calls one without end keeps nobody from the others.
-        self.create_service(Trigger, "tare", self._on_tare, callback_group=ReentrantCallbackGroup())
-        self.create_service(Probe, "probe", self._on_probe, callback_group=ReentrantCallbackGroup())
-        self.create_service(SetContactor, "set_contactor", self._on_contactor, callback_group=ReentrantCallbackGroup())
+        self.create_service(
+            Trigger, "tare", self._on_tare, callback_group=ReentrantCallbackGroup(), qos_profile=SERVICE
+        )
+        self.create_service(
+            Probe, "probe", self._on_probe, callback_group=ReentrantCallbackGroup(), qos_profile=SERVICE
+        )
+        self.create_service(
+            SetContactor,
+            "set_contactor",
+            self._on_contactor,
+            callback_group=ReentrantCallbackGroup(),
+            qos_profile=SERVICE,
+        )
         self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose)
         self._keeper = BoardKeeper(
             given.port, given.baud_rate, given.rate, self._publish_frame, self._publish_power, self._report

@@ -47,7 +47,7 @@ from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import Diagnostics
 from deltacharger_ros.duplicates import publishers
 from deltacharger_ros.parameters import declare_all, reject_unknown
-from deltacharger_ros.qos import LATEST
+from deltacharger_ros.qos import LATEST, SERVICE
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
 _REFUSAL_PERIOD = 0.2  # s between two diagnostics where trajectories are refused
@@ -89,8 +89,8 @@ class ServoNode(Node):
         self._inbox = TrajectoryInbox(self, self._limits)
         self._listening.set()
         group = ReentrantCallbackGroup()
-        self.create_service(SetBool, "set_torque", self._on_set_torque, callback_group=group)
-        self.create_service(Trigger, "reboot_servos", self._on_reboot, callback_group=group)
+        self.create_service(SetBool, "set_torque", self._on_set_torque, callback_group=group, qos_profile=SERVICE)
+        self.create_service(Trigger, "reboot_servos", self._on_reboot, callback_group=group, qos_profile=SERVICE)
 
     def close(self) -> None:
         """Goal := present position, torque off after at most 0.5 s, port closed, thread joined. Idempotent."""

@@ -22,6 +22,7 @@ from deltacharger_driver.servos.motion_guard import AHEAD, ContactorState, Motio
 from deltacharger_driver.servos.report import ServoReport
 from deltacharger_ros.bounded_topic import BoundedTopic
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
+from deltacharger_ros.qos import SERVICE
 
 KEPT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=64, reliability=ReliabilityPolicy.RELIABLE)
 """charger_power and joint_trajectory: read in every cycle, so that no flood of a stranger hides who leads or tells."""
@@ -59,7 +60,7 @@ class ContactorClient:
     def __init__(self, node: Node) -> None:
         self.guard = MotionGuard()
         self._node = node
-        self._client: Any = node.create_client(SetContactor, "set_contactor")
+        self._client: Any = node.create_client(SetContactor, "set_contactor", qos_profile=SERVICE)
         self._power = BoundedTopic(node, ChargerPower, "charger_power", KEPT)
         self._pending: Future[Any] | None = None
         self._asked = 0  # ns, the node's clock; 0 where nobody was there to be asked

@@ -19,6 +19,7 @@ from deltacharger_mission.dialogue import DockingReport, End, MissionObservation
 from deltacharger_mission.ros.messages import fill_pose, read_detection, read_dock, read_drive, read_state, unknown_dock
 from deltacharger_ros.action_caller import LOST, REFUSED, ActionCaller, OnEnd, result_of
 from deltacharger_ros.messages import duration
+from deltacharger_ros.qos import SERVICE
 
 _ENDS = {
     GoalStatus.STATUS_SUCCEEDED: End.DONE,
@@ -45,7 +46,7 @@ class Others:
         self._replies: list[TaskReply] = []
         self._docking: DockingReport | None = None
         self.dock_result = unknown_dock()
-        self._detector: Any = node.create_client(DetectElectrodes, Task.DETECT.value)
+        self._detector: Any = node.create_client(DetectElectrodes, Task.DETECT.value, qos_profile=SERVICE)
         self._callers = {
             task: ActionCaller(node, kind, task.value, self._hearing(read), lost_timeout)
             for task, kind, read in (

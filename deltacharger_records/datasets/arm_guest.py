@@ -40,7 +40,7 @@ class ArmGuest(Guest, ABC):
         self._docking: DockingState | None = None
         self.node.create_subscription(DockingState, "docking_state", self._on_docking_state, qos.STATE)
         self._publisher = self.node.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
-        self._torque: Any = self.node.create_client(SetBool, "set_torque")
+        self._torque: Any = self.node.create_client(SetBool, "set_torque", qos_profile=qos.SERVICE)
 
     def close(self) -> None:
         """Stop the arm, switch off the torque that this program switched on, and leave the graph. Safe to call twice.

@@ -29,6 +29,7 @@ from deltacharger_records.datasets.arm_guest import ArmError, ArmGuest
 from deltacharger_records.datasets.keeper import TOPICS, Tape
 from deltacharger_records.datasets.session import TouchSession
 from deltacharger_records.node_parameters import docking_settings
+from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.raw_topics import listen
 
 _TICK = 0.02  # s; pace where servo_state does not come
@@ -62,7 +63,7 @@ class RecordingCharger(ArmGuest):
         self._inputs = Inputs(self.node)
         self._calls = Services(self.node)
         listen(self.node, TOPICS, self.tape.take)
-        self._tare: Any = self.node.create_client(Trigger, "tare")
+        self._tare: Any = self.node.create_client(Trigger, "tare", qos_profile=SERVICE)
         self.serve()
 
     @property

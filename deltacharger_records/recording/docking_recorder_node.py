@@ -32,6 +32,7 @@ from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
 from deltacharger_ros.messages import to_outcome
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.raw_topics import PolledTopics
 
 _POLL = 0.02  # s between looks at the topics
@@ -73,7 +74,7 @@ class DockingRecorderNode(Node):
         self._told: deque[Callable[[], None]] = deque()
         self._stopping = threading.Event()
         self._results: dict[str, Any] = {
-            action: self.create_client(kind.Impl.GetResultService, f"{action}/_action/get_result")
+            action: self.create_client(kind.Impl.GetResultService, f"{action}/_action/get_result", qos_profile=SERVICE)
             for action, kind in zip(ACTIONS, (Dock, Undock), strict=True)
         }
         self._docking_parameters = ParameterReader(self, "docking_node")

@@ -25,6 +25,7 @@ from rclpy.node import Node
 
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.unknown import unknown
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import DETECTOR_FAULTS, MockDetectorNodeParameters
@@ -46,7 +47,11 @@ class MockDetectorNode(Node):
         self._fault = FaultSwitch(self, DETECTOR_FAULTS, given.fault_delay)
         self._detections = self.create_publisher(ElectrodeDetection, "electrode_detection", qos.DEFAULT_DEPTH)
         self.create_service(
-            DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=ReentrantCallbackGroup()
+            DetectElectrodes,
+            "detect_electrodes",
+            self._on_detect,
+            callback_group=ReentrantCallbackGroup(),
+            qos_profile=SERVICE,
         )
 
     def close(self) -> None:

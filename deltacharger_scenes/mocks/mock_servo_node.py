@@ -39,6 +39,7 @@ from deltacharger_ros import node_support, qos
 from deltacharger_ros.diagnostics import WARN, Diagnostics
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.qos import SERVICE
 from deltacharger_scenes.mocks.arm import MockArm
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import SERVO_FAULTS, MockServoNodeParameters
@@ -67,8 +68,8 @@ class MockServoNode(Node):
         self._diagnostics = Diagnostics(self)
         group = ReentrantCallbackGroup()
         self.create_subscription(JointTrajectory, "joint_trajectory", self._on_trajectory, qos.LATEST)
-        self.create_service(SetBool, "set_torque", self._on_torque, callback_group=group)
-        self.create_service(Trigger, "reboot_servos", self._on_reboot, callback_group=group)
+        self.create_service(SetBool, "set_torque", self._on_torque, callback_group=group, qos_profile=SERVICE)
+        self.create_service(Trigger, "reboot_servos", self._on_reboot, callback_group=group, qos_profile=SERVICE)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="mock servos", daemon=True)
         self._thread.start()

@@ -42,6 +42,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.unknown import unknown
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import POWER_FAULTS, TACTILE_FAULTS, MockTactileNodeParameters
@@ -80,9 +81,15 @@ class MockTactileNode(Node):
         self._samples = SamplePublishers(self, qos.LATEST, self._model.contact.pad_side / COLUMNS)
         group = ReentrantCallbackGroup()
         self.create_subscription(ServoState, "servo_state", self._on_servo_state, qos.LATEST)
-        self.create_service(Trigger, "tare", self._on_tare, callback_group=group)
-        self.create_service(Probe, "probe", self._on_probe, callback_group=group)
-        self.create_service(SetContactor, "set_contactor", self._on_contactor, callback_group=ReentrantCallbackGroup())
+        self.create_service(Trigger, "tare", self._on_tare, callback_group=group, qos_profile=SERVICE)
+        self.create_service(Probe, "probe", self._on_probe, callback_group=group, qos_profile=SERVICE)
+        self.create_service(
+            SetContactor,
+            "set_contactor",
+            self._on_contactor,
+            callback_group=ReentrantCallbackGroup(),
+            qos_profile=SERVICE,
+        )
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="mock board", daemon=True)
         self._thread.start()

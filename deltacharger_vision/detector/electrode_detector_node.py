@@ -29,6 +29,7 @@ from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.unknown import unknown
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector
@@ -73,7 +74,9 @@ class ElectrodeDetectorNode(Node):
         self._pictures = self.create_publisher(Image, "electrode_detection/image", qos_profile_sensor_data)
         self._diagnostics = Diagnostics(self)
         group = ReentrantCallbackGroup()
-        self.create_service(DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=group)
+        self.create_service(
+            DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=group, qos_profile=SERVICE
+        )
         self.create_timer(1.0, self._diagnose)
         self._thread: threading.Thread | None = None
         if rate > 0.0:
