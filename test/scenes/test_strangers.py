@@ -23,7 +23,7 @@ from deltacharger_driver.servos.motion_guard import ContactorState
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.outcomes import DockRequest, Pose
-from deltacharger_ros.qos import STATE
+from deltacharger_ros.qos import SERVICE, STATE
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.mocks.mock_servo_node import MockServoNode
 
@@ -132,7 +132,7 @@ class Callers:
         self._spinners = [
             Spinner(Node(f"{name}_caller_{index}", **options(context, NAMESPACE))) for index in range(count)
         ]
-        self._clients = [spinner.node.create_client(kind, name) for spinner in self._spinners]
+        self._clients = [spinner.node.create_client(kind, name, qos_profile=SERVICE) for spinner in self._spinners]
         for each in self._clients:
             assert each.wait_for_service(DEADLINE)
             self._call(each)
