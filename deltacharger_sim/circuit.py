@@ -53,8 +53,7 @@ class Circuit:
         self._flowed = False
         self._overlap: Overlap | None = None
         self._force = 0.0
-        self._resistance = math.inf
-        self._shorted = False
+        self._known_resistance: float | None = None  # of overlap and force, once it was asked for
         self._voltage = parameters.target_voltage  # of the target's battery without load
         self.current = 0.0
         self.fault = 0
@@ -83,11 +82,12 @@ class Circuit:
         """Advance by `dt` s with the terminals lying on each other as `overlap` (None = apart) under `force` N."""
         self._since += dt
         if force != self._force or overlap is not self._overlap:
-            self._overlap, self._force = overlap, force
-            self._resistance = self._contact_resistance(force)
-            self._shorted = overlap is not None and overlap.short
+            self._overlap, self._force, self._known_resistance = overlap, force, None
+        if self._phase is _OPEN and not self._stuck:
+            self.current = self._shorted_for = 0.0
+            return
         # What was shorted when this step began has now been so for its length.
-        self._shorted_for = self._shorted_for + dt if self._shorted and self.current >= _SHORT_CURRENT else 0.0
+        self._shorted_for = self._shorted_for + dt if self.current >= _SHORT_CURRENT and self._shorted else 0.0
         if self._phase is _PRECHARGE and self._since >= self._parameters.precharge_time:
             self._leave_precharge()
         if not self.closed:
@@ -133,12 +133,20 @@ class Circuit:
             self._flowed = False
             self._stuck = self._parameters.welded
 
-    def _contact_resistance(self, force: float) -> float:
-        """Fall with overlap (area) and with the square root of force, as spots of contact grow."""
-        if self._overlap is None or not (force > 0.0 and (self._overlap.area > 0.0 or self._overlap.short)):
-            return math.inf
-        fraction = max(self._overlap.fraction, 1e-3)
-        return self._parameters.contact_resistance / fraction * math.sqrt(_NOMINAL_FORCE / force)
+    @property
+    def _shorted(self) -> bool:
+        return self._overlap is not None and self._overlap.short
+
+    @property
+    def _resistance(self) -> float:
+        """Of the contact (Ω): falls with overlap (area) and with the square root of force, as spots of contact grow."""
+        if self._known_resistance is None:
+            lies, force = self._overlap, self._force
+            self._known_resistance = math.inf
+            if lies is not None and force > 0.0 and lies.area > 0.0:
+                spots = max(lies.fraction, 1e-3) * math.sqrt(force / _NOMINAL_FORCE)
+                self._known_resistance = self._parameters.contact_resistance / spots
+        return self._known_resistance
 
     def _leave_precharge(self) -> None:
         voltage = self._voltage

@@ -4,47 +4,59 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from functools import cached_property
 
 from deltacharger_sim.parameters import TerminalParameters
 
 Polygon = list[tuple[float, float]]
 
 
-@dataclass(frozen=True)
 class Overlap:
-    """How two terminals lie on each other.
+    """How two terminals lie on each other; each attribute is worked out when it is first asked for.
 
-    Attributes:
-        area: overlap of the right pairs (upper on upper, lower on lower), m².
-        fraction: the same relative to full overlap.
-        clearance: distance (m) of the nearest wrong pair; negative = how deep they overlap.
-        short: whether a bar of one terminal touches both bars of the other.
+    Args:
+        terminal: size of the bars, the same on both sides.
+        x: place of the target in end_effector, m.
+        y: likewise.
+        angle: of the target, rad.
     """
 
-    area: float
-    fraction: float
-    clearance: float
-    short: bool
+    def __init__(self, terminal: TerminalParameters, x: float, y: float, angle: float) -> None:
+        self._terminal, self._cosine, self._sine = terminal, math.cos(angle), math.sin(angle)
+        # From one bar's centre to the wrong one's; the target's bars lie along its own turned y.
+        pitch = 0.5 * (terminal.gap + terminal.height)
+        across_x, across_y = self._sine * pitch, -pitch - self._cosine * pitch
+        self._down, self._up = (x + across_x, y + across_y), (x - across_x, y - across_y)
+        # The same from one bar's centre to that of its mate: upper from upper, lower from lower.
+        aside_x, aside_y = -self._sine * pitch, self._cosine * pitch - pitch
+        self._mates = (x + aside_x, y + aside_y), (x - aside_x, y - aside_y)
 
+    @cached_property
+    def area(self) -> float:
+        """Overlap of the right pairs (upper on upper, lower on lower), m²."""
+        return sum(self._common(mate) for mate in self._mates)
 
-def overlap(terminal: TerminalParameters, x: float, y: float, angle: float) -> Overlap:
-    """Return how the bars lie for a target at (x, y) m, turned by `angle` rad, in end_effector."""
-    cosine, sine = math.cos(angle), math.sin(angle)
-    # From one bar's centre to the wrong one's; the target's bars lie along its own turned y.
-    pitch = 0.5 * (terminal.gap + terminal.height)
-    across_x, across_y = sine * pitch, -pitch - cosine * pitch
-    down = _separation(terminal, x + across_x, y + across_y, cosine, sine)
-    up = _separation(terminal, x - across_x, y - across_y, cosine, sine)
-    # The same from one bar's centre to that of its mate: upper from upper, lower from lower.
-    aside_x, aside_y = -sine * pitch, cosine * pitch - pitch
-    matched = _common(terminal, x + aside_x, y + aside_y, cosine, sine)
-    matched += _common(terminal, x - aside_x, y - aside_y, cosine, sine)
-    short = matched > 0.0 and (
-        (down < 0.0 and _common(terminal, x + across_x, y + across_y, cosine, sine) > 0.0)
-        or (up < 0.0 and _common(terminal, x - across_x, y - across_y, cosine, sine) > 0.0)
-    )
-    return Overlap(matched, matched / (2.0 * terminal.length * terminal.height), min(down, up), short)
+    @property
+    def fraction(self) -> float:
+        """The same relative to full overlap."""
+        return self.area / (2.0 * self._terminal.length * self._terminal.height)
+
+    @cached_property
+    def clearance(self) -> float:
+        """Distance (m) of the nearest wrong pair; negative = how deep they overlap."""
+        return min(self._separation(self._down), self._separation(self._up))
+
+    @cached_property
+    def short(self) -> bool:
+        """Whether a bar of one terminal touches both bars of the other."""
+        wrong = (self._down, self._up)
+        return self.clearance < 0.0 < self.area and any(self._common(other) > 0.0 for other in wrong)
+
+    def _common(self, place: tuple[float, float]) -> float:
+        return _common(self._terminal, *place, self._cosine, self._sine)
+
+    def _separation(self, place: tuple[float, float]) -> float:
+        return _separation(self._terminal, *place, self._cosine, self._sine)
 
 
 def _common(terminal: TerminalParameters, x: float, y: float, cosine: float, sine: float) -> float:

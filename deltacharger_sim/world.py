@@ -15,7 +15,7 @@ import numpy as np
 from deltacharger_core.arrays import Array
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_sim.circuit import Circuit
-from deltacharger_sim.clearance import Overlap, overlap
+from deltacharger_sim.clearance import Overlap
 from deltacharger_sim.latency import Latency, delays
 from deltacharger_sim.mechanics import Mechanics
 from deltacharger_sim.motion import MakeMotion, Motion
@@ -284,7 +284,7 @@ class World:
             pose = self._relative()
             if _differs(pose, self._overlap_pose):
                 self._overlap_pose = pose
-                self._overlap = overlap(self.parameters.terminal, *pose)
+                self._overlap = Overlap(self.parameters.terminal, *pose)
             return
         self._overlap = self._overlap_pose = None
         if self._docked and self.mechanics.gap > _APART:

@@ -21,7 +21,7 @@ from deltacharger_lab.campaigns.scene import load_campaign_scene, packaged_campa
 from deltacharger_lab.campaigns.settings import meaning
 from deltacharger_lab.campaigns.spread import read_spread
 from deltacharger_scenes.scene import SceneError
-from deltacharger_sim.clearance import overlap
+from deltacharger_sim.clearance import Overlap
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
 
@@ -238,7 +238,7 @@ def test_beside_zero_clearance_the_wrong_bars_nearly_touch() -> None:
         one = draw(scene, 1, number, "guarded")
         target = one.world.target
         x, y = target.x - one.goal.position[0], target.y - one.goal.position[1]
-        true = overlap(one.world.terminal, x, y, target.roll).clearance
+        true = Overlap(one.world.terminal, x, y, target.roll).clearance
         assert abs(true) < 0.0008  # 0.01 rad · 35 mm and what the formula lies below the geometry
         below += true < 0.0
         sides += target.roll > 0.0

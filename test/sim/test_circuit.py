@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -19,11 +18,12 @@ from deltacharger_sim.circuit import (
     Circuit,
 )
 from deltacharger_sim.clearance import Overlap
-from deltacharger_sim.parameters import CircuitParameters
+from deltacharger_sim.parameters import CircuitParameters, TerminalParameters
 
-FULL = Overlap(area=1.4e-3, fraction=1.0, clearance=0.0074, short=False)
-HALF = Overlap(area=0.7e-3, fraction=0.5, clearance=0.002, short=False)
-BRIDGED = Overlap(area=1.2e-3, fraction=0.86, clearance=-0.001, short=True)
+TERMINAL = TerminalParameters()
+FULL = Overlap(TERMINAL, 0.0, 0.0, 0.0)
+HALF = Overlap(TERMINAL, 0.5 * TERMINAL.length, 0.0, 0.0)
+BRIDGED = Overlap(TERMINAL, 0.0, 0.0, math.radians(14.0))
 FORCE = 77.0
 
 
@@ -236,7 +236,7 @@ def test_an_opening_forgets_the_fault() -> None:
 
 def test_worse_contact_means_less_current_at_the_voltage_limit() -> None:
     good, bad = charging(target_voltage=28.5), charging(target_voltage=28.5)
-    run(bad, 0.1, replace(FULL, area=1e-5, fraction=0.007))
+    run(bad, 0.1, Overlap(TERMINAL, 0.993 * TERMINAL.length, 0.0, 0.0))
     assert bad.current < 0.8 * good.current
 
 

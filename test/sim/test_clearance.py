@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deltacharger_sim.clearance import overlap
+from deltacharger_sim.clearance import Overlap
 from deltacharger_sim.parameters import TerminalParameters
 
 TERMINAL = TerminalParameters()
@@ -46,7 +46,7 @@ def sampled(x: float, y: float, angle: float) -> np.ndarray:
 @settings(max_examples=60, deadline=None)
 @given(shift, shift, angle)
 def test_area_and_shorts_are_those_of_brute_force(x: float, y: float, angle: float) -> None:
-    lies, counted = overlap(TERMINAL, x, y, angle), sampled(x, y, angle)
+    lies, counted = Overlap(TERMINAL, x, y, angle), sampled(x, y, angle)
     row = TERMINAL.length * PITCH  # a row of points along each bar is what the grid may get wrong
     assert lies.area == pytest.approx(counted[0, 0] + counted[1, 1], abs=2.0 * row)
     assert lies.fraction == pytest.approx(lies.area / FULL)
@@ -65,20 +65,20 @@ def test_area_and_shorts_are_those_of_brute_force(x: float, y: float, angle: flo
 @settings(max_examples=200, deadline=None)
 @given(shift, shift, angle)
 def test_the_decision_formula_never_promises_more_than_there_is(x: float, y: float, angle: float) -> None:
-    assert overlap(TERMINAL, x, y, angle).clearance >= formula(angle, y) - 1e-12
+    assert Overlap(TERMINAL, x, y, angle).clearance >= formula(angle, y) - 1e-12
 
 
 @pytest.mark.parametrize("degrees", [0.0, 2.0, 5.0, -8.0, 11.9, 12.2, -16.0, 20.0])
 def test_without_a_vertical_error_formula_and_geometry_are_one(degrees: float) -> None:
     turn = math.radians(degrees)
-    assert overlap(TERMINAL, 0.0, 0.0, turn).clearance == pytest.approx(formula(turn, 0.0), abs=1e-9)
+    assert Overlap(TERMINAL, 0.0, 0.0, turn).clearance == pytest.approx(formula(turn, 0.0), abs=1e-9)
 
 
 @pytest.mark.parametrize("y_mm", [-6.0, -2.5, 1.0, 5.0])
 @pytest.mark.parametrize("degrees", [0.0, 3.0, -7.0, 10.0])
 def test_with_one_they_differ_by_the_cosine_only(y_mm: float, degrees: float) -> None:
     turn, y = math.radians(degrees), 1e-3 * y_mm
-    difference = overlap(TERMINAL, 0.0, y, turn).clearance - formula(turn, y)
+    difference = Overlap(TERMINAL, 0.0, y, turn).clearance - formula(turn, y)
     assert -1e-12 <= difference <= abs(y) * (1.0 - math.cos(turn)) + 1e-9
 
 
@@ -86,7 +86,7 @@ def test_with_one_they_differ_by_the_cosine_only(y_mm: float, degrees: float) ->
     ("degrees", "short"), [(12.0, False), (12.06, False), (12.08, True), (-12.06, False), (-12.08, True)]
 )
 def test_the_critical_angle_is_12_07_degrees_when_centred(degrees: float, short: bool) -> None:
-    lies = overlap(TERMINAL, 0.0, 0.0, math.radians(degrees))
+    lies = Overlap(TERMINAL, 0.0, 0.0, math.radians(degrees))
     assert lies.short is short
     assert (lies.clearance < 0.0) is short
 
@@ -94,30 +94,30 @@ def test_the_critical_angle_is_12_07_degrees_when_centred(degrees: float, short:
 @pytest.mark.parametrize(("y_mm", "critical"), [(2.5, 8.0), (5.0, 3.9)])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_vertical_error_lowers_the_critical_angle(y_mm: float, critical: float, side: float) -> None:
-    assert overlap(TERMINAL, 0.0, side * 1e-3 * y_mm, math.radians(critical - 0.3)).clearance > 0.0
-    assert overlap(TERMINAL, 0.0, side * 1e-3 * y_mm, math.radians(critical + 0.3)).short
+    assert Overlap(TERMINAL, 0.0, side * 1e-3 * y_mm, math.radians(critical - 0.3)).clearance > 0.0
+    assert Overlap(TERMINAL, 0.0, side * 1e-3 * y_mm, math.radians(critical + 0.3)).short
 
 
 def test_sitting_right_on_each_other_is_full_overlap() -> None:
-    lies = overlap(TERMINAL, 0.0, 0.0, 0.0)
+    lies = Overlap(TERMINAL, 0.0, 0.0, 0.0)
     assert lies.fraction == pytest.approx(1.0)
     assert lies.clearance == pytest.approx(TERMINAL.gap)
     assert not lies.short
 
 
 def test_half_a_bar_aside_is_half_the_area() -> None:
-    assert overlap(TERMINAL, HALF_LENGTH, 0.0, 0.0).fraction == pytest.approx(0.5)
+    assert Overlap(TERMINAL, HALF_LENGTH, 0.0, 0.0).fraction == pytest.approx(0.5)
 
 
 def test_past_each_other_nothing_touches() -> None:
-    lies = overlap(TERMINAL, 0.2, 0.0, 0.1)
+    lies = Overlap(TERMINAL, 0.2, 0.0, 0.1)
     assert lies.area == 0.0
     assert not lies.short
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_one_bar_too_high_crosses_the_poles_without_a_short(side: float) -> None:
-    lies = overlap(TERMINAL, 0.0, side * (TERMINAL.gap + TERMINAL.height), 0.0)
+    lies = Overlap(TERMINAL, 0.0, side * (TERMINAL.gap + TERMINAL.height), 0.0)
     assert lies.clearance < -0.009
     assert lies.area == 0.0
     assert not lies.short  # each bar touches one bar of the other side, the wrong one
