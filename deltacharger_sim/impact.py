@@ -33,6 +33,7 @@ _OFF = 0.1  # relative, and N: how far the force of a leaning contact may be fro
 _CALM = 2e-4  # m/s, below which nothing strikes
 _AHEAD = 2.0  # steps at the speed of the approach, in which the finer course begins at the latest
 _STRIDE = 0.005  # m that a step of the light model moves the platform at most
+_DECAYED = 0.9  # of the largest force, below which the next turn shows that the bounces die away
 _OPEN, _PRESSED, _STOPPED = 0, 1, 2
 
 Drive = tuple[float, float, float]
@@ -85,7 +86,7 @@ class Impact:
         self._early = terminal.length * abs(target.tilt_y) + (terminal.gap + terminal.height) * abs(target.tilt_x)
         self.reach = self._near + self._early + _AHEAD * _STRIDE
         self.follows = self._spent = self._touched = False
-        self._gap = self._speed = self._gear = self._peak = self._apart = 0.0
+        self._gap = self._speed = self._gear = self._peak = self._largest = self._apart = 0.0
         self._left, self._branch = 0, _OPEN
 
     def concerns(self, gap: float, speed: float, dt: float, onset: float) -> bool:
@@ -120,7 +121,7 @@ class Impact:
             self.follows, self._touched = True, gap < self._onset
             self._gap, self._speed, self._gear, self._left = gap, speed, gear, _MOST
             self._branch = _OPEN if gap > self._onset else _PRESSED if gap > -self._depth else _STOPPED
-            self._peak = self._apart = 0.0
+            self._peak = self._largest = self._apart = 0.0
         self._advance(dt, gap, forces)
         self._apart = self._apart + dt if self._touched != pressed else 0.0
         if self._apart > _WAITS or (speed <= 0.0 and not (self._touched or pressed)):
@@ -166,7 +167,7 @@ class Impact:
                 self.follows, self._spent = False, True
                 break
         if self._branch:
-            self._note(self._gap, self._gap)
+            self._peak = max(self._peak, self._normal(self._gap)[0])
 
     def _longest(self, gap: float, speed: float, mass: float) -> float:
         """Return how long a sub-step may be (s)."""
@@ -205,16 +206,16 @@ class Impact:
         if self._branch:
             self._touched = True
         if turned and self._branch:  # the force grows with the depth: between turns there is no peak
-            self._note(to, gap - 0.5 * h * speed * speed / (speed - after))
+            self._turn(self._normal(min(to, gap - 0.5 * h * speed * speed / (speed - after)))[0])
         self._gap, self._speed = to, after
         return h, after
 
-    def _note(self, gap: float, turned: float) -> None:
-        """Take the force at a gap (m), or where the motion turned, if it did, for the peak if it is one."""
-        normal = self._normal(min(gap, turned))[0]
-        if normal > 0.0:
-            self._touched = True
-            self._peak = max(self._peak, normal)
+    def _turn(self, force: float) -> None:
+        """Take a force (N) at which the motion turned back for the peak if it is one; the last where they decline."""
+        self._peak = max(self._peak, force)
+        if force < _DECAYED * self._largest:
+            self._left = -1
+        self._largest = max(self._largest, force)
 
 
 class LeaningImpact(Impact):
@@ -259,10 +260,12 @@ class LeaningImpact(Impact):
             if h <= least or abs(normal - before - stiff * (gap - to)) <= _OFF * max(normal, before) + _OFF:
                 break
             h *= 0.5
-        turned = gap - 0.5 * h * speed * speed / (speed - after) if speed > 0.0 >= after else to
         if normal > 0.0 or before > 0.0:
             self._touched = True
-            self._peak = max(self._peak, before, normal + stiffer * max(to - turned, 0.0))
+            self._peak = max(self._peak, before, normal)
+            if speed > 0.0 >= after:
+                turned = gap - 0.5 * h * speed * speed / (speed - after)
+                self._turn(normal + stiffer * max(to - turned, 0.0))
         self._branch = _PRESSED if normal > 0.0 else _OPEN
         self._gap, self._speed = to, after
         return h, after
