@@ -30,9 +30,10 @@ GEAR_BRISTLE = 400.0  # N·m/rad; a gear yields 0.15 mrad before it slips
 END_STOP = 2000.0  # N·m/rad behind a joint limit
 _ITERATIONS = 60
 _FULL_STEPS = 20  # later ones are halved: piecewise-linear parts can make full Newton steps go back and forth
-_SHORTEST = 1e-12  # m of a Newton step, below which nothing changes any more
-_LONGEST = 0.004  # m that one Newton step may move the platform
+_SHORTEST = 1e-12**2  # m² of a Newton step, below which nothing changes any more
+_LONGEST = 0.004**2  # m² that one Newton step may move the platform
 _ENOUGH = 1e-5**2  # N² of imbalance that ends the iteration
+_ENOUGH_IN_MOTION = 3.0**2  # (N/m)² of imbalance over the way of a step: 3e-4 of it, as the servos yield at 1e4 N/m
 _FARTHEST = 0.005**2  # m² that a step may move the platform; one that would go further is taken in halves
 _UNSOLVED = 0.01  # N of imbalance above which a step is taken in halves
 _FINEST = 0.001  # s of a step that is not halved any more
@@ -80,6 +81,7 @@ class Mechanics(Motion):
         # Rates by the rows that the step began with. The next step's are by its own, and the difference of the two
         # holds all of d²θ/dt² = (dθ/dp) a + (d/dt dθ/dp) v; with the exact rates half of the second term would miss.
         self._spin: Vector = (0.0, 0.0, 0.0)
+        self._velocity_before: Vector = (0.0, 0.0, 0.0)
         self._inputs: tuple[object, ...] = ()
         self._aside = (math.inf, math.inf)
         self._servos: tuple[tuple[float, float, float, float, float], ...] = ()
@@ -198,8 +200,14 @@ class Mechanics(Motion):
 
     def _solve(self, joints: list[_Joint], dt: float) -> Vector:
         """Return the displacement (m) at which the forces balance, or the best found."""
-        vx, vy, vz = self.velocity
-        dx, dy, dz = vx * dt, vy * dt, vz * dt
+        (vx, vy, vz), (before_x, before_y, before_z) = self.velocity, self._velocity_before
+        way, square = dt, before_x * before_x + before_y * before_y + before_z * before_z
+        if square > 0.0:
+            # Servos brake like a first-order lag: each step's way is the same share of the one before.
+            share = (vx * before_x + vy * before_y + vz * before_z) / square
+            if 0.0 < share < 1.0:
+                way *= share
+        dx, dy, dz = vx * way, vy * way, vz * way
         enough = _ENOUGH
         if -_REST < dx < _REST and -_REST < dy < _REST and -_REST < dz < _REST:
             dx = dy = dz = 0.0
@@ -210,7 +218,7 @@ class Mechanics(Motion):
             size = fx * fx + fy * fy + fz * fz
             if size < least:
                 best, least = (dx, dy, dz), size
-            if size < enough:
+            if size < enough or size < _ENOUGH_IN_MOTION * (dx * dx + dy * dy + dz * dz):
                 break
             enough = _ENOUGH
             # Cholesky's factors of the tangent.
@@ -221,13 +229,13 @@ class Mechanics(Motion):
             cz = (fz - l31 * fx - l32 * y1) / (zz - l31 * xz - l32 * l32 * d2)
             cy = y1 / d2 - l32 * cz
             cx = fx / xx - l21 * cy - l31 * cz
-            length = math.sqrt(cx * cx + cy * cy + cz * cz)
-            if not length >= _SHORTEST:
+            square = cx * cx + cy * cy + cz * cz
+            if not square >= _SHORTEST:
                 break
-            share = 1.0 if iteration < _FULL_STEPS else 0.5
-            if share * length > _LONGEST:
-                share = _LONGEST / length
-            dx, dy, dz = dx + share * cx, dy + share * cy, dz + share * cz
+            if iteration >= _FULL_STEPS or square > _LONGEST:
+                share = min(0.5 if iteration >= _FULL_STEPS else 1.0, math.sqrt(_LONGEST / square))
+                cx, cy, cz = share * cx, share * cy, share * cz
+            dx, dy, dz = dx + cx, dy + cy, dz + cz
         if (dx, dy, dz) != best:
             self._evaluate(joints, *best, dt)
         self.imbalance = math.sqrt(least)
@@ -314,6 +322,7 @@ class Mechanics(Motion):
                 self.angles, self._rows, self._turns = here
                 break
             share = 0.5 * share if share > 1e-6 else 0.0
+        self._velocity_before = self.velocity
         self.velocity = (moved[0] / dt, moved[1] / dt, moved[2] / dt)
         vx, vy, vz = self.velocity
         self._spin = (
