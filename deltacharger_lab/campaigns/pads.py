@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import functools
-from typing import Protocol
+from typing import Any
 
-from deltacharger_core.arrays import Array
 from deltacharger_core.machine import CONTACT_FORCE
-from deltacharger_sim.world import Pose, TactileSource
 from deltacharger_tactile import PoseEstimator, default_model
+from deltacharger_tactile.pad_source import PadSource
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.second.parameters import SecondParameters
 from deltacharger_tactile.source import ContactSource
@@ -20,18 +19,9 @@ PACKAGED, FROM_ONE_NEWTON = "packaged", "1N"
 POSE_MODELS = (PACKAGED, FROM_ONE_NEWTON)
 
 
-class PadSource(TactileSource, Protocol):
-    """Both pads of one rig in one run of dockings, whatever physics presses them."""
-
-    def frames(
-        self, time: float, pose: Pose | None, force: float, count: int, period: float, share: float = 0.5
-    ) -> Array:
-        """Return frames (count, 2, 10, 10) N raw that end at `time`, a `period` (s) apart, all at one pose."""
-
-
 def make_pads(
     pads: str, tactile: TactileParameters, second: SecondParameters | None, rig_seed: int, seed: int
-) -> PadSource:
+) -> PadSource[Any]:
     """Return the pads of a docking.
 
     Args:

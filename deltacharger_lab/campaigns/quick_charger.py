@@ -25,12 +25,12 @@ from deltacharger_docking.observation import Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
-from deltacharger_lab.campaigns.pads import PadSource
 from deltacharger_lab.campaigns.quick_motion import QuickPlanner, WholeFeed
 from deltacharger_lab.campaigns.virtual_charger import TICK, Pending, VirtualCharger, counts
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.shared_world import SharedWorld
 from deltacharger_sim.world import World
+from deltacharger_tactile.pad_source import PadSource
 
 MOVING, STANDING = 8, 13  # ticks that one step of the machine may last
 SETTLING = 2  # ticks that one step of the world may last where the platform only comes after its goal
@@ -67,7 +67,7 @@ class QuickCharger(VirtualCharger):
         self,
         world: WorldParameters,
         parameters: DockingParameters,
-        pads: PadSource,
+        pads: PadSource[Any],
         seed: int,
         rig_seed: int,
         geometry: DeltaGeometry | None = None,

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the tactile arrays of a simulated charger are to a world, whichever contact physics presses them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+
+from deltacharger_core.arrays import Array
+
+Pose = tuple[float, float, float]
+
+
+class DrawnContact(Protocol):
+    """What is drawn anew for each contact."""
+
+    @property
+    def jitter(self) -> Array:
+        """(N, 3) displacement of the relative pose (x, y, angle), m and rad."""
+
+
+T = TypeVar("T", bound=DrawnContact)
+
+
+class PadSource(ABC, Generic[T]):
+    """Both pads of one rig, as a world that knows pose and force sees them.
+
+    One docking is one contact: `begin_docking` at its first touch, then `sample` with the relative pose (to which
+    the world has added the returned jitter) until `sample` is called with None. Not safe for threads: the world's
+    lock guards it.
+
+    Args:
+        random: course of the run.
+    """
+
+    def __init__(self, random: np.random.Generator) -> None:
+        self._random = random
+        self._contact: T | None = None
+        self._last: float | None = None  # s, time of the last frame
+        self._pressed: tuple[tuple[Pose, float, float], Array] | None = None  # by what, and what the taxels bear
+
+    def begin_docking(self) -> Pose:
+        """Start a new contact and draw what differs from one to the next.
+
+        Returns:
+            Displacement (x m, y m, angle rad) to add to the relative pose until contact ends.
+        """
+        self._end_contact()
+        self._contact = self._draw()
+        x, y, angle = self._contact.jitter[0]
+        return float(x), float(y), float(angle)
+
+    def sample(self, time: float, pose: Pose | None, force: float, share: float = 0.5) -> tuple[Array, Array]:
+        """Read both pads once; arguments as those of `frames`.
+
+        Returns:
+            left, right: (10, 10) N raw (before tare; NaN = dead); row 0 at +y, column 0 at +x.
+        """
+        left, right = self.frames(time, pose, force, 1, 0.0, share)[0]
+        return left, right
+
+    @abstractmethod
+    def frames(
+        self, time: float, pose: Pose | None, force: float, count: int, period: float, share: float = 0.5
+    ) -> Array:
+        """Return `count` frames (count, 2, 10, 10) N raw that end at `time`, a `period` (s) apart, all at one pose.
+
+        Args:
+            time: of the last frame, s, rising.
+            pose: (x m, y m, angle rad) of the target in end_effector, jitter included; None = no contact.
+            force: total contact force, N; where the physics has electrode bars, they bear a part of it.
+            count: frames.
+            period: between them, s.
+            share: of the force that the left pad would bear if pads alone bore it.
+        """
+
+    @abstractmethod
+    def _draw(self) -> T:
+        """Draw a new contact."""
+
+    @abstractmethod
+    def _solve(self, contact: T, pose: Array, force: float, share: float) -> Array:
+        """Return the forces on the taxels (1, 2, 10, 10) N at a pose (1, 3)."""
+
+    def _end_contact(self) -> None:
+        self._contact = self._pressed = None
+
+    def _press(self, pose: Pose | None, force: float, share: float) -> Array | None:
+        """Return the forces on the taxels (1, 2, 10, 10) N; None where nothing touches."""
+        if pose is None:
+            self._end_contact()
+            return None
+        if not force > 0.0:
+            return None
+        if self._contact is None:
+            self._contact = self._draw()
+        if self._pressed is None or self._pressed[0] != (pose, force, share):  # at rest all frames have one
+            self._pressed = (pose, force, share), self._solve(self._contact, np.array([pose]), force, share)
+        return self._pressed[1]
