@@ -49,6 +49,9 @@ class FileRefused(OSError):
     def __str__(self) -> str:
         return f"{self.filename}: {self.strerror}"
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.filename, self.strerror)
+
 
 def given_path(text: str) -> Path:
     """Return the path that a person gave; a `~user` whom this computer does not know stays as it is."""

@@ -26,6 +26,7 @@ from deltacharger_core.mcap_records import (
     EndsEarly,
     Records,
 )
+from deltacharger_core.picklable import Picklable
 
 CUT_SHORT = "the file ends early: its recorder was stopped"
 """Why reading ended in a file that is whole as far as it goes."""
@@ -33,7 +34,7 @@ CUT_SHORT = "the file ends early: its recorder was stopped"
 _LONGEST = 300  # characters of a reason
 
 
-class RecordingError(RuntimeError):
+class RecordingError(Picklable, RuntimeError):
     """A recording cannot be written or read; the message says why and what to do."""
 
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from deltacharger_core.bounded_file import brief
+from deltacharger_core.picklable import Picklable
 
 T = TypeVar("T")
 
@@ -26,7 +27,7 @@ _KEY = "declaration"  # in the metadata of a field
 _KINDS = {bool: "true or false", str: "text", int: "a whole number", float: "a number"}
 
 
-class ParameterError(ValueError):
+class ParameterError(Picklable, ValueError):
     """A key is unknown, or a value has the wrong type or lies outside its bounds.
 
     Attributes:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from deltacharger_core.bounded_file import parse_json
+from deltacharger_core.picklable import Picklable
 
 CONTROL = "control"
 """Name of the socket beside the ports of a simulated charger, on which it takes orders."""
@@ -20,7 +21,7 @@ _PATIENCE = 0.5  # s
 _LONGEST_ANSWER = 16384  # bytes
 
 
-class Taken(Exception):
+class Taken(Picklable):
     """Another process that lives holds the lock.
 
     Args:

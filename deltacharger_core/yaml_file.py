@@ -15,6 +15,7 @@ from typing import Any
 
 from deltacharger_core.bounded_file import LARGEST_TEXT, FileRefused, brief, read_bytes
 from deltacharger_core.files import write_text
+from deltacharger_core.picklable import Picklable
 
 _DEEPEST, _MOST = 30, 50_000  # levels; values and keys of a file
 _LONGEST_KEY, _LONGEST_NUMBER, _LONGEST_PROBLEM = 100, 100, 300  # characters
@@ -25,7 +26,7 @@ _SCALARS = ("null", "bool", "int", "float", "str")
 _EXPONENT = re.compile(r"^[-+]?(?:[0-9][0-9_]*)(?:\.[0-9_]*)?[eE][-+]?[0-9]+$")
 
 
-class YamlError(ValueError):
+class YamlError(Picklable, ValueError):
     """A file is not readable YAML.
 
     Attributes:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
+from deltacharger_core.picklable import Picklable
 from deltacharger_kinematics.geometry import Vector
 
 SILENT_SERVOS = "check the servo bus and servo_node, and whether this computer is too busy"
@@ -58,7 +59,7 @@ class Code(IntEnum):
     INTERNAL = 999
 
 
-class DockingError(Exception):
+class DockingError(Picklable):
     """Root of every way a goal can fail.
 
     `code` names it, `retriable` says whether the same goal may succeed later, `mended_by_docking` whether docking again

@@ -5,8 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from deltacharger_core.picklable import Picklable
 
-class DriverError(Exception):
+
+class DriverError(Picklable):
     """Root of every error raised by deltacharger_driver."""
 
 

@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import IntFlag
 
+from deltacharger_core.picklable import Picklable
+
 
 class Status(IntFlag):
     """Bit mask per point; 0 is OK. The same numbers stand as constants in the two .srv files.
@@ -41,7 +43,7 @@ NEAR_TYPE_2 = 0.02  # |det| of the unit rod vectors below which the platform cou
 COLLINEAR = 1e-12  # of rod or elbow distance: height of the elbows' triangle below which it counts as a line
 
 
-class KinematicsError(ValueError):
+class KinematicsError(Picklable, ValueError):
     """A strict solve met points that have no good answer.
 
     Attributes:

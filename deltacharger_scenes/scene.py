@@ -17,6 +17,7 @@ from deltacharger_core import environment
 from deltacharger_core.bounded_file import brief
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.parameters import Bounded, ParameterError, choice, did_you_mean, from_mapping, number, words
+from deltacharger_core.picklable import Picklable
 from deltacharger_core.yaml_file import YamlError, read_yaml
 from deltacharger_scenes.following import followed
 from deltacharger_scenes.node_table import NODES
@@ -30,7 +31,7 @@ T = TypeVar("T")
 Problems: TypeAlias = Iterator[tuple[str, str]]  # keys with what is wrong
 
 
-class SceneError(ValueError):
+class SceneError(Picklable, ValueError):
     """A scene is refused.
 
     Attributes:

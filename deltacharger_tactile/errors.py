@@ -5,10 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from deltacharger_core.picklable import Picklable
 from deltacharger_core.texts import cut
 
 
-class TactileError(Exception):
+class TactileError(Picklable):
     """Root of every error raised by deltacharger_tactile."""
 
 

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from deltacharger_core.picklable import Picklable
 
-class VisionError(Exception):
+
+class VisionError(Picklable):
     """Root of every error raised by deltacharger_vision."""
 
 

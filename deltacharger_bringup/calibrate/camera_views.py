@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deltacharger_core.files import append_text
+from deltacharger_core.picklable import Picklable
 from deltacharger_core.yaml_file import write_yaml
 from deltacharger_kinematics.calibration.table import DEGREES, POSITION_COLUMNS, RADIANS, CalibrationError, read_table
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
@@ -39,7 +40,7 @@ _GROUPS = POSITION_COLUMNS | _JOINTS
 _KNOWN = (_IMAGE, *(name for group in _GROUPS for name in group))
 
 
-class ViewsError(ValueError):
+class ViewsError(Picklable, ValueError):
     """A folder of views cannot be used. Example: a row without an image.
 
     Args:

@@ -7,10 +7,12 @@ the next zero.
 
 from __future__ import annotations
 
+from deltacharger_core.picklable import Picklable
+
 _LONGEST_RUN = 254
 
 
-class CobsError(ValueError):
+class CobsError(Picklable, ValueError):
     """Bytes that no encoder produces.
 
     Args:
