@@ -8,6 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_sim.errors import TargetFixed
 from deltacharger_sim.parameters import WorldParameters
 
 _NONE: Vector = (0.0, 0.0, 0.0)
@@ -82,9 +83,9 @@ class Motion(ABC):
         """Let the target move on by (dx, dy), m, before the next step: where it touches, its friction takes hold.
 
         Raises:
-            NotImplementedError: this model's target stays where it is.
+            TargetFixed: this model's target stays where it is.
         """
-        raise NotImplementedError(f"the target of {type(self).__name__} cannot move")
+        raise TargetFixed(type(self).__name__)
 
 
 MakeMotion = Callable[[WorldParameters, DeltaGeometry, Vector], Motion]

@@ -188,8 +188,8 @@ class World:
             seconds: that it takes, above 0.
 
         Raises:
-            NotImplementedError: the arm is moved by a model whose target stays where it is.
             ParameterError: the target would leave the bounds of its parameters.
+            TargetFixed: the arm is moved by a model whose target stays where it is.
             ValueError: a number is not finite, or the time not above 0.
         """
         if not (0.0 < seconds < math.inf and all(map(math.isfinite, (dx, dy, roll)))):

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from deltacharger_sim.errors import TargetFixed
 from deltacharger_sim.mujoco_world import mujoco_world
 from deltacharger_sim.parameters import ContactParameters, WorldParameters
 
@@ -88,5 +89,5 @@ def test_in_the_air_nothing_is_dragged(arm: ArmFactory) -> None:
 
 def test_a_model_whose_target_stands_says_so() -> None:
     pytest.importorskip("mujoco", reason="mujoco is not installed (extra sim)")
-    with pytest.raises(NotImplementedError, match="cannot move"):
+    with pytest.raises(TargetFixed, match="MujocoMechanics; use a World of the light model"):
         mujoco_world(WorldParameters()).move_target(0.001, 0.0, 0.0, 0.2)
