@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The force with which electrodes strike, resolved inside the long steps of the light model: one number along z.
+"""The peak contact force of an impact, by sub-steps of the motion along z within a long step of the light model.
 
-A step of milliseconds ends before or after an impact and never at its height, and backward Euler takes away what would
-bounce. So, from shortly before touch, a second and finer course of z alone goes along with the steps, with Jacobian,
-mass, goals and torque limits of the step: M v̇ = Σ θ′ clip(k (goal − θ) − d θ̇) + gears + weight + magnets − electrodes,
-the lateral motion being that of the step. Its sub-steps follow the trapezoidal rule, which keeps the energy of a
-bounce, are short beside the period of the contact, and are cut where the gap closes or opens and where the stop is met.
-Its largest force is the step's, once the step itself has contact. The light model's own course does not know of it.
+A step of milliseconds ends before or after an impact and never at its peak, and backward Euler damps the rebound. So,
+from shortly before contact, the motion along z is integrated a second time beside the steps, in sub-steps, with
+Jacobian, mass, goals and torque limits of the step: M v̇ = Σ θ′ clip(k (goal − θ) − d θ̇) + gears + weight + magnets −
+contact force, the lateral motion being that of the step. The sub-steps follow the trapezoidal rule, which conserves
+the energy of a rebound, are short beside the period of the contact's oscillation, and end where contact begins or is
+lost and where the hard stop is reached. Their largest force is the step's, once the step itself has contact. The light
+model's own motion does not use it.
 
-It begins where the magnets begin to pull, so that the speed of the strike is not the step's, and ends when it rests or
-its sub-steps are spent: a bounce that nobody drives never strikes harder than the first. Electrodes are springs and a
-stop without a damper of their own, so that stiff ones bounce; only servos and gears damp. Play is left out.
+Sub-stepping begins where the magnets begin to pull, so that the impact speed is not the step's, and ends when the
+contact has settled, its rebounds decay or the sub-steps are spent: a rebound that nothing drives never hits harder than
+the first impact.
+Electrodes and stop are springs without dampers of their own, so that stiff ones rebound; only servos and gears damp.
+Play is left out.
 """
 
 from __future__ import annotations
@@ -22,34 +25,34 @@ from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.tilt import tilts
 from deltacharger_sim.touch import TargetTouch
 
-_PHASE = 0.4  # rad of the contact's oscillation in a sub-step; the force at a turn is then within 2 %
+_PHASE = 0.4  # rad of the contact's oscillation in a sub-step; the force at a turning point is then within 2 %
 _LONGEST = 0.002  # s of a sub-step, a third of the time in which servos of 0.91 N·m·s/rad brake the platform
-_SHARE = 0.15  # of the way over which the magnets' pull changes, in a sub-step of flight
-_MOST = 160  # sub-steps from touch on, those of contacts so soft that none need be short not counted
-_MOST_IN_STEP = 80  # of flight in one step
-_WAITS = 0.06  # s that one of the two courses may be in contact without the other
-_SOONEST = 1e-5  # s of a sub-step of flight that ends at touch
-_OFF = 0.1  # relative, and N: how far the force of a leaning contact may be from what its tangent promises
-_CALM = 2e-4  # m/s, below which nothing strikes
-_AHEAD = 2.0  # steps at the speed of the approach, in which the finer course begins at the latest
-_STRIDE = 0.005  # m that a step of the light model moves the platform at most
-_DECAYED = 0.9  # of the largest force, below which the next turn shows that the bounces die away
-_OPEN, _PRESSED, _STOPPED = 0, 1, 2
+_FLIGHT_SHARE = 0.15  # of the distance over which the magnets' pull changes, travelled in a sub-step of flight
+_MOST = 160  # sub-steps after first contact; full ones, of contacts too soft to need shorter ones, do not count
+_MOST_IN_STEP = 80  # sub-steps in one step
+_LONGEST_MISMATCH = 0.06  # s that one of the two motions may be in contact without the other
+_SHORTEST_FLIGHT = 1e-5  # s of a sub-step of flight that ends at first contact
+_MISFIT = 0.1  # relative, and N: by how much the force of a leaning contact may differ from its linear prediction
+_AT_REST = 2e-4  # m/s, below which there is no impact
+_LEAD_STEPS = 2.0  # steps at the approach speed before contact, when sub-stepping begins at the latest
+_LONGEST_MOVE = 0.005  # m that a step of the light model moves the platform at most
+_DECAY = 0.9  # of the largest force at a turning point, below which that at the next shows that rebounds decay
+_SEPARATED, _ON_SPRINGS, _ON_STOP = 0, 1, 2
 
 Drive = tuple[float, float, float]
 """Of a powered servo: θ′ along z (rad/m), torque of its spring at the step's start, less what the lateral motion takes
-of it in the mean (N·m), torque limit (N·m)."""
+of it on average (N·m), torque limit (N·m)."""
 
 
 class StepForces(NamedTuple):
-    """What a step of the light model holds for the finer course.
+    """What a step of the light model gives to its sub-steps.
 
     Attributes:
         drives: of the powered servos.
         gears: stiffness of all gears' bristles along z, N/m.
         friction: of all gears along z, N.
         carried: weight along z, N.
-        mass: that moves along z, kg.
+        mass: effective, along z, kg.
         x: place of the target's centre in end_effector, m.
         y: likewise.
     """
@@ -64,47 +67,47 @@ class StepForces(NamedTuple):
 
 
 class Impact:
-    """The finer course of one charger along z.
+    """Motion of one platform along z in sub-steps.
 
     Attributes:
-        follows: whether a strike is being followed.
-        reach: gap (m) from which on a step may matter.
+        follows: whether an impact is being sub-stepped.
+        reach: largest gap (m) at which a step may need sub-steps.
     """
 
     def __init__(self, parameters: WorldParameters) -> None:
         contact, servo = parameters.contact, parameters.servo
-        self._springs = (0.0, 2.0 * contact.stiffness, 2.0 * contact.stiffness + contact.hard_stop_stiffness)
-        self._depth = contact.hard_stop
+        self._stiffnesses = (0.0, 2.0 * contact.stiffness, 2.0 * contact.stiffness + contact.hard_stop_stiffness)
+        self._stop = contact.hard_stop  # m of compression
         self._range = parameters.magnets.range
         self._near = self._range if parameters.magnets.force > 0.0 else 0.0
         self._stiffness, self._damping = servo.stiffness, servo.damping
         self._touch = TargetTouch(parameters)
         self._onset = 0.0  # m of gap at which the faces first touch
-        self._pull_at, self._pull = (math.nan, math.nan), 0.0
+        self._placed_at, self._pull = (math.nan, math.nan), 0.0
         target, terminal = parameters.target, parameters.terminal
-        # With a lean the electrodes meet before the middle of the faces does, by no more than this.
-        self._early = terminal.length * abs(target.tilt_y) + (terminal.gap + terminal.height) * abs(target.tilt_x)
-        self.reach = self._near + self._early + _AHEAD * _STRIDE
+        # Leaning faces touch first away from their centres, at no larger gap than this.
+        self._onset_bound = terminal.length * abs(target.tilt_y) + (terminal.gap + terminal.height) * abs(target.tilt_x)
+        self.reach = self._near + self._onset_bound + _LEAD_STEPS * _LONGEST_MOVE
         self.follows = self._spent = self._touched = False
-        self._gap = self._speed = self._gear = self._peak = self._largest = self._apart = 0.0
-        self._left, self._branch = 0, _OPEN
+        self._gap = self._speed = self._gear = self._peak = self._largest = self._mismatch = 0.0
+        self._left, self._regime = 0, _SEPARATED  # sub-steps that may still follow
 
     def concerns(self, gap: float, speed: float, dt: float, onset: float) -> bool:
-        """Return whether a step of `dt` s that begins with a `gap` (m), closing at `speed` (m/s), may strike.
+        """Return whether a step of `dt` s that begins with a `gap` (m), closing at `speed` (m/s), may have an impact.
 
         The faces first touch at a gap of `onset` m.
         """
         if self.follows:
             return True
-        way, first = _AHEAD * speed * dt, onset if onset > self._near else self._near
-        soon = gap < first + way if gap > -self._early else 0.0 < gap + self._depth < way
+        way, first = _LEAD_STEPS * speed * dt, onset if onset > self._near else self._near
+        soon = gap < first + way if gap > -self._onset_bound else 0.0 < gap + self._stop < way
         if self._spent:
             self._spent = soon
             return False
-        return soon and speed > _CALM
+        return soon and speed > _AT_REST
 
     def step(self, dt: float, gap: float, speed: float, gear: float, forces: StepForces, pressed: bool) -> float:
-        """Go on by a step and return the largest force in it (N); 0 while the light model is not in contact.
+        """Advance by a step and return its largest contact force (N); 0 while the light model is not in contact.
 
         Args:
             dt: s.
@@ -114,17 +117,17 @@ class Impact:
             forces: of the step.
             pressed: whether the light model has contact at its end.
         """
-        if (forces.x, forces.y) != self._pull_at:
-            self._pull_at = (forces.x, forces.y)
-            self._lie(*self._pull_at)
+        if (forces.x, forces.y) != self._placed_at:
+            self._placed_at = (forces.x, forces.y)
+            self._place_target(*self._placed_at)
         if not self.follows:
             self.follows, self._touched = True, gap < self._onset
             self._gap, self._speed, self._gear, self._left = gap, speed, gear, _MOST
-            self._branch = _OPEN if gap > self._onset else _PRESSED if gap > -self._depth else _STOPPED
-            self._peak = self._largest = self._apart = 0.0
+            self._regime = _SEPARATED if gap > self._onset else _ON_SPRINGS if gap > -self._stop else _ON_STOP
+            self._peak = self._largest = self._mismatch = 0.0
         self._advance(dt, gap, forces)
-        self._apart = self._apart + dt if self._touched != pressed else 0.0
-        if self._apart > _WAITS or (speed <= 0.0 and not (self._touched or pressed)):
+        self._mismatch = self._mismatch + dt if self._touched != pressed else 0.0
+        if self._mismatch > _LONGEST_MISMATCH or (speed <= 0.0 and not (self._touched or pressed)):
             self.follows = False
             return 0.0
         if not pressed:
@@ -132,58 +135,58 @@ class Impact:
         peak, self._peak = self._peak, 0.0
         return peak
 
-    def _lie(self, x: float, y: float) -> None:
-        """Put the target's centre to (x, y) in end_effector, m."""
+    def _place_target(self, x: float, y: float) -> None:
+        """Place the target's centre at (x, y) in end_effector, m."""
         self._touch.lie(x, y)
         self._pull = self._touch.forces(0.0, 0.0, 0.0, (0.0, 0.0), 0.0)[0]
 
     def _advance(self, dt: float, at: float, forces: StepForces) -> None:
-        """Go on by `dt` s in sub-steps, or until it rests or they are spent."""
-        low, high, push, grip = _linear(forces.drives)
+        """Advance by `dt` s in sub-steps, or until the contact has settled or they are spent."""
+        low, high, push, gain = _linear(forces.drives)
         k, d, mass, most = self._stiffness, self._damping, forces.mass, forces.friction
         pull = self._pull
-        bristle, flights = forces.gears, _MOST_IN_STEP
+        bristle, remaining = forces.gears, _MOST_IN_STEP
         while dt > 0.0:
             gap, speed = self._gap, self._speed
-            asked = k * (at - gap) + d * speed
-            force, held = push - grip * asked, grip
-            if not low <= asked <= high:
-                force, held = _clipped(forces.drives, asked)
+            demand = k * (at - gap) + d * speed
+            force, held = push - gain * demand, gain
+            if not low <= demand <= high:
+                force, held = _saturated(forces.drives, demand)
             magnet, softer = pull, 0.0
             if gap > 0.0:
                 ratio = 1.0 + gap / self._range
                 magnet = pull / (ratio * ratio)
                 softer = 2.0 * magnet / (ratio * self._range)
             normal, stiff = self._normal(gap)
-            longest = self._longest(gap, speed, mass)
+            longest = self._longest_sub_step(gap, speed, mass)
             h = min(longest, dt)
             gear = min(max(self._gear - 0.5 * bristle * h * speed, -most), most)
             force += d * held * speed + gear + forces.carried + magnet - normal
-            h, after = self._move(h, force, mass, 0.5 * d * held, 0.25 * (k * held + stiff - softer))
+            h, end_speed = self._move(h, force, mass, 0.5 * d * held, 0.25 * (k * held + stiff - softer))
             self._gear = min(max(self._gear - bristle * (gap - self._gap), -most), most)
-            dt, flights = dt - h, flights - 1
+            dt, remaining = dt - h, remaining - 1
             self._left -= self._touched and longest < _LONGEST
-            if flights < 0 or self._left < 0 or (stiff > 0.0 and _is_calm(h, speed, after, mass, normal, stiff)):
+            if remaining < 0 or self._left < 0 or (stiff > 0.0 and _settled(h, speed, end_speed, mass, normal, stiff)):
                 self.follows, self._spent = False, True
                 break
-        if self._branch:
+        if self._regime:
             self._peak = max(self._peak, self._normal(self._gap)[0])
 
-    def _longest(self, gap: float, speed: float, mass: float) -> float:
-        """Return how long a sub-step may be (s)."""
-        if self._branch:
-            return min(_LONGEST, _PHASE * math.sqrt(mass / self._springs[self._branch]))
-        return min(_LONGEST, _SHARE * (gap + self._range) / max(abs(speed), _CALM))
+    def _longest_sub_step(self, gap: float, speed: float, mass: float) -> float:
+        """Return the longest sub-step from here (s)."""
+        if self._regime:
+            return min(_LONGEST, _PHASE * math.sqrt(mass / self._stiffnesses[self._regime]))
+        return min(_LONGEST, _FLIGHT_SHARE * (gap + self._range) / max(abs(speed), _AT_REST))
 
     def _normal(self, gap: float) -> tuple[float, float]:
-        """Return normal force (N) and stiffness (N/m)."""
-        if self._branch == _OPEN:
+        """Return normal force (N) and contact stiffness (N/m)."""
+        if self._regime == _SEPARATED:
             return 0.0, 0.0
-        first, both = self._springs[_PRESSED], self._springs[self._branch]
-        return -first * gap - (both - first) * (gap + self._depth), both
+        first, both = self._stiffnesses[_ON_SPRINGS], self._stiffnesses[self._regime]
+        return -first * gap - (both - first) * (gap + self._stop), both
 
     def _move(self, h: float, force: float, mass: float, damping: float, tangent: float) -> tuple[float, float]:
-        """Move by `h` s, or up to where the gap or the stop opens or closes; return the time (s) and speed (m/s) then.
+        """Move by `h` s, or up to where contact or stop is reached or lost; return time taken (s) and speed (m/s) then.
 
         Args:
             h: s.
@@ -193,93 +196,98 @@ class Impact:
             tangent: a quarter of the stiffness, N/m.
         """
         gap, speed = self._gap, self._speed
-        after = _trapezoid(h, speed, force, mass, damping, tangent)
-        to = gap - 0.5 * h * (speed + after)
-        upper, lower = (math.inf, 0.0, -self._depth)[self._branch], (0.0, -self._depth, -math.inf)[self._branch]
-        if to < lower or to > upper:
-            edge = lower if to < lower else upper
-            h *= (gap - edge) / (gap - to)
-            after = _trapezoid(h, speed, force, mass, damping, tangent) if h > 0.0 else speed
-            self._branch += 1 if to < lower else -1
-            to = edge
-        turned = speed > 0.0 >= after
-        if self._branch:
+        end_speed = _trapezoid(h, speed, force, mass, damping, tangent)
+        end_gap = gap - 0.5 * h * (speed + end_speed)
+        upper, lower = (
+            (math.inf, 0.0, -self._stop)[self._regime],
+            (0.0, -self._stop, -math.inf)[self._regime],
+        )
+        if end_gap < lower or end_gap > upper:
+            edge = lower if end_gap < lower else upper
+            h *= (gap - edge) / (gap - end_gap)
+            end_speed = _trapezoid(h, speed, force, mass, damping, tangent) if h > 0.0 else speed
+            self._regime += 1 if end_gap < lower else -1
+            end_gap = edge
+        if self._regime:
             self._touched = True
-        if turned and self._branch:  # the force grows with the depth: between turns there is no peak
-            self._turn(self._normal(min(to, gap - 0.5 * h * speed * speed / (speed - after)))[0])
-        self._gap, self._speed = to, after
-        return h, after
+        if (
+            speed > 0.0 >= end_speed and self._regime
+        ):  # the force grows with compression: it peaks where the motion turns back
+            turning = gap - 0.5 * h * speed * speed / (speed - end_speed)
+            self._record_turn(self._normal(min(end_gap, turning))[0])
+        self._gap, self._speed = end_gap, end_speed
+        return h, end_speed
 
-    def _turn(self, force: float) -> None:
-        """Take a force (N) at which the motion turned back for the peak if it is one; the last where they decline."""
+    def _record_turn(self, force: float) -> None:
+        """Take a force (N) at which the motion turned back for the peak if it is one; the last once they decay."""
         self._peak = max(self._peak, force)
-        if force < _DECAYED * self._largest:
+        if force < _DECAY * self._largest:
             self._left = -1
         self._largest = max(self._largest, force)
 
 
 class LeaningImpact(Impact):
-    """The finer course where target or platform may lean: the force hangs on the depth by what presses of the bars.
+    """The same where target or platform may lean: stiffness grows with the length of the bars that is in contact.
 
-    A sub-step is short enough for its tangent to foretell the force at its end, also where a bar comes to lie flat.
+    A sub-step is short enough for the tangent at its start to predict the force at its end.
     """
 
     def __init__(self, parameters: WorldParameters) -> None:
         super().__init__(parameters)
-        self._felt = (math.nan, 0.0, 0.0)  # gap (m), normal force (N) and stiffness (N/m) there
+        self._solved = (math.nan, 0.0, 0.0)  # gap (m), normal force (N) and stiffness (N/m) there
 
-    def _lie(self, x: float, y: float) -> None:
-        super()._lie(x, y)
+    def _place_target(self, x: float, y: float) -> None:
+        super()._place_target(x, y)
         assert self._touch.tilt is not None
-        self._onset, self._felt = self._touch.tilt.onset, (math.nan, 0.0, 0.0)
+        self._onset, self._solved = self._touch.tilt.onset, (math.nan, 0.0, 0.0)
 
-    def _longest(self, gap: float, speed: float, mass: float) -> float:
+    def _longest_sub_step(self, gap: float, speed: float, mass: float) -> float:
         ahead = gap - self._onset
         if ahead > 0.0:
-            longest = super()._longest(gap, speed, mass)
-            return min(longest, max(ahead / speed, _SOONEST)) if speed > _CALM else longest
+            longest = super()._longest_sub_step(gap, speed, mass)
+            return min(longest, max(ahead / speed, _SHORTEST_FLIGHT)) if speed > _AT_REST else longest
         _, stiff = self._normal(gap)
         return min(_LONGEST, _PHASE * math.sqrt(mass / stiff)) if stiff > 0.0 else _LONGEST
 
     def _normal(self, gap: float) -> tuple[float, float]:
         if gap >= self._onset:
             return 0.0, 0.0
-        if gap != self._felt[0]:
+        if gap != self._solved[0]:
             assert self._touch.tilt is not None
-            self._felt = (gap, *self._touch.tilt.press(-gap))
-        return self._felt[1:]
+            self._solved = (gap, *self._touch.tilt.press(-gap))
+        return self._solved[1:]
 
     def _move(self, h: float, force: float, mass: float, damping: float, tangent: float) -> tuple[float, float]:
         gap, speed = self._gap, self._speed
         before, stiff = self._normal(gap)
-        least = _PHASE * math.sqrt(mass / self._springs[_STOPPED])
+        least = _PHASE * math.sqrt(mass / self._stiffnesses[_ON_STOP])
         while True:
-            after = _trapezoid(h, speed, force, mass, damping, tangent)
-            to = gap - 0.5 * h * (speed + after)
-            normal, stiffer = self._normal(to)
-            if h <= least or abs(normal - before - stiff * (gap - to)) <= _OFF * max(normal, before) + _OFF:
+            end_speed = _trapezoid(h, speed, force, mass, damping, tangent)
+            end_gap = gap - 0.5 * h * (speed + end_speed)
+            normal, stiffer = self._normal(end_gap)
+            if h <= least or abs(normal - before - stiff * (gap - end_gap)) <= _MISFIT * max(normal, before) + _MISFIT:
                 break
             h *= 0.5
         if normal > 0.0 or before > 0.0:
             self._touched = True
             self._peak = max(self._peak, before, normal)
-            if speed > 0.0 >= after:
-                turned = gap - 0.5 * h * speed * speed / (speed - after)
-                self._turn(normal + stiffer * max(to - turned, 0.0))
-        self._branch = _PRESSED if normal > 0.0 else _OPEN
-        self._gap, self._speed = to, after
-        return h, after
+            if speed > 0.0 >= end_speed:
+                turning = gap - 0.5 * h * speed * speed / (speed - end_speed)
+                self._record_turn(normal + stiffer * max(end_gap - turning, 0.0))
+        self._regime = _ON_SPRINGS if normal > 0.0 else _SEPARATED
+        self._gap, self._speed = end_gap, end_speed
+        return h, end_speed
 
 
-def _is_calm(h: float, speed: float, after: float, mass: float, normal: float, stiff: float) -> bool:
-    """Return whether neither acceleration nor speed, which can add v √(K M), changes the force by much."""
+def _settled(h: float, speed: float, end_speed: float, mass: float, normal: float, stiff: float) -> bool:
+    """Return whether neither acceleration nor speed, which can add v √(K M), can change the force noticeably."""
     little = 0.01 * normal + 0.1  # N
-    slow = -_CALM < after < _CALM or after * after * mass * stiff < little * little
-    return slow and abs(after - speed) * mass < h * little
+    slow = -_AT_REST < end_speed < _AT_REST or end_speed * end_speed * mass * stiff < little * little
+    return slow and abs(end_speed - speed) * mass < h * little
 
 
 def make_impact(parameters: WorldParameters) -> Impact:
-    """Return the finer course of a world."""
+    """Return the sub-stepped motion of a world's platform."""
     return LeaningImpact(parameters) if tilts(parameters) else Impact(parameters)
 
 
@@ -290,22 +298,22 @@ def _trapezoid(h: float, speed: float, force: float, mass: float, damping: float
 
 
 def _linear(drives: list[Drive]) -> tuple[float, float, float, float]:
-    """Return between which k Δz + d v (N·m/m) no servo is at its limit, and there Σ θ′ torque (N) and Σ θ′² (1/m²)."""
-    low, high, push, grip = -math.inf, math.inf, 0.0, 0.0
+    """Return the range of k Δz + d v (N·m/m) where no servo saturates, and there Σ θ′ torque (N) and Σ θ′² (1/m²)."""
+    low, high, push, gain = -math.inf, math.inf, 0.0, 0.0
     for slope, lead, limit in drives:
         push += slope * lead
-        grip += slope * slope
+        gain += slope * slope
         if slope != 0.0:
             first, last = (lead - limit) / slope, (lead + limit) / slope
             low, high = max(low, min(first, last)), min(high, max(first, last))
-    return low, high, push, grip
+    return low, high, push, gain
 
 
-def _clipped(drives: list[Drive], asked: float) -> tuple[float, float]:
-    """Return the servos' force (N) along z, and Σ θ′² (1/m²) of those that are not at their limit."""
+def _saturated(drives: list[Drive], demand: float) -> tuple[float, float]:
+    """Return the servos' force (N) along z, and Σ θ′² (1/m²) of those that do not saturate."""
     force = held = 0.0
     for slope, lead, limit in drives:
-        drive = lead - slope * asked
+        drive = lead - slope * demand
         if -limit <= drive <= limit:
             held += slope * slope
         force += slope * min(max(drive, -limit), limit)
