@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A leaning contact in MuJoCo: a target whose face is tilted, a platform that yields about x and y, bars that may lift.
 
-The face of the platform hangs on two hinges, `platform.lever` behind it, with springs of 1/compliance, critical
-damping and an inertia of their own; without compliance there are none. Each bar touches by points along the line in
-which it overlaps its mate, each with its share of the bar's stiffness and of the stop behind it. Nothing is small
-here: angles are finite, the target's force is normal to its own face, and friction at the face bends the hinges.
+The face of the platform hangs on two hinges, `platform.lever` behind it, with springs of 1/compliance, critical damping
+and an inertia of their own; without compliance there are none. Each bar touches by points along the line in which it
+overlaps its mate, each with its share of the bar's stiffness and of the stop behind it. No angle is taken to be small,
+the target's force is normal to its own face, and friction at the face bends the hinges.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from deltacharger_sim.tilt import left_share
 
 POINTS = 24  # of each bar; with 8 a contact of which one end lifts presses up to 1 % less
 INERTIA = 2.3e-4  # kg·m² of the platform about x and about y: 0.274 kg over a plate of 0.1 m
-_RADIUS = 1e-5  # m of a point; on a tilted face a larger one would touch earlier
+_RADIUS = 1e-5  # m of a point; on a tilted face a larger one would touch too early
 _SPECK = 1e-6  # kg of the face, whose mass is the platform's
 # At equal distances, and a little further apart than the middles of equal pieces: with the line's own ∫ w² dw.
 _PLACES = tuple(
@@ -78,10 +78,10 @@ def plane_turn(parameters: WorldParameters) -> tuple[float, float, float, float]
     return -sine_x * cosine_y, cosine_x * cosine_y, -sine_x * sine_y, -cosine_x * sine_y
 
 
-def pairs(rub: float) -> str:
-    """Return the XML of the contacts with the target, with a coefficient of friction."""
+def pairs(friction: float) -> str:
+    """Return the XML of the contacts with the target, at a coefficient of friction."""
     d = share_impedance(2 * POINTS)
-    how = f'condim="3" friction="{rub!r} {rub!r}" solimp="{d!r} {d!r} 0.001"'
+    how = f'condim="3" friction="{friction!r} {friction!r}" solimp="{d!r} {d!r} 0.001"'
     return "".join(f'<pair geom1="target" geom2="{layer}{side}_{index}" {how}/>' for layer, side, index in _NAMES)
 
 
@@ -130,7 +130,7 @@ class Leaning:
         for index in range(data.ncon):
             row = int(contacts.efc_address[index])
             if row >= 0:
-                # The contact's frame has its axes as rows; the third column is how much of each is along z.
+                # The rows of the contact's frame are its axes; the third column holds their z components.
                 pressed = -float(contacts.frame[index].reshape(3, 3)[:, 2] @ data.efc_force[row : row + 3])
                 force, moment = force + pressed, moment + pressed * (float(contacts.pos[index, 0]) - x)
         tilt = tuple(float(data.qpos[hinge]) for hinge in self._hinges)

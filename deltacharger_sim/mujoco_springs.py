@@ -20,9 +20,9 @@ def spring(stiffness: float, inverse: float) -> tuple[float, float]:
 
 
 def share_impedance(count: int) -> float:
-    """Return the impedance of `count` equal constraints that together are as firm as one of IMPEDANCE.
+    """Return the impedance of `count` equal constraints that together are as stiff as one of IMPEDANCE.
 
-    In parallel, their R are as small together as each is alone over `count`.
+    In parallel, the R of all is that of one divided by `count`.
     """
     return 1.0 / (1.0 + count * (1.0 - IMPEDANCE) / IMPEDANCE)
 

@@ -4,7 +4,7 @@
 Unknown are z, α (about x: +y comes closer), β (about y: +x comes closer) and the deflection w of both pads' lower
 layers. A point at (x, y) comes closer by h = z + α y + β x − gap. The sum of the energies of skin (at h − w), lower
 layer, bars and platform, less the work of the force at its line of action, is convex; its least value is found by
-Newton's steps in z, α, β beside damped steps of w, halved where they climb.
+Newton's steps in z, α, β beside damped steps of w, halved where the energy rises.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from deltacharger_tactile.second.parameters import SecondParameters
 _CHUNK = 48
 _ITERATIONS = 300
 _BALANCED, _SETTLED = 1e-8, 1e-4  # of the force; of the largest pressure
-_LEVER = 0.05  # m, that makes moments comparable with forces
+_LEVER = 0.05  # m, by which moments are compared with forces
 _FARTHEST = np.array([1e-3, 0.02, 0.02])  # m and rad of one step
 _SQUARE = [0, 1, 2, 1, 3, 4, 2, 4, 5]  # where the monomials stand in the second moments of (1, y, x)
-_SHARE = 0.5  # of a load's own deflection that a step expects: between smooth loads, 1, and rough ones, 0
-_SOFT = 1.0  # N/m, that keeps a platform in free air from an infinite step
+_SHARE = 0.5  # of a load's deflection that a step predicts under the load itself: 1 suits smooth loads, 0 rough ones
+_SOFT = 1.0  # N/m, which keeps the step of a platform in free air finite
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from deltacharger_tactile.second.parameters import FoundationParameters
 
 BEYOND = 1.0
 """Gap (m) of a point where no ridge stands."""
-_LEAST_STRETCH = 0.3  # below it the skin goes on along its tangent: a stop, and finite at any force
+_LEAST_STRETCH = 0.3  # below it pressure continues along its tangent: a stop, and finite at any force
 
 
 @dataclass(frozen=True)

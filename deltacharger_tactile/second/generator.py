@@ -2,8 +2,8 @@
 """Data sets of the second contact physics, to judge by; nothing may be trained on what is made here.
 
 A row is one docking with its own course: a tare within the first minute, a pause, another contact of the same device
-(which leaves what it leaves), 5 to 60 s in free air, then this contact: pressed in steps to its force, a little beyond
-and back, and read after 0.3 to 3 s.
+(which leaves creep and hysteresis), 5 to 60 s in free air, then this contact: pressed in steps to its force, a little
+beyond and back, and read after 0.3 to 3 s.
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ class SecondParameters(Bounded):
         """Refuse what contradicts itself, by the key that must change."""
         foundation, bars, sheet = self.foundation, self.bars, self.sheet
         if foundation.base_stiffness < 0.5 * foundation.skin_stiffness:
-            limit = f"half of the skin's {foundation.skin_stiffness:.3g} Pa/m, so that not the skin is indented"
+            limit = f"half of the skin's {foundation.skin_stiffness:.3g} Pa/m: it would yield in place of the skin"
             _refuse("foundation.base_stiffness", foundation.base_stiffness, f"is below {limit}; give more")
         if bars.seat >= bars.travel:
             _refuse("bars.seat", bars.seat, f"is not below bars.travel, {bars.travel:g} m, after which a bar is solid")
@@ -131,7 +131,7 @@ class SecondParameters(Bounded):
             _refuse("bars.stop_stiffness", bars.stop_stiffness, f"is softer than bars.rate, {bars.rate:g} N/m")
         if sheet.dead_band and sheet.dead_band <= 2.0 * sheet.dead_band_spread:
             limit = f"half of sheet.dead_band, {sheet.dead_band:g} N"
-            _refuse("sheet.dead_band_spread", sheet.dead_band_spread, f"is not below {limit}; some taxels had none")
+            _refuse("sheet.dead_band_spread", sheet.dead_band_spread, f"is not below {limit}; some taxels lack one")
         if sheet.dead_band + 2.0 * sheet.dead_band_spread >= sheet.full_scale:
             _refuse("sheet.dead_band", sheet.dead_band, f"leaves nothing of the full scale, {sheet.full_scale:g} N")
         if sheet.edge_loss + 4.0 * sheet.neighbour >= 1.0:

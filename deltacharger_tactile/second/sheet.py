@@ -77,7 +77,7 @@ class Sheets:
 
 
 class SheetSensor:
-    """The sheets of one rig in N courses of events at once; remembers as much however long they last.
+    """The sheets of one rig in N courses of events at once; its memory does not grow with their length.
 
     Args:
         parameters: of the family.
@@ -97,10 +97,10 @@ class SheetSensor:
         self._quantum = self._top / (2**parameters.bits - 1)
 
     def pass_time(self, step: Array | float, force: Array | None = None, repeat: Array | float = 1.0) -> None:
-        """Let s pass, (N,) or all alike, under a force that is held.
+        """Let time pass under a constant force.
 
         Args:
-            step: s; nothing passes where it is not positive.
+            step: s, (N,) or one for all; no time passes where it is not positive.
             force: (N, 2, 10, 10) N that the taxels bear; None = nothing touches.
             repeat: (N, 2) gain of each pad in this contact.
         """
@@ -116,7 +116,7 @@ class SheetSensor:
     def read(self, force: Array | None, repeat: Array | float = 1.0, count: int = 1, period: float = 0.0) -> Array:
         """Read both pads `count` times, the first time now, a `period` (s) apart under one force.
 
-        What warms up is taken as it is at the first of them.
+        Drift is that at the first of them.
 
         Args:
             force: as of `pass_time`, like `repeat`.
@@ -146,7 +146,7 @@ class SheetSensor:
         return np.asarray(-np.expm1(-self._age / self._parameters.drift_time))
 
     def _load(self, force: Array | None, repeat: Array | float) -> Array | None:
-        """Return what drives each taxel (N, 2, 10, 10) N, and move the plays there."""
+        """Return what drives each taxel (N, 2, 10, 10) N, and move the play operators there."""
         if force is None:
             self._move(np.zeros(()))
             return None

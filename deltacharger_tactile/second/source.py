@@ -24,10 +24,10 @@ def _model(parameters: SecondParameters) -> Equilibrium:
 class SecondSource(PadSource[Touches]):
     """Both pads of one rig by the second contact physics.
 
-    Frames that nobody reads may be left out, up to this: between two frames the pads have borne what the later one
-    finds, nothing before the first of a contact; so creep of an unread change of force is off by what its part of the
-    pause tells, and a force that rose and fell unread leaves no loop in the hysteresis. Times that do not rise pass
-    nothing.
+    Frames that nobody reads may be left out, within limits: between two frames the pads are taken to bear the force of
+    the later one, and none before the first frame of a contact. So after a change of force that nobody read, creep is
+    that of the later force from the earlier frame on, and a force that rose and fell unread leaves no hysteresis. Where
+    the time does not rise, none passes.
 
     Args:
         parameters: family of rigs; None = defaults.
