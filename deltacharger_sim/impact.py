@@ -11,9 +11,8 @@ model's own motion does not use it.
 
 Sub-stepping begins where the magnets begin to pull, so that the impact speed is not the step's, and ends when the
 contact has settled, its rebounds decay or the sub-steps are spent: a rebound that nothing drives never hits harder than
-the first impact.
-Electrodes and stop are springs without dampers of their own, so that stiff ones rebound; only servos and gears damp.
-Play is left out.
+the first impact. Electrodes and stop are springs without dampers of their own, so that stiff ones rebound; only servos
+and gears damp. Play is left out.
 """
 
 from __future__ import annotations
@@ -210,9 +209,7 @@ class Impact:
             end_gap = edge
         if self._regime:
             self._touched = True
-        if (
-            speed > 0.0 >= end_speed and self._regime
-        ):  # the force grows with compression: it peaks where the motion turns back
+        if speed > 0.0 >= end_speed and self._regime:  # force grows with compression: it peaks at a turning point
             turning = gap - 0.5 * h * speed * speed / (speed - end_speed)
             self._record_turn(self._normal(min(end_gap, turning))[0])
         self._gap, self._speed = end_gap, end_speed
