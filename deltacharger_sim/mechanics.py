@@ -137,10 +137,7 @@ class Mechanics(Motion):
         return self._touch.onset
 
     def servo_push(self) -> float:
-        """Return the force (N) of motors and gears on the platform along z, less what holds the arm's weight.
-
-        The force of arms that turn by dθ = R dp is Rᵀ τ.
-        """
+        """Return the force (N), Rᵀ τ, of motors and gears on the platform along z, less what holds the arm's weight."""
         push = self._mass * self._gravity[2]
         for row, motor, gear, (cosine, sine), (up, out) in zip(
             self._rows, self.torques, self.gear, self._turns, self._elbows, strict=True
