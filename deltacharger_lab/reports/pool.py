@@ -42,7 +42,8 @@ def work(tasks: Sequence[ReportTask], progress: Callable[[str], None]) -> dict[s
 
     Raises:
         KeyboardInterrupt: interrupted; nothing runs on.
-        ReportFailed: a task raised something.
+        ModuleNotFoundError: a task needs a library that is not installed.
+        ReportFailed: a task raised something else.
     """
     order = sorted(range(len(tasks)), key=lambda index: -tasks[index].weight)
     found: dict[int, Any] = {}
@@ -77,6 +78,8 @@ def _run(numbered: tuple[int, ReportTask]) -> tuple[int, Any]:
     index, task = numbered
     try:
         return index, task.run(*task.arguments)
+    except ModuleNotFoundError:
+        raise  # the command says how to install it
     except Exception:  # many cannot be sent to another process, which would wait for ever
         raise ReportFailed(f"{task.name}{task.arguments!r:.200}: {traceback.format_exc()}") from None
 

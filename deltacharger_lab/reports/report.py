@@ -33,13 +33,21 @@ class Report:
         command: that writes it.
         libraries: whose versions are told.
         html: whether the page is written as one HTML file too.
+        measures_with: libraries without which it cannot be measured.
 
     Raises:
-        ModuleNotFoundError: what writes the page is missing; told before anything takes time.
+        ModuleNotFoundError: what measures or writes the page is missing; told before anything takes time.
     """
 
-    def __init__(self, subject: str, command: str, libraries: Iterable[str], html: bool = False) -> None:
-        for needed in ("jinja2", *(["markdown_it"] if html else [])):
+    def __init__(
+        self,
+        subject: str,
+        command: str,
+        libraries: Iterable[str],
+        html: bool = False,
+        measures_with: Iterable[str] = (),
+    ) -> None:
+        for needed in ("jinja2", *(["markdown_it"] if html else []), *measures_with):
             importlib.import_module(needed)
         self._subject, self._html = subject, html
         self._started = time.monotonic()

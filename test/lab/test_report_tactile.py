@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from deltacharger_lab.reports.page import write_html
 from deltacharger_lab.reports.pool import ReportFailed, ReportTask, work
+from deltacharger_lab.reports.tactile import measure
 from deltacharger_lab.reports.tactile import plan as tactile_plan
 from deltacharger_lab.reports.tactile import splits as tactile_splits
 from deltacharger_lab.reports.tactile.pictures import PICTURES
@@ -124,6 +126,17 @@ def test_a_task_that_fails_ends_the_work_with_its_trace() -> None:
     tasks = [ReportTask("sum", max, (1, 2)), ReportTask("model", Classifier.load, ("/nowhere.npz",))]
     with pytest.raises(ReportFailed, match=r"model.*nowhere\.npz"):
         work(tasks, lambda told: None)
+
+
+def test_a_task_without_its_library_says_which_one() -> None:
+    with pytest.raises(ModuleNotFoundError) as missing:
+        work([ReportTask("import", importlib.import_module, ("no_such_library",))], lambda told: None)
+    assert missing.value.name == "no_such_library"
+
+
+def test_without_pytorch_there_is_no_cuda_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert measure.cuda_timing(tactile_plan.quick_plan(1)) == {"device": "", "trainers": []}
 
 
 def test_the_one_file_holds_its_pictures(tmp_path: Path) -> None:

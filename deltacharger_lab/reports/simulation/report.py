@@ -26,11 +26,12 @@ def build(plan: SimulationPlan, directory: Path, command: str, progress: Progres
     """Measure, write page, figures, pictures and the module with the map into `directory`, and return the figures.
 
     Raises:
+        ModuleNotFoundError: scipy or jinja2 is missing.
         OSError: a file cannot be written.
         KeyboardInterrupt: interrupted; nothing was written.
     """
-    report, names = Report("simulation", command, ("mujoco", "numpy", "scipy", "matplotlib")), models_here()
-    results = report.results
+    report = Report("simulation", command, ("mujoco", "numpy", "scipy", "matplotlib"), measures_with=["scipy"])
+    results, names = report.results, models_here()
     results |= {
         "quick": plan.quick,
         "models": list(names),

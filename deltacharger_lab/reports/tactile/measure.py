@@ -192,9 +192,11 @@ def trainers(plan: TactilePlan, names: Sequence[str]) -> list[dict[str, Any]]:
 
 
 def cuda_timing(plan: TactilePlan) -> dict[str, Any]:
-    """Return the same of what can train on CUDA, with the device's name; '' where there is none."""
-    import torch
-
+    """Return the same of what can train on CUDA, with the device's name; '' where there is none, or no PyTorch."""
+    try:
+        import torch
+    except ImportError:
+        return {"device": "", "trainers": []}
     if not torch.cuda.is_available():
         return {"device": "", "trainers": []}
     return {"device": torch.cuda.get_device_name(), "trainers": trainers(plan, CUDA)}
