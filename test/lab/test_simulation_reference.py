@@ -7,10 +7,11 @@ import math
 
 import pytest
 
+from deltacharger_lab.reports.simulation import reference
 from deltacharger_lab.reports.simulation.extrapolated import ExtrapolatedMechanics
 from deltacharger_lab.reports.simulation.impact import STRIKES, axis_docking, axis_world, obey, strike_orders
 from deltacharger_lab.reports.simulation.reference import angle, on_axis
-from deltacharger_lab.reports.simulation.scenes import DELTA, docking, electrode_force, rms, settled_exactly, world
+from deltacharger_lab.reports.simulation.scenes import DELTA, docking, rms, settled_exactly, world
 from deltacharger_sim.mechanics import GEAR_BRISTLE
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import World
@@ -60,7 +61,13 @@ def test_it_converges_and_comes_to_rest_where_springs_and_magnets_balance(contac
     assert rough.peak == pytest.approx(fine.peak, rel=1e-5)
     assert fine.force == pytest.approx(settled_exactly(parameters, 0.086), rel=1e-5)
     assert fine.left < 1e-5
-    assert fine.peak > electrode_force(parameters.contact, 0.0)
+    assert fine.peak > fine.force
+
+
+def test_a_course_that_comes_to_no_end_is_no_course(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reference, "_MOST_PIECES", 1)
+    with pytest.raises(ArithmeticError, match=r"1 pieces.* s, before 1\.0 s"):
+        on_axis(axis_world(1e5, 15.0), 0.07, [(0.0, angle(0.086)[0], 4.1)], 1.0)
 
 
 @pytest.mark.parametrize("strike", STRIKES, ids=lambda strike: strike.name)

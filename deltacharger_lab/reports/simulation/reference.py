@@ -74,6 +74,7 @@ def on_axis(
 
     Raises:
         ValueError: it left the range of z that is covered.
+        ArithmeticError: the integration failed, or came to no end.
     """
     return _Axis(parameters, tolerance).run(start, orders, duration, sample)
 
@@ -136,6 +137,8 @@ class _Axis:
                 if not now < end:
                     break
                 now, state = self._piece(now, state, end, times)
+            else:
+                raise ArithmeticError(f"{_MOST_PIECES} pieces end at {now} s, before {end} s, at z = {state[0]:.4g} m")
         self.course.left = abs(float(state[1]))
         self.course.force = self._normal(float(state[0]))
         return self.course
@@ -150,9 +153,11 @@ class _Axis:
             self._rates, (now, end), state, "DOP853", dense_output=bool(wanted), events=[turn, *events],
             rtol=self._tolerance, atol=self._tolerance * np.array(_ABSOLUTE), max_step=self._stride(float(state[0])),
         )  # fmt: skip
+        if not found.success:
+            raise ArithmeticError(f"no step from {found.t[-1]} s, z = {found.y[0, -1]:.4g} m: {found.message}")
         after, state = float(found.t[-1]), found.y[:, -1]
         if not _LOW < state[0] < _HIGH:
-            raise ValueError(f"z = {state[0]!r} m on the axis is not within {_LOW} to {_HIGH} m")
+            raise ValueError(f"z = {state[0]:.4g} m on the axis is not within {_LOW} to {_HIGH} m")
         while times and times[0] <= after + 1e-12:
             self.course.trace.append(float(found.sol(times.pop(0))[0]))
         deepest = max(float(found.y[0].max()), *(float(each[0]) for each in found.y_events[0]), -math.inf)
