@@ -9,6 +9,8 @@ from typing import Any
 
 from deltacharger_lab.reports.formats import tens
 from deltacharger_lab.reports.simulation.lean import COMPLIANCES, CONTACTS, TARGET_STEP
+from deltacharger_lab.reports.simulation.plan import MUJOCO
+from deltacharger_lab.reports.simulation.scenes import LIGHT
 from deltacharger_records.plotting import BLUE, FAINT, GREEN, ORANGE, PURPLE, picture
 
 _COLOURS = dict(zip(COMPLIANCES, (FAINT, BLUE, GREEN, PURPLE), strict=True))
@@ -17,7 +19,8 @@ _COLOURS = dict(zip(COMPLIANCES, (FAINT, BLUE, GREEN, PURPLE), strict=True))
 def remaining_yaw(results: dict[str, Any], path: Path) -> None:
     """Draw the yaw and the left pad's share at rest over the target's yaw, with the reference's cases."""
     about = "docked, without friction of the gears; lines: light model at 10 ms, by compliance in rad/(N·m)"
-    marks = "light model, 0.1 ms" if results["absent"] else "MuJoCo"
+    model = MUJOCO if MUJOCO in results["models"] else LIGHT
+    marks = f"{model}, {1000.0 * results['lean'][0]['finest']:g} ms"
     with picture(path, 10.0, 6.6, "What is left of a target's yaw", about) as figure:
         for column, contact in enumerate(CONTACTS):
             top, bottom = figure.add_subplot(2, 2, column + 1), figure.add_subplot(2, 2, column + 3)

@@ -23,9 +23,9 @@ _DIVERGED_AT = 30.0  # mm, where a diverged run is drawn
 
 
 def _error_time(results: dict[str, Any], path: Path) -> None:
-    about = "1.2 s of docking with friction against MuJoCo in steps of 0.05 ms; each point is a step, in ms"
-    if results["absent"]:
-        about = "1.2 s of docking with friction against the light model's finest step; each point is a step, in ms"
+    known = "MuJoCo" if MUJOCO in results["models"] else "the light model"
+    finest = f"{1000.0 * results['reference_step']:g} ms"
+    about = f"1.2 s of docking with friction against {known} in steps of {finest}; each point is a step, in ms"
     with picture(path, 13.5, 5.0, "Error against run time", about) as figure:
         left, middle, right = figure.subplots(1, 3)
         columns = ((left, "rms_mm", "path, mm rms"), (middle, "peak_percent", "peak force, %"))
@@ -121,7 +121,7 @@ def _impact(results: dict[str, Any], path: Path) -> None:
         panels = figure.subplots(1, 2)
         titles = {"percent": "resolved within the step", "ends_percent": "forces at steps' ends"}
         for axes, (key, title) in zip(panels, titles.items(), strict=True):
-            values = [[worst(rows, key, step=step, contact=contact) or 0.0 for step in steps] for contact in contacts]
+            values = [[worst(rows, key, step=step, contact=contact) for step in steps] for contact in contacts]
             shown = [[max(abs(value), 0.1) for value in row] for row in values]
             axes.imshow(shown, origin="lower", aspect="auto", cmap="viridis", norm=LogNorm(0.5, 100.0))
             for index, row in enumerate(values):

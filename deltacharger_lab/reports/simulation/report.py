@@ -59,7 +59,9 @@ def _measure(
 ) -> list[dict[str, Any]]:
     """Put what is measured into `results`, and return the courses that are only drawn."""
     known = MUJOCO if MUJOCO in names else LIGHT
-    first = [ReportTask("reference", models.both, (name, plan.reference_step)) for name in names[:2]]
+    first = [
+        ReportTask("reference", models.both, (name, plan.reference_step)) for name in names if name in (LIGHT, MUJOCO)
+    ]
     first += [
         ReportTask("axis", impact.axis_docking, (contact, servo), 0.1 + contact / 1e9)
         for contact in sorted({*plan.map_contacts, 1e5})
