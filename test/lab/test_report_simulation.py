@@ -142,6 +142,14 @@ def test_a_path_is_no_distance_from_itself_at_any_sampling() -> None:
     assert rms([(x, y, z + 1e-3) for x, y, z in fine], fine) == pytest.approx(1e-3)
 
 
+def test_the_worst_error_of_none_or_of_an_unknown_one_is_unknown() -> None:
+    rows = [{"step": 0.01, "contact": 1e5, "percent": each, "grazes": each == 40.0} for each in (3.0, -8.0, 40.0)]
+    assert impact.worst(rows[:2], step=0.01) == -8.0
+    assert math.isnan(impact.worst(rows, step=0.02))
+    assert math.isnan(impact.worst([*rows, {**rows[0], "percent": math.nan}]))
+    assert (impact.at_docking(rows), impact.at_docking(rows, grazing=False)) == (40.0, 8.0)
+
+
 def test_a_diverged_point_is_never_proven() -> None:
     good = {"bounded": True, "force_percent": 0.1, "path_mm": 0.1, "peak_percent": -3.0, "speed": 0.0}
     assert stability._cell(good) == stability.PROVEN

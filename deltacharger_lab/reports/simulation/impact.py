@@ -10,6 +10,7 @@ from typing import Any
 
 from deltacharger_core.machine import STALL_CURRENT
 from deltacharger_kinematics.geometry import Vector
+from deltacharger_lab.reports.formats import is_known
 from deltacharger_lab.reports.simulation.plan import MUJOCO, MUJOCO_USUAL, SimulationPlan
 from deltacharger_lab.reports.simulation.reference import TOLERANCE, AxisCourse, Order, angle, on_axis
 from deltacharger_lab.reports.simulation.scenes import (
@@ -241,16 +242,16 @@ def _tiny(name: str, contact: float, step: float) -> tuple[float, float]:
     return ends, moved.record.peak_force
 
 
-def worst(rows: Sequence[dict[str, Any]], key: str = "percent", **wanted: Any) -> float | None:
-    """Return the error that is farthest from 0 of the rows that have the wanted values."""
+def worst(rows: Sequence[dict[str, Any]], key: str = "percent", **wanted: Any) -> float:
+    """Return the error farthest from 0 of the rows that have the wanted values; NaN of none, or where one is NaN."""
     found = [row[key] for row in rows if all(row[name] == value for name, value in wanted.items())]
-    return max(found, key=abs) if found else None
+    return max(found, key=abs, default=math.nan) if all(map(is_known, found)) else math.nan
 
 
 def at_docking(rows: Sequence[dict[str, Any]], grazing: bool = True) -> float:
     """Return the worst error (%) at the steps docking uses, up to 1e6 N/m, with or without strikes that graze it."""
     found = [row for row in rows if row["step"] in DOCKING_STEPS and row["contact"] <= STIFFEST]
-    return max(abs(float(row["percent"])) for row in found if grazing or not row["grazes"])
+    return abs(worst([row for row in found if grazing or not row["grazes"]]))
 
 
 def axis_extreme(parameters: WorldParameters) -> AxisCourse:

@@ -12,7 +12,7 @@ from typing import Any
 
 from deltacharger_lab.reports.pool import ReportTask
 from deltacharger_lab.reports.report import at_least, at_most, none
-from deltacharger_lab.reports.simulation import stability
+from deltacharger_lab.reports.simulation import impact, stability
 from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan
 from deltacharger_lab.reports.simulation.scenes import LIGHT, docking, rms, world
 from deltacharger_sim.parameters import PlatformParameters, TargetParameters, WorldParameters
@@ -182,7 +182,7 @@ def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
         row["moving"] for row in results["lean_times"] if row["step"] == TARGET_STEP and row["case"] != "level"
     )
     modest = [row for row in results["lean"] if max(abs(row["yaw"]), abs(row["pitch"])) < MODEST]
-    worst = max(row["rms_mm"] for row in modest if row["step"] == TARGET_STEP)
+    worst = impact.worst(modest, "rms_mm", step=TARGET_STEP)
     lost = sum(not row["ok"] for row in results["lean_rough"])
     return [
         at_least("light model at 10 ms with lean and compliance, in motion, slowest", slowest, 500.0, "× real"),
