@@ -119,6 +119,13 @@ def test_what_was_not_run_is_not_met() -> None:
     assert {each["met"] for each in found} == {None}
 
 
+def test_a_largest_figure_is_that_of_the_campaigns_that_charged() -> None:
+    refused = docking_summary.summarise(rows(3, charged=False, code_name="MISALIGNED"))
+    found = docking_summary.targets({"default": refused, "edge": docking_summary.summarise(rows(3))}, None)
+    (hottest,) = (each["measured"] for each in found if each["name"].startswith("hottest servo"))
+    assert hottest == 0.5
+
+
 def test_a_plan_has_scenes_that_are_there_and_the_counts_that_are_asked_for() -> None:
     counts = {part.name: part.count for part in PARTS}
     assert (counts["random"], counts["edge"], counts["zero"]) == (20_000, 20_000, 2_000)

@@ -16,6 +16,7 @@ from deltacharger_core.machine import GRAVITY_STRENGTH
 from deltacharger_lab.campaigns.docking import CRASHED
 from deltacharger_lab.campaigns.summary import quantiles as finite_quantiles
 from deltacharger_lab.campaigns.summary import upper_bound, wilson
+from deltacharger_lab.reports.formats import is_known
 from deltacharger_lab.reports.report import at_least, at_most, none
 
 Array = NDArray[Any]
@@ -265,7 +266,7 @@ def targets(found: dict[str, dict[str, Any]], upright: dict[str, Any] | None) ->
         return None if of is None else 100.0 * float(of[key]["share"])
 
     def largest(key: str) -> float | None:
-        return max((each[key]["max"] for each in guarded), default=None)
+        return max((most for each in guarded if is_known(most := each[key]["max"])), default=None)
 
     def unsafe(name: str) -> tuple[int | None, str]:
         hits = found[name]["unsafe"]["hits"] if name in found else None
