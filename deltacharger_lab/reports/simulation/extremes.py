@@ -12,6 +12,7 @@ from deltacharger_core.machine import GRAVITY, MAGNET_FORCE, TORQUE_CONSTANT
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.reports.simulation.impact import axis_extreme
 from deltacharger_lab.reports.simulation.scenes import DELTA, Arm, model_world, world
+from deltacharger_lab.reports.simulation.stability import REST
 from deltacharger_sim.parameters import (
     LEVER,
     ContactParameters,
@@ -27,7 +28,6 @@ _FREE = TargetParameters(present=False)
 _NO_PULL = MagnetParameters(force=0.0)
 _CORNER = (0.055, 0.055, 0.1)
 _TILT = math.radians(30.0)
-_CALM = 1e-4  # m/s that may be left when a scene has come to rest
 
 Verdict = tuple[bool, str]
 """Whether the law holds, and the figure that shows it."""
@@ -91,7 +91,7 @@ def _impact(arm: Arm) -> Verdict:
     settled = arm.world.mechanics.contact_force
     exact = axis_extreme(arm.world.parameters).peak
     about = f"peak {peak:.0f} N (converged {exact:.0f}), settles at {settled:.1f} N, {arm.speed:.0e} m/s left"
-    return arm.speed < _CALM and 60.0 < settled < most, about
+    return arm.speed < REST and 60.0 < settled < most, about
 
 
 def _slides(lowest: float, highest: float) -> Callable[[Arm], Verdict]:
@@ -103,7 +103,7 @@ def _slides(lowest: float, highest: float) -> Callable[[Arm], Verdict]:
         arm.go((0.02, 0.0, 0.0865), 2.0)
         moved = arm.world.mechanics.position[0] / 0.02
         return (
-            lowest <= moved <= highest and arm.speed < _CALM,
+            lowest <= moved <= highest and arm.speed < REST,
             f"{100.0 * moved:.2f} % of the way, {arm.speed:.0e} m/s left",
         )
 
@@ -152,7 +152,7 @@ def _one_limp(arm: Arm) -> Verdict:
     arm.world.command(1, False, 0.0, 0.0)
     arm.run(2.0)
     mechanics = arm.world.mechanics
-    ok = abs(mechanics.torques[1]) < 1e-9 and arm.speed < _CALM and mechanics.contact_force > 0.0
+    ok = abs(mechanics.torques[1]) < 1e-9 and arm.speed < REST and mechanics.contact_force > 0.0
     return ok, f"{mechanics.contact_force:.1f} N, {arm.speed:.0e} m/s left"
 
 
@@ -179,7 +179,7 @@ def _snaps(arm: Arm) -> Verdict:
     arm.go((0.0, 0.0, 0.079), 2.0)
     arm.go((0.0, 0.0, 0.081), 2.0)
     mechanics = arm.world.mechanics
-    ok = mechanics.contact_force > 250.0 and arm.speed < _CALM
+    ok = mechanics.contact_force > 250.0 and arm.speed < REST
     return ok, f"{mechanics.contact_force:.1f} N, {arm.speed:.0e} m/s left"
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from deltacharger_core.machine import STALL_CURRENT
+from deltacharger_core.machine import MAGNET_FORCE, SERVO_STIFFNESS, STALL_CURRENT
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.reports.formats import is_known
 from deltacharger_lab.reports.simulation.plan import MUJOCO, MUJOCO_USUAL, SimulationPlan
@@ -18,15 +18,16 @@ from deltacharger_lab.reports.simulation.scenes import (
     EXTRAPOLATED,
     LIGHT,
     PATH_TICKS,
-    PUSH,
     SAMPLE,
     TICK,
     TRAVEL,
+    commanded,
     docking,
     model_world,
     rms,
     world,
 )
+from deltacharger_lab.reports.simulation.stability import PEAK_LIMIT
 from deltacharger_sim.parameters import MagnetParameters, WorldParameters
 from deltacharger_sim.world import World
 
@@ -35,7 +36,9 @@ DOCKING_STEPS = (0.005, 0.01, 0.02)  # s of the world while docking: node and ex
 COMMANDS = 0.02  # s between commands of a strike; every step of the grid divides it
 _STANDS, _BEFORE = 0.2, 0.014  # s at rest, and m before the target, where a strike begins
 _AFTER = 0.12  # s after the last command
+_SOFT = 1e4  # N/m per electrode up to which strikes can reach the stop
 _GRAZING = 5e-5  # m of the stop's depth that should not decide
+_TOLERANCES, _TIGHTEST = (1e-5, 1e-6, TOLERANCE), 1e-11  # of the reference, that are compared with the tightest
 _SNAP_GAP = 0.0025  # m before the target where a snap's line ends: within every servo's unstable range
 
 
@@ -52,7 +55,7 @@ class Strike:
 
     name: str
     speed: float
-    magnets: float = 60.0
+    magnets: float = MAGNET_FORCE
     beyond: float = 0.001
 
 
@@ -63,11 +66,14 @@ STRIKES = (
     Strike("10 mm/s, no magnets", 0.01, 0.0),
     Strike("25 mm/s, no magnets", 0.025, 0.0),
     Strike("120 mm/s, no magnets", 0.12, 0.0),
-    Strike("snap by the magnets", 0.02, 60.0, -_SNAP_GAP),
+    Strike("snap by the magnets", 0.02, beyond=-_SNAP_GAP),
 )
+PRESSING = STRIKES[1]
+"""The strike at the speed of docking, by which tolerances and models are compared."""
+ON_AXIS = "on the axis"
 
 
-def axis_world(contact: float, servo: float, magnets: float = 60.0) -> WorldParameters:
+def axis_world(contact: float, servo: float = SERVO_STIFFNESS, magnets: float = MAGNET_FORCE) -> WorldParameters:
     """Return parameters of a charger on its axis, weightless and without gear friction."""
     return world(contact, servo, friction=0.0, gravity_y=0.0, magnets=MagnetParameters(force=magnets))
 
@@ -75,7 +81,7 @@ def axis_world(contact: float, servo: float, magnets: float = 60.0) -> WorldPara
 def strike_orders(parameters: WorldParameters, strike: Strike) -> tuple[float, list[Order], float]:
     """Return where the charger begins (m), commands along the line, led by the lag, and how long it takes (s)."""
     servo, target = parameters.servo, parameters.target.z
-    start, deeper = target - _BEFORE, 0.002 * (parameters.contact.stiffness < 1e5 and strike.beyond > 0.0)
+    start, deeper = target - _BEFORE, 0.002 * (parameters.contact.stiffness <= _SOFT and strike.beyond > 0.0)
     way = _BEFORE + strike.beyond + deeper
     count, lag = math.ceil(way / (strike.speed * COMMANDS) - 1e-9), servo.damping / servo.stiffness
     orders = [(0.0, angle(start)[0], STALL_CURRENT)]
@@ -111,29 +117,27 @@ def strikes(contact: float, servo: float, steps: tuple[float, ...]) -> list[dict
             moved = World(parameters, start=(0.0, 0.0, start))
             ends, peak = obey(moved, orders, duration, step), moved.record.peak_force
             row = {"contact": contact, "servo": servo, "strike": strike.name, "step": step, "exact": exact}
-            percent, ends_percent = 100.0 * (peak / exact - 1.0), 100.0 * (ends / exact - 1.0)
-            rows.append({**row, "peak": peak, "percent": percent, "ends_percent": ends_percent, "grazes": grazes})
+            row |= {"peak": peak, "percent": 100.0 * (peak / exact - 1.0)}
+            rows.append(row | {"ends_percent": 100.0 * (ends / exact - 1.0), "grazes": grazes})
     return rows
 
 
 def _grazes(parameters: WorldParameters, start: float, orders: list[Order], duration: float, exact: float) -> bool:
-    """Return whether the reference's own peak changes by more than the target were the stop 0.05 mm nearer.
+    """Return whether the reference's own peak would change by more than the limit were the stop 0.05 mm nearer.
 
-    Soft electrodes that only just reach their stop strike it or do not; less than a step's path error decides.
+    Soft electrodes may only just reach their stop; whether they strike it, less than a step's path error decides.
     """
     contact = parameters.contact
-    if contact.stiffness > 1e4:
+    if contact.stiffness > _SOFT:
         return False
     nearer = replace(parameters, contact=replace(contact, hard_stop=contact.hard_stop - _GRAZING))
-    return abs(on_axis(nearer, start, orders, duration).peak / exact - 1.0) > 0.15
+    return abs(on_axis(nearer, start, orders, duration).peak / exact - 1.0) > PEAK_LIMIT / 100.0
 
 
 def docking_orders() -> list[Order]:
     """Return the commands of `scenes.docking` on the axis: at rest at TRAVEL 1 s after leaving home, then its path."""
     orders = [(0.0, angle(TRAVEL)[0], STALL_CURRENT)]
-    for index in range(PATH_TICKS):
-        share = min((index + 1) / 8.0, 1.0)
-        orders.append((1.0 + TICK * index, angle(TRAVEL + (PUSH - TRAVEL) * share)[0], STALL_CURRENT))
+    orders += [(1.0 + TICK * tick, angle(commanded(tick))[0], STALL_CURRENT) for tick in range(PATH_TICKS)]
     return orders
 
 
@@ -151,34 +155,30 @@ def integrators(steps: tuple[float, ...]) -> list[dict[str, Any]]:
     """
     rows = []
     for contact in (1e5, 1e6):
-        exact = axis_docking(contact, 15.0)
+        exact = axis_docking(contact, SERVO_STIFFNESS)
         for step in steps:
-            runs = [(name, docking(name, axis_world(contact, 15.0), step)) for name in (LIGHT, EXTRAPOLATED) * 3]
+            runs = [(name, docking(name, axis_world(contact), step)) for name in (LIGHT, EXTRAPOLATED) * 3]
             for name in (LIGHT, EXTRAPOLATED):
                 mine = [run for which, run in runs if which == name]
-                row = {
-                    "model": name,
-                    "contact": contact,
-                    "step": step,
-                    "us": 1000.0 / max(run["moving"] for run in mine),
-                }
-                path = 1000.0 * rms(mine[0]["trace"], exact["trace"])
-                rows.append({**row, "path_mm": path, "percent": 100.0 * (mine[0]["peak"] / exact["peak"] - 1.0)})
+                row = {"model": name, "contact": contact, "step": step}
+                row["us"] = 1000.0 / max(run["moving"] for run in mine)
+                row["path_mm"] = 1000.0 * rms(mine[0]["trace"], exact["trace"])
+                rows.append(row | {"percent": 100.0 * (mine[0]["peak"] / exact["peak"] - 1.0)})
     return rows
 
 
 def others(name: str, contacts: tuple[float, ...], step: float) -> list[dict[str, Any]]:
-    """Return MuJoCo's peak of the strike at 25 mm/s, here in steps of 1 ms or less: another law of contact."""
+    """Return MuJoCo's peak (N) of the strike at 25 mm/s in steps of `step` s, and the reference's."""
     rows = []
     for contact in contacts:
-        parameters = axis_world(contact, 15.0)
-        start, orders, duration = strike_orders(parameters, STRIKES[1])
-        exact = on_axis(parameters, start, orders, duration).peak
+        parameters = axis_world(contact)
+        start, orders, duration = strike_orders(parameters, PRESSING)
         moved = model_world(name, parameters, step)
-        led = [(0.0, *orders[0][1:]), *((when + 1.0, *rest) for when, *rest in orders)]
-        obey(moved, [(when, goal, bound) for when, goal, bound in led], duration + 1.0, step)
-        peak = moved.record.peak_force
-        rows.append({"model": name, "contact": contact, "step": step, "exact": exact, "peak": peak})
+        # It begins at home: a second takes it to the start of the strike.
+        led = [orders[0], *((when + 1.0, goal, bound) for when, goal, bound in orders)]
+        obey(moved, led, duration + 1.0, step)
+        row = {"model": name, "contact": contact, "step": step, "peak": moved.record.peak_force}
+        rows.append(row | {"exact": on_axis(parameters, start, orders, duration).peak})
     return rows
 
 
@@ -186,15 +186,14 @@ def tolerances(contacts: tuple[float, ...]) -> list[dict[str, Any]]:
     """Return how the reference's peak (N) changes with its tolerance, in % of the tightest."""
     rows = []
     for contact in contacts:
-        parameters = axis_world(contact, 15.0)
-        start, orders, duration = strike_orders(parameters, STRIKES[1])
-        peaks = [on_axis(parameters, start, orders, duration, tolerance=each).peak for each in _TOLERANCES]
-        changes = [100.0 * (peak / peaks[-1] - 1.0) for peak in peaks[:-1]]
-        rows.append({"contact": contact, "peak": peaks[-1], "percent": dict(zip(map(str, _TOLERANCES), changes))})  # noqa: B905
+        parameters = axis_world(contact)
+        strike = strike_orders(parameters, PRESSING)
+        best = on_axis(parameters, *strike, tolerance=_TIGHTEST).peak
+        changes = {
+            str(each): 100.0 * (on_axis(parameters, *strike, tolerance=each).peak / best - 1.0) for each in _TOLERANCES
+        }
+        rows.append({"contact": contact, "peak": best, "percent": changes})
     return rows
-
-
-_TOLERANCES = (1e-5, 1e-6, TOLERANCE, 1e-11)
 
 
 def tiny_steps(contact: float, steps: tuple[float, ...]) -> list[dict[str, Any]]:
@@ -203,31 +202,29 @@ def tiny_steps(contact: float, steps: tuple[float, ...]) -> list[dict[str, Any]]
     `steps` are halved from one to the next; the order is that of the last three, and the limit Richardson's of it.
     """
     rows = []
-    for name in ("on the axis", "off the axis, sliding"):
+    for name in (ON_AXIS, "off the axis, sliding"):
         ends = [_tiny(name, contact, step)[0] for step in steps]
         first, second = ends[-2] - ends[-3], ends[-1] - ends[-2]
         order = math.log2(first / second) if first / second > 0.0 else math.nan
         limit = ends[-1] + second / (2.0**order - 1.0)
-        coarse = {
-            f"{1000.0 * step:g}": 100.0 * (_tiny(name, contact, step)[1] / limit - 1.0) for step in (5e-3, 1e-2, 2e-2)
-        }
-        row = {"name": name, "contact": contact, "ends": ends, "order": order, "limit": limit, "percent": coarse}
+        coarse = {f"{1000.0 * step:g}": 100.0 * (_tiny(name, contact, step)[1] / limit - 1.0) for step in DOCKING_STEPS}
         exact = math.nan
-        if name == "on the axis":
-            parameters = axis_world(contact, 15.0)
-            exact = on_axis(parameters, *strike_orders(parameters, STRIKES[1])).peak
-        rows.append({**row, "exact": exact})
+        if name == ON_AXIS:
+            parameters = axis_world(contact)
+            exact = on_axis(parameters, *strike_orders(parameters, PRESSING)).peak
+        row = {"name": name, "contact": contact, "ends": ends, "order": order, "limit": limit, "percent": coarse}
+        rows.append(row | {"exact": exact})
     return rows
 
 
 def _tiny(name: str, contact: float, step: float) -> tuple[float, float]:
     """Return the largest force at an end of a step and the peak told (N) of a strike at 25 mm/s."""
-    if name == "on the axis":
-        parameters = axis_world(contact, 15.0)
-        start, orders, duration = strike_orders(parameters, STRIKES[1])
+    if name == ON_AXIS:
+        parameters = axis_world(contact)
+        start, orders, duration = strike_orders(parameters, PRESSING)
         moved = World(parameters, start=(0.0, 0.0, start))
         return obey(moved, orders, duration, step), moved.record.peak_force
-    parameters = replace(axis_world(contact, 15.0), target=replace(WorldParameters().target, x=0.03, y=0.02))
+    parameters = replace(axis_world(contact), target=replace(WorldParameters().target, x=0.03, y=0.02))
     begin, lag = (0.02, 0.02, parameters.target.z - _BEFORE), parameters.servo.damping / parameters.servo.stiffness
     moved, ends, count, every = World(parameters, start=begin), 0.0, 30, round(COMMANDS / step)
     for index in range(count + 10):

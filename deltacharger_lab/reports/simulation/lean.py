@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from deltacharger_core.machine import SERVO_STIFFNESS
 from deltacharger_lab.reports.pool import ReportTask
 from deltacharger_lab.reports.report import at_least, at_most, none
 from deltacharger_lab.reports.simulation import impact, stability
@@ -155,10 +156,10 @@ def rough(contact: float, compliance: float, steps: tuple[float, ...]) -> list[d
             "platform": PlatformParameters(compliance=compliance),
             "target": TargetParameters(tilt_x=tilt_x, tilt_y=tilt_y),
         }
-        found = stability.roughly(LIGHT, 15.0, contact, step, **lean)
+        found = stability.roughly(LIGHT, SERVO_STIFFNESS, contact, step, **lean)
         speed = docking(LIGHT, world(contact, friction=0.0, gravity_y=0.0, **lean), step)["speed"]
-        rows.append({"contact": contact, "compliance": compliance, "step": step, "tilt": [tilt_x, tilt_y]})
-        rows[-1] |= {"imbalance": found["imbalance"], "ok": bool(found["bounded"] and speed < 1e-4)}
+        row = {"contact": contact, "compliance": compliance, "step": step, "tilt": [tilt_x, tilt_y]}
+        rows.append(row | {"imbalance": found["imbalance"], "ok": bool(found["bounded"] and speed < stability.REST)})
     return rows
 
 

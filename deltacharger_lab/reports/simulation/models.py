@@ -12,7 +12,16 @@ from typing import Any
 
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.reports.simulation.plan import MUJOCO, SimulationPlan
-from deltacharger_lab.reports.simulation.scenes import LIGHT, Arm, docking, model_world, rms, settled_exactly, world
+from deltacharger_lab.reports.simulation.scenes import (
+    LIGHT,
+    PUSH,
+    Arm,
+    docking,
+    model_world,
+    rms,
+    settled_exactly,
+    world,
+)
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 from deltacharger_sim.proven import UnprovenWarning
 
@@ -39,7 +48,7 @@ def errors(name: str, step: float, exact: dict[str, Any]) -> dict[str, Any]:
     The peak is that of the docking without friction and weight, against the converged one of `exact["axis"]`.
     """
     found = both(name, step)
-    force = settled_exactly(WITHOUT, 0.086)
+    force = settled_exactly(WITHOUT, PUSH)
     return {
         "model": name,
         "step": step,

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_core.machine import SERVO_STIFFNESS
 from deltacharger_lab.reports.formats import tens
 from deltacharger_lab.reports.simulation.energy import PARTS
 from deltacharger_lab.reports.simulation.impact import worst
 from deltacharger_lab.reports.simulation.lean_picture import remaining_yaw
 from deltacharger_lab.reports.simulation.plan import MUJOCO, MUJOCO_FAST, MUJOCO_USUAL
 from deltacharger_lab.reports.simulation.scenes import LIGHT
-from deltacharger_lab.reports.simulation.stability import DIVERGED
+from deltacharger_lab.reports.simulation.stability import DIVERGED, FORCE_LIMIT, PEAK_LIMIT
 from deltacharger_records.plotting import BLUE, FAINT, GREEN, INK, ORANGE, PURPLE, RED, Axes, note, picture
 
 _COLOURS = {LIGHT: BLUE, MUJOCO: ORANGE, MUJOCO_FAST: GREEN, MUJOCO_USUAL: PURPLE}
@@ -38,8 +39,8 @@ def _error_time(results: dict[str, Any], path: Path) -> None:
         left.axvline(2.0, color=RED, linewidth=1.0, linestyle="--")
         left.text(2.2, 5e-3, "targets: 0.15 mm,\n500 × real time", color=RED, fontsize=8, va="top", ha="left")
         middle.set_ylim(1e-2, 200.0)
-        middle.axhline(15.0, color=RED, linewidth=1.0, linestyle="--")
-        right.axhline(0.5, color=RED, linewidth=1.0, linestyle="--")
+        middle.axhline(PEAK_LIMIT, color=RED, linewidth=1.0, linestyle="--")
+        right.axhline(FORCE_LIMIT, color=RED, linewidth=1.0, linestyle="--")
         right.text(0.98, 0.7, "target: 0.5 %", color=RED, fontsize=8, ha="right", transform=right.get_yaxis_transform())
         right.plot([], [], "x", color=FAINT, label="diverged or restless")
         right.legend(loc=(0.02, 0.26), fontsize=8)
@@ -60,13 +61,13 @@ def _curve(axes: Axes, results: dict[str, Any], name: str, key: str) -> None:
 
 def _map(results: dict[str, Any], path: Path) -> None:
     names = [name for name in results["models"] if any(point["model"] == name for point in results["map"])]
-    about = "path error in mm rms at 15 N·m/rad; crosses: diverged or does not come to rest"
+    about = f"path error in mm rms at {SERVO_STIFFNESS:g} N·m/rad; crosses: diverged or does not come to rest"
     with picture(path, 3.6 * len(names) + 0.8, 4.6, "Stability map", about) as figure:
         from matplotlib.colors import LogNorm
 
         rows = figure.subplots(1, len(names), squeeze=False)[0]
         for index, (axes, name) in enumerate(zip(rows, names, strict=True)):
-            points = [point for point in results["map"] if point["model"] == name and point["servo"] == 15.0]
+            points = [point for point in results["map"] if point["model"] == name and point["servo"] == SERVO_STIFFNESS]
             steps = sorted({point["step"] for point in points})
             contacts = sorted({point["contact"] for point in points})
             values = [[float("nan")] * len(steps) for _ in contacts]
@@ -126,7 +127,7 @@ def _impact(results: dict[str, Any], path: Path) -> None:
             axes.imshow(shown, origin="lower", aspect="auto", cmap="viridis", norm=LogNorm(0.5, 100.0))
             for index, row in enumerate(values):
                 for column, value in enumerate(row):
-                    colour = "white" if abs(value) < 15.0 else INK
+                    colour = "white" if abs(value) < PEAK_LIMIT else INK
                     axes.text(column, index, f"{value:+.1f}", ha="center", va="center", fontsize=8, color=colour)
             axes.set_xticks(range(len(steps)), [f"{1000.0 * step:g}" for step in steps])
             axes.set_yticks(range(len(contacts)), [tens(each) for each in contacts])

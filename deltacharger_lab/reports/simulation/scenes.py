@@ -28,7 +28,7 @@ PATH_TICKS, HOLD = 12, 1.0  # of the compared path; s of rest after it, until th
 
 
 def model_world(name: str, parameters: WorldParameters, step: float) -> World:
-    """Return a world of a light model, or of MuJoCo with one of its integrators, whose steps are of `step` s."""
+    """Return a world of the light model, of its competitor, or of MuJoCo with an integrator and steps of `step` s."""
     if name == LIGHT:
         return World(parameters)
     if name == EXTRAPOLATED:
@@ -108,6 +108,11 @@ class Arm:
         return force * sum(DELTA.jacobian(*position)[6:]) / (3.0 * TORQUE_CONSTANT)
 
 
+def commanded(tick: int) -> float:
+    """Return the z (m) that a tick of the docking commands."""
+    return TRAVEL + (PUSH - TRAVEL) * min((tick + 1) / 8.0, 1.0)
+
+
 def docking(model: str, parameters: WorldParameters, step: float) -> dict[str, Any]:
     """Approach, snap, push and hold: places every SAMPLE, settled force and current, and what it cost.
 
@@ -119,12 +124,11 @@ def docking(model: str, parameters: WorldParameters, step: float) -> dict[str, A
     arm = Arm(model_world(model, parameters, step), step)
     arm.go((0.0, 0.0, TRAVEL), 1.0)
     arm.used = 0.0
-    for index in range(PATH_TICKS):
-        share = min((index + 1) / 8.0, 1.0)
-        arm.aim((0.0, 0.0, TRAVEL + (PUSH - TRAVEL) * share))
+    for tick in range(PATH_TICKS):
+        arm.aim((0.0, 0.0, commanded(tick)))
         arm.run(TICK, max(SAMPLE, step))
     trace, moved = arm.trace, arm.used
-    hold = HOLD * max(1.0, 15.0 / parameters.servo.stiffness)
+    hold = HOLD * max(1.0, SERVO_STIFFNESS / parameters.servo.stiffness)
     arm.run(hold)
     mechanics = arm.world.mechanics
     return {

@@ -7,11 +7,12 @@ import math
 from typing import Any
 
 from deltacharger_lab.reports.simulation.plan import SimulationPlan
-from deltacharger_lab.reports.simulation.scenes import Arm, docking, model_world, rms, settled_exactly, world
+from deltacharger_lab.reports.simulation.scenes import PUSH, Arm, docking, model_world, rms, settled_exactly, world
 from deltacharger_lab.reports.simulation.usual import was_reset
 
 DIVERGED, FORCE_OFF, PATH_OFF, PEAK_OFF, PROVEN = "d", "f", "p", "s", "+"
 FORCE_LIMIT, PATH_LIMIT, PEAK_LIMIT = 0.5, 0.3, 15.0  # %, mm rms and % that a proven point may be off
+REST = 1e-4  # m/s that may be left where a world has come to rest
 MODULE = "stability_map.py"
 
 
@@ -20,7 +21,7 @@ def column(
 ) -> list[dict[str, Any]]:
     """Return the points of a servo and contact stiffness, judged against the converged reference's path and peak."""
     parameters = world(contact, servo, friction=0.0, gravity_y=0.0)
-    force = settled_exactly(parameters, 0.086)
+    force = settled_exactly(parameters, PUSH)
     points = []
     for step in steps:
         found = docking(name, parameters, step)
@@ -35,7 +36,7 @@ def column(
 
 
 def _cell(point: dict[str, Any]) -> str:
-    if not point["bounded"] or not math.isfinite(point["force_percent"]) or not point["speed"] < 1e-4:
+    if not point["bounded"] or not math.isfinite(point["force_percent"]) or not point["speed"] < REST:
         return DIVERGED
     if not point["force_percent"] <= FORCE_LIMIT:
         return FORCE_OFF
