@@ -44,7 +44,7 @@ CHOICES = (
             *("approach_speed", "travel_speed", "search_speed", "press_speed", "run_up_speed"),
             *("search_from", "near", "lift", "felt_current", "settle_touching", "drift_max"),
         ),
-        f"the family 777001 of a trial, then seeds {_SEEDS}",
+        f"a trial on seeds of the family 777001, then seeds {_SEEDS}",
     ),
     Choice(
         (

@@ -189,7 +189,7 @@ def by_tilt(rows: Columns) -> list[Figures]:
 
 
 def nudges(rows: Columns) -> Figures:
-    """Return how charges went on whose target was moved: how many opened, after how long, and what was unsafe (s)."""
+    """Return of charges whose target was moved: how many opened, after how long (s), and how many were unsafe (s)."""
     live = part(rows, rows["charged"].astype(bool))
     opened, unsafe = np.isfinite(live["nudge_opened"].astype(float)), live["energised_unsafe"].astype(float)
     return {

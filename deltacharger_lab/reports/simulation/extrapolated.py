@@ -2,7 +2,8 @@
 """A competitor of the light model: its own implicit step, extrapolated from one step and two halves to second order.
 
 Local extrapolation of backward Euler, 2 y(h/2) − y(h), has order 2 and damps what is infinitely stiff (Hairer and
-Wanner, Solving Ordinary Differential Equations II, IV.9). It costs three steps. Forces are those of the second half.
+Wanner, Solving Ordinary Differential Equations II, IV.9). It costs three steps and a linearisation. Forces are those of
+the second half.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ step.
 
 Everything is smooth between touch, stop, saturation, slip and commands; each of these ends a piece of the integration
 (scipy's DOP853, order 8, with root finding), so that no step ever crosses a kink and the error control resolves the
-contact's period. `tolerance` is its knob; the report tells what a thousand times tighter one changes.
+contact's period. The report tells what a tolerance a thousand times tighter changes.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class AxisCourse:
     Attributes:
         trace: z at the sampled times, m.
         peak: largest normal force, N.
-        speed: of the first touch, m/s; NaN = none.
+        speed: at the first touch, m/s; NaN = none.
         left: speed at the end, m/s.
         force: normal force at the end, N.
     """
