@@ -20,7 +20,7 @@ from deltacharger_tactile.estimate import Estimate
 from deltacharger_tactile.generator import generate_paper
 from deltacharger_tactile.second.parameters import SecondParameters
 
-PLAN = dataclasses.replace(tactile_plan.quick_plan(1), second_count=60)
+PLAN = tactile_plan.quick_plan(1)
 
 
 def refuse(*_: Any, **__: Any) -> None:
@@ -86,7 +86,7 @@ def test_models_keep_what_they_learnt_on_the_first(monkeypatch: pytest.MonkeyPat
     usual = {"model": "lda", "target": "angle", "accuracy": 0.95, "coverage": 0.95, "act_rate": 0.9, "drift_rate": 0.0}
     (row,) = second.table([found, found], [usual | {"windows": [0.0, 0.0]}])
     assert row["first"]["accuracy"] == 0.95
-    assert row["second"] == {key: pytest.approx(found[key]) for key in (*second._SHARES, "windows")}
+    assert row["second"] == {key: pytest.approx(found[key]) for key in (*second.SHARES, "windows")}
     assert 1.0 / 6.0 < row["second"]["accuracy"] < 0.95
     assert row["second"]["drift_rate"] > 0.2, "frames of which most taxels tell nothing"
 

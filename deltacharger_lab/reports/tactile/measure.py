@@ -95,6 +95,9 @@ def _calibrate(model: Classifier, rows: Examples, learns: NDArray[np.int64], che
 def _judge_shifts(
     models: dict[tuple[str, str], Classifier], known: Dataset, part: str, device: tuple[int, int], plan: TactilePlan
 ) -> dict[str, list[dict[str, Any]]]:
+    def drifted(model: Classifier, rows: Examples) -> list[float]:
+        return [_windows(model, rows, size, plan.windows) for size in WINDOWS]
+
     found: dict[str, list[dict[str, Any]]] = {"shifts": [], "diagrams": []}
     subset = known.subset == (SUBSET_ANGLE if part == "angle" else SUBSET_POSITION)
     for shift in SHIFTS:
@@ -103,19 +106,13 @@ def _judge_shifts(
         for (name, target), model in models.items():
             rows = labels.examples(fresh, target)
             if model.threshold not in windows:
-                windows[model.threshold] = [_windows(model, rows, size, plan.windows) for size in WINDOWS]
+                windows[model.threshold] = drifted(model, rows)
             where = {"rig": device[0], "seed": device[1], "target": target, "model": name}
             told = evaluate(model, rows)
             found["shifts"].append({**where, "shift": shift.name, **told, "windows": windows[model.threshold]})
             if shift is NONE:
                 found["diagrams"].append({**where, **_diagram(model, rows)})
-    found["second"] = second.judge_models(
-        models,
-        known,
-        subset,
-        device,
-        lambda model, rows: [_windows(model, rows, size, plan.windows) for size in WINDOWS],
-    )
+    found["second"] = second.judge_models(models, known, subset, device, drifted)
     return found
 
 

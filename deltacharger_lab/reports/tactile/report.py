@@ -164,10 +164,7 @@ def shifts(rows: Iterable[Row]) -> list[Row]:
     """Return means over rigs and seeds by model, target and shift, with the verdict."""
     found = []
     for (model, target, shift), members in grouped(rows, "model", "target", "shift"):
-        means = {
-            key: float(np.mean([row[key] for row in members]))
-            for key in ("accuracy", "coverage", "act_rate", "drift_rate")
-        }
+        means = {key: float(np.mean([row[key] for row in members])) for key in second.SHARES}
         windows = np.mean([row["windows"] for row in members], axis=0).tolist()
         error = _coverage_error(members)
         holds = means["coverage"] >= NOMINAL - POINTS - error
@@ -239,16 +236,12 @@ def _second_targets(found: Row) -> list[Row]:
     told = [row["second"] for row in found["models"]]
     lost = [row for row in told if row["coverage"] < NOMINAL - POINTS]
     unseen = [row for row in lost if max(row["drift_rate"], row["windows"][-1]) <= _OFTEN]
+    missed = len(unseen) if told else math.nan
     z, unsafe = second.worst_z(found["estimates"]), second.unsafe(found["estimates"], found["variants"])
     return [
         none("pretrained estimates, second physics and its families, unsafe acts", unsafe, ""),
         at_most("pretrained estimate, second physics, rms of error over σ, worst axis", z, second.BELIEVED, ""),
-        at_most(
-            "judged models, second physics, neither covered nor noticed",
-            len(unseen) if told else math.nan,
-            0.0,
-            f"of {len(told)}",
-        ),
+        at_most("judged models, second physics, neither covered nor noticed", missed, 0.0, f"of {len(told)}"),
     ]
 
 

@@ -38,8 +38,9 @@ AXES = {"angle": (2, 180.0 / math.pi, "°"), "vertical": (1, 1e3, "mm"), "horizo
 """Where an axis stands in a pose, and the unit of its errors."""
 BELIEVED = 1.5
 """rms of error over σ up to which a σ is believed."""
+_DOCKING = DockingParameters()
 _COUNTED = ("n", "contact", "in_range", "sure", "drift", "acts", "unsafe")
-_SHARES = ("accuracy", "coverage", "act_rate", "drift_rate")
+SHARES = ("accuracy", "coverage", "act_rate", "drift_rate")
 
 
 def judge_models(
@@ -60,7 +61,7 @@ def judge_models(
     for (name, target), model in models.items():
         judged = labels.examples(fresh, target)
         told = evaluate(model, judged)
-        kept = {key: told[key] for key in _SHARES}
+        kept = {key: told[key] for key in SHARES}
         where = {"rig": device[0], "seed": device[1], "target": target, "model": name}
         found.append({**where, **kept, "windows": windows(model, judged)})
     return found
@@ -71,7 +72,7 @@ def table(rows: Iterable[Row], usual: Iterable[Row]) -> list[Row]:
     before = {(row["model"], row["target"]): row for row in usual}
     found = []
     for (name, target), members in grouped(rows, "model", "target"):
-        here = {key: float(np.mean([row[key] for row in members])) for key in _SHARES}
+        here = {key: float(np.mean([row[key] for row in members])) for key in SHARES}
         here["windows"] = np.mean([row["windows"] for row in members], axis=0).tolist()
         found.append({"model": name, "target": target, FIRST: before[name, target], SECOND: here})
     return found
@@ -91,7 +92,7 @@ def judge_estimates(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
 
 
 def judge_variants(rig: int, seed: int, plan: TactilePlan) -> list[Row]:
-    """Count the same of the packaged estimate where single laws of the second physics are taken away."""
+    """Count the same of the packaged estimate on families that lack single laws of the second physics."""
     known = generate_continuous(rigs=(rig,), count=plan.second_count, seed=seed, frames=FRAMES[0], threshold=0.0)
     return [
         {"variant": name, **_counts(dock_anew(known, seed, FRAMES[0], 0.0, JUST_NOW, family), THRESHOLD)}
@@ -135,7 +136,7 @@ def _counts(data: Dataset, cut: float) -> Row:
     told = model.predict(left, right)
     used, sure = np.asarray(told.in_range), np.asarray(told.sure)
     acts = _acts(told)
-    short = np.array([_clearance(angle, vertical) < 0.0 for _, vertical, angle in truth])
+    short = _clearances(truth[:, 2], truth[:, 1]) < 0.0
     found: Row = {
         "n": len(data), "contact": int(np.sum(told.contact)), "in_range": int(used.sum()), "sure": int(sure.sum()),
         "drift": int(model.drifted(left, right).sum()), "acts": int(acts.sum()), "unsafe": int((acts & short).sum()),
@@ -148,17 +149,16 @@ def _counts(data: Dataset, cut: float) -> Row:
 
 
 def _acts(told: Estimate) -> Any:
-    """Return (N,) whether docking would energise on a single estimate: sure, and 3 σ leave the clearance it keeps."""
-    parameters = DockingParameters()
-    half = parameters.electrode_half_length
+    """Return (N,) whether an estimate is sure and leaves the clearance that docking keeps, at as many σ."""
+    half = _DOCKING.electrode_half_length
     spread = np.hypot(half * np.asarray(told.angle_stddev), np.asarray(told.vertical_stddev))
-    left = [_clearance(angle, vertical) for angle, vertical in zip(told.angle, told.vertical, strict=True)]
-    return np.asarray(told.sure) & (np.array(left) - 3.0 * spread >= parameters.clearance_min)
+    left = _clearances(told.angle, told.vertical) - _DOCKING.clearance_sigmas * spread
+    return np.asarray(told.sure) & (left >= _DOCKING.clearance_min)
 
 
-def _clearance(angle: float, vertical: float) -> float:
-    parameters = DockingParameters()
-    return clearance(angle, vertical, parameters.electrode_half_gap, parameters.electrode_half_length)
+def _clearances(angles: Any, verticals: Any) -> Any:
+    sizes = _DOCKING.electrode_half_gap, _DOCKING.electrode_half_length
+    return np.array([clearance(*pose, *sizes) for pose in zip(angles, verticals, strict=True)])
 
 
 def summed(rows: Iterable[Row], *keys: str) -> list[Row]:
@@ -177,7 +177,8 @@ def summed(rows: Iterable[Row], *keys: str) -> list[Row]:
 
 def worst_z(estimates: Iterable[Row]) -> float:
     """Return the largest rms of error over σ of the packaged estimate of twelve frames on the second physics."""
-    chosen = [row for row in estimates if (row["physics"], row["threshold"], row["frames"]) == (SECOND, CUTS[0], 12)]
+    packaged = (SECOND, CUTS[0], FRAMES[0])
+    chosen = [row for row in estimates if (row["physics"], row["threshold"], row["frames"]) == packaged]
     return max((row[name]["z"] for row in chosen for name in AXES), default=math.nan)
 
 
