@@ -6,7 +6,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -272,23 +272,17 @@ def targets(found: dict[str, dict[str, Any]], upright: dict[str, Any] | None) ->
         hits = found[name]["unsafe"]["hits"] if name in found else None
         return hits, f"of {found.get(name, {}).get('n', 0)}"
 
-    def quantile(name: str, key: str, which: str) -> float | None:
-        return found[name][key][which] if name in found else None
-
     guarded = [found[name] for name in GUARDED if name in found]
     default = found.get("default")
     shorts = sum(each["shorts"] for each in guarded) if guarded else None
     crashed = sum(each["crashed"] for each in found.values()) if found else None
     return [
         *(
-            at_most(f"seconds to charging, {name}, {QUANTILES[which]}", quantile(name, "time", which), most, "s")
+            each
             for name, limits in SECONDS_MOST.items()
-            for which, most in limits.items()
+            for each in _limits(f"seconds to charging, {name}", found.get(name), "time", limits, "s")
         ),
-        *(
-            at_most(f"moves, default, {QUANTILES[which]}", quantile("default", "moves", which), most, "")
-            for which, most in MOVES_MOST.items()
-        ),
+        *_limits("moves, default", default, "moves", MOVES_MOST, ""),
         at_least(f"charged, angle up to ±{UPRIGHT:g}°", share(upright, "charged"), 99.9, "%"),
         at_least("charged, scenes at 8–11°", share(found.get("edge"), "charged"), 58.0, "%"),
         at_least("at rest within 2.5 mm across the bars, default", share(default, "near_vertical"), 99.5, "%"),
@@ -300,12 +294,17 @@ def targets(found: dict[str, dict[str, Any]], upright: dict[str, Any] | None) ->
         at_least("contact current at rest in 0.4–0.5 A", _pooled(guarded, "in_band"), 100.0, "%"),
         at_most("largest push of the servos in contact", largest("push"), PUSH_MOST, "N"),
         at_most("hottest servo while charging, largest", largest("hottest"), HOTTEST_MOST, "A"),
-        *(
-            at_most(f"strike, exact, default, {QUANTILES[which]}", quantile("strike", "strike", which), most, "N")
-            for which, most in STRIKE_MOST.items()
-        ),
+        *_limits("strike, exact, default", found.get("strike"), "strike", STRIKE_MOST, "N"),
         none("dockings that crashed", crashed, f"of {sum(each['n'] for each in found.values())}"),
     ]
+
+
+def _limits(
+    name: str, of: dict[str, Any] | None, key: str, limits: Mapping[str, float], unit: str
+) -> Iterator[dict[str, Any]]:
+    """Yield the target of each quantile that has a limit."""
+    for which, most in limits.items():
+        yield at_most(f"{name}, {QUANTILES[which]}", None if of is None else of[key][which], most, unit)
 
 
 def _pooled(parts: list[dict[str, Any]], key: str) -> float | None:
