@@ -39,6 +39,7 @@ AXES = {"angle": (2, 180.0 / math.pi, "°"), "vertical": (1, 1e3, "mm"), "horizo
 BELIEVED = 1.5
 """rms of error over σ up to which a σ is believed."""
 _DOCKING = DockingParameters()
+_WHOLE = "as it is"
 _COUNTED = ("n", "contact", "in_range", "sure", "drift", "acts", "unsafe")
 SHARES = ("accuracy", "coverage", "act_rate", "drift_rate")
 
@@ -116,7 +117,7 @@ def variants() -> dict[str, SecondParameters]:
          "offset_drift"), 0.0,
     )  # fmt: skip
     return {
-        "as it is": base,
+        _WHOLE: base,
         "no dead band": other(sheet=told),
         "bars bear nothing": other(bars=free),
         "no lean": other(platform=upright),
@@ -183,6 +184,10 @@ def worst_z(estimates: Iterable[Row]) -> float:
 
 
 def unsafe(estimates: Iterable[Row], variants: Iterable[Row]) -> float:
-    """Return how often an estimate would have energised without clearance on the second physics or a family of it."""
-    chosen = [row["unsafe"] for row in (*estimates, *variants) if row.get("physics") != FIRST]
+    """Return how often an estimate would have energised without clearance on the second physics or a family of it.
+
+    The whole family's dockings are among those of the estimates, and count once.
+    """
+    chosen = [row["unsafe"] for row in estimates if row["physics"] != FIRST]
+    chosen += [row["unsafe"] for row in variants if row["variant"] != _WHOLE]
     return float(sum(chosen)) if chosen else math.nan
