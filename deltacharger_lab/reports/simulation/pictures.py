@@ -111,9 +111,7 @@ def _energy(results: dict[str, Any], path: Path) -> None:
 
 
 def _impact(results: dict[str, Any], path: Path) -> None:
-    about = (
-        "worst error in % of all strikes and servos against the converged reference; left as told, right by steps' ends"
-    )
+    about = "worst error in % of all servos and strikes, but those that graze the stop, against the converged reference"
     with picture(path, 10.0, 4.4, "Peak force of an impact", about) as figure:
         from matplotlib.colors import LogNorm
 
