@@ -7,12 +7,26 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from deltacharger_core.parameters import ParameterError, declared
 from deltacharger_lab.campaigns.pads import SECOND
+from deltacharger_lab.campaigns.parts import second_family
 from deltacharger_lab.campaigns.spread import Spread, Value
 from deltacharger_lab.campaigns.told import TOLD_STIFFNESS
 from deltacharger_sim.parameters import ServoParameters, TargetParameters
 
 _SIGMAS = 3.0  # of a normal distribution that count as its ends
 _TILT = {key.name: key for key in declared(TargetParameters)}["tilt_y"]
+
+_DEAD_BAND = "second.sheet.dead_band"  # 0 = none
+_LITTLE = 1e-6  # N of a dead band that is drawn from 0 on
+_BOUNDED_ABOVE = (
+    ("foundation.confinement", "foundation.modulus"),
+    ("bars.seat",),
+    ("bars.rate",),
+    ("sheet.dead_band_spread",),
+    ("sheet.dead_band", "sheet.dead_band_spread"),
+    ("sheet.edge_loss", "sheet.neighbour"),
+)
+"""What each rule of SecondParameters bounds from above. It bounds what else it names from below, so that one corner of
+the ranges breaks it first."""
 
 _Ends = Mapping[str, tuple[Value, Value]]  # of each key
 _Problem = tuple[str, Value, str]  # key, value and what is wrong
@@ -36,10 +50,13 @@ def refuse_contradictions(spreads: Mapping[str, Spread], dockings: Sequence[Mapp
 
 
 def _ends_of(spread: Spread) -> tuple[Value, Value]:
-    if spread.shape != "normal":
-        return spread.ends
-    mean, reach = float(spread.numbers[0]), _SIGMAS * float(spread.numbers[1])
-    return max(mean - reach, spread.key.low), min(mean + reach, spread.key.high)
+    low, high = spread.ends
+    if spread.shape == "normal":
+        mean, reach = float(spread.numbers[0]), _SIGMAS * float(spread.numbers[1])
+        low, high = max(mean - reach, spread.key.low), min(mean + reach, spread.key.high)
+    if spread.key.name == _DEAD_BAND and low == 0.0 != high:
+        low = min(float(each) for each in spread.numbers if each) if spread.shape == "choose" else _LITTLE
+    return low, high
 
 
 def _is_nothing(ends: _Ends, *names: str) -> bool:
@@ -86,6 +103,9 @@ def _pads(ends: _Ends) -> Iterator[_Problem]:
         for name in ends:
             if name.startswith("second."):
                 yield name, ends[name][0], "has no effect where pads is first; add pads: second"
+    second = {name: pair for name, pair in ends.items() if name.startswith("second.")}
+    for above in _BOUNDED_ABOVE if second else ():
+        second_family({name: pair[name.removeprefix("second.") in above] for name, pair in second.items()})
     if ends.get("pads") == (SECOND, SECOND):
         for name in ends:
             if name.startswith(("tactile.", "electrode.")):

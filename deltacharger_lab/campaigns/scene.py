@@ -13,7 +13,7 @@ from deltacharger_core.parameters import Declaration, ParameterError, did_you_me
 from deltacharger_core.yaml_file import read_yaml
 from deltacharger_lab.campaigns.contradictions import refuse_contradictions
 from deltacharger_lab.campaigns.keys import DERIVED, TAKEN, known_keys
-from deltacharger_lab.campaigns.parts import build_parts, second_family
+from deltacharger_lab.campaigns.parts import build_parts
 from deltacharger_lab.campaigns.spread import Spread, Value, read_spread
 from deltacharger_lab.campaigns.told import told_geometry
 from deltacharger_scenes.scene import find_file, packaged_files, read_file
@@ -205,7 +205,6 @@ def _check_contradictions(scene: CampaignScene) -> None:
             corner = {name: spread.ends[end] for name, spread in scene.spreads.items()}
             told_geometry({**corner, **values})
             build_parts({**corner, **values}, "guarded")
-            second_family({**corner, **values})
 
 
 def _without_effect(scene: CampaignScene, cause: str, dependent: tuple[str, ...], unset: bool = False) -> None:

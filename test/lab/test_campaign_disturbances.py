@@ -23,6 +23,10 @@ from deltacharger_tactile.source import ContactSource
 from .campaigns import QUICK, comparable
 
 
+def second(**family: Any) -> dict[str, Any]:
+    return {"pads": "second", "second": family}
+
+
 @pytest.mark.parametrize(
     ("content", "key", "problem"),
     [
@@ -45,6 +49,16 @@ from .campaigns import QUICK, comparable
         ({"pads": {"choose": ["first", "other"]}}, "pads.choose[1]", "not one of first, second"),
         ({"pads": "second", "tactile": {"sensor": {"bits": 9}}}, "tactile.sensor.bits", "where pads is second"),
         ({"pads": "second", "electrode": {"hole": 0.002}}, "electrode.hole", "where pads is second"),
+        (second(sheet={"dead_band": [0.0, 1.0]}), "second.sheet.dead_band_spread", "not below half"),
+        (second(sheet={"dead_band": {"choose": [0.0, 0.1, 1.0]}}), "second.sheet.dead_band_spread", "not below half"),
+        (second(sheet={"dead_band": {"mean": 1.0, "stddev": 0.5}}), "second.sheet.dead_band_spread", "not below half"),
+        (second(sheet={"edge_loss": [0.0, 0.5], "neighbour": [0.0, 0.2]}), "second.sheet.neighbour", "nothing"),
+        (second(bars={"seat": [1e-6, 1e-3], "travel": [1e-4, 1e-2]}), "second.bars.seat", "not below bars.travel"),
+        (
+            second(foundation={"base_stiffness": [1e9, 2e9], "modulus": [1e5, 2e6], "thickness": [5e-4, 2e-3]}),
+            "second.foundation.base_stiffness",
+            "give more",
+        ),
         ({"estimator": {"model": "2N"}}, "estimator.model", "not one of packaged, 1N"),
         ({"estimator": {"model": "1N", "paper": True}}, "estimator.model", "where estimator.paper is true"),
         ({"docking": {"current_signal": "max"}}, "docking.current_signal", "unknown key"),
@@ -55,6 +69,11 @@ def test_what_is_refused(content: dict[str, Any], key: str, problem: str) -> Non
         parse_campaign_scene(content, "bad")
     assert refusal.value.key == key
     assert problem in refusal.value.problem
+
+
+@pytest.mark.parametrize("dead_band", [0.0, {"choose": [0.0, 1.0]}, [0.8, 1.0]])
+def test_second_pads_may_have_no_dead_band(dead_band: Any) -> None:
+    parse_campaign_scene(second(sheet={"dead_band": dead_band}), "x")
 
 
 def test_a_normal_nudge_moves_though_its_mean_is_none() -> None:
