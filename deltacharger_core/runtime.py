@@ -8,6 +8,7 @@ import fcntl
 import os
 import socket
 import stat
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -52,19 +53,35 @@ def is_simulated(port: str) -> bool:
     one. No setting says so: a robot's port is no terminal, and no charger serves a terminal that passes a cable on.
     False where unknown.
     """
-    path, terminal = Path(port), os.path.realpath(port)
-    if not terminal.startswith(_TERMINALS) or not path.exists():
+    try:
+        path, terminal = Path(port), os.path.realpath(port)
+        if not terminal.startswith(_TERMINALS) or not path.exists():
+            return False
+        told = parse_json(_ask_for_ports(path.parent))
+    except (OSError, ValueError):
         return False
+    ports = told.get("ports") if isinstance(told, dict) else None
+    return isinstance(ports, list) and terminal in ports
+
+
+def _ask_for_ports(folder: Path) -> str:
+    """Return what the charger of a folder answers within _PATIENCE, however slowly it does."""
+    end, answer = time.monotonic() + _PATIENCE, b""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)  # a path may be longer than an address holds
     try:
         with socket.socket(socket.AF_UNIX) as charger:
             charger.settimeout(_PATIENCE)
-            charger.connect(str(path.parent / CONTROL))
+            charger.connect(f"/proc/self/fd/{descriptor}/{CONTROL}")
             charger.sendall(b'{"command": "ports"}\n')
-            with charger.makefile("rb") as answer:
-                told = parse_json(answer.readline(_LONGEST_ANSWER).decode())
-    except (OSError, ValueError):
-        return False
-    return isinstance(told, dict) and terminal in (told.get("ports") or ())
+            while not answer.endswith(b"\n") and len(answer) < _LONGEST_ANSWER:
+                charger.settimeout(max(end - time.monotonic(), 1e-3))
+                more = charger.recv(_LONGEST_ANSWER)
+                if not more:
+                    break
+                answer += more
+    finally:
+        os.close(descriptor)
+    return answer.decode()
 
 
 def make(folder: Path) -> None:
