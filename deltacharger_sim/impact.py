@@ -10,9 +10,9 @@ lost and where the hard stop is reached. Their largest force is the step's, once
 model's own motion does not use it.
 
 Sub-stepping begins where the magnets begin to pull, so that the impact speed is not the step's, and ends when the
-contact has settled, its rebounds decay or the sub-steps are spent: a rebound that nothing drives never hits harder than
-the first impact. Electrodes and stop are springs without dampers of their own, so that stiff ones rebound; only servos
-and gears damp. Play is left out.
+contact has settled or the sub-steps are spent: a rebound that nothing drives never hits harder than the first impact.
+Electrodes and stop are springs without dampers of their own, so that stiff ones rebound; only servos and gears damp.
+Play is left out.
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ _MISFIT = 0.1  # relative, and N: by how much the force of a leaning contact may
 _AT_REST = 2e-4  # m/s, below which there is no impact
 _LEAD_STEPS = 2.0  # steps at the approach speed before contact, when sub-stepping begins at the latest
 _LONGEST_MOVE = 0.005  # m that a step of the light model moves the platform at most
-_DECAY = 0.9  # of the largest force at a turning point, below which that at the next shows that rebounds decay
 _SEPARATED, _ON_SPRINGS, _ON_STOP = 0, 1, 2
 
 Drive = tuple[float, float, float]
@@ -88,7 +87,7 @@ class Impact:
         self._onset_bound = terminal.length * abs(target.tilt_y) + (terminal.gap + terminal.height) * abs(target.tilt_x)
         self.reach = self._near + self._onset_bound + _LEAD_STEPS * _LONGEST_MOVE
         self.follows = self._spent = self._touched = False
-        self._gap = self._speed = self._gear = self._peak = self._largest = self._mismatch = 0.0
+        self._gap = self._speed = self._gear = self._peak = self._mismatch = 0.0
         self._left, self._regime = 0, _SEPARATED  # sub-steps that may still follow
 
     def concerns(self, gap: float, speed: float, dt: float, onset: float) -> bool:
@@ -123,7 +122,7 @@ class Impact:
             self.follows, self._touched = True, gap < self._onset
             self._gap, self._speed, self._gear, self._left = gap, speed, gear, _MOST
             self._regime = _SEPARATED if gap > self._onset else _ON_SPRINGS if gap > -self._stop else _ON_STOP
-            self._peak = self._largest = self._mismatch = 0.0
+            self._peak = self._mismatch = 0.0
         self._advance(dt, gap, forces)
         self._mismatch = self._mismatch + dt if self._touched != pressed else 0.0
         if self._mismatch > _LONGEST_MISMATCH or (speed <= 0.0 and not (self._touched or pressed)):
@@ -211,16 +210,9 @@ class Impact:
             self._touched = True
         if speed > 0.0 >= end_speed and self._regime:  # force grows with compression: it peaks at a turning point
             turning = gap - 0.5 * h * speed * speed / (speed - end_speed)
-            self._record_turn(self._normal(min(end_gap, turning))[0])
+            self._peak = max(self._peak, self._normal(min(end_gap, turning))[0])
         self._gap, self._speed = end_gap, end_speed
         return h, end_speed
-
-    def _record_turn(self, force: float) -> None:
-        """Take a force (N) at which the motion turned back for the peak if it is one; the last once they decay."""
-        self._peak = max(self._peak, force)
-        if force < _DECAY * self._largest:
-            self._left = -1
-        self._largest = max(self._largest, force)
 
 
 class LeaningImpact(Impact):
@@ -270,7 +262,7 @@ class LeaningImpact(Impact):
             self._peak = max(self._peak, before, normal)
             if speed > 0.0 >= end_speed:
                 turning = gap - 0.5 * h * speed * speed / (speed - end_speed)
-                self._record_turn(normal + stiffer * max(end_gap - turning, 0.0))
+                self._peak = max(self._peak, normal + stiffer * max(end_gap - turning, 0.0))
         self._regime = _ON_SPRINGS if normal > 0.0 else _SEPARATED
         self._gap, self._speed = end_gap, end_speed
         return h, end_speed
