@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import os
-import pty
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +15,6 @@ from deltacharger.srv import Probe, SetContactor
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 
-from deltacharger_core.runtime import CONTROL, is_simulated
 from deltacharger_docking.ros.messages import estimate
 from deltacharger_docking.ros.port_owners import PortOwners
 from deltacharger_ros.client import ChargerClient
@@ -25,7 +22,6 @@ from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
 from deltacharger_ros.unknown import unknown_misalignment
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene, parse_scene
-from deltacharger_sim.charger.fault_channel import ControlServer
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
 from ..chargers import DEADLINE, Spin, new_namespace
@@ -83,37 +79,6 @@ def test_before_nodes_that_prove_nothing_a_goal_that_charges_is_refused(quick_sc
 def test_with_our_clearance_rule_any_charger_will_do(quick_scene: Scene, context: Any) -> None:
     (outcome,) = outcomes(as_published(quick_scene, published_clearance_rule=True), context, DockRequest(PLACE))
     assert outcome.error_name != "REJECTED", outcome
-
-
-def test_only_a_terminal_beside_which_a_simulated_charger_listens_is_its_port(tmp_path: Path) -> None:
-    master, slave = pty.openpty()
-    port = tmp_path / "servo"
-    try:
-        port.symlink_to(os.ttyname(slave))
-        assert not is_simulated(str(port)), "a cable passed on by a terminal is as real as any"
-        server = ControlServer(tmp_path / CONTROL, lambda request: {})
-        try:
-            assert not is_simulated(str(port)), "a listener that says nothing of it"
-        finally:
-            server.close()
-        served = ["/dev/pts/none", os.ttyname(slave)]
-        server = ControlServer(tmp_path / CONTROL, lambda request: {"success": True, "ports": served})
-        try:
-            assert is_simulated(str(port))
-            served.pop()
-            assert not is_simulated(str(port)), "its charger serves another one"
-            served.append(os.ttyname(slave))
-            device = tmp_path / "ttyUSB0"
-            device.touch()
-            assert not is_simulated(str(device)), "no terminal"
-            assert not is_simulated(str(tmp_path / "gone"))
-            assert not is_simulated("")
-        finally:
-            server.close()
-        assert not is_simulated(str(port)), "its charger has gone"
-    finally:
-        os.close(master)
-        os.close(slave)
 
 
 def message(**shares: Any) -> Misalignment:

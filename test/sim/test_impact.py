@@ -116,6 +116,26 @@ class TestPeak:
         assert 0.0 < held <= came + most * depth
         assert peak <= most + math.sqrt(most**2 + 2.0 * (k + stop) * came)
 
+    def test_what_servos_drive_after_a_rebound_counts_though_the_rebounds_had_declined(self) -> None:
+        peaks = []
+        for step in (0.01, 1e-4):
+            world = World(
+                WorldParameters(
+                    servo=ServoParameters(stiffness=17.8),
+                    contact=ContactParameters(stiffness=14735.0),
+                    target=TargetParameters(z=0.0765, tilt_x=-0.032, tilt_y=0.038),
+                )
+            )
+            for tick in range(120):  # of 10 ms: at rest, on at 0.1 m/s into contact, and 12 mm at once
+                ramp = min(0.0565 + 0.1 * max(0.01 * tick - 0.3, 0.0), 0.0768)
+                goal = ramp if tick < 60 else 0.0885
+                for index, angle in enumerate(DELTA.inverse(0.0, 0.0, goal)):
+                    world.command(index, True, angle, 4.0)
+                for _ in range(round(0.01 / step)):
+                    world.step(step)
+            peaks.append(world.record.peak_force)
+        assert peaks[0] == pytest.approx(peaks[1], rel=0.1)
+
     @pytest.mark.parametrize(
         ("yaw", "pitch", "compliance", "stiffness"),
         [(0.1, 0.0, 0.03, 1e6), (0.05, 0.0, 0.01, 1e5), (0.0, 0.05, 0.0, 1e6), (0.05, -0.03, 0.03, 1e5)],
