@@ -23,16 +23,14 @@ class Limits:
         pad_active: smallest number of taxels above the threshold on each pad.
         pad_dead: most dead taxels of a pad.
         angle_stddev: rad, largest standard deviation that is sure.
-        vertical_stddev: m, likewise.
-        horizontal_stddev: m, likewise.
+        across_stddev: m, likewise. (None of the horizontal place: nothing that is safe hangs on it.)
     """
 
     pad_force: float = 3.0
     pad_active: int = 4
     pad_dead: int = 3
     angle_stddev: float = math.radians(0.5)
-    vertical_stddev: float = 0.8e-3
-    horizontal_stddev: float = 3.0e-3
+    across_stddev: float = 0.8e-3
 
 
 @dataclass(frozen=True)
@@ -41,6 +39,9 @@ class Estimate:
 
     NaN = unknown (no contact). Standard deviations are errors against the pose in contact on rigs that training
     did not see.
+
+    In one contact a lean of the faces along the bars looks like a horizontal offset: 0.01° like 1 mm. `horizontal` takes
+    all of it for an offset, and `vertical` follows from it; `across` does not depend on it.
 
     Attributes:
         angle: rad about +z, from +x to +y.
@@ -57,6 +58,8 @@ class Estimate:
         horizontal_probability: (..., 5) classes −10…10 mm, both ends open.
         left_force: N, load of the pad at +x.
         right_force: N, load of the pad at −x.
+        across: m, offset across the target's bars: vertical · cos(angle) − horizontal · sin(angle).
+        across_stddev: m.
     """
 
     angle: Any
@@ -73,6 +76,8 @@ class Estimate:
     horizontal_probability: Any
     left_force: Any
     right_force: Any
+    across: Any
+    across_stddev: Any
 
 
 _ROOT = math.sqrt(2.0)

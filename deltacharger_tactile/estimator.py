@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """From two tactile frames to the pose of the target in end_effector, with honest standard deviations.
 
+What the networks tell is a seat (N, 3): the offset along the bars as the pads' loads tell it (m), the offset across the
+bars (m), and the angle (rad). The pads know the second well; the first takes a lean for an offset.
+
 Features go through small networks, once for each mirror image of the frames, so that the estimate obeys the
 device's symmetry exactly. Two experts: one for contacts that both pads feel, one for contacts that only one pad
 feels (it may guide a correction but is never in range). Runs on numpy alone.
@@ -27,14 +30,17 @@ from deltacharger_tactile.expert import Expert
 from deltacharger_tactile.network import Network
 from deltacharger_tactile.support import Support
 
-FORMAT = 2
+FORMAT = 3
 THRESHOLD = 0.25
 """Readings below it are noise, N: five times the offset that a contact leaves after a tare."""
 NOMINAL = 0.95
 """Share of the errors that `PoseEstimator.interval` standard deviations hold on rigs that training did not see."""
 _EXPERTS = ("both", "one")
+_FORCES = [features.names().index(f"{side}_force_N") for side in ("left", "right")]
 _FEWEST = 512  # dockings that an expert is fitted to; a batch of the networks
 _FEWEST_HELD_OUT = 50
+_SEAT_LIMIT = np.array([0.035, POSITION_LIMIT, ANGLE_LIMIT])
+"""Of a seat in range, m, m, rad. Lean and offset together reach 35 mm before a pad is empty."""
 
 
 class PoseEstimator:
@@ -99,18 +105,18 @@ class PoseEstimator:
         """
         random = np.random.default_rng([0xF17, seed])
         inputs, holds, touched = self._prepare(np.asarray(frames, dtype=float))
-        poses = np.asarray(pose, dtype=float)
+        seats = to_seat(np.asarray(pose, dtype=float))
         for index, (name, rows) in enumerate(zip(_EXPERTS, (holds, touched & ~holds), strict=True)):
             self._demand(int(np.sum(rows)), _FEWEST, f"dockings felt by {name} pads")
             progress(index / 3.0, f"{self.name}: {np.count_nonzero(rows)} dockings felt by {name} pads")
             self._experts[name] = Expert.learn(
-                inputs[:, rows], poses[rows], self.hidden, self.members, self.epochs, random
+                inputs[:, rows], seats[rows], self.hidden, self.members, self.epochs, random
             )
         progress(2.0 / 3.0, f"{self.name}: what frames look like")
-        usual = inputs[:, holds & _within(poses)]
+        usual = inputs[:, holds & _within(seats)]
         felt = np.concatenate([self._experts["both"].predict(usual)[0] * sign for sign in features.MIRROR_SIGNS])
         self._support = Support.learn(usual.reshape(-1, usual.shape[-1]), felt, self.epochs, random)
-        self._calibrate(np.asarray(held_out[0], dtype=float), np.asarray(held_out[1], dtype=float))
+        self._calibrate(np.asarray(held_out[0], dtype=float), to_seat(np.asarray(held_out[1], dtype=float)))
         progress(1.0, f"{self.name}: done")
         return self
 
@@ -132,14 +138,15 @@ class PoseEstimator:
         in_range = contact & holds & _within(mean)
         if in_range.any():
             in_range[in_range] = self._learnt.contains(inputs[0, in_range], mean[in_range])
-        precise = spread <= [limits.horizontal_stddev, limits.vertical_stddev, limits.angle_stddev]
+        precise = spread[:, 1:] <= [limits.across_stddev, limits.angle_stddev]
         sure = in_range & precise.all(axis=1)
-        force = np.where(frames >= self.threshold, frames, 0.0).sum(axis=(2, 3))
-        columns: list[NDArray[Any]] = [column[:, axis] for axis in (2, 1, 0) for column in (mean, spread)]
+        force = inputs[0][:, _FORCES]
+        pose, stddev = to_pose(mean), _pose_stddev(mean, spread)
+        columns: list[NDArray[Any]] = [column[:, axis] for axis in (2, 1, 0) for column in (pose, stddev)]
         columns += [in_range, contact, sure]
-        columns += [angle_classes(mean[:, 2], spread[:, 2])]
-        columns += [position_classes(mean[:, axis], spread[:, axis]) for axis in (1, 0)]
-        columns += [force[:, 0], force[:, 1]]
+        columns += [angle_classes(pose[:, 2], stddev[:, 2])]
+        columns += [position_classes(pose[:, axis], stddev[:, axis]) for axis in (1, 0)]
+        columns += [force[:, 0], force[:, 1], mean[:, 1], spread[:, 1]]
         return Estimate(*(shaped(column, shape) for column in columns))
 
     def pose(self, frames: Array) -> tuple[Array, Array]:
@@ -152,10 +159,10 @@ class PoseEstimator:
             features, and (N, 3) m, m, rad, NaN where nothing is felt; half the work of `predict`.
         """
         inputs, _, _, mean, _ = self._feel(frames)
-        return inputs[0, :, :-PADS], mean  # without the counts of filled taxels
+        return inputs[0, :, :-PADS], to_pose(mean)  # without the counts of filled taxels
 
     def _feel(self, frames: Array) -> tuple[Array, Mask, Mask, Array, Array]:
-        """Return inputs of the mirror images, whether both pads hold the ridge, contact, pose and its spread (N, 3)."""
+        """Return inputs of the mirror images, whether both pads hold the ridge, contact, seat and its spread (N, 3)."""
         inputs, holds, touched = self._prepare(frames)
         contact = np.asarray(np.any(frames >= CONTACT_FORCE, axis=(1, 2, 3)))  # NaN is not
         mean, spread = np.full((len(frames), 3), np.nan), np.full((len(frames), 3), np.nan)
@@ -201,15 +208,16 @@ class PoseEstimator:
         if found < needed:
             raise ModelError(self.name, f"{found} {what}, at least {needed} are needed")
 
-    def _calibrate(self, frames: Array, pose: Array) -> None:
+    def _calibrate(self, frames: Array, seat: Array) -> None:
         inputs, holds, touched = self._prepare(frames)
         for name, rows in zip(_EXPERTS, (holds, touched & ~holds), strict=True):
             self._demand(int(np.sum(rows)), _FEWEST_HELD_OUT, f"held-out dockings felt by {name} pads")
-            self._experts[name] = self._experts[name].scaled(inputs[:, rows], pose[rows])
-        usual = inputs[:, holds & _within(pose)]
+            self._experts[name] = self._experts[name].scaled(inputs[:, rows], seat[rows])
+        usual = inputs[:, holds & _within(seat)]
         mean, spread = self._experts["both"].predict(usual)
         self._support = self._learnt.limited(usual[0], mean)
-        ratio = np.sort(np.abs(mean - pose[holds & _within(pose)]) / spread, axis=0)
+        error = to_pose(mean) - to_pose(seat[holds & _within(seat)])
+        ratio = np.sort(np.abs(error) / _pose_stddev(mean, spread), axis=0)
         self.interval = ratio[min(math.ceil((len(ratio) + 1) * NOMINAL), len(ratio)) - 1]
 
     def describe(self, about: dict[str, Any]) -> None:
@@ -293,6 +301,25 @@ def _try(model: PoseEstimator) -> None:
         raise ValueError("whitening")
 
 
-def _within(pose: Array) -> Mask:
-    """Whether poses (N, 3) lie within the range that estimates may be used in; NaN does not."""
-    return np.asarray(np.all(np.abs(pose) <= [POSITION_LIMIT, POSITION_LIMIT, ANGLE_LIMIT], axis=1))
+def to_seat(pose: Array) -> Array:
+    """Return poses (N, 3) m, m, rad (horizontal, vertical, angle) as seats (N, 3): along, across, angle."""
+    x, y, angle = pose.T
+    return np.column_stack([x, y * np.cos(angle) - x * np.sin(angle), angle])
+
+
+def to_pose(seat: Array) -> Array:
+    """Return seats (N, 3) as poses (N, 3)."""
+    x, across, angle = seat.T
+    return np.column_stack([x, (across + x * np.sin(angle)) / np.cos(angle), angle])
+
+
+def _pose_stddev(seat: Array, spread: Array) -> Array:
+    """Return standard deviations (N, 3) of poses: what is not known along the bars leaks into the vertical by roll."""
+    angle = seat[:, 2]
+    vertical = np.hypot(spread[:, 1], spread[:, 0] * np.sin(angle)) / np.cos(angle)
+    return np.column_stack([spread[:, 0], vertical, spread[:, 2]])
+
+
+def _within(seat: Array) -> Mask:
+    """Whether seats (N, 3) lie within the range that estimates may be used in; NaN does not."""
+    return np.asarray(np.all(np.abs(seat) <= _SEAT_LIMIT, axis=1))

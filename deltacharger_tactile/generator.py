@@ -158,8 +158,12 @@ def measure(
     threshold: float,
     current: Array | None = None,
     rows: int = 1,
+    lean: Array | None = None,
 ) -> dict[str, Any]:
-    """Dock once at each commanded pose (N, 3) and record `rows` rows of it; a Dataset's columns but the protocol's."""
+    """Dock once at each commanded pose (N, 3) and record `rows` rows of it; a Dataset's columns but the protocol's.
+
+    `lean` (N, 2), rad: tilt about x and y at which each contact rests, of the platform less the target; None = level.
+    """
     count = len(pose)
     dockings = Dockings.draw(parameters, random, count)
     docking = parameters.docking
@@ -177,6 +181,8 @@ def measure(
         part = slice(start, start + _CHUNK)
         chosen = Dockings(*(getattr(dockings, item.name)[part] for item in dataclasses.fields(Dockings)))
         tilt = chosen.tilts(parameters, rig, actual[part])
+        if lean is not None:
+            tilt = tilt + lean[part]
         taxels = model.solve(actual[part], force[part], tilt, rig.waviness).taxels
         sensor = Sensor(parameters.sensor, rig, random, len(taxels))
         for row in range(rows):

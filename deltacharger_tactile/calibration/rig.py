@@ -131,11 +131,16 @@ class TactileCalibration:
             axis: np.hypot(given[f"{axis}_stddev"].ravel(), stddev)
             for axis, stddev in zip(AXES, self.bias_stddev, strict=True)
         }
-        reach = (POSITION_LIMIT, POSITION_LIMIT, ANGLE_LIMIT)
-        within = np.all([np.abs(pose[axis]) <= limit for axis, limit in zip(AXES, reach, strict=True)], axis=0)
-        precise = np.all([spread[axis] <= getattr(allowed, f"{axis}_stddev") for axis in AXES], axis=0)
+        turn = given["angle"].ravel()
+        by_x, by_y = -np.sin(turn), np.cos(turn)  # of what is taken off along x and y, across the bars
+        across = given["across"].ravel() - by_x * self.bias[0] - by_y * self.bias[1]
+        doubt = np.hypot(by_x * self.bias_stddev[0], by_y * self.bias_stddev[1])
+        across_spread = np.hypot(given["across_stddev"].ravel(), doubt)
+        within = (np.abs(across) <= POSITION_LIMIT) & (np.abs(pose["angle"]) <= ANGLE_LIMIT)
+        precise = (across_spread <= allowed.across_stddev) & (spread["angle"] <= allowed.angle_stddev)
         in_range = given["in_range"].ravel() & within
         changed: dict[str, NDArray[Any]] = {"in_range": in_range, "sure": given["sure"].ravel() & in_range & precise}
+        changed |= {"across": across, "across_stddev": across_spread}
         for axis in AXES:
             classes = angle_classes if axis == "angle" else position_classes
             changed |= {axis: pose[axis], f"{axis}_stddev": spread[axis]}
