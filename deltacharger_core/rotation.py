@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quaternions as messages and parameters give them: x, y, z, w."""
+"""Quaternions as messages and parameters give them: x, y, z, w; and how far the rotation that they make leans."""
 
 from __future__ import annotations
 
@@ -17,3 +17,12 @@ def rotation(x: float, y: float, z: float, w: float) -> Matrix:
         (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
         (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
     )
+
+
+def lean(rows: Matrix) -> tuple[float, float]:
+    """Return yaw and pitch (rad) of a frame whose axes are the columns of `rows` (3, 3).
+
+    How its z axis is turned about +y and about +x; the roll about z is no part of it.
+    """
+    x, y, z = (row[2] for row in rows)
+    return math.atan2(x, z), math.atan2(-y, z)

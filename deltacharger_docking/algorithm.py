@@ -20,6 +20,7 @@ from deltacharger_docking.codes import (
     DetectionStale,
     DockingError,
     ElectrodesNotFound,
+    Leaning,
     NoContact,
     ServoFailure,
     State,
@@ -27,7 +28,7 @@ from deltacharger_docking.codes import (
 )
 from deltacharger_docking.context import Context
 from deltacharger_docking.energy import de_energise, energise, wait_for_single_sources
-from deltacharger_docking.goals import GoalDesk, check_place
+from deltacharger_docking.goals import GoalDesk, check_place, in_words
 from deltacharger_docking.observation import DockGoal, ElectrodePose, Service
 from deltacharger_docking.press import approach, contact, ease, first_push, press_again
 from deltacharger_docking.release import lift_off
@@ -52,6 +53,7 @@ def dock(context: Context, target: Target, given: ElectrodePose | None) -> Scrip
         yield from published.dock(context, target, electrodes.position)
         return
     check_roll(context, electrodes, target.critical_angle)
+    check_lean(context, electrodes)
     yield from prepare(context)
     yield from approach(context, electrodes.position)  # 2
     if parameters.approach == "paper":
@@ -99,8 +101,7 @@ def locate(context: Context) -> Script[ElectrodePose]:
     if not found.age <= parameters.detection_age_max:
         raise DetectionStale(f"the detection is {found.age:.1f} s old, more than {parameters.detection_age_max:.1f} s")
     check_place(found, context.planner, parameters)
-    x, y, z = found.position
-    context.decide("located", "the camera sees the electrodes", x_m=x, y_m=y, z_m=z, roll_rad=found.roll)
+    context.decide("located", "the camera sees the electrodes", **found.numbers)
     return found
 
 
@@ -119,6 +120,38 @@ def check_roll(context: Context, electrodes: ElectrodePose, limit: float) -> Non
         f"the electrodes are rolled by {math.degrees(roll):.1f}° already in the given pose; "
         "level the target or the charger"
     )
+
+
+def check_lean(context: Context, electrodes: ElectrodePose) -> None:
+    """Refuse electrodes whose faces surely lean too far; what is not known or not sure is left to the pads.
+
+    Raises:
+        Leaning: they do. It names another stand for a yaw alone: no stand mends a pitch.
+    """
+    parameters, yaw, pitch = context.parameters, electrodes.yaw, electrodes.pitch
+    if _is_surely_beyond(context, "pitch", pitch, electrodes.pitch_stddev, parameters.pitch_max):
+        raise Leaning(
+            f"the electrodes' faces are pitched by {math.degrees(pitch):+.1f}° about x of charger_base in the given "
+            f"pose, more than {math.degrees(parameters.pitch_max):.1f}°; level the target or the charger: look at "
+            "floor, tyres, suspension and load"
+        )
+    if _is_surely_beyond(context, "yaw", yaw, electrodes.yaw_stddev, parameters.yaw_max):
+        raise Leaning(
+            f"the electrodes' faces are yawed by {math.degrees(yaw):+.1f}° about y of charger_base in the given pose, "
+            f"more than {math.degrees(parameters.yaw_max):.1f}°; move the robot to suggested_base_pose, which is to "
+            f"{in_words(yaw)}",
+            electrodes.position,
+            yaw,
+        )
+
+
+def _is_surely_beyond(context: Context, axis: str, lean: float, stddev: float, limit: float) -> bool:
+    """Return, and tell, whether a lean (rad) lies beyond its limit; never where it or its error is unknown (NaN)."""
+    if not abs(lean) - context.parameters.lean_sigmas * stddev > limit:
+        return False
+    values = {f"{axis}_rad": lean, f"{axis}_stddev_rad": stddev, "limit_rad": limit}
+    context.decide("refused", f"the given {axis} is too large", **values)
+    return True
 
 
 def prepare(context: Context) -> Script[None]:

@@ -49,6 +49,7 @@ class Code(IntEnum):
     CRITICAL_ANGLE = 403
     ESTIMATE_UNSURE = 404
     MISALIGNED = 405
+    LEANING = 406
     NO_CHARGE_CURRENT = 501
     SHORT_CIRCUIT = 502
     POWER_STALE = 503
@@ -108,16 +109,22 @@ class DetectionStale(DockingError, code=Code.DETECTION_STALE, retriable=True):
     """The detection is older than allowed: robot or target may have moved."""
 
 
-class Unreachable(DockingError, code=Code.UNREACHABLE):
-    """The target lies outside the arm's workspace. The result says where the robot should stand.
+class Misplaced(DockingError):
+    """Another stand of the robot would help. The result says which.
 
     Attributes:
-        electrodes: where they are (m, charger_base), None where the arm's own motion was out of reach.
+        electrodes: where they are (m, charger_base), None where no stand is known to be better.
+        yaw: rotation of their faces about +y (rad, charger_base), 0 where it is unknown.
     """
 
-    def __init__(self, message: str, electrodes: Vector | None = None) -> None:
+    def __init__(self, message: str, electrodes: Vector | None = None, yaw: float = 0.0) -> None:
         self.electrodes = electrodes
+        self.yaw = yaw
         super().__init__(message)
+
+
+class Unreachable(Misplaced, code=Code.UNREACHABLE):
+    """The target lies outside the arm's workspace; `electrodes` is None where the arm's own motion does."""
 
 
 class NoContact(DockingError, code=Code.NO_CONTACT, retriable=True, mended_by_docking=True):
@@ -158,6 +165,10 @@ class EstimateUnsure(DockingError, code=Code.ESTIMATE_UNSURE, retriable=True, me
 
 class Misaligned(DockingError, code=Code.MISALIGNED, retriable=True, mended_by_docking=True):
     """The electrodes could not be brought far enough from the wrong neighbour."""
+
+
+class Leaning(Misplaced, code=Code.LEANING):
+    """The electrodes' faces lean too far. Example: the robot is parked askew; `electrodes` is None for a pitch."""
 
 
 class NoChargeCurrent(DockingError, code=Code.NO_CHARGE_CURRENT, retriable=True):
@@ -221,6 +232,7 @@ REMEDIES: dict[Code, str] = {
     Code.CRITICAL_ANGLE: "level the target or the charger",
     Code.ESTIMATE_UNSURE: "check pads and target for dirt and damage",
     Code.MISALIGNED: "send the goal again; if it comes back, calibrate the pads",
+    Code.LEANING: "yaw: turn the robot to `suggested_base_pose`; pitch: level the target or the charger",
     Code.NO_CHARGE_CURRENT: "target full or its input off; electrodes dirty",
     Code.SHORT_CIRCUIT: "look for what lies between them; clean or realign them",
     Code.POWER_STALE: "check the board's cable and tactile_node",

@@ -6,14 +6,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.texts import wrong_id
-from deltacharger_docking.codes import Code, DockingError, Rejected, Unreachable
+from deltacharger_docking.codes import Code, DockingError, Misplaced, Rejected, Unreachable
 from deltacharger_docking.context import Context
 from deltacharger_docking.motion import Planner
-from deltacharger_docking.observation import DockGoal, DockingOutcome, ElectrodePose, Observation
+from deltacharger_docking.observation import BasePose, DockGoal, DockingOutcome, ElectrodePose, Observation
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_kinematics.geometry import Vector
 
 
 def check_goal(goal: DockGoal, planner: Planner, parameters: DockingParameters) -> None:
@@ -71,24 +69,32 @@ def check_stops(stop_energy: float, stop_after: float) -> None:
 def check_place(electrodes: ElectrodePose, planner: Planner, parameters: DockingParameters) -> None:
     """Refuse electrodes (charger_base) that are not finite or out of reach; errors as in `check_goal`."""
     x, y, z = electrodes.position
-    if not all(math.isfinite(value) for value in (x, y, z, electrodes.roll)):
+    told = x, y, z, electrodes.roll
+    if not all(map(math.isfinite, told)) or any(map(math.isinf, (electrodes.yaw, electrodes.pitch))):
         raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
     wrong = planner.reachable((x, y, z), (x, y, z - parameters.standoff))
     if wrong:
-        dx, dy, dz = (f"{1000 * value:+.0f}" for value in (x, y, z - DOCK_DISTANCE))
+        base = BasePose.before(electrodes.position, electrodes.known_yaw)
+        dx, dy, dz = (f"{1000 * value:+.0f}" for value in (base.x, base.y, base.z))
+        turn = f" and {in_words(base.yaw)}" if base.yaw else ""
         raise Unreachable(
             f"the electrodes are out of the arm's reach, {wrong}; move the robot by ({dx}, {dy}, {dz}) mm of "
-            "charger_base, to suggested_base_pose",
+            f"charger_base{turn}, to suggested_base_pose",
             (x, y, z),
+            base.yaw,
         )
 
 
-def suggested_base(error: Exception) -> Vector | None:
-    """Return where charger_base should stand (m, in the present one) to face electrodes that are out of reach."""
-    if not isinstance(error, Unreachable) or error.electrodes is None:
+def in_words(yaw: float) -> str:
+    """Return a turn about +y of charger_base (rad) in words; +y points up."""
+    return f"turn it by {math.degrees(abs(yaw)):.1f}° to the {'left' if yaw > 0.0 else 'right'}"
+
+
+def suggested_base(error: Exception) -> BasePose | None:
+    """Return where charger_base should stand for this not to happen again; None where no stand is known to help."""
+    if not isinstance(error, Misplaced) or error.electrodes is None:
         return None
-    x, y, z = error.electrodes
-    return x, y, z - DOCK_DISTANCE
+    return BasePose.before(error.electrodes, error.yaw)
 
 
 class GoalDesk:

@@ -190,10 +190,7 @@ class DockingMachine:
         self._interruptible = False
 
     def _tell_goal(self, goal: DockGoal) -> None:
-        place = {}
-        if goal.electrodes is not None:
-            x, y, z = goal.electrodes.position
-            place = {"x_m": x, "y_m": y, "z_m": z, "roll_rad": goal.electrodes.roll}
+        place = {} if goal.electrodes is None else goal.electrodes.numbers
         text = "electrodes as given" if place else "the camera is to find the electrodes"
         wishes = {"stop_energy_J": goal.stop_energy, "stop_after_s": goal.stop_after, "hold": float(goal.hold)}
         limit = goal.critical_angle or self.parameters.critical_angle

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TypeVar
 
+from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.script import NEXT, Wait
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Code, DockingError, State
@@ -51,12 +52,60 @@ class Request:
 
 @dataclass(frozen=True)
 class ElectrodePose:
-    """Midpoint of the target's electrodes (m, charger_base), roll about z and its standard deviation (rad), age (s)."""
+    """Midpoint of the target's electrodes (m, charger_base), roll about z and its standard deviation (rad), age (s).
+
+    `yaw` and `pitch` (rad): how far the electrodes' z axis is turned about +y and about +x of charger_base, and the
+    standard deviations of these; NaN = unknown.
+    """
 
     position: Vector
     roll: float
     roll_stddev: float = 0.0
     age: float = 0.0
+    yaw: float = math.nan
+    pitch: float = math.nan
+    yaw_stddev: float = math.nan
+    pitch_stddev: float = math.nan
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What decisions tell of it, by name and unit; of a lean what is known."""
+        x, y, z = self.position
+        leans = {"yaw_rad": self.yaw, "pitch_rad": self.pitch}
+        known = {name: lean for name, lean in leans.items() if not math.isnan(lean)}
+        return {"x_m": x, "y_m": y, "z_m": z, "roll_rad": self.roll, **known}
+
+    @property
+    def known_yaw(self) -> float:
+        """The yaw (rad); 0 where nobody knows it, or how well."""
+        return self.yaw if math.isfinite(self.yaw) and math.isfinite(self.yaw_stddev) else 0.0
+
+
+@dataclass(frozen=True)
+class BasePose:
+    """Where charger_base should stand: x, y, z (m) and the turn about +y (rad), in the present charger_base."""
+
+    x: float
+    y: float
+    z: float
+    yaw: float = 0.0
+
+    @classmethod
+    def before(cls, electrodes: Vector, yaw: float = 0.0) -> BasePose:
+        """Return the stand that faces electrodes (m) squarely: it has them at (0, 0, DOCK_DISTANCE), without yaw.
+
+        Args:
+            electrodes: where they are, m in the present charger_base.
+            yaw: rotation of their faces about +y, rad.
+        """
+        x, y, z = electrodes
+        return cls(x - DOCK_DISTANCE * math.sin(yaw), y, z - DOCK_DISTANCE * math.cos(yaw), yaw)
+
+    @property
+    def electrodes(self) -> Vector:
+        """The electrodes (m, the present charger_base) that this stand faces."""
+        x, z = self.x + DOCK_DISTANCE * math.sin(self.yaw), self.z + DOCK_DISTANCE * math.cos(self.yaw)
+        return x, self.y, z
 
 
 @dataclass(frozen=True)
@@ -178,7 +227,7 @@ class GoalOutcome:
 
 @dataclass(frozen=True)
 class DockingOutcome(GoalOutcome):
-    """How a goal of docking ended. NaN = not measured; `suggested_base` (m, charger_base) only when unreachable.
+    """How a goal of docking ended. NaN = not measured; `suggested_base` only where another stand would help.
 
     `alignments` are the lateral corrections, `redockings` the contacts made anew without one.
     """
@@ -190,7 +239,7 @@ class DockingOutcome(GoalOutcome):
     contact_force: float = math.nan
     charge_current: float = math.nan
     energy: float = 0.0
-    suggested_base: Vector | None = None
+    suggested_base: BasePose | None = None
     redockings: int = 0
 
 

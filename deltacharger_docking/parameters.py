@@ -106,6 +106,13 @@ class DockingParameters(Bounded):
         math.radians(12.0), 0.01, math.radians(12.05), "rad", "angle from which electrodes would short"
     )
     roll_sigmas: float = number(2.0, 0.0, 6.0, "", "standard deviations that a given roll keeps from critical_angle")
+    yaw_max: float = number(
+        math.radians(5.0), 0.0, math.radians(15.0), "rad", "yaw of the electrodes' faces that is not docked to"
+    )
+    pitch_max: float = number(
+        math.radians(3.0), 0.0, math.radians(15.0), "rad", "pitch of the electrodes' faces that is not docked to"
+    )
+    lean_sigmas: float = number(2.0, 0.0, 6.0, "", "standard deviations by which a given lean lies beyond its limit")
     electrode_half_gap: float = number(0.5 * BAR_GAP, 0.0005, 0.02, "m", "half the gap between the two bars")
     electrode_half_length: float = number(0.5 * BAR_LENGTH, 0.005, 0.1, "m", "half the length of a bar")
     clearance_min: float = number(0.0003, 0.0, 0.005, "m", "clearance that must remain at clearance_sigmas")
@@ -236,4 +243,7 @@ class DockingNodeParameters(Bounded):
     )
     lean_max: float = number(
         math.radians(30.0), 0.0, 0.5 * math.pi, "rad", "largest lean of a goal's electrodes from charger_base's z axis"
+    )
+    goal_lean_stddev: float = number(
+        math.radians(1.0), 0.0, math.radians(10.0), "rad", "standard deviation of a goal's lean, which tells none"
     )

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.observation import GoalOutcome
-from deltacharger_kinematics.geometry import Vector
+from deltacharger_docking.observation import BasePose, ElectrodePose, GoalOutcome
 from deltacharger_mission.places import Place
 
 
@@ -79,8 +78,8 @@ class TaskReply:
         code, retriable: of docking, where it failed.
         message: why, and what to do.
         place: where the navigator last said the base was, None = it did not say.
-        electrodes: where the camera saw them (m, charger_base).
-        suggested: where charger_base should stand (m, in the present one), None = nowhere.
+        electrodes: as the camera saw them.
+        suggested: where charger_base should stand, None = nowhere else. A yaw of 0 tells no turn: it may be unknown.
     """
 
     number: int
@@ -89,8 +88,8 @@ class TaskReply:
     message: str = ""
     retriable: bool = False
     place: Place | None = None
-    electrodes: Vector | None = None
-    suggested: Vector | None = None
+    electrodes: ElectrodePose | None = None
+    suggested: BasePose | None = None
 
 
 @dataclass(frozen=True)

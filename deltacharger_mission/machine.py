@@ -2,8 +2,9 @@
 """The mission state machine: the paper's strategy of operation.
 
 Wait until all that is needed answers, drive to the target, look for its electrodes, stand again where they are out of
-reach, dock, charge, undock, return. `step` takes an observation and returns a command; it reads no clock, opens no port
-and never blocks. Whatever ends the errand, the way out is the same: call off what is under way, undock, return.
+reach or askew, dock, charge, undock, return. `step` takes an observation and returns a command; it reads no clock,
+opens no port and never blocks. Whatever ends the errand, the way out is the same: call off what is under way, undock,
+return.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.script import NEXT, Runner, Script
 from deltacharger_docking.codes import Busy, Canceled, Code, DockingError, ElectrodesNotFound, PhaseTimeout, Rejected
 from deltacharger_docking.goals import check_id, check_stops
-from deltacharger_kinematics.geometry import Vector
+from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_mission.context import MissionContext, dock_failure
 from deltacharger_mission.dialogue import (
     End,
@@ -30,6 +31,7 @@ from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place, views
 
 _LOOK_PAUSE = 0.5  # s between two looks of one who stands still
+_MENDED_BY_A_STAND = (Code.UNREACHABLE, Code.LEANING)
 
 
 class MissionMachine:
@@ -164,11 +166,10 @@ class MissionMachine:
                 reply = yield from context.dock(goal)
                 if reply.end is End.DONE:
                     return f"charged: {reply.message}" if reply.message else "charged"
-                if reply.code is not Code.UNREACHABLE or reply.suggested is None:
+                if reply.code not in _MENDED_BY_A_STAND or reply.suggested is None:
                     raise dock_failure(reply)
-                x, y, z = reply.suggested
-                electrodes = self._placed((x, y, z + DOCK_DISTANCE), electrodes)
-                # Merely too high or too low, or the last stand: what is out of reach then stays so.
+                electrodes = self._suggested(reply.suggested, electrodes)
+                # Merely too high or too low, no turn worth driving, or the last stand: another one would not help.
                 better = self._better(electrodes, parameters.gain_min, parameters.gain_turn_min)
                 if better is None:
                     raise dock_failure(reply)
@@ -177,8 +178,8 @@ class MissionMachine:
             self.status.stands += 1
             yield from context.drive(better, precise=True)
 
-    def _search(self, electrodes: Place | None, distance: float) -> Script[Vector]:
-        """Look for the electrodes from place to place, and return where they are (m, charger_base)."""
+    def _search(self, electrodes: Place | None, distance: float) -> Script[ElectrodePose]:
+        """Look for the electrodes from place to place, and return how they are seen."""
         context, parameters = self._context, self.parameters
         # One who stands still looks again until time is up: the target may still be coming.
         end = context.time + parameters.search_timeout
@@ -200,10 +201,23 @@ class MissionMachine:
             "stand where it was said to stand, and facing that way?"
         )
 
-    def _placed(self, point: Vector, electrodes: Place | None) -> Place | None:
-        """Return where electrodes at `point` (m, charger_base) are on the ground; their facing stays as it was told."""
+    def _placed(self, seen: ElectrodePose, electrodes: Place | None) -> Place | None:
+        """Return where seen electrodes are on the ground; they face as seen where that is sure, else as told before."""
         here = self.status.place
-        return None if electrodes is None or here is None else self._mount.seen_from(here, point, electrodes.yaw)
+        if electrodes is None or here is None:
+            return None
+        facing = electrodes.yaw
+        if math.isfinite(seen.yaw) and seen.yaw_stddev <= self.parameters.facing_stddev_max:
+            facing = self._mount.faced(here, seen.yaw, seen.pitch if math.isfinite(seen.pitch) else 0.0)
+        return self._mount.seen_from(here, seen.position, facing)
+
+    def _suggested(self, base: BasePose, electrodes: Place | None) -> Place | None:
+        """Return where electrodes are on the ground that charger_base would face squarely from there."""
+        here = self.status.place
+        if electrodes is None or here is None:
+            return None
+        facing = self._mount.faced(here, base.yaw) if base.yaw else electrodes.yaw
+        return self._mount.seen_from(here, base.electrodes, facing)
 
     def _better(self, electrodes: Place | None, distance: float, turn: float) -> Place | None:
         """Return where docking wants the robot to stand, if it may stand again and is off by more than m or rad."""

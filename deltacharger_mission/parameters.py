@@ -31,9 +31,12 @@ class MissionParameters(Bounded):
     search_steps: int = number(1, 0, 5, "", "steps back")
     look_timeout: float = number(3.0, 0.2, 60.0, "s", "how long the camera looks for the electrodes from one place")
     stand_tolerance: float = number(0.03, 0.005, 0.5, "m", "distance from the right place that docking starts from")
-    stand_turn_tolerance: float = number(0.1, 0.01, 1.0, "rad", "turn from the right heading that docking starts from")
-    gain_min: float = number(0.005, 0.0, 0.5, "m", "least distance to stand again where docking was out of reach")
-    gain_turn_min: float = number(0.02, 0.0, 1.0, "rad", "least turn to stand again where docking was out of reach")
+    stand_turn_tolerance: float = number(0.05, 0.01, 1.0, "rad", "turn from the right heading that docking starts from")
+    facing_stddev_max: float = number(
+        math.radians(2.0), 0.0, 0.5, "rad", "standard deviation of a seen yaw beyond which the told facing is believed"
+    )
+    gain_min: float = number(0.005, 0.0, 0.5, "m", "least distance to stand again where docking says so")
+    gain_turn_min: float = number(0.02, 0.0, 1.0, "rad", "least turn to stand again where docking says so")
     arrival_distance_max: float = number(0.5, 0.01, 10.0, "m", "distance from the goal beyond which a place is stale")
     stands_max: int = number(3, 0, 10, "", "how often the robot stands again before it gives up")
     undock_attempts: int = number(2, 1, 5, "", "how often undocking is tried before the robot stays where it is")

@@ -75,6 +75,18 @@ class BaseMount:
         )
         return x, y, z
 
+    def faced(self, base: Place, yaw: float, pitch: float = 0.0) -> float:
+        """Return which way electrodes face (rad, the frame of `base`) whose z axis leans from charger_base's.
+
+        Args:
+            base: where the robot stands.
+            yaw: of their z axis about +y of charger_base, rad.
+            pitch: of it about +x, rad, less than a quarter turn.
+        """
+        away = (math.sin(yaw), -math.cos(yaw) * math.tan(pitch), math.cos(yaw))  # along their z axis, of some length
+        x, y = (sum(factor * value for factor, value in zip(row, away, strict=True)) for row in self._rotation[:2])
+        return wrapped(base.yaw + math.atan2(y, x) + math.pi)
+
     def seen_from(self, base: Place, point: Vector, facing: float) -> Place:
         """Return electrodes at `point` (m, charger_base) of a robot at `base`; they face `facing` (rad, its frame)."""
         x, y, _ = self.in_base(point)

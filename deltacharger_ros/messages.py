@@ -9,13 +9,14 @@ from typing import Any
 from builtin_interfaces.msg import Duration
 from deltacharger.action import Dock
 
+from deltacharger_core.rotation import lean, rotation
 from deltacharger_ros.outcomes import Outcome, Pose, Progress
 
 _CODE_NAMES = """
     NONE REJECTED CANCELED TIMEOUT DUPLICATE_SOURCE ELECTRODES_NOT_FOUND DETECTION_STALE UNREACHABLE NO_CONTACT
     OVERCURRENT SERVO_FAULT STUCK NO_TACTILE_CONTACT TACTILE_STALE CRITICAL_ANGLE ESTIMATE_UNSURE MISALIGNED
-    NO_CHARGE_CURRENT SHORT_CIRCUIT POWER_STALE REVERSE_POLARITY VOLTAGE_OUT_OF_RANGE REVERSE_CURRENT CONTACTOR_WELDED
-    INTERNAL
+    LEANING NO_CHARGE_CURRENT SHORT_CIRCUIT POWER_STALE REVERSE_POLARITY VOLTAGE_OUT_OF_RANGE REVERSE_CURRENT
+    CONTACTOR_WELDED INTERNAL
 """
 _AXES = ("horizontal", "vertical", "angle")
 _STATE_NAMES = "IDLE LOCATE APPROACH BACK_OFF CONTACT MEASURE ALIGN ENERGISE CHARGING RETRACT"
@@ -92,13 +93,20 @@ def to_outcome(action: str, result: Any) -> Outcome:
 def _dock_details(result: Any) -> dict[str, Any]:
     told = ("contact_current", "contact_force", "charge_current", "energy")
     felt = [name for axis in _AXES for name in (axis, f"{axis}_stddev")]
-    suggested = result.suggested_base_pose
-    frame, position = suggested.header.frame_id, suggested.pose.position
     return {
         "aligned": result.aligned,
         "alignments": result.alignments,
         "redockings": result.redockings,
         "misalignment": {name: getattr(result.misalignment, name) for name in (*felt, "sure", "in_range")},
         **{name: getattr(result, name) for name in told},
-        "suggested_base_pose": {"frame_id": frame, "position": [position.x, position.y, position.z]} if frame else None,
+        "suggested_base_pose": _base(result.suggested_base_pose),
     }
+
+
+def _base(suggested: Any) -> dict[str, Any] | None:
+    """Return where the robot should stand: position (m), and yaw (rad) about +y of the frame; None = nowhere else."""
+    frame, point, turn = suggested.header.frame_id, suggested.pose.position, suggested.pose.orientation
+    if not frame:
+        return None
+    yaw, _ = lean(rotation(turn.x, turn.y, turn.z, turn.w))
+    return {"frame_id": frame, "position": [point.x, point.y, point.z], "yaw": yaw}

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from deltacharger_bringup.cli.output import say, tell, write_json
@@ -22,7 +23,8 @@ def report(outcome: Outcome, as_json: bool, more: dict[str, Any]) -> None:
         suggested = outcome.details.get("suggested_base_pose")
         if suggested:
             place = ", ".join(f"{1e3 * value:.1f}" for value in suggested["position"])
-            tell(f"  it could with charger_base at ({place}) mm of {suggested['frame_id']}")
+            turn = f", turned by {math.degrees(suggested['yaw']):+.1f}° about its y" if suggested["yaw"] else ""
+            tell(f"  it could with charger_base at ({place}) mm of {suggested['frame_id']}{turn}")
 
 
 class PhasePrinter:

@@ -6,26 +6,28 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
-from deltacharger.msg import Misalignment
+from deltacharger.msg import ElectrodeDetection, Misalignment
 from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_core.rotation import rotation
+from deltacharger_core.rotation import lean, rotation
 from deltacharger_docking.clearance import FeltPose, MisalignmentClasses
 from deltacharger_docking.codes import Rejected
-from deltacharger_docking.observation import ElectrodePose
+from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_docking.parameters import DockingNodeParameters
-from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_ros.messages import duration
 
 _QUOTED = 60  # characters of what a client sent that a message repeats
 _UNIT = (0.9, 1.1)  # norm of a quaternion that somebody meant
+_LEVEL = 1e-3  # rad; a lean below it is rounding, such as that of a quaternion of four digits
+_SAME = 1e-3  # rad between a detection's roll and that of its orientation
+_ABOUT_X, _ABOUT_Y, _ABOUT_Z = 21, 28, 35  # of a 6 × 6 covariance, row-major: variances of the rotations, rad²
 
 
 _DEGREES = tuple(math.radians(degree) for degree in range(6))
@@ -75,8 +77,10 @@ def electrodes(message: PoseStamped, mount: DockingNodeParameters) -> ElectrodeP
     """Return a goal's electrodes in charger_base; None for an empty frame_id (ask the camera).
 
     Args:
-        message: pose of the electrodes' midpoint, orientation = that of charger_base turned by the roll about its z.
-        mount: charger_base in the robot's frame, and how far electrodes may lean: what is docked to is the roll alone.
+        message: pose of the electrodes' midpoint, its z axis away from the charger. Where that leans it is believed, at
+            `goal_lean_stddev`. One that does not is the roll about z alone, as most clients send it: nobody looked
+            whether the faces lean, so their lean is unknown.
+        mount: charger_base in the robot's frame, and how far electrodes may lean.
 
     Raises:
         Rejected: unknown frame, a pose that is not finite, or one that leans away from charger_base.
@@ -97,18 +101,63 @@ def electrodes(message: PoseStamped, mount: DockingNodeParameters) -> ElectrodeP
         base = np.array(rotation(*mount.base_pose[3:]))
         position = base.T @ (position - np.asarray(mount.base_pose[:3]))
         axes = base.T @ axes
-    if axes[2, 2] < math.cos(mount.lean_max):
-        lean = math.degrees(math.acos(max(min(float(axes[2, 2]), 1.0), -1.0)))
-        raise Rejected(f"the electrodes' z axis leans {lean:.0f}° from charger_base's; give the roll about z alone")
+    leans = math.atan2(math.hypot(axes[0, 2], axes[1, 2]), axes[2, 2])
+    if leans > mount.lean_max:
+        raise Rejected(
+            f"the electrodes' z axis leans {math.degrees(leans):.0f}° from charger_base's, more than lean_max; give "
+            "the orientation of charger_base, rolled and leaning as the electrodes do"
+        )
     x, y, z = position.tolist()
-    return ElectrodePose((x, y, z), math.atan2(axes[1, 0], axes[0, 0]))
+    found = ElectrodePose((x, y, z), math.atan2(axes[1, 0], axes[0, 0]))
+    if leans < _LEVEL:
+        return found
+    yaw, pitch = lean(axes.tolist())
+    stddev = mount.goal_lean_stddev
+    return replace(found, yaw=yaw, pitch=pitch, yaw_stddev=stddev, pitch_stddev=stddev)
 
 
-def pose_stamped(position: Vector | None, stamp: Any) -> PoseStamped:
-    """Return a position in charger_base as a pose; an empty frame_id for None."""
+def seen(message: ElectrodeDetection, age: float) -> ElectrodePose:
+    """Return a detection, `age` s old, in plain values.
+
+    A lean whose variance is NaN, or 0 as in messages that do not fill it, is unknown.
+
+    Raises:
+        ValueError: orientation and roll contradict each other, or a variance is negative.
+    """
+    turn, point, covariance = message.pose.pose.orientation, message.pose.pose.position, message.pose.covariance
+    axes = rotation(turn.x, turn.y, turn.z, turn.w)
+    variances = tuple(float(covariance[index]) for index in (_ABOUT_X, _ABOUT_Y, _ABOUT_Z))
+    if not all(math.isfinite(value) for row in axes for value in (*row, message.roll)):
+        raise ValueError("the detection's orientation or roll is not finite; look at the detector's mount")
+    if any(variance < 0.0 for variance in variances):
+        raise ValueError("the detection has a negative variance of a rotation; look at the detector's covariance")
+    told = math.atan2(axes[1][0], axes[0][0])
+    if abs(math.remainder(told - message.roll, 2.0 * math.pi)) > _SAME:
+        raise ValueError(
+            f"the detection contradicts itself: its roll is {math.degrees(message.roll):.1f}°, that of its orientation "
+            f"{math.degrees(told):.1f}°; look at the detector"
+        )
+    pitch_stddev, yaw_stddev = (math.sqrt(variance) if variance > 0.0 else math.nan for variance in variances[:2])
+    yaw, pitch = lean(axes)
+    return ElectrodePose(
+        (point.x, point.y, point.z),
+        message.roll,
+        math.sqrt(variances[2]) if variances[2] >= 0.0 else math.inf,  # of NaN: unknown is not exact
+        age,
+        math.nan if math.isnan(yaw_stddev) else yaw,
+        math.nan if math.isnan(pitch_stddev) else pitch,
+        yaw_stddev,
+        pitch_stddev,
+    )
+
+
+def pose_stamped(base: BasePose | None, stamp: Any) -> PoseStamped:
+    """Return a stand of charger_base as a pose in the present one; an empty frame_id for None."""
     message = PoseStamped()
-    if position is not None:
+    if base is not None:
         message.header.stamp = stamp
         message.header.frame_id = "charger_base"
-        message.pose.position.x, message.pose.position.y, message.pose.position.z = position
+        point, turn = message.pose.position, message.pose.orientation
+        point.x, point.y, point.z = base.x, base.y, base.z
+        turn.y, turn.w = math.sin(0.5 * base.yaw), math.cos(0.5 * base.yaw)
     return message

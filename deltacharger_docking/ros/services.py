@@ -18,8 +18,8 @@ from std_srvs.srv import SetBool, Trigger
 from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_core.texts import cut
 from deltacharger_docking.clearance import FeltPose
-from deltacharger_docking.observation import ElectrodePose, Reply, Request, Service
-from deltacharger_docking.ros.messages import estimate
+from deltacharger_docking.observation import Reply, Request, Service
+from deltacharger_docking.ros.messages import estimate, seen
 from deltacharger_ros.action_caller import result_of
 from deltacharger_ros.messages import duration, seconds
 from deltacharger_ros.qos import SERVICE
@@ -162,13 +162,9 @@ class Services:
             return {"resistance": answer.resistance, "target_voltage": answer.target_voltage}
         if service is not Service.DETECT:
             return {}
-        seen = answer.detection
-        point = seen.pose.pose.position
-        variance = float(seen.pose.covariance[35])
-        stddev = math.sqrt(variance) if variance >= 0.0 else math.inf  # also where it is NaN: unknown is not exact
         # An image from the future is as wrong as an old one.
-        age = abs(seconds(self._clock.now().to_msg()) - seconds(seen.header.stamp))
-        return {"detection": ElectrodePose((point.x, point.y, point.z), seen.roll, stddev, age)}
+        age = abs(seconds(self._clock.now().to_msg()) - seconds(answer.detection.header.stamp))
+        return {"detection": seen(answer.detection, age)}
 
     def _put(self, reply: Reply) -> None:
         with self._lock:

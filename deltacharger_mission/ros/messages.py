@@ -10,8 +10,11 @@ from typing import Any
 from deltacharger.action import Dock
 from geometry_msgs.msg import PoseStamped
 
+from deltacharger_core.rotation import lean, rotation
 from deltacharger_core.texts import cut
 from deltacharger_docking.codes import Code, Rejected, State
+from deltacharger_docking.observation import BasePose
+from deltacharger_docking.ros.messages import seen
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, TaskReply
 from deltacharger_mission.places import Place
@@ -27,10 +30,10 @@ def read_dock(number: int, end: End, result: Any, heard: Any) -> TaskReply:
     if result is None:
         return TaskReply(number, end, Code.REJECTED, "docking_node did not take the goal; look at its log", True)
     pose = getattr(result, "suggested_base_pose", None)
-    place = near(pose.pose.position) if pose is not None and pose.header.frame_id else None
+    base = _stand(pose.pose) if pose is not None and pose.header.frame_id else None
     code = Code(result.error_code) if result.error_code in set(Code) else Code.INTERNAL
     ended = End.DONE if result.success else End.FAILED if end is End.DONE else end
-    return TaskReply(number, ended, code, cut(result.error_message), result.retriable, suggested=place)
+    return TaskReply(number, ended, code, cut(result.error_message), result.retriable, suggested=base)
 
 
 def read_drive(number: int, end: End, result: Any, heard: Any) -> TaskReply:
@@ -49,10 +52,19 @@ def read_detection(number: int, answer: Any) -> TaskReply:
         return TaskReply(number, End.LOST)
     if not answer.success:
         return TaskReply(number, End.FAILED, message=cut(answer.message))
-    seen = near(answer.detection.pose.pose.position)
-    if seen is None:
+    if near(answer.detection.pose.pose.position) is None:
         return TaskReply(number, End.FAILED, message=f"the detection lies beyond {_NEAR:g} m, or nowhere")
-    return TaskReply(number, End.DONE, electrodes=seen)
+    try:
+        return TaskReply(number, End.DONE, electrodes=seen(answer.detection, age=0.0))
+    except ValueError as error:
+        return TaskReply(number, End.FAILED, message=str(error))
+
+
+def _stand(pose: Any) -> BasePose | None:
+    """Return a suggested stand; None where it is not finite, or farther off than anything of here."""
+    point, turn = near(pose.position), pose.orientation
+    yaw, _ = lean(rotation(turn.x, turn.y, turn.z, turn.w))
+    return BasePose(*point, yaw) if point is not None and math.isfinite(yaw) else None
 
 
 def read_state(message: Any) -> DockingReport | None:

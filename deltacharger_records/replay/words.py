@@ -108,7 +108,7 @@ def _because(replay: Replay, ended: Mapping[str, Any]) -> str:
     charging = not math.isnan(replay.charged)
     if code == Code.CANCELED:
         text = f"The client took the goal back in {phase} after {quantity(when, 's', 1)}."
-    elif code in (Code.CRITICAL_ANGLE, Code.MISALIGNED, Code.ESTIMATE_UNSURE) and not charging:
+    elif code in _TELLERS and not charging:
         text = f"Charging was refused: {_TELLERS[Code(code)](replay, message)}."
     else:
         what = f"Charging was ended after {_duration(replay.charged)}" if charging else f"Docking ended in {phase}"
@@ -162,6 +162,7 @@ _TELLERS: dict[Code, Callable[[Replay, str], str]] = {
     Code.CRITICAL_ANGLE: _tilted,
     Code.MISALIGNED: _off,
     Code.ESTIMATE_UNSURE: _unsure,
+    Code.LEANING: lambda replay, message: message,
 }
 
 

@@ -9,6 +9,7 @@ nothing        it finds no electrodes
 stale          the image is 10 s old
 beyond_reach   the electrodes seem to be 0.5 m away
 unsure_roll    the roll's standard deviation is 10 degrees
+leaning        the faces seem to be yawed by 10 degrees; else their lean is unknown
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ from deltacharger_scenes.mocks.parameters import DETECTOR_FAULTS, MockDetectorNo
 
 _STALE_AGE = 10.0  # s
 _FAR = 0.5  # m
-_ROLL_INDEX = 35  # of the 6 × 6 covariance, row-major: rotation about z
+_ABOUT_X, _ABOUT_Y, _ABOUT_Z = 21, 28, 35  # of the 6 × 6 covariance, row-major: variances of the rotations
+_YAW, _YAW_STDDEV = math.radians(10.0), math.radians(0.5)
 _UNSURE_ROLL = math.radians(10.0)
 
 
@@ -82,13 +84,18 @@ class MockDetectorNode(Node):
         pose = detection.pose.pose
         pose.position.x, pose.position.y = self._given.x, self._given.y
         pose.position.z = _FAR if fault == "beyond_reach" else self._given.z
-        pose.orientation.z, pose.orientation.w = math.sin(0.5 * self._given.roll), math.cos(0.5 * self._given.roll)
+        leans, roll = fault == "leaning", 0.5 * self._given.roll
+        yaw = 0.5 * _YAW if leans else 0.0
+        turn = pose.orientation  # by the yaw about y, of what is rolled about z
+        turn.x, turn.y = math.sin(yaw) * math.sin(roll), math.sin(yaw) * math.cos(roll)
+        turn.z, turn.w = math.cos(yaw) * math.sin(roll), math.cos(yaw) * math.cos(roll)
         covariance = [0.0] * 36
         for index in (0, 7, 14):
             covariance[index] = self._given.position_stddev**2
-        covariance[_ROLL_INDEX] = (_UNSURE_ROLL if fault == "unsure_roll" else self._given.roll_stddev) ** 2
+        covariance[_ABOUT_X] = covariance[_ABOUT_Y] = _YAW_STDDEV**2 if leans else math.nan
+        covariance[_ABOUT_Z] = (_UNSURE_ROLL if fault == "unsure_roll" else self._given.roll_stddev) ** 2
         detection.pose.covariance = covariance
-        detection.roll = self._given.roll
+        detection.roll = math.atan2(math.tan(2.0 * roll), math.cos(2.0 * yaw))  # as the camera sees it
         detection.confidence = 0.95
         detection.range = math.dist((pose.position.x, pose.position.y, pose.position.z), (0.0, 0.12, -0.12))
         return detection

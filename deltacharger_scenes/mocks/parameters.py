@@ -27,7 +27,7 @@ POWER_FAULTS = (
     "contactor_welded",
 )
 TACTILE_FAULTS = ("none", "silence", "zero_frames", "unsure", "power_silence", "tare_refusal", *POWER_FAULTS)
-DETECTOR_FAULTS = ("none", "nothing", "stale", "beyond_reach", "unsure_roll")
+DETECTOR_FAULTS = ("none", "nothing", "stale", "beyond_reach", "unsure_roll", "leaning")
 NAVIGATOR_FAULTS = ("none", "refuse", "abort", "lost", "never_answers", "slow", "mute")
 _FAULT = "how to misbehave"
 

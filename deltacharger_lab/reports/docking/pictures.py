@@ -24,6 +24,7 @@ _CODES = {
     "MISALIGNED": PURPLE,
     "ESTIMATE_UNSURE": GREEN,
     "UNREACHABLE": "#8c6d46",
+    "LEANING": RED,
     "other": "#9aa5b1",
 }
 _LEGEND: Any = {"frameon": True, "facecolor": "white", "edgecolor": "none", "framealpha": 0.85, "fontsize": 8}
