@@ -1,12 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docking says on joint_trajectory."""
+"""What docking says on joint_trajectory, and what it reads from poses: goals and detections that lean or do not."""
 
 from __future__ import annotations
 
-from builtin_interfaces.msg import Time
+import math
 
+import pytest
+from builtin_interfaces.msg import Time
+from deltacharger.msg import ElectrodeDetection
+from geometry_msgs.msg import PoseStamped, Quaternion
+
+from deltacharger_core.rotation import rotation
+from deltacharger_docking.codes import Rejected
 from deltacharger_docking.motion import Planner
-from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.observation import BasePose, ElectrodePose
+from deltacharger_docking.parameters import DockingNodeParameters, DockingParameters
 from deltacharger_docking.ros import messages as io
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_kinematics.trajectory_feed import Waypoint
@@ -32,3 +40,145 @@ def test_a_goal_without_velocities_is_sent_without_and_no_points_mean_hold() -> 
     (point,) = io.trajectory([Waypoint(0.0, (0.1, 0.2, 0.3), (1.0, 1.0, 1.0))], Time()).points
     assert list(point.velocities) == []
     assert not io.trajectory((), Time()).points
+
+
+DEGREE = math.radians(1.0)
+MOUNT = DockingNodeParameters()
+TURNED = DockingNodeParameters(base_pose=(0.3, -0.1, 0.2, *(math.sqrt(0.125) * value for value in (2, 2, 0, 0))))
+"""A charger_base that stands otherwise on its robot."""
+
+
+def times(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the product of two quaternions x, y, z, w: b, then a."""
+    (ax, ay, az, aw), (bx, by, bz, bw) = a, b
+    return (
+        aw * bx + bw * ax + ay * bz - az * by,
+        aw * by + bw * ay + az * bx - ax * bz,
+        aw * bz + bw * az + ax * by - ay * bx,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def turned(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> tuple[float, ...]:
+    """Return the quaternion of a roll, then a pitch, then a yaw, rad."""
+    result: tuple[float, ...] = (0.0, math.sin(0.5 * yaw), 0.0, math.cos(0.5 * yaw))
+    result = times(result, (math.sin(0.5 * pitch), 0.0, 0.0, math.cos(0.5 * pitch)))
+    return times(result, (0.0, 0.0, math.sin(0.5 * roll), math.cos(0.5 * roll)))
+
+
+def quaternion(numbers: tuple[float, ...]) -> Quaternion:
+    return Quaternion(**dict(zip("xyzw", numbers, strict=True)))
+
+
+def roll_of(numbers: tuple[float, ...]) -> float:
+    """Return the roll as the camera tells it: of the x axis projected on charger_base's x and y, rad."""
+    rows = rotation(*numbers)
+    return math.atan2(rows[1][0], rows[0][0])
+
+
+def pose(numbers: tuple[float, ...], frame: str = "charger_base") -> PoseStamped:
+    message = PoseStamped()
+    message.header.frame_id = frame
+    message.pose.position.z, message.pose.orientation = 0.08, quaternion(numbers)
+    return message
+
+
+def goal(
+    numbers: tuple[float, ...], mount: DockingNodeParameters = MOUNT, frame: str = "charger_base"
+) -> ElectrodePose:
+    found = io.electrodes(pose(numbers, frame), mount)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(("yaw", "pitch"), [(4.0, 0.0), (-4.0, 0.0), (0.0, 2.0), (0.0, -2.0)])
+@pytest.mark.parametrize("roll", [0.0, -7.0])
+@pytest.mark.parametrize("mount", [MOUNT, TURNED])
+def test_a_goal_that_leans_keeps_its_lean_in_either_frame(
+    yaw: float, pitch: float, roll: float, mount: DockingNodeParameters
+) -> None:
+    told = turned(yaw * DEGREE, pitch * DEGREE, roll * DEGREE)
+    in_robot = times(mount.base_pose[3:], told)
+    for found in (goal(told, mount), goal(in_robot, mount, mount.base_frame)):
+        assert (found.yaw, found.pitch) == pytest.approx((yaw * DEGREE, pitch * DEGREE))
+        assert found.yaw_stddev == found.pitch_stddev == mount.goal_lean_stddev
+        assert found.roll == pytest.approx(roll_of(told))
+
+
+@pytest.mark.parametrize("roll", [0.0, 7.0])
+@pytest.mark.parametrize("mount", [MOUNT, TURNED])
+def test_the_lean_of_a_goal_with_a_roll_alone_is_unknown_not_zero(roll: float, mount: DockingNodeParameters) -> None:
+    """Also where its numbers were rounded on their way: a fleet that sends a roll has not looked whether it leans."""
+    told = turned(roll=roll * DEGREE)
+    rounded = tuple(round(value, 4) for value in times(mount.base_pose[3:], told))
+    for found in (goal(told, mount), goal(rounded, mount, mount.base_frame)):
+        assert all(map(math.isnan, (found.yaw, found.pitch, found.yaw_stddev, found.pitch_stddev)))
+        assert found.known_yaw == 0.0
+        assert found.roll == pytest.approx(roll * DEGREE, abs=1e-3)
+
+
+def test_a_goal_may_claim_no_more_lean_than_lean_max() -> None:
+    assert goal(turned(29.9 * DEGREE)).yaw == pytest.approx(29.9 * DEGREE)
+    for numbers in (turned(30.1 * DEGREE), turned(pitch=-30.1 * DEGREE), turned(math.pi)):
+        with pytest.raises(Rejected, match="lean_max"):
+            goal(numbers)
+
+
+def detection(numbers: tuple[float, ...], roll: float, variances: tuple[float, ...]) -> ElectrodeDetection:
+    """Return a detection of that orientation with variances of the rotations about x, y and z, rad²."""
+    message = ElectrodeDetection(roll=roll)
+    message.pose.pose.position.z, message.pose.pose.orientation = 0.08, quaternion(numbers)
+    for index, variance in zip((21, 28, 35), variances, strict=True):
+        message.pose.covariance[index] = variance
+    return message
+
+
+def test_a_detection_tells_its_lean_and_how_sure_it_is() -> None:
+    numbers = turned(4.0 * DEGREE, -2.0 * DEGREE, 6.0 * DEGREE)
+    found = io.seen(detection(numbers, roll_of(numbers), (0.01**2, 0.02**2, 0.03**2)), 0.5)
+    assert math.tan(found.pitch) == pytest.approx(math.tan(-2.0 * DEGREE) / math.cos(4.0 * DEGREE))
+    assert found.yaw == pytest.approx(4.0 * DEGREE)
+    told = found.pitch_stddev, found.yaw_stddev, found.roll_stddev, found.age
+    assert told == pytest.approx((0.01, 0.02, 0.03, 0.5))
+
+
+@pytest.mark.parametrize("variance", [math.nan, 0.0])
+def test_a_normal_without_a_variance_is_unknown(variance: float) -> None:
+    found = io.seen(detection(turned(roll=0.1), 0.1, (variance, variance, 0.01)), 0.0)
+    assert all(map(math.isnan, (found.yaw, found.pitch, found.yaw_stddev, found.pitch_stddev)))
+    assert found.roll == 0.1
+    leaning = turned(4.0 * DEGREE)
+    found = io.seen(detection(leaning, roll_of(leaning), (variance, 0.01, 0.01)), 0.0)
+    assert math.isnan(found.pitch)
+    assert found.yaw == pytest.approx(4.0 * DEGREE)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "roll", "variances", "named"),
+    [
+        (turned(roll=0.1), 0.102, (0.01, 0.01, 0.01), "contradicts itself"),
+        (turned(4.0 * DEGREE, roll=0.1), -0.1, (0.01, 0.01, 0.01), "contradicts itself"),
+        (turned(roll=0.1), math.nan, (0.01, 0.01, 0.01), "not finite"),
+        (turned(roll=0.1), math.inf, (0.01, 0.01, 0.01), "not finite"),
+        ((0.0, 0.0, 0.0, 0.0), 0.0, (0.01, 0.01, 0.01), "not finite"),
+        ((math.nan, 0.0, 0.0, 1.0), 0.0, (0.01, 0.01, 0.01), "not finite"),
+        ((math.inf, 0.0, 0.0, 1.0), 0.0, (0.01, 0.01, 0.01), "not finite"),
+        (turned(), 0.0, (-0.01, 0.01, 0.01), "negative variance"),
+        (turned(), 0.0, (0.01, -math.inf, 0.01), "negative variance"),
+        (turned(), 0.0, (0.01, 0.01, -1e-9), "negative variance"),
+    ],
+)
+def test_a_detection_that_contradicts_itself_is_named(
+    numbers: tuple[float, ...], roll: float, variances: tuple[float, ...], named: str
+) -> None:
+    with pytest.raises(ValueError, match=named):
+        io.seen(detection(numbers, roll, variances), 0.0)
+
+
+def test_a_suggested_stand_carries_its_heading() -> None:
+    message = io.pose_stamped(BasePose(0.1, 0.2, 0.3, 0.4), Time(sec=7))
+    assert (message.header.frame_id, message.header.stamp.sec) == ("charger_base", 7)
+    point, turn = message.pose.position, message.pose.orientation
+    assert (point.x, point.y, point.z) == (0.1, 0.2, 0.3)
+    assert (turn.x, turn.y, turn.z, turn.w) == pytest.approx(turned(0.4))
+    assert io.pose_stamped(None, Time(sec=7)).header.frame_id == ""

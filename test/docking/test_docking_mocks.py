@@ -6,6 +6,7 @@ One charger serves all scenarios; between them it undocks. This is what the laun
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -158,6 +159,7 @@ def test_a_fault_ends_docking_with_its_code_and_an_open_contactor(
         ("stale", "DETECTION_STALE"),
         ("beyond_reach", "UNREACHABLE"),
         ("unsure_roll", "CRITICAL_ANGLE"),
+        ("leaning", "LEANING"),
     ],
 )
 def test_a_bad_detection_is_refused_before_anything_moves(charger: Charger, fault: str, name: str) -> None:
@@ -166,6 +168,9 @@ def test_a_bad_detection_is_refused_before_anything_moves(charger: Charger, faul
     outcome = charger.dock(DockRequest(None))
     assert outcome.error_name == name, outcome
     assert charger.composition.node("mock_servo_node").position == pytest.approx(before, abs=1e-3)
+    if name == "LEANING":
+        assert outcome.details["suggested_base_pose"]["yaw"] == pytest.approx(math.radians(10.0))
+        assert "to the left" in outcome.error_message
 
 
 def test_a_refused_contactor_is_told_in_the_boards_words(charger: Charger) -> None:

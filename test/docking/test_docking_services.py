@@ -83,6 +83,18 @@ def test_what_a_goal_that_failed_had_asked_for_is_not_sent_any_more(node: Node) 
     assert heard == [False]
 
 
+def test_a_detection_that_contradicts_itself_is_none_and_says_why(node: Node, services: Services) -> None:
+    def lie(request: Any, response: Any) -> Any:
+        response.success, response.detection.roll = True, 0.1  # beside an orientation without a roll
+        return response
+
+    node.create_service(DetectElectrodes, "detect_electrodes", lie, callback_group=ReentrantCallbackGroup())
+    services.call(Request(1, Service.DETECT, timeout=5.0))
+    answer = reply(services)
+    assert (answer.success, answer.detection) == (False, None)
+    assert "contradicts itself" in answer.message
+
+
 def _hear(heard: list[bool], request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
     heard.append(request.data)
     answer.success = True

@@ -10,7 +10,7 @@ from itertools import product
 import pytest
 
 from deltacharger_docking.codes import Code, Rejected, State, Unreachable
-from deltacharger_docking.observation import DockGoal, ElectrodePose, Reply, Service
+from deltacharger_docking.observation import BasePose, DockGoal, ElectrodePose, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
@@ -165,6 +165,8 @@ def test_an_unsure_estimate_is_measured_again_by_docking_once_more_then_given_up
     [
         (DockGoal(ElectrodePose((math.nan, 0, 0.08), 0.0)), Rejected),
         (DockGoal(ElectrodePose((0, 0, 0.08), math.nan)), Rejected),
+        (DockGoal(ElectrodePose((0, 0, 0.08), 0.0, yaw=math.inf)), Rejected),
+        (DockGoal(ElectrodePose((0, 0, 0.08), 0.0, pitch=-math.inf)), Rejected),
         (DockGoal(GOAL, critical_angle=-0.1), Rejected),
         (DockGoal(GOAL, critical_angle=math.nan), Rejected),
         (DockGoal(GOAL, critical_angle=0.3), Rejected),
@@ -216,7 +218,7 @@ def test_what_the_camera_cannot_support_leaves_the_arm_unmoved(reply: Reply | No
     assert outcome.code is code
     assert math.dist(run.world.snapshot().position, run.parameters.home) < MILLIMETRE
     if code is Code.UNREACHABLE:
-        assert outcome.suggested_base == pytest.approx((0.0, 0.2, 0.22))
+        assert outcome.suggested_base == BasePose(0.0, 0.2, pytest.approx(0.22))
 
 
 def test_moves_are_told_as_corrections_and_as_contacts_made_anew() -> None:

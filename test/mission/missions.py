@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deltacharger_docking.codes import Code, State
-from deltacharger_kinematics.geometry import Vector
+from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_mission.dialogue import (
     DockingReport,
     End,
@@ -61,12 +61,16 @@ def on_ground(place: Place) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Truth:
-    """Where things really are: electrodes on the map at a height (m), and by how much the navigator stops elsewhere."""
+    """Where things really are: electrodes on the map at a height (m), and by how much the navigator stops elsewhere.
+
+    The camera tells their lean with `lean_stddev` (rad); NaN = it tells none, though docking may find it.
+    """
 
     electrodes: Place = TARGET
     height: float = 0.0
     miss: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mount: tuple[float, ...] = FORWARD
+    lean_stddev: float = math.nan
 
 
 class World:
@@ -107,11 +111,15 @@ class World:
         self._due: list[tuple[float, TaskRequest, TaskReply]] = []
         self._silent: set[int] = set()
 
-    def seen(self) -> Vector:
-        """Where the electrodes really are in charger_base, m."""
-        point = np.array([self.truth.electrodes.x, self.truth.electrodes.y, self.truth.height, 1.0])
-        x, y, z, _ = np.linalg.inv(on_ground(self.base) @ matrix(self.truth.mount)) @ point
-        return float(x), float(y), float(z)
+    def seen(self) -> ElectrodePose:
+        """How the electrodes really are in charger_base, as the camera tells it."""
+        truth = self.truth
+        away = on_ground(truth.electrodes)[:3, 0]  # which way they face; their z axis points the other way
+        here = np.linalg.inv(on_ground(self.base) @ matrix(truth.mount))
+        x, y, z = map(float, (here @ [truth.electrodes.x, truth.electrodes.y, truth.height, 1.0])[:3])
+        right, up, forward = map(float, -here[:3, :3] @ away)
+        yaw, pitch, stddev = math.atan2(right, forward), math.atan2(-up, forward), truth.lean_stddev
+        return ElectrodePose((x, y, z), 0.0, yaw=yaw, pitch=pitch, yaw_stddev=stddev, pitch_stddev=stddev)
 
     def run(
         self, goal: MissionGoal | None = None, limit: float = 1e5, cancel_in: Stage | None = None
@@ -192,21 +200,36 @@ def drive(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
 
 def detect(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
     """See what is before the camera, not too far aside."""
-    x, y, z = world.seen()
+    seen = world.seen()
+    x, y, z = seen.position
     if 0.02 < z < 0.8 and math.hypot(x, y) < 0.5 * (z + 0.12):
-        return 0.3, TaskReply(request.number, End.DONE, electrodes=(x, y, z))
+        known = seen if seen.yaw_stddev >= 0.0 else replace(seen, yaw=math.nan, pitch=math.nan)
+        return 0.3, TaskReply(request.number, End.DONE, electrodes=known)
     return request.timeout, TaskReply(request.number, End.FAILED, message="no electrodes in the image")
 
 
 def dock(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
     """Refuse what is out of reach; else dock, and charge for a while."""
-    x, y, z = world.seen()
-    if math.dist((x, y, z), (0.0, 0.0, 0.08)) > REACH:
-        where = (x, y, z - 0.08)
+    seen = world.seen().position
+    if math.dist(seen, (0.0, 0.0, 0.08)) > REACH:
+        where = BasePose.before(seen)
         return 0.2, TaskReply(request.number, End.FAILED, Code.UNREACHABLE, "out of reach", suggested=where)
     world.attached = True
     world.docking = DockingReport(State.CHARGING, docked=True, charging=True)
     return 100.0, TaskReply(request.number, End.DONE)
+
+
+def squarely(limit: float, code: Code = Code.LEANING) -> Answer:
+    """Return docking that refuses a yaw beyond `limit` (rad) with a code and the stand without it."""
+
+    def answer(world: World, request: TaskRequest) -> tuple[float, TaskReply] | None:
+        seen = world.seen()
+        if abs(seen.yaw) <= limit:
+            return dock(world, request)
+        where = BasePose.before(seen.position, seen.yaw)
+        return 0.2, TaskReply(request.number, End.FAILED, code, "askew", suggested=where)
+
+    return answer
 
 
 def undock(world: World, request: TaskRequest) -> tuple[float, TaskReply]:

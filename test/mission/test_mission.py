@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_docking.codes import Busy, Code, Rejected, State, Unreachable
 from deltacharger_docking.goals import suggested_base
+from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, Stage, Task, TaskReply, TaskRequest
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place, views, wrapped
 
-from .missions import FORWARD, HOME, TARGET, Answer, Truth, World, drive, ends, fails, silent
+from .missions import FORWARD, HOME, TARGET, Answer, Truth, World, drive, ends, fails, silent, squarely
 
 QUICK = MissionParameters(
     home_x=HOME.x,
@@ -86,7 +87,7 @@ def test_it_docks_wherever_the_arm_is_mounted_and_the_target_faces(
     world.base, believed = world.bases[-1], world.believed[-1]
     assert believed is not None
     assert believed.distance(world.base) < 1e-6, "it goes by where the navigator says that it stopped"
-    x, y, z = world.seen()
+    x, y, z = world.seen().position
     assert (x, y) == pytest.approx((0.0, 0.0), abs=0.04)
     assert z == pytest.approx(DOCK_DISTANCE, abs=0.04)
     assert world.machine.status.stands <= QUICK.stands_max
@@ -105,7 +106,7 @@ def test_the_electrodes_are_where_their_robot_carries_them() -> None:
 
 
 def test_docking_and_the_mission_mean_the_same_place() -> None:
-    assert suggested_base(Unreachable("", (0.0, 0.0, DOCK_DISTANCE))) == (0.0, 0.0, 0.0)
+    assert suggested_base(Unreachable("", (0.0, 0.0, DOCK_DISTANCE))) == BasePose(0.0, 0.0, 0.0)
 
 
 @given(angles, angles)
@@ -173,13 +174,91 @@ def test_what_docking_refuses_is_told_with_its_code_undocked_and_returned(code: 
 
 def test_stands_are_bounded_where_docking_always_finds_the_target_out_of_reach() -> None:
     def unreachable(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
-        return 0.1, TaskReply(request.number, End.FAILED, Code.UNREACHABLE, "out of reach", suggested=(0.3, 0.0, 0.0))
+        return 0.1, TaskReply(
+            request.number, End.FAILED, Code.UNREACHABLE, "out of reach", suggested=BasePose(0.3, 0.0, 0.0)
+        )
 
     world = quick({Task.DOCK: unreachable})
     outcome = world.run()
     assert (outcome.code, outcome.returned) == (Code.UNREACHABLE, True)
     assert world.machine.status.stands == QUICK.stands_max
     assert sum(request.task is Task.DOCK for request in world.requests) <= QUICK.stands_max + 1
+
+
+FIVE = math.radians(5.0)
+SIDEWAYS = level_mount(-2.0, 0.2, -0.1, 0.0)
+"""A charger_base that looks back and to the right."""
+# y along the ground, to the robot's right: there a turn of the robot is a pitch
+ON_ITS_SIDE = (0.0, 0.0, 0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
+
+
+@pytest.mark.parametrize("yaw", [FIVE, -FIVE])
+@pytest.mark.parametrize("mount", [FORWARD, SIDEWAYS, level_mount(2.0, 0.0, 0.1, 0.0)])
+def test_a_target_that_is_seen_askew_is_faced_squarely_after_one_stand(yaw: float, mount: tuple[float, ...]) -> None:
+    """The errand's own search tells it: docking is asked once, from a stand that any errand takes."""
+    world = quick(truth=Truth(TARGET.at(0.0, 0.0, yaw), mount=mount, lean_stddev=0.01))
+    outcome = world.run()
+    assert outcome.success, outcome
+    assert (world.machine.status.stands, len(world.bases)) == (1, 1)
+    world.base = world.bases[0]
+    assert world.seen().yaw == pytest.approx(0.0, abs=1e-9)
+    assert world.seen().position == pytest.approx((0.0, 0.0, DOCK_DISTANCE), abs=1e-9)
+
+
+@pytest.mark.parametrize("code", [Code.LEANING, Code.UNREACHABLE])
+@pytest.mark.parametrize("yaw", [2.0 * FIVE, -2.0 * FIVE])
+@pytest.mark.parametrize("mount", [FORWARD, SIDEWAYS])
+def test_a_stand_that_docking_suggests_is_taken_with_its_heading(
+    yaw: float, mount: tuple[float, ...], code: Code
+) -> None:
+    """The search tells no lean, so that the robot faces the target as told until docking says how far it is off."""
+    world = quick({Task.DOCK: squarely(FIVE, code)}, Truth(TARGET.at(0.0, 0.0, yaw), mount=mount))
+    outcome = world.run()
+    assert outcome.success, outcome
+    assert (world.machine.status.stands, len(world.bases)) == (2, 2), "to dock at all, and once more"
+    world.base = world.bases[0]
+    assert world.seen().yaw == pytest.approx(yaw), "+y points up: a target that is turned to the left is yawed by +"
+    world.base = world.bases[1]
+    assert world.seen().yaw == pytest.approx(0.0, abs=1e-9)
+    assert world.seen().position == pytest.approx((0.0, 0.0, DOCK_DISTANCE), abs=1e-9)
+
+
+def test_an_arm_mounted_on_its_side_sees_the_turn_as_a_pitch() -> None:
+    world = quick(truth=Truth(TARGET.at(0.0, 0.0, FIVE), mount=ON_ITS_SIDE, lean_stddev=0.01))
+    outcome = world.run()
+    assert outcome.success, outcome
+    world.base = world.bases[0]
+    assert world.seen().pitch == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_yaw_that_is_not_sure_is_no_reason_to_turn() -> None:
+    stddev = 1.01 * QUICK.facing_stddev_max
+    world = quick(truth=Truth(TARGET.at(0.0, 0.0, FIVE), lean_stddev=stddev))
+    assert world.run().success
+    world.base = world.bases[0]
+    assert abs(world.seen().yaw) == pytest.approx(FIVE), "it faces the target as that was told"
+
+
+def leaning(base: BasePose | None) -> Answer:
+    reply = {"end": End.FAILED, "code": Code.LEANING, "message": "askew", "suggested": base}
+    return lambda world, request: (0.2, TaskReply(request.number, **reply))
+
+
+@pytest.mark.parametrize(
+    ("base", "stands"),
+    [
+        (BasePose(0.0, 0.0, 0.0, 0.2), QUICK.stands_max),
+        (BasePose.before((0.0, 0.0, DOCK_DISTANCE), 0.9 * QUICK.gain_turn_min), 1),
+        (None, 1),
+    ],
+    ids=["always askew", "a turn that is not worth it", "a pitch"],
+)
+def test_leaning_ends_the_errand_where_no_stand_is_left_or_would_help(base: BasePose | None, stands: int) -> None:
+    world = quick({Task.DOCK: leaning(base)})
+    outcome = world.run()
+    assert (outcome.code, outcome.retriable, outcome.returned) == (Code.LEANING, False, True)
+    assert (world.machine.status.stands, len(world.bases)) == (stands, stands)
+    assert "askew" in outcome.message
 
 
 def test_what_is_merely_too_high_is_not_driven_at() -> None:
@@ -375,7 +454,7 @@ def test_a_charger_that_stands_still_waits_for_its_target_and_drives_nowhere() -
     def comes(world: World, request: TaskRequest) -> tuple[float, TaskReply]:
         if next(looks) < 5:
             return 0.1, TaskReply(request.number, End.FAILED, message="nothing")
-        return 0.1, TaskReply(request.number, End.DONE, electrodes=(0.0, 0.0, 0.08))
+        return 0.1, TaskReply(request.number, End.DONE, electrodes=ElectrodePose((0.0, 0.0, 0.08), 0.0))
 
     world = quick({Task.DETECT: comes}, drives=False)
     world.base = BaseMount(FORWARD).before(TARGET, DOCK_DISTANCE)
@@ -428,8 +507,10 @@ def _drawn(draw: st.DataObject) -> Answer:
         ending = {"done": End.DONE, "refused": End.REFUSED, "canceled": End.CANCELED, "lost": End.LOST}
         end = ending.get(way, End.FAILED)
         code = Code.NONE if end is End.DONE else draw.draw(st.sampled_from([c for c in Code if c]))
-        suggested = (0.1, 0.0, 0.05) if code is Code.UNREACHABLE else None
-        electrodes = (0.05, 0.0, 0.09) if request.task is Task.DETECT and end is End.DONE else None
+        yaw = draw.draw(st.sampled_from((0.0, 0.1, -3.0)))
+        suggested = BasePose(0.1, 0.0, 0.05, yaw) if code in (Code.UNREACHABLE, Code.LEANING) else None
+        seen = ElectrodePose((0.05, 0.0, 0.09), 0.0, yaw=yaw, yaw_stddev=0.01)
+        electrodes = seen if request.task is Task.DETECT and end is End.DONE else None
         return after, TaskReply(
             request.number, end, code, way, way == "retriable", electrodes=electrodes, suggested=suggested
         )

@@ -5,15 +5,19 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import astuple
 
 import pytest
+from builtin_interfaces.msg import Time
 from deltacharger.action import ChargeRobot, Dock
 from deltacharger.msg import DockingState
 from deltacharger.srv import DetectElectrodes
 from geometry_msgs.msg import PoseStamped
 
 from deltacharger_core.texts import MESSAGE_MAX
-from deltacharger_docking.codes import Rejected, State
+from deltacharger_docking.codes import Code, Rejected, State
+from deltacharger_docking.observation import BasePose
+from deltacharger_docking.ros.messages import pose_stamped
 from deltacharger_mission.dialogue import End, MissionGoal, MissionObservation
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionParameters
@@ -47,6 +51,33 @@ def test_nobody_is_sent_after_electrodes_that_are_nowhere(x: float) -> None:
     result.suggested_base_pose.header.frame_id = "charger_base"
     result.suggested_base_pose.pose.position.x = x
     assert io.read_dock(2, End.FAILED, result, None).suggested is None
+
+
+def test_a_suggested_stand_is_read_with_its_turn_and_a_turn_that_is_none_is_no_stand() -> None:
+    result = Dock.Result(error_code=Dock.Result.LEANING)
+    result.suggested_base_pose = pose_stamped(BasePose(0.1, 0.0, -0.2, -0.3), Time())
+    reply = io.read_dock(2, End.FAILED, result, None)
+    assert reply.code is Code.LEANING
+    assert reply.suggested is not None
+    assert astuple(reply.suggested) == pytest.approx((0.1, 0.0, -0.2, -0.3))
+    for wrong in (math.nan, 0.0):
+        result.suggested_base_pose.pose.orientation.y = result.suggested_base_pose.pose.orientation.w = wrong
+        assert io.read_dock(2, End.FAILED, result, None).suggested is None
+
+
+def test_what_the_camera_sees_is_told_with_its_lean_and_what_contradicts_itself_is_nothing() -> None:
+    answer = DetectElectrodes.Response(success=True)
+    seen = answer.detection.pose
+    seen.pose.orientation.y, seen.pose.orientation.w = math.sin(0.05), math.cos(0.05)
+    seen.covariance[28] = 0.02**2
+    reply = io.read_detection(1, answer)
+    assert reply.electrodes is not None
+    assert (reply.electrodes.yaw, reply.electrodes.yaw_stddev) == pytest.approx((0.1, 0.02))
+    assert math.isnan(reply.electrodes.pitch)
+    answer.detection.roll = 0.1
+    reply = io.read_detection(1, answer)
+    assert (reply.end, reply.electrodes) == (End.FAILED, None)
+    assert "contradicts itself" in reply.message
 
 
 def test_long_words_are_cut_and_long_names_refused() -> None:

@@ -7,11 +7,13 @@ docking_node's face alone. The laws themselves stand in test/mission/test_missio
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +44,7 @@ pytestmark = pytest.mark.ros
 WITHOUT_NAVIGATION = "nav2_msgs is not installed: it comes with Nav2, or `make navigation` builds a stand-in"
 HOME = Place(-1.0, 0.0, 0.0)
 REAL = Path(__file__).with_name("mission.yaml")
+STANDS = read_yaml(REAL)["parameters"]["mission_node"]["stands_max"]
 
 
 class Errand:
@@ -228,6 +231,18 @@ def test_what_stays_out_of_reach_is_given_up_with_the_place_where_it_should_stan
     assert result.suggested_base_pose.header.frame_id == "charger_base"
     assert result.suggested_base_pose.pose.position.z == pytest.approx(0.5 - 0.08)
     assert len(real.node("mock_navigator_node").arrived) > 2
+
+
+def test_what_stays_askew_is_stood_before_again_and_then_given_up(real: Robot) -> None:
+    """The mock's electrodes travel along with the base, so that every stand leaves them as askew."""
+    real.set("mock_detector_node", "leaning")
+    arrived = real.node("mock_navigator_node").arrived
+    arrived.clear()
+    result, _ = real.run()
+    assert named(result) == (False, "LEANING", True), result
+    assert result.suggested_base_pose.pose.orientation.y == pytest.approx(math.sin(math.radians(5.0)))
+    turns = [math.remainder(b.yaw - a.yaw, 2.0 * math.pi) for a, b in pairwise(arrived[:-1])]
+    assert turns == pytest.approx([math.radians(10.0)] * STANDS), "to the left each time"
 
 
 @pytest.mark.parametrize("stage", [Stage.DRIVE, Stage.SEARCH, Stage.DOCK, Stage.CHARGE])

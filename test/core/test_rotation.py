@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The signs of lean: yaw about +y, pitch about +x, and no part of either in a roll about z."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deltacharger_core.rotation import lean, rotation
+
+angles = st.floats(-1.4, 1.4)
+
+
+def about(axis: str, angle: float) -> tuple[float, float, float, float]:
+    sine = math.sin(0.5 * angle)
+    return (*(sine if axis == each else 0.0 for each in "xyz"), math.cos(0.5 * angle))  # type: ignore[return-value]
+
+
+@given(angles)
+def test_a_turn_about_one_axis_leans_about_that_axis_alone(angle: float) -> None:
+    assert lean(rotation(*about("y", angle))) == pytest.approx((angle, 0.0), abs=1e-12)
+    assert lean(rotation(*about("x", angle))) == pytest.approx((0.0, angle), abs=1e-12)
+    assert lean(rotation(*about("z", angle))) == (0.0, 0.0)
+
+
+@given(angles, angles, st.floats(-math.pi, math.pi))
+def test_a_roll_about_the_leaning_axis_changes_no_lean(yaw: float, pitch: float, roll: float) -> None:
+    (ax, ay, az, aw), (_, _, bz, bw) = about("y", yaw), about("z", roll)
+    if pitch:
+        px, _, _, pw = about("x", pitch)
+        ax, ay, az, aw = aw * px, ay * pw, -ay * px, aw * pw  # the pitch first
+    rolled = (ax * bw + ay * bz, ay * bw - ax * bz, aw * bz + az * bw, aw * bw - az * bz)
+    assert lean(rotation(*rolled)) == pytest.approx(lean(rotation(ax, ay, az, aw)), abs=1e-12)
