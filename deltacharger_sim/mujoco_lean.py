@@ -96,7 +96,7 @@ def set_springs(model: Any, parameters: WorldParameters) -> None:
         model.eq_solref[model.equality(name).id] = spring(1.0 / parameters.platform.compliance, inverse)
 
 
-class Leaning:
+class MujocoLean:
     """Places the points of a model that leans, and reads what it does.
 
     Args:

@@ -16,7 +16,7 @@ from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, Vector
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_sim import mujoco_model
 from deltacharger_sim.motion import Motion
-from deltacharger_sim.mujoco_lean import Leaning
+from deltacharger_sim.mujoco_lean import MujocoLean
 from deltacharger_sim.parameters import MagnetParameters, WorldParameters
 from deltacharger_sim.tilt import tilts
 from deltacharger_sim.world import TactileSource, World
@@ -62,7 +62,7 @@ class MujocoMechanics(Motion):
         self._arms = [int(self.model.joint(name).qposadr[0]) for name in names]
         self._axes = [int(self.model.joint(axis).qposadr[0]) for axis in "xyz"]
         self._inputs: tuple[object, ...] = ()
-        self._leaning = Leaning(self.model, parameters) if tilts(parameters) and parameters.target.present else None
+        self._leaning = MujocoLean(self.model, parameters) if tilts(parameters) and parameters.target.present else None
         self._begin(geometry, start)
         self._read()
 
