@@ -11,6 +11,10 @@ from deltacharger_core.machine import (
     BAR_LENGTH,
     DOCKING_JITTER,
     GRAVITY,
+    MAGNET_FLOOR,
+    MAGNET_FORCE,
+    MAGNET_WIDTH,
+    PAD_YAW_STIFFNESS,
     SERVO_DAMPING,
     SERVO_STIFFNESS,
     STALL_CURRENT,
@@ -129,8 +133,29 @@ class DockingParameters(Bounded):
     contradiction_each: float = number(4.0, 0.0, 100.0, "", "what each look adds to contradiction_start")
     alignments_max: int = number(15, 1, 50, "", "corrections and contacts made anew at most, as in the paper")
     docking_jitter: float = number(DOCKING_JITTER, 0.0, 0.01, "m", "scatter of one docking beside its commanded place")
+    aligned_risk_max: float = number(
+        0.02, 0.0, 1.0, "", "told risk to lie beyond overlap_loss_max or landing_limit at which it is called aligned"
+    )
     horizontal_scale: float = number(0.83, 0.1, 3.0, "", "true standard deviation of a horizontal estimate in its told")
     horizontal_shared: float = number(0.00055, 0.0, 0.01, "m", "its part that all contacts of a docking share")
+    place_stddev: float = number(0.005, 1e-4, 0.05, "m", "how far a target lies beside the pose that a goal gives")
+    yaw_stddev: float = number(
+        math.radians(1.2), 0.0, 0.2, "rad", "yaw of targets' faces where nobody tells it; 0 = parallel by construction"
+    )
+    platform_compliance: float = number(0.02, 0.0, 0.1, "rad/(N·m)", "tilt of the platform per moment; 0 = rigid")
+    pad_yaw_stiffness: float = number(
+        PAD_YAW_STIFFNESS, 1.0, 1e5, "N·m/rad", "moment about y of both pads by the yaw that remains in contact"
+    )
+    load_per_yaw: float = number(5.73, 0.1, 100.0, "m/rad", "offset along the bars that loads the pads as a yaw does")
+    load_max: float = number(0.026, 0.001, 0.1, "m", "load bias, probe included, beyond which a pad is nearly empty")
+    probe_offset: float = number(0.006, 0.001, 0.02, "m", "how far beside the target the magnets' force is probed")
+    force_repeatability: float = number(0.045, 0.0, 0.5, "", "scatter of a pad's force from one contact to the next")
+    force_error: float = number(0.06, 0.0, 0.5, "", "relative error of the pads' force that all contacts share")
+    magnet_force: float = number(MAGNET_FORCE, 0.0, 300.0, "N", "pull of the magnets in contact without offset")
+    magnet_error: float = number(0.06, 0.0, 0.5, "", "relative error of magnet_force")
+    magnet_width: float = number(MAGNET_WIDTH, 0.001, 0.1, "m", "offset at which the magnets' pull is halved")
+    magnet_width_error: float = number(0.12, 0.0, 0.5, "", "relative error of magnet_width")
+    magnet_floor: float = number(MAGNET_FLOOR, 0.0, 1.0, "", "share of the magnets' pull that remains far off")
     gain_error: float = number(0.15, 0.0, 1.0, "", "relative error of a misalignment estimate that grows with its size")
     unsure_max: int = number(4, 1, 20, "", "unsure estimates after which alignment ends")
     unsure_here_max: int = number(2, 1, 20, "", "unsure estimates in one place after which alignment ends")

@@ -10,7 +10,7 @@ from statistics import NormalDist
 from deltacharger_docking.parameters import DockingParameters
 
 _LEAST = 1e-12  # m²; below it a variance would divide by nothing
-_QUANTILES = tuple(NormalDist().inv_cdf((index + 0.5) / 16) for index in range(16))
+QUANTILES = tuple(NormalDist().inv_cdf((index + 0.5) / 16) for index in range(16))
 
 
 @dataclass(frozen=True)
@@ -88,5 +88,5 @@ class AxisFilter:
         """
         spread = math.sqrt(max(self._ahead - (self.contact.stddev**2 - self._shared**2), 0.0))
         now = self.contact.beyond(limit)
-        risks = (Offset(spread * each, self.contact.stddev).beyond(limit) for each in _QUANTILES)
-        return sum(max(now - risk, 0.0) for risk in risks) / len(_QUANTILES)
+        risks = (Offset(spread * each, self.contact.stddev).beyond(limit) for each in QUANTILES)
+        return sum(max(now - risk, 0.0) for risk in risks) / len(QUANTILES)

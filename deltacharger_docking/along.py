@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the target is along its bars, felt through a lean that loads the pads as an offset does.
+
+In one contact an offset x along the bars and a lean of the faces cannot be told apart: the pads' loads tell h = x + L,
+with a load bias L that all contacts on one target share. What tells x alone is the contact force: the magnets' part of
+it falls with the distance of the centres. Contacts at different places of the platform therefore tell both.
+
+Given the place of the target, everything else is taken as normal and linear: the load bias, the gain error of h, and
+the scale errors of the pads' force, of the magnets and of their width, shared by all contacts; and for each contact its
+landing beside the commanded place (`docking_jitter`), which encoders do not see. So the likelihood of a place is that of
+one normal vector. It is worked out on a grid of places, since it may have two peaks: the force is even in x.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from deltacharger_core.arrays import Array
+from deltacharger_docking.magnet_pull import MagnetPull
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.place import QUANTILES, Offset
+
+_HALF_WIDTH, _POINTS = 0.024, 65  # m around the place foreseen, and places of the grid
+_NEGLIGIBLE = 1e-6  # weight of a place
+_LEAST = 1e-12  # m²
+
+
+@dataclass(frozen=True)
+class Look:
+    """What one contact tells along the bars.
+
+    Attributes:
+        platform: m, charger_base.
+        load: offset as the loads tell it, m.
+        load_stddev: its own standard deviation, m.
+        force: sum over both pads, N.
+        force_stddev: N.
+        push: force of the servos on the target, N.
+        across: offset across the bars, m.
+        angle: rad.
+    """
+
+    platform: float
+    load: float
+    load_stddev: float
+    force: float
+    force_stddev: float
+    push: float
+    across: float
+    angle: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What another contact, or some of them, are expected to gain.
+
+    Attributes:
+        gain: fall of the risk to lie beyond the limit.
+        contacts: that it takes, the one that stays included.
+        aside: where the first of them feels the target's centre, m along the bars.
+    """
+
+    gain: float
+    contacts: int
+    aside: float = 0.0
+
+
+class AlongFilter:
+    """Place of one target along x of charger_base, and the load bias of its lean.
+
+    Args:
+        parameters: docking's.
+        place: where the target is foreseen to be, m; NaN = unknown.
+        place_stddev: m.
+        bias: load bias foreseen, m.
+        bias_stddev: m.
+
+    Attributes:
+        target: where the target is, m; NaN before the first look.
+        bias, bias_stddev: the load bias, m.
+    """
+
+    def __init__(
+        self,
+        parameters: DockingParameters,
+        place: float = math.nan,
+        place_stddev: float = math.inf,
+        bias: float = 0.0,
+        bias_stddev: float = 0.0,
+    ) -> None:
+        p = parameters
+        self._parameters, self._pull = p, MagnetPull(p)
+        self._foreseen, self._foreseen_stddev, self._bias = place, place_stddev, bias
+        shared = math.hypot(bias_stddev, p.horizontal_shared)
+        self._prior = np.array([shared, p.gain_error, p.force_error, p.magnet_error, p.magnet_width_error]) ** 2
+        self._looks: list[Look] = []
+        self._weights, self._means, self._spread = np.ones(1), np.full(1, math.nan), math.inf
+        self.target = math.nan
+        self.bias, self.bias_stddev = bias, shared
+
+    def update(self, look: Look) -> None:
+        """Take what one contact tells."""
+        self._looks.append(look)
+        places = self._grid()
+        rows, residual, noise, landing = self._rows(places)
+        joint = np.einsum("gik,k,gjk->gij", rows, self._prior, rows) + noise
+        last = np.zeros_like(residual)
+        last[:, -2:] = landing[:, -2:]
+        of_bias = rows[:, :, 0]
+        told, of_last, by_bias = np.moveaxis(np.linalg.solve(joint, np.stack([residual, last, of_bias], axis=2)), 2, 0)
+        logs = -0.5 * ((residual * told).sum(axis=1) + np.linalg.slogdet(joint)[1])
+        if math.isfinite(self._foreseen):
+            logs -= 0.5 * ((places - self._foreseen) / self._foreseen_stddev) ** 2
+        weights = np.exp(logs - logs.max())
+        self._weights = weights = weights / weights.sum()
+        self.target = float(weights @ places)
+        variance = self._parameters.docking_jitter**2
+        self._means = places - look.platform + variance * (last * told).sum(axis=1)
+        left = variance - variance**2 * (last * of_last).sum(axis=1)
+        self._spread = math.sqrt(max(float(weights @ left), _LEAST))
+        prior = self._prior[0]
+        bias, within = prior * (of_bias * told).sum(axis=1), prior - prior**2 * (of_bias * by_bias).sum(axis=1)
+        mean = float(weights @ bias)
+        self.bias = self._bias + mean
+        self.bias_stddev = math.sqrt(max(float(weights @ (within + (bias - mean) ** 2)), 0.0))
+
+    @property
+    def contact(self) -> Offset:
+        """How far (m) this contact lies off: mean and standard deviation."""
+        mean = float(self._weights @ self._means)
+        return Offset(mean, math.sqrt(self._spread**2 + float(self._weights @ (self._means - mean) ** 2)))
+
+    def risk(self, limit: float) -> float:
+        """Return the probability that this contact lies farther off than `limit` (m), either way."""
+        parts = zip(self._weights.tolist(), self._means.tolist(), strict=True)
+        return sum(weight * Offset(mean, self._spread).beyond(limit) for weight, mean in parts if weight > _NEGLIGIBLE)
+
+    def plans(self, limit: float) -> list[Plan]:
+        """Return what a contact at the target is expected to gain, and what probes beside it before that one.
+
+        Where the contact that stays turns out worse than this one, nothing was gained: it can be made again.
+        """
+        now, known, probe = self.risk(limit), self._information(), self._parameters.probe_offset
+        plans = []
+        for way in ((), (probe,), (-probe,), (probe, -probe), (-probe, probe)):
+            if any(abs(self.bias + aside) > self._parameters.load_max for aside in way):
+                continue  # a pad would be empty
+            after = known
+            for aside in way:
+                rows, noise, landing = self._foresee(aside)
+                after = after + rows.T @ np.linalg.solve(noise + np.outer(landing, landing), rows)
+            foreseen, told = self._landing(after)
+            spread = math.sqrt(max(foreseen - told, 0.0))
+            risks = (Offset(spread * each, math.sqrt(told)).beyond(limit) for each in QUANTILES)
+            gain = sum(max(now - risk, 0.0) for risk in risks) / len(QUANTILES)
+            plans.append(Plan(gain, len(way) + 1, way[0] if way else 0.0))
+        return plans
+
+    def _grid(self) -> Array:
+        """Return the places (G,) that come into question, m."""
+        first = self._looks[0]
+        middle = self._foreseen if math.isfinite(self._foreseen) else first.platform + first.load - self._bias
+        return middle + _HALF_WIDTH * np.linspace(-1.0, 1.0, _POINTS)
+
+    def _rows(self, places: Array) -> tuple[Array, Array, Array, Array]:
+        """Return, for each place, the rows (G, 2N, 5) of all looks, residuals, noise and the landing's part (G, 2N)."""
+        count, jitter = len(self._looks), self._parameters.docking_jitter
+        rows = np.zeros((len(places), 2 * count, 5))
+        residual, landing = np.zeros((2, len(places), 2 * count))
+        noise = np.zeros((len(places), 2 * count, 2 * count))
+        for index, look in enumerate(self._looks):
+            load, force = 2 * index, 2 * index + 1
+            x = places - look.platform
+            pull, slope, by_width = self._pull.at(x, look.across, look.angle)
+            rows[:, load, 0], rows[:, load, 1] = 1.0, x
+            rows[:, force, 2], rows[:, force, 3], rows[:, force, 4] = pull + look.push, pull, by_width
+            residual[:, load] = look.load - x - self._bias
+            residual[:, force] = look.force - pull - look.push
+            landing[:, load], landing[:, force] = 1.0, slope
+            part = landing[:, load : force + 1]
+            block = jitter**2 * part[:, :, None] * part[:, None, :]
+            block[:, 0, 0] += look.load_stddev**2
+            block[:, 1, 1] += look.force_stddev**2
+            noise[:, load : force + 1, load : force + 1] = block
+        return rows, residual, noise, landing
+
+    def _information(self) -> Array:
+        """Return the inverse covariance (6, 6) of place and shared errors, linear about where the target is."""
+        place = 1.0 / self._foreseen_stddev**2 if math.isfinite(self._foreseen) else 0.0
+        known = np.diag([place, *1.0 / np.maximum(self._prior, _LEAST)])
+        rows, _, noise, landing = self._rows(np.array([self.target]))
+        for index in range(len(self._looks)):
+            part = slice(2 * index, 2 * index + 2)
+            full = np.column_stack([landing[0, part], rows[0, part]])
+            known = known + full.T @ np.linalg.solve(noise[0, part, part], full)
+        return known
+
+    def _foresee(self, aside: float) -> tuple[Array, Array, Array]:
+        """Return rows (2, 6) of a contact that feels the target's centre `aside` m off, its noise and its landing's."""
+        last = self._looks[-1]
+        pull, slope, by_width = (float(each) for each in self._pull.at(np.array(aside), 0.0, last.angle))
+        landing = np.array([1.0, slope])
+        shared = [[1.0, aside, 0.0, 0.0, 0.0], [0.0, 0.0, pull + last.push, pull, by_width]]
+        noise = np.diag([last.load_stddev**2, last.force_stddev**2])
+        return np.column_stack([landing, shared]), noise, landing * self._parameters.docking_jitter
+
+    def _landing(self, known: Array) -> tuple[float, float]:
+        """Return the variance (m²) of a contact made at the target before it is felt, and after."""
+        rows, noise, _ = self._foresee(0.0)
+        covariance = np.zeros((7, 7))
+        covariance[:6, :6] = np.linalg.inv(known)
+        covariance[6, 6] = self._parameters.docking_jitter**2
+        full = np.column_stack([rows, rows[:, 0]])
+        offset = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        seen = covariance @ full.T
+        left = covariance - seen @ np.linalg.solve(full @ seen + noise, seen.T)
+        return float(offset @ covariance @ offset), max(float(offset @ left @ offset), _LEAST)

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the magnets pull with where the target's centre lies off: 60 N at most, half of it 8 mm away."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deltacharger_core.arrays import Array
+from deltacharger_docking.parameters import DockingParameters
+
+
+class MagnetPull:
+    """Pull over offsets along the bars, with its derivatives: F = force · max(floor, 1/(1 + (r/width)²))."""
+
+    def __init__(self, parameters: DockingParameters) -> None:
+        self._force, self._width = parameters.magnet_force, parameters.magnet_width
+        self._floor = parameters.magnet_floor
+
+    def at(self, x: Array, across: float, angle: float) -> tuple[Array, Array, Array]:
+        """Return pull (N), its slope along x (N/m) and by the logarithm of the width (N).
+
+        Args:
+            x: of the target's centre in end_effector, m.
+            across: of the same across the bars, m.
+            angle: of the bars, rad.
+        """
+        lean = np.tan(angle)
+        y = across / np.cos(angle) + x * lean
+        square = (x * x + y * y) / self._width**2
+        share = 1.0 / (1.0 + square)
+        falls = share > self._floor
+        steep = np.where(falls, share * share, 0.0) * (2.0 * self._force)
+        pull = self._force * np.maximum(share, self._floor)
+        return pull, -steep * (x + y * lean) / self._width**2, steep * square
