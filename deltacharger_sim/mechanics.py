@@ -336,9 +336,8 @@ class Mechanics(Motion):
         self.rub = (rx, ry)
         if self._play:
             self._take_up_play()
-        tilt = self._touch.tilt
-        if tilt is not None:
-            self.tilt, self.pad_share = tilt.keep()
+        if (tilt := self._touch.tilt) is not None:
+            self.tilt, self._bars = tilt.keep()
 
     def _take_up_play(self) -> None:
         """Let each powered encoder run ahead of its arm toward its goal, as far as the play allows."""

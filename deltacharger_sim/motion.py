@@ -8,8 +8,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
+from deltacharger_sim.bars import Bars
 from deltacharger_sim.errors import TargetFixed
 from deltacharger_sim.parameters import WorldParameters
+from deltacharger_sim.tilt import tilts
+from deltacharger_tactile.pad_source import Lean
 
 _NONE: Vector = (0.0, 0.0, 0.0)
 
@@ -29,7 +32,6 @@ class Motion(ABC):
         torques: of the motors, N·m, before gear friction.
         slack: how far play lets each encoder run ahead of its arm, rad.
         tilt: of the platform about x and y, rad; 0 without compliance.
-        pad_share: share of the contact force that the left pad carries; 0.5 without compliance or tilt.
         contact_force: normal force on the electrodes together, N.
         peak_force: the largest within the last step, N; of MuJoCo that at its end.
         magnet_force: pull of the magnets, N.
@@ -43,7 +45,8 @@ class Motion(ABC):
         self.position = start
         self.velocity = self.angles = self.rates = self.torques = self.slack = _NONE
         self.tilt = (0.0, 0.0)
-        self.pad_share = 0.5
+        self._leans = tilts(parameters)
+        self._bars: Bars | None = None  # where something leans
         self.contact_force = self.peak_force = self.magnet_force = self.imbalance = 0.0
         self.still = False
 
@@ -51,6 +54,19 @@ class Motion(ABC):
     def gap(self) -> float:
         """Distance between the touched faces (m); negative = springs compressed, inf = there is no target."""
         return self._target_z - self.position[2]
+
+    @property
+    def lean(self) -> Lean | None:
+        """Of the platform against the target; None where neither the platform yields nor the target leans."""
+        if not self._leans:
+            return None
+        (alpha, beta), target = self.tilt, self._parameters.target
+        return Lean((alpha - target.tilt_x, beta - target.tilt_y), (-target.tilt_x, -target.tilt_y))
+
+    @property
+    def bars(self) -> Bars:
+        """What each bar bears."""
+        return Bars.flat(self.contact_force) if self._bars is None else self._bars
 
     @property
     def onset(self) -> float:

@@ -2,19 +2,23 @@
 """A leaning contact in MuJoCo: a target whose face is tilted, a platform that yields about x and y, bars that may lift.
 
 The face of the platform hangs on two hinges, `platform.lever` behind it, with springs of 1/compliance, critical damping
-and an inertia of their own; without compliance there are none. Each bar touches by points along the line in which it
-overlaps its mate, each with its share of the bar's stiffness and of the stop behind it. No angle is taken to be small,
-the target's force is normal to its own face, and friction at the face bends the hinges.
+and an inertia of their own; without compliance there are none. The pads are one more spring of the hinge about y, at
+rest where the faces are parallel; once one pad is empty, a moment of the whole force at the other takes its place. Each
+bar touches by points along the line in which it overlaps its mate, each with its share of the bar's stiffness and of
+the stop behind it. No angle is taken to be small, the target's force is normal to its own face, and friction at the
+face bends the hinges.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
+from deltacharger_sim.bars import Bars
 from deltacharger_sim.mujoco_springs import IMPEDANCE, share, share_impedance, spring
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.tilt import left_share
+from deltacharger_sim.tilt import PAD, pads_turn
 
 POINTS = 24  # of each bar; with 8 a contact of which one end lifts presses up to 1 % less
 INERTIA = 2.3e-4  # kg·m² of the platform about x and about y: 0.274 kg over a plate of 0.1 m
@@ -25,6 +29,7 @@ _PLACES = tuple(
     (2 * index + 1 - POINTS) / (POINTS * math.sqrt(1.0 - 1.0 / POINTS**2)) for index in range(POINTS)
 )  # of half the overlap
 _HINGES = ("lean_x", "lean_y")
+_PADS = "pads"
 _NAMES = tuple((layer, side, index) for layer in ("bar", "stop") for side in (1, -1) for index in range(POINTS))
 
 
@@ -55,7 +60,10 @@ def hinges(parameters: WorldParameters) -> str:
     if parameters.platform.compliance == 0.0:
         return ""
     how = f'solimp="{IMPEDANCE} {IMPEDANCE} 0.001"'
-    return "".join(f'<joint name="{name}" joint1="{name}" {how}/>' for name in _HINGES)
+    held = [(name, name, 0.0) for name in _HINGES] + [(_PADS, _HINGES[1], parameters.target.tilt_y)]
+    return "".join(
+        f'<joint name="{name}" joint1="{hinge}" polycoef="{rest!r} 0 0 0 0" {how}/>' for name, hinge, rest in held
+    )
 
 
 def places(parameters: WorldParameters, x: float, y: float) -> list[tuple[float, float, float]]:
@@ -91,9 +99,14 @@ def set_springs(model: Any, parameters: WorldParameters) -> None:
     for index in range(model.npair):
         stiffness = 2.0 * contact.stiffness if index < 2 * POINTS else contact.hard_stop_stiffness
         model.pair_solref[index] = share(stiffness, inverse, 2 * POINTS)
-    for name in _HINGES if parameters.platform.compliance > 0.0 else ():
-        inverse = float(model.dof_invweight0[model.jnt_dofadr[model.joint(name).id]])
-        model.eq_solref[model.equality(name).id] = spring(1.0 / parameters.platform.compliance, inverse)
+    if (compliance := parameters.platform.compliance) == 0.0:
+        return
+    for name, hinge, stiffness in (
+        *((hinge, hinge, 1.0 / compliance) for hinge in _HINGES),
+        (_PADS, _HINGES[1], pads_turn(parameters)),
+    ):
+        inverse = float(model.dof_invweight0[model.jnt_dofadr[model.joint(hinge).id]])
+        model.eq_solref[model.equality(name).id] = spring(stiffness, inverse)
 
 
 class MujocoLean:
@@ -110,6 +123,9 @@ class MujocoLean:
         self._plane = int(model.geom("target").id) if parameters.target.present else -1
         names = _HINGES if parameters.platform.compliance > 0.0 else ()
         self._hinges = [int(model.joint(name).qposadr[0]) for name in names]
+        self._pads = int(model.equality(_PADS).id) if names else -1
+        self._about_y = int(model.joint(_HINGES[1]).dofadr[0]) if names else -1
+        self._tip = pads_turn(parameters)
 
     def lie(self, position: tuple[float, float, float], x: float, y: float) -> None:
         """Put the points where the bars overlap with the target's centre at (x, y) in end_effector, m.
@@ -123,15 +139,33 @@ class MujocoLean:
         self._model.geom_pos[self._points : self._points + len(place)] = place
         self._model.geom_pos[self._plane] = (position[0] + x, position[1] + y, self._parameters.target.z)
 
-    def read(self, data: Any, x: float) -> tuple[float, tuple[float, float], float]:
-        """Return force along z (N), tilt about x and y (rad) and the left pad's share with the platform at x (m)."""
-        force = moment = 0.0
+    def turn_back(self, data: Any) -> None:
+        """Let the pads act in the next step of MuJoCo by the force and the tilt that the last one left."""
+        if not self._hinges:
+            return
+        moment = self._tip * (float(data.qpos[self._hinges[1]]) - self._parameters.target.tilt_y)
+        most = PAD * sum(force for _, force in self._pressed(data))
+        both = abs(moment) <= most
+        data.eq_active[self._pads] = both
+        data.qfrc_applied[self._about_y] = 0.0 if both else -math.copysign(most, moment)
+
+    def _pressed(self, data: Any) -> Iterator[tuple[int, float]]:
+        """Yield the number of every point in contact and its force along z, N."""
         contacts = data.contact
         for index in range(data.ncon):
             row = int(contacts.efc_address[index])
             if row >= 0:
                 # The rows of the contact's frame are its axes; the third column holds their z components.
                 pressed = -float(contacts.frame[index].reshape(3, 3)[:, 2] @ data.efc_force[row : row + 3])
-                force, moment = force + pressed, moment + pressed * (float(contacts.pos[index, 0]) - x)
+                yield max(contacts.geom[index]) - self._points, pressed
+
+    def read(self, data: Any) -> tuple[float, tuple[float, float], Bars]:
+        """Return force along z (N), tilt about x and y (rad), and what the bars bear."""
+        forces, points = {1: 0.0, -1: 0.0}, {1: 0, -1: 0}
+        for number, force in self._pressed(data):
+            layer, side, _ = _NAMES[number]
+            forces[side] += force
+            points[side] += layer == "bar"
         tilt = tuple(float(data.qpos[hinge]) for hinge in self._hinges)
-        return force, (tilt[0], tilt[1]) if tilt else (0.0, 0.0), left_share(force, moment)
+        bars = Bars(forces[1], forces[-1], points[1] / POINTS, points[-1] / POINTS)
+        return forces[1] + forces[-1], (tilt[0], tilt[1]) if tilt else (0.0, 0.0), bars

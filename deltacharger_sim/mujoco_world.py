@@ -95,6 +95,8 @@ class MujocoMechanics(Motion):
                 gap = self._target_z - float(data.qpos[vertical])
                 self.magnet_force = pull(self._parameters.magnets, gap, offset)
                 data.qfrc_applied[vertical] = self.magnet_force
+            if self._leaning is not None:
+                self._leaning.turn_back(data)
             self._mujoco.mj_step(model, data)
         self._read()
 
@@ -119,7 +121,7 @@ class MujocoMechanics(Motion):
         self.rates = (speed[first], speed[second], speed[third])
         self.torques = (force[0], force[1], force[2])
         if self._leaning is not None:
-            self.contact_force, self.tilt, self.pad_share = self._leaning.read(data, self.position[0])
+            self.contact_force, self.tilt, self._bars = self._leaning.read(data)
         else:
             rows = [int(row) for row in data.contact.efc_address] if data.ncon else []
             self.contact_force = float(sum(data.efc_force[row] for row in rows if row >= 0))

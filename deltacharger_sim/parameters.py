@@ -60,6 +60,9 @@ class ContactParameters(Bounded):
     friction: float = number(0.3, 0.0, 10.0, "", "coefficient of Coulomb friction")
     hard_stop: float = number(0.002, 0.0005, 0.02, "m", "travel at which the electrode's spring bottoms")
     hard_stop_stiffness: float = number(1e6, 1e4, 1e9, "N/m", "stiffness behind the stop")
+    pad_stiffness: float = number(
+        1.5e5, 1e4, 1e7, "N/m", "of each pad against yaw of the platform; slope of the tactile contact model at 78 N"
+    )
 
 
 @dataclass(frozen=True)

@@ -4,23 +4,33 @@
 Each electrode presses along the line of length l in which it overlaps its mate, with 1/l of its stiffness per length:
 the contact of a spring bed, integrated exactly. A point at (u, v) of the platform is compressed by D + a v − b u, with
 D the compression on the platform's axis and (a, b) the platform's tilt less the target's; springs cannot pull, so that
-an end or a whole bar lifts. The platform yields by its compliance, α = −c Σ v N and β = c Σ u N. That is the minimum of
-a convex energy, (α² + β²)/2c + Σ ∫ k p²/2l over the pressed length.
+an end or a whole bar lifts. The tactile pads, springs K at ±s along x, turn the platform back about y by M = 2 K s² b,
+until one of them is empty and the other bears all: |M| ≤ N s. They add no normal force of their own: the electrodes'
+stiffness stands for bars and pads together. About x they resist a thirtieth of what the bars do, which is left out.
 
-Where both bars press along their whole length and off their stops, it is a 2 × 2 linear system, solved once for every
-place of the target. Elsewhere it is Newton's iteration over the pressed lengths, each step of it cut back where it
-overshoots. Without compliance nothing is solved: the target's tilt alone shares the force out.
+The platform yields by its compliance, α = −c Σ v N and β = c (Σ u N − M). While both pads press that is the minimum of
+a convex energy, (α² + β²)/2c + Σ ∫ k p²/2l over the pressed length + K s² b². Of one pad alone the moment follows the
+normal force at once: with that of the step before, force and moment would take turns wherever inertia holds the depth.
+
+Where both bars press along their whole length and off their stops, it is a 2 × 2 linear system, with both pads pressed
+or one of them empty, solved once for every place of the target. Elsewhere it is Newton's iteration over the pressed
+lengths, each step of it cut back where it overshoots. Without compliance nothing is solved.
 """
 
 from __future__ import annotations
 
+from math import copysign
+
+from deltacharger_sim.bars import Bars
 from deltacharger_sim.parameters import WorldParameters
+from deltacharger_tactile.pad_source import Turn
 
 PAD = 0.048  # m from the middle to each pad, along x
 _ITERATIONS = 60
 _ENOUGH = 1e-3  # of the largest compression that a last Newton step may change; its error is about the square of that
 _SHORTEST = 1e-6  # m of half an overlap; bars that lie further apart press as on one spot
 _OVERSHOT = -0.5  # of the slope along a Newton step; one that ends beyond is cut back
+_WEAKEST = 0.1  # of a force that one pad's own moment takes away; beyond, bars that lie far aside would snap
 
 _NOTHING = (0.0, 0.0, 0.0, 0.0, 0.0)
 # Over what presses: Σ k, Σ k u, Σ k v, Σ k u², Σ k u v, Σ k v² of its stiffness, Σ N, Σ u N, Σ v N of its force,
@@ -34,9 +44,9 @@ def tilts(parameters: WorldParameters) -> bool:
     return parameters.platform.compliance > 0.0 or target.tilt_x != 0.0 or target.tilt_y != 0.0
 
 
-def left_share(force: float, moment: float) -> float:
-    """Return the left pad's share, 0 to 1, of a force (N) whose moment Σ u N is given (N·m), by the lever rule."""
-    return min(max(0.5 + 0.5 * moment / (force * PAD), 0.0), 1.0) if force > 0.0 else 0.5
+def pads_turn(parameters: WorldParameters) -> float:
+    """Return the moment of both pads about y while both press, N·m per rad of the lean's residual."""
+    return 2.0 * parameters.contact.pad_stiffness * PAD * PAD
 
 
 class PlatformTilt:
@@ -56,7 +66,8 @@ class PlatformTilt:
         self._travel = contact.hard_stop
         self._length, self._up = terminal.length, 0.5 * (terminal.gap + terminal.height)
         self.angles = (0.0, 0.0)
-        self._load = (0.0, 0.0)  # Σ N (N) and Σ u N (N·m) of the last `press`
+        self._load = (0.0, 0.0)  # N of the last `press`, and the compression (m) of the platform's axis
+        self._pads = pads_turn(parameters) if self._compliance > 0.0 else 0.0  # N·m/rad
         self.swing = (0.0, 0.0)
         self._lifts = False  # whether the last `press` found an end lifted or a stop reached
         self._lever = parameters.platform.lever
@@ -74,7 +85,8 @@ class PlatformTilt:
         self._lift = tilt_x * y - tilt_y * x
         # What the most compressed end has more than the axis while the platform is level.
         self._reach = tilt_y * middle_x - tilt_x * middle_y + abs(tilt_x) * self._up + abs(tilt_y) * half
-        self._linear: tuple[float, ...] = ()
+        self._flat: tuple[float, ...] = ()  # of `_lie_flat` with both pads pressed
+        self._empty: tuple[float, ...] = ()  # the same with one of them empty
 
     @property
     def onset(self) -> float:
@@ -89,12 +101,22 @@ class PlatformTilt:
             return 0.0, 0.0
         if self._lifts:
             return self._settle(depth)
-        a0, a1, b0, b1, n0, n1, m0, m1 = self._linear or self._lie_flat()
-        alpha, beta = a0 + a1 * depth, b0 + b1 * depth
+        if not self._flat:
+            self._flat, self._empty = self._lie_flat(self._pads), ()
+        a0, b0, n0, a1, b1, n1, _, _, _ = self._flat
+        alpha, beta, force = a0 + a1 * depth, b0 + b1 * depth, n0 + n1 * depth
+        moment, most = self._pads * (beta - self._target[1]), PAD * force
+        if not -most <= moment <= most:
+            self._empty = self._empty or self._lie_flat(0.0)
+            a0, b0, n0, a1, b1, n1, a2, b2, n2 = self._empty
+            arm = copysign(PAD, moment)
+            weaker = max(1.0 - n2 * arm, _WEAKEST)
+            force, n1 = (n0 + n1 * depth) / weaker, n1 / weaker
+            alpha, beta = a0 + a1 * depth + a2 * arm * force, b0 + b1 * depth + b2 * arm * force
+            a1, b1 = a1 + a2 * arm * n1, b1 + b2 * arm * n1
         if self._is_lifting(depth, alpha, beta):
             return self._settle(depth)
-        force = n0 + n1 * depth
-        self.angles, self._load, self._tangent = (alpha, beta), (force, m0 + m1 * depth), (depth, a1, b1)
+        self.angles, self._load, self._tangent = (alpha, beta), (force, depth), (depth, a1, b1)
         return force, n1
 
     def _is_lifting(self, depth: float, alpha: float, beta: float) -> bool:
@@ -104,42 +126,68 @@ class PlatformTilt:
         spread = abs(a) * self._up + abs(b) * self._half
         return not spread <= middle <= self._travel - spread
 
-    @property
-    def left_share(self) -> float:
-        """Share of the contact force on the left pad (at +x) after the last `press`, 0 to 1, by the lever rule."""
-        return left_share(*self._load)
-
-    def keep(self) -> tuple[tuple[float, float], float]:
-        """Take the last `press` as a step's end; return its tilt (rad) and left share."""
+    def keep(self) -> tuple[Turn, Bars]:
+        """Take the last `press` as a step's end; return its tilt (rad) and what the bars bear."""
         (alpha, beta), (before_a, before_b), lever = self.angles, self._kept, self._lever
         self.swing = (lever * (beta - before_b), lever * (before_a - alpha)) if alpha or beta else (0.0, 0.0)
         self._kept = self.angles
-        return self.angles, self.left_share
+        return self.angles, self._bars()
 
-    def _lie_flat(self) -> tuple[float, ...]:
-        """Return what α, β, Σ N and Σ u N are while all of both bars presses: (constant, slope over D) of each."""
+    def _bars(self) -> Bars:
+        """Return what each bar bears after the last `press`."""
+        (force, depth), (mx, my), (alpha, beta) = self._load, self._middle, self.angles
+        if force <= 0.0:
+            return Bars(0.0, 0.0, 0.0, 0.0)
+        a, b = alpha - self._target[0], beta - self._target[1]
+        middle, lean, spread = depth + a * my - b * mx, a * self._up, abs(b) * self._half
+        forces, shares = [], []
+        for pressed in (middle + lean, middle - lean):
+            stiff, _, _, bears, _ = self._line(pressed, b, self._stiffness, spread)
+            beyond = self._line(pressed - self._travel, b, self._stop, spread)[3]
+            forces.append(bears + beyond)
+            shares.append(stiff / self._stiffness)
+        return Bars(forces[0], forces[1], shares[0], shares[1])
+
+    def _turn_back(self, beta: float, force: float) -> tuple[float, float, float]:
+        """Return the moment of the pads (N·m) at a tilt about y and a normal force (N), and its slopes by both.
+
+        The second slope is that of one pad alone, its place along x (m).
+        """
+        moment, most = self._pads * (beta - self._target[1]), PAD * force
+        if -most <= moment <= most:
+            return moment, self._pads, 0.0
+        arm = copysign(PAD, moment)
+        return arm * force, 0.0, arm
+
+    def _lie_flat(self, pads: float) -> tuple[float, ...]:
+        """Return α, β and Σ N while all of both bars presses: constants, slopes over D and over a moment of the pads.
+
+        The pads resist by `pads` N·m/rad besides.
+        """
         (mx, my), (tx, ty), up, half = self._middle, self._target, self._up, self._half
         stiff = 2.0 * self._stiffness
         q = self._compliance * stiff
         uv, uu, vv = mx * my, mx * mx + half * half / 3.0, my * my + up * up
-        aa, bb, ab = 1.0 + q * vv, 1.0 + q * uu, -q * uv
+        held = pads / stiff
+        aa, bb, ab = 1.0 + q * vv, 1.0 + q * (uu + held), -q * uv
         determinant = aa * bb - ab * ab
-        found = []
-        for depth, right_a, right_b in ((0.0, tx * vv - ty * uv, ty * uu - tx * uv), (1.0, -my, mx)):
+        found: list[float] = []
+        for depth, target_a, target_b, right_a, right_b in (
+            (0.0, tx, ty, tx * vv - ty * uv, ty * (uu + held) - tx * uv),
+            (1.0, 0.0, 0.0, -my, mx),
+            (0.0, 0.0, 0.0, 0.0, -1.0 / stiff),
+        ):
             alpha = q * (bb * right_a - ab * right_b) / determinant
             beta = q * (aa * right_b - ab * right_a) / determinant
-            a, b = (alpha, beta) if depth else (alpha - tx, beta - ty)
-            found.append((alpha, beta, stiff * (depth + a * my - b * mx), stiff * (depth * mx + a * uv - b * uu)))
-        (a0, b0, n0, m0), (a1, b1, n1, m1) = found
-        self._linear = a0, a1, b0, b1, n0, n1, m0, m1
-        return self._linear
+            found += alpha, beta, stiff * (depth + (alpha - target_a) * my - (beta - target_b) * mx)
+        return tuple(found)
 
     def _settle(self, depth: float) -> tuple[float, float]:
         """Return force and stiffness where an end lifts or a stop is reached, by iteration from the last angles."""
         c, half, up = self._compliance, self._half, self._up
         if c == 0.0:
-            stiff, _, _, _, _, _, force, moment_u, _, most, least = self._sums(depth, 0.0, 0.0)
-            self._load, self._lifts = (force, moment_u), least < 0.0 or most > self._travel
+            stiff, _, _, _, _, _, force, _, _, most, least = self._sums(depth, 0.0, 0.0)
+            self._load, self._lifts = (force, depth), least < 0.0 or most > self._travel
             return force, stiff
         (last, turn_a, turn_b), (alpha, beta) = self._tangent, self.angles
         # From where the last solution's tangent leads.
@@ -147,34 +195,37 @@ class PlatformTilt:
         da = db = slope = 0.0
         for _ in range(_ITERATIONS):
             stiff, ku, kv, kuu, kuv, kvv, force, moment_u, moment_v, most, least = self._sums(depth, alpha, beta)
-            # α + c Σ v N = 0 and β − c Σ u N = 0, with their derivatives by α and β.
-            ra, rb = alpha + c * moment_v, beta - c * moment_u
+            pads, held, arm = self._turn_back(beta, force)
+            # α + c Σ v N = 0 and β − c (Σ u N − M) = 0, with their derivatives by α and β.
+            ra, rb = alpha + c * moment_v, beta - c * (moment_u - pads)
             ends = ra * da + rb * db
             if ends < _OVERSHOT * slope:
                 alpha, beta = self._cut_back(depth, (alpha, beta), (da, db), slope, ends)
                 da = db = slope = 0.0
                 continue
-            aa, ab, bb = 1.0 + c * kvv, -c * kuv, 1.0 + c * kuu
-            determinant = aa * bb - ab * ab
-            da, db = (bb * ra - ab * rb) / determinant, (aa * rb - ab * ra) / determinant
+            aa, ab = 1.0 + c * kvv, -c * kuv
+            ba, bb = ab + c * arm * kv, 1.0 + c * (kuu + held - arm * ku)
+            determinant = aa * bb - ab * ba
+            da, db = (bb * ra - ab * rb) / determinant, (aa * rb - ba * ra) / determinant
             alpha, beta, slope = alpha - da, beta - db, ra * da + rb * db
             if abs(da) * up + abs(db) * half <= _ENOUGH * most:
                 # What is left is linear: not worth another sum.
-                force, moment_u = force - kv * da + ku * db, moment_u - kuv * da + kuu * db
-                break
+                force = force - kv * da + ku * db
+                if self._turn_back(beta, force)[1:] == (held, arm):
+                    break
         # What the tilt gives way as the centre goes deeper: dα = −c Σ k v …, the same system with another right side.
-        wa, wb = -c * kv, c * ku
-        da, db = (bb * wa - ab * wb) / determinant, (aa * wb - ab * wa) / determinant
-        self.angles, self._load, self._tangent = (alpha, beta), (force, moment_u), (depth, da, db)
+        wa, wb = -c * kv, c * (ku - arm * stiff)
+        da, db = (bb * wa - ab * wb) / determinant, (aa * wb - ba * wa) / determinant
+        self.angles, self._load, self._tangent = (alpha, beta), (force, depth), (depth, da, db)
         self._lifts = least < 0.0 or most > self._travel
         return force, max(stiff + kv * da - ku * db, 0.0)
 
     def _cut_back(
         self, depth: float, there: tuple[float, float], step: tuple[float, float], slope: float, ends: float
     ) -> tuple[float, float]:
-        """Return the tilt (rad) on a step that ended at `there` where the energy hardly falls or rises any more.
+        """Return the tilt (rad) on a step that ended at `there` where the moments along the step are in balance.
 
-        Its slope along the step is `slope` at the start and `ends` < 0 at the end. By a secant in a bracket whose
+        They are `slope` at the start and `ends` < 0 at the end. By a secant in a bracket whose
         far end counts half, after the Illinois rule.
         """
         (alpha, beta), (da, db), c = there, step, self._compliance
@@ -182,8 +233,8 @@ class PlatformTilt:
         for _ in range(_ITERATIONS):
             back = low - at_low * (high - low) / (at_high - at_low)
             a, b = alpha + back * da, beta + back * db
-            moment_u, moment_v = self._sums(depth, a, b)[7:9]
-            here = (a + c * moment_v) * da + (b - c * moment_u) * db
+            force, moment_u, moment_v = self._sums(depth, a, b)[6:9]
+            here = (a + c * moment_v) * da + (b - c * (moment_u - self._turn_back(b, force)[0])) * db
             if abs(here) <= -_OVERSHOT * slope:
                 break
             if here < 0.0:

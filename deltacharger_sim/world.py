@@ -21,6 +21,7 @@ from deltacharger_sim.mechanics import Mechanics
 from deltacharger_sim.motion import MakeMotion, Motion
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.proven import UnprovenWarning, doubts
+from deltacharger_tactile.pad_source import Lean
 
 _APART = 0.001  # m of gap that ends a docking; less is a bounce
 _NOTHING = 1e-9  # s
@@ -34,10 +35,10 @@ class TactileSource(Protocol):
     def begin_docking(self) -> Pose:
         """Draw a new docking and return its displacement (x m, y m, angle rad)."""
 
-    def sample(self, time: float, pose: Pose | None, force: float, share: float) -> tuple[Array, Array]:
+    def sample(self, time: float, pose: Pose | None, force: float, lean: Lean | None) -> tuple[Array, Array]:
         """Return left and right (10, 10) N, raw, for the target's pose in end_effector (None = no contact).
 
-        `share` of the force is on the left pad.
+        `lean` is of the platform against the target; None = they lie flat.
         """
 
 
@@ -261,7 +262,7 @@ class World:
         if self._tactile is None:
             return np.zeros((10, 10)), np.zeros((10, 10))
         mechanics = self.mechanics
-        return self._tactile.sample(self.time, self.misalignment, mechanics.contact_force, mechanics.pad_share)
+        return self._tactile.sample(self.time, self.misalignment, mechanics.contact_force, mechanics.lean)
 
     def _relative(self) -> Pose:
         target, position = self.parameters.target, self.mechanics.position

@@ -8,9 +8,9 @@ import functools
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.machine import FRAME_RATE, PADS
+from deltacharger_core.machine import FRAME_RATE
 from deltacharger_tactile.contact import ContactModel
-from deltacharger_tactile.pad_source import PadSource, Pose
+from deltacharger_tactile.pad_source import Lean, PadSource, Pose, approach
 from deltacharger_tactile.parameters import PadContactParameters, TactileParameters
 from deltacharger_tactile.sensor import Dockings, Rig, Sensor
 
@@ -41,10 +41,10 @@ class ContactSource(PadSource[Dockings]):
         self._began: float | None = None  # s, time of the first frame of this contact
 
     def frames(
-        self, time: float, pose: Pose | None, force: float, count: int, period: float, share: float = 0.5
+        self, time: float, pose: Pose | None, force: float, count: int, period: float, lean: Lean | None = None
     ) -> Array:
         """Return frames (count, 2, 10, 10) N raw; arguments as those of `PadSource.frames`."""
-        pressed = self._press(pose, force, share)
+        pressed = self._press(pose, force, lean)
         times = time - period * np.arange(count - 1, -1, -1)
         if pressed is not None and self._began is None:
             self._began = float(times[0])
@@ -60,11 +60,8 @@ class ContactSource(PadSource[Dockings]):
         super()._end_contact()
         self._began = None
 
-    def _solve(self, contact: Dockings, pose: Array, force: float, share: float) -> Array:
+    def _solve(self, contact: Dockings, pose: Array, force: float, lean: Lean | None) -> Array:
         tilt = contact.tilts(self.parameters, self.rig, pose)
-        model, waviness = _model(self.parameters.contact), self.rig.waviness
-        if share == 0.5:
-            return model.solve(pose, force, tilt, waviness).taxels
-        forces = np.array([2.0 * share * force, 2.0 * (1.0 - share) * force])
-        left, right = model.solve(np.repeat(pose, PADS, axis=0), forces, tilt, waviness).taxels
-        return np.stack((left[0], right[1]))[None]
+        if lean is not None:
+            tilt = tilt + approach(lean.residual)
+        return _model(self.parameters.contact).solve(pose, force, tilt, self.rig.waviness).taxels

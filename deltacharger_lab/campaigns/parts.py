@@ -7,17 +7,18 @@ from collections.abc import Mapping
 from typing import Any
 
 from deltacharger_core.machine import DOCK_DISTANCE
-from deltacharger_core.parameters import from_mapping
+from deltacharger_core.parameters import declared, from_mapping
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.campaigns.spread import Value
 from deltacharger_lab.campaigns.told import tilted_gravity, told_gravity, told_stiffness
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
-from deltacharger_tactile.second.parameters import SecondParameters
+from deltacharger_tactile.second.parameters import PlatformRestParameters, SecondParameters
 
 NOMINAL: Vector = (0.0, 0.0, DOCK_DISTANCE)  # m, charger_base; where a target stands from which its offsets count
 AXES = ("x", "y", "z", "roll")
+_COMPLIANCE = {key.name: key for key in declared(PlatformRestParameters)}["compliance"]
 
 
 def build_parts(
@@ -53,10 +54,14 @@ def build_parts(
 def second_family(values: Mapping[str, Value]) -> SecondParameters | None:
     """Return the family of rigs of the second physics; None = its defaults.
 
+    Its platform yields as the world's where that yields and the family has no compliance of its own.
+
     Raises:
         ParameterError: the values contradict each other.
     """
     content = nested(values, "second")
+    if compliance := float(values.get("world.platform.compliance", 0.0)):
+        content.setdefault("platform", {}).setdefault("compliance", max(compliance, _COMPLIANCE.low))
     return from_mapping(content, SecondParameters, "second") if content else None
 
 

@@ -39,6 +39,7 @@ _NEAR = 0.005  # m of gap, below which the magnets may snap before the machine i
 _STILL = 1e-4  # m/s; what is left of a motion at this speed moves the contact current by less than its noise
 _SAME_PLACE, _SAME_TURN = 5e-4, 4e-3  # m and rad within which the pads feel the same, but for the force
 _SAME_FORCE = 0.2  # relative
+_SAME_LEAN = 2e-4  # rad of what is left of the yaw; moves 1.5 N from one pad to the other
 _SURELY = 0.4  # N beside the threshold where no frame's noise decides: four standard deviations
 
 
@@ -59,8 +60,8 @@ class QuickCharger(VirtualCharger):
         seed: course of noise and jitter.
         rig_seed: which device's pads.
         geometry: the arm's dimensions as docking is told them; None = the true ones.
-        proportional: whether what the pads read grows with the force alone, so that what was felt tells what is felt
-            under a little more.
+        proportional: whether what the pads of level faces read grows with the force alone, so that what was felt tells
+            what is felt under a little more.
     """
 
     def __init__(
@@ -82,7 +83,7 @@ class QuickCharger(VirtualCharger):
         self._segment = 0
         self._current = math.nan  # A, into the target when it was last looked at
         self._most_felt = 0.0  # N on the taxel that felt most
-        self._felt_at: tuple[float, ...] | None = None  # pose (m, m, rad), force (N) and number of the contact
+        self._felt_at: tuple[float, ...] | None = None  # pose (m, m, rad), force (N), number of the contact, yaw (rad)
 
     def _make_machine(self) -> DockingMachine:
         parameters, geometry = self.parameters, self.geometry
@@ -205,26 +206,36 @@ class QuickCharger(VirtualCharger):
         assert pose is not None
         known = self._felt_at
         if known is None or not self._is_known(known, pose, force):
-            frame = self._pads.frames(self.world.time, pose, force, 1, 0.0, self.world.mechanics.pad_share)[0]
+            frame = self._pads.frames(self.world.time, pose, force, 1, 0.0, self.world.mechanics.lean)[0]
             self._most_felt = float(np.nanmax(frame - self.baseline))
-            self._felt_at = known = (*pose, force, float(self.world.record.contacts))
+            self._felt_at = known = (*pose, force, float(self.world.record.contacts), self._yaw())
         return self._most_felt * force >= CONTACT_FORCE * known[3]
 
     def _is_known(self, known: tuple[float, ...], pose: tuple[float, float, float], force: float) -> bool:
-        """Return whether what was felt tells what is: same contact and place, and same force or far from threshold."""
-        x, y, angle, pressed, contact = known
+        """Return whether what was felt tells what is: same contact and place, and same force or far from threshold.
+
+        Where faces lean the force alone tells nothing: under more of it the pads share it otherwise.
+        """
+        x, y, angle, pressed, contact, yaw = known
         if contact != self.world.record.contacts or abs(pose[2] - angle) > _SAME_TURN:
+            return False
+        if abs(self._yaw() - yaw) > _SAME_LEAN:
             return False
         if abs(pose[0] - x) > _SAME_PLACE or abs(pose[1] - y) > _SAME_PLACE:
             return False
-        far = abs(self._most_felt * force / pressed - CONTACT_FORCE) > _SURELY
+        far = self.world.mechanics.lean is None and abs(self._most_felt * force / pressed - CONTACT_FORCE) > _SURELY
         return far or abs(force - pressed) < _SAME_FORCE * pressed
+
+    def _yaw(self) -> float:
+        """Return what is left of the yaw between platform and target, rad."""
+        lean = self.world.mechanics.lean
+        return 0.0 if lean is None else lean.residual[1]
 
     def feel(self, count: int, period: float) -> NDArray[Any]:
         """Return `count` frames (count, 2, 10, 10) N, a `period` (s) apart, that end now; not tared, NaN where dead."""
         world = self.world
-        pressed, share = world.mechanics.contact_force, world.mechanics.pad_share
-        return self._pads.frames(world.time, world.misalignment, pressed, count, period, share)
+        pressed, lean = world.mechanics.contact_force, world.mechanics.lean
+        return self._pads.frames(world.time, world.misalignment, pressed, count, period, lean)
 
     def _reply(self, pending: Pending) -> Reply:
         if pending.request.service in (Service.TARE, Service.ESTIMATE):

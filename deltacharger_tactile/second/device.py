@@ -72,12 +72,13 @@ class Touches:
             repeat=np.clip(1.0 + parameters.sheet.repeatability * random.standard_normal((count, PADS)), 0.5, 1.5),
         )
 
-    def press(self, model: Equilibrium, device: Device, pose: Array, force: Array | float, share: float = 0.5) -> Array:
+    def press(
+        self, model: Equilibrium, device: Device, pose: Array, force: Array | float, lean: Array | float = 0.0
+    ) -> Array:
         """Return what the taxels bear (N, 2, 10, 10) N at poses (N, 3) in contact.
 
-        A share of the force on the left pad, as a world with a leaning platform tells it, moves the force's line of
-        action to where a beam on the pads' middles would have that share; the offset's part comes on top.
+        A `lean` (2,) rad of the world's platform against its target without any moment, about x and about y in the
+        sense of the device's, adds to it; what is left of it under load is this model's own balance.
         """
-        line = device.line * pose[:, :2]
-        line[:, 0] += model.parameters.dimensions.pad_distance * (2.0 * share - 1.0)
-        return model.solve(pose, force, line, device.lean + self.lean, device.ridges).taxels
+        lean = device.lean + self.lean + lean
+        return model.solve(pose, force, device.line * pose[:, :2], lean, device.ridges).taxels

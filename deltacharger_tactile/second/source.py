@@ -8,7 +8,7 @@ import functools
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_tactile.pad_source import PadSource, Pose
+from deltacharger_tactile.pad_source import Lean, PadSource, Pose, approach
 from deltacharger_tactile.second.device import Device, Touches
 from deltacharger_tactile.second.equilibrium import Equilibrium
 from deltacharger_tactile.second.parameters import SecondParameters
@@ -49,10 +49,10 @@ class SecondSource(PadSource[Touches]):
         return super().begin_docking()
 
     def frames(
-        self, time: float, pose: Pose | None, force: float, count: int, period: float, share: float = 0.5
+        self, time: float, pose: Pose | None, force: float, count: int, period: float, lean: Lean | None = None
     ) -> Array:
         """Return frames (count, 2, 10, 10) N raw; arguments as those of `PadSource.frames`."""
-        pressed = self._press(pose, force, share)
+        pressed = self._press(pose, force, lean)
         repeat = 1.0 if self._contact is None else self._contact.repeat
         first = time - (count - 1) * period
         passed = 0.0 if self._last is None else first - self._last
@@ -67,5 +67,6 @@ class SecondSource(PadSource[Touches]):
     def _draw(self) -> Touches:
         return Touches.draw(self.parameters, self._random)
 
-    def _solve(self, contact: Touches, pose: Array, force: float, share: float) -> Array:
-        return contact.press(_model(self.parameters), self.rig, pose, force, share)
+    def _solve(self, contact: Touches, pose: Array, force: float, lean: Lean | None) -> Array:
+        free = 0.0 if lean is None else approach(lean.free)
+        return contact.press(_model(self.parameters), self.rig, pose, force, free)

@@ -4,6 +4,7 @@ docking."""
 
 from __future__ import annotations
 
+import functools
 import logging
 import math
 import time
@@ -16,6 +17,8 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_lab.reports.simulation.usual import as_users_set_it, was_reset
 from deltacharger_sim.parameters import ContactParameters, ServoParameters, WorldParameters
 from deltacharger_sim.world import World
+from deltacharger_tactile.contact import ContactModel
+from deltacharger_tactile.pad_source import approach
 
 DELTA = ScalarDelta()
 LIGHT = "light"
@@ -137,11 +140,26 @@ def docking(model: str, parameters: WorldParameters, step: float) -> dict[str, A
         "peak": arm.world.record.peak_force,
         "current": arm.contact_current(),
         "tilt": mechanics.tilt,
-        "share": mechanics.pad_share,
+        "share": left_share(arm.world),
         "speed": math.nan if was_reset(arm.world) else arm.speed,
         "moving": PATH_TICKS * TICK / max(moved, 1e-6),
         "all": (PATH_TICKS * TICK + hold) / max(arm.used, 1e-6),
     }
+
+
+def left_share(world: World) -> float:
+    """Return the share of the force on the left pad, 0 to 1, by the contact model of straight ridges; NaN apart."""
+    mechanics, pose = world.mechanics, world.misalignment
+    if pose is None or not all(map(math.isfinite, pose)):
+        return math.nan
+    tilt = (0.0, 0.0) if mechanics.lean is None else approach(mechanics.lean.residual)
+    left, right = _contact_model().solve(pose, mechanics.contact_force, tilt).taxels[0].sum(axis=(1, 2))
+    return float(left / (left + right))
+
+
+@functools.cache
+def _contact_model() -> ContactModel:
+    return ContactModel()
 
 
 def rms(trace: Sequence[Vector], exact: Sequence[Vector]) -> float:
