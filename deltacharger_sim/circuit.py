@@ -6,11 +6,12 @@ from __future__ import annotations
 import math
 from enum import Enum
 
+from deltacharger_sim.bars import Bars
 from deltacharger_sim.clearance import Overlap
 from deltacharger_sim.parameters import CircuitParameters
 
 NO_CHARGE_CURRENT, SHORT, REVERSE_POLARITY, VOLTAGE, REVERSE_CURRENT, WELDED, OVER_CURRENT = 1, 2, 4, 5, 6, 7, 9
-_NOMINAL_FORCE = 80.0  # N; magnets and push in the middle of the band
+_NOMINAL_FORCE = 40.0  # N on one bar; magnets and push in the middle of the band
 _SHORT_CURRENT = 200.0  # A that a battery drives through shorted electrodes until the stage opens
 _DETECTION = 0.002  # s until the stage has measured a short and opened
 _OVER_CURRENT = 20.0  # A
@@ -52,8 +53,8 @@ class Circuit:
         self._idle_for = 0.0
         self._flowed = False
         self._overlap: Overlap | None = None
-        self._force = 0.0
-        self._known_resistance: float | None = None  # of overlap and force, once it was asked for
+        self._bars = Bars.flat(0.0)
+        self._known_contacts: tuple[float, float] | None = None  # Ω of the upper and the lower bar, once asked for
         self._voltage = parameters.target_voltage  # of the target's battery without load
         self.current = 0.0
         self.fault = 0
@@ -78,11 +79,11 @@ class Circuit:
         elif not ramp or self._phase is _PRECHARGE:
             self._break()
 
-    def step(self, dt: float, overlap: Overlap | None, force: float) -> None:
-        """Advance by `dt` s with the terminals lying on each other as `overlap` (None = apart) under `force` N."""
+    def step(self, dt: float, overlap: Overlap | None, bars: Bars) -> None:
+        """Advance by `dt` s with the terminals lying on each other as `overlap` (None = apart), pressed as `bars`."""
         self._since += dt
-        if force != self._force or overlap is not self._overlap:
-            self._overlap, self._force, self._known_resistance = overlap, force, None
+        if bars != self._bars or overlap is not self._overlap:
+            self._overlap, self._bars, self._known_contacts = overlap, bars, None
         if self._phase is _OPEN and not self._stuck:
             self.current = self._shorted_for = 0.0
             return
@@ -138,15 +139,36 @@ class Circuit:
         return self._overlap is not None and self._overlap.short
 
     @property
+    def heat(self) -> float:
+        """In the contact of the bar that is worse off (W); of a short, which lies elsewhere, none is known here."""
+        if self.current == 0.0 or self._shorted or math.isinf(self._resistance):
+            return 0.0
+        return self.current * self.current * max(self._contacts)
+
+    @property
     def _resistance(self) -> float:
-        """Of the contact (Ω): falls with overlap (area) and with the square root of force, as spots of contact grow."""
-        if self._known_resistance is None:
-            lies, force = self._overlap, self._force
-            self._known_resistance = math.inf
-            if lies is not None and force > 0.0 and lies.area > 0.0:
-                spots = max(lies.fraction, 1e-3) * math.sqrt(force / _NOMINAL_FORCE)
-                self._known_resistance = self._parameters.contact_resistance / spots
-        return self._known_resistance
+        """Of both contacts in series (Ω)."""
+        upper, lower = self._contacts
+        return upper + lower
+
+    @property
+    def _contacts(self) -> tuple[float, float]:
+        """Of each bar (Ω): falls with what of its overlap presses (area) and with the square root of force, as spots
+        of contact grow; inf where it does not press."""
+        if self._known_contacts is None:
+            bars = self._bars
+            self._known_contacts = (
+                self._contact(bars.upper, bars.upper_pressed),
+                self._contact(bars.lower, bars.lower_pressed),
+            )
+        return self._known_contacts
+
+    def _contact(self, force: float, pressed: float) -> float:
+        lies = self._overlap
+        if lies is None or not force > 0.0 or not pressed > 0.0 or not lies.area > 0.0:
+            return math.inf
+        spots = max(lies.fraction * pressed, 1e-3) * math.sqrt(force / _NOMINAL_FORCE)
+        return 0.5 * (self._parameters.contact_resistance / spots)
 
     def _leave_precharge(self) -> None:
         voltage = self._voltage

@@ -7,8 +7,7 @@ import dataclasses
 import math
 import random
 import warnings
-from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -21,12 +20,12 @@ from deltacharger_sim.mechanics import Mechanics
 from deltacharger_sim.motion import MakeMotion, Motion
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.proven import UnprovenWarning, doubts
-from deltacharger_tactile.pad_source import Lean
+from deltacharger_sim.record import Record, Snapshot
+from deltacharger_tactile.pad_source import Lean, Pose
 
 _APART = 0.001  # m of gap that ends a docking; less is a bounce
 _NOTHING = 1e-9  # s
 T = TypeVar("T")
-Pose = tuple[float, float, float]
 
 
 class TactileSource(Protocol):
@@ -40,51 +39,6 @@ class TactileSource(Protocol):
 
         `lean` is of the platform against the target; None = they lie flat.
         """
-
-
-@dataclass
-class Record:
-    """What really happened; for tests and reports, never for docking.
-
-    Attributes:
-        energised_shorts: times that live electrodes were shorted.
-        energised_unsafe: s that the electrodes were live with negative clearance.
-        energised: s that the electrodes were live: the contactor was closed, whether or not current flowed.
-        parted_live: times that live electrodes left the target.
-        unpowered_live: times that a servo lost its torque while the electrodes were live.
-        broken_current: largest current that the contactor had to interrupt, A.
-        contacts: dockings, bounces not counted.
-        peak_force: largest normal force, that of impacts within a step included, N.
-        peak_push: largest force on the target along z without that of the magnets, N: of the servos and of impacts.
-    """
-
-    energised_shorts: int = 0
-    energised_unsafe: float = 0.0
-    energised: float = 0.0
-    parted_live: int = 0
-    unpowered_live: int = 0
-    broken_current: float = 0.0
-    contacts: int = 0
-    peak_force: float = 0.0
-    peak_push: float = 0.0
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the values by name."""
-        return dataclasses.asdict(self)
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """The truth at one instant, for tests and reports: m, rad, N, A, charger_base; `misalignment` in end_effector."""
-
-    time: float
-    position: Vector
-    misalignment: Pose | None
-    contact_force: float
-    push: float
-    charge_current: float
-    contactor_closed: bool
-    clearance: float
 
 
 class World:
@@ -130,7 +84,7 @@ class World:
         self._docked = False
         self._overlap: Overlap | None = None
         self._overlap_pose: Pose | None = None
-        self._was_short = self._was_parted = self._was_unpowered = False
+        self._was_short = self._was_parted = self._was_unpowered = self._was_lifted = False
         self._temperature = [parameters.servo.ambient_temperature] * 3
         self._goals: Vector = (0.0, 0.0, 0.0)
         self._goals_of: Vector | None = None
@@ -172,7 +126,7 @@ class World:
             self._late.keep(self.time, [self._state(index) for index in range(3)])
         if moved or not mechanics.still:
             self._follow_contact()
-        self.circuit.step(dt, self._overlap, mechanics.contact_force)
+        self.circuit.step(dt, self._overlap, mechanics.bars)
         self._heat(dt)
         self._take_record(dt)
 
@@ -318,7 +272,7 @@ class World:
         record.broken_current = circuit.broken_current
         live = circuit.closed
         if not live:
-            self._was_short = self._was_parted = self._was_unpowered = False
+            self._was_short = self._was_parted = self._was_unpowered = self._was_lifted = False
             return
         lies = self._overlap
         record.energised += dt
@@ -330,6 +284,11 @@ class World:
         parted = lies is None
         record.parted_live += parted and not self._was_parted
         self._was_parted = parted
+        bars = self.mechanics.bars
+        lifted = (bars.upper > 0.0) != (bars.lower > 0.0)
+        record.lifted_live += lifted and not self._was_lifted
+        self._was_lifted = lifted
+        record.bar_heat = max(record.bar_heat, circuit.heat)
         unpowered = not all(self._enabled)
         record.unpowered_live += unpowered and not self._was_unpowered
         self._was_unpowered = unpowered

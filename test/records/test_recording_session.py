@@ -18,7 +18,7 @@ from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
 from deltacharger_records.datasets.plan import OFFSETS_MM, REPEATS, SETS, SUBSETS, TILTED, CommandedPose, Part
 from deltacharger_records.datasets.session import NotKept, Rested, TouchSession, check_places
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
-from deltacharger_sim.world import Snapshot
+from deltacharger_sim.record import Snapshot
 
 FRAMES = 12
 LIMIT = 300.0  # simulated s

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from deltacharger_sim.bars import Bars
 from deltacharger_sim.circuit import (
     NO_CHARGE_CURRENT,
     REVERSE_CURRENT,
@@ -25,6 +26,7 @@ FULL = Overlap(TERMINAL, 0.0, 0.0, 0.0)
 HALF = Overlap(TERMINAL, 0.5 * TERMINAL.length, 0.0, 0.0)
 BRIDGED = Overlap(TERMINAL, 0.0, 0.0, math.radians(14.0))
 FORCE = 77.0
+PRESSED = Bars.flat(FORCE)
 
 
 def make(**changes: Any) -> Circuit:
@@ -35,7 +37,7 @@ def run(
     circuit: Circuit, seconds: float, lies: Overlap | None = FULL, force: float = FORCE, step: float = 0.005
 ) -> None:
     for _ in range(round(seconds / step)):
-        circuit.step(step, lies, force)
+        circuit.step(step, lies, Bars.flat(force))
 
 
 def charging(**changes: Any) -> Circuit:
@@ -58,7 +60,7 @@ def test_closing_waits_for_the_pre_charge_and_then_ramps() -> None:
     assert circuit.closed
     before = circuit.current
     while circuit.current < 10.0:
-        circuit.step(0.005, FULL, FORCE)
+        circuit.step(0.005, FULL, PRESSED)
         assert circuit.current - before <= 40.0 * 0.005 + 1e-9
         before = circuit.current
 
@@ -89,7 +91,7 @@ def test_the_target_voltage_is_measured_only_in_contact() -> None:
 def test_contact_resistance_falls_with_overlap_and_with_force() -> None:
     def resistance(lies: Overlap, force: float) -> float:
         circuit = make(target_leakage=0.0)
-        circuit.step(0.005, lies, force)
+        circuit.step(0.005, lies, Bars.flat(force))
         return circuit.probe()[0]
 
     assert resistance(FULL, 80.0) == pytest.approx(0.01)
@@ -108,7 +110,7 @@ def test_the_probe_tells_healthy_short_reversed_and_open_apart() -> None:
     probes = []
     for changes, lies in cases:
         circuit = make(**changes)
-        circuit.step(0.005, lies, FORCE)
+        circuit.step(0.005, lies, PRESSED)
         probes.append(circuit.probe())
     (ohm, volt), (short, _), (_, reverse), (apart, nothing) = probes
     assert ohm >= 1.0
@@ -125,7 +127,7 @@ def test_a_wanted_opening_ramps_below_one_ampere_within_50_ms() -> None:
     elapsed, last = 0.0, circuit.current
     while circuit.closed:
         last = circuit.current
-        circuit.step(0.001, FULL, FORCE)
+        circuit.step(0.001, FULL, PRESSED)
         elapsed += 0.001
     assert elapsed <= 0.050
     assert last < 1.0 + 500.0 * 0.001
@@ -164,7 +166,7 @@ def test_nothing_is_closed_onto_what_is_wrong(changes: dict[str, float], lies: O
     run(circuit, 0.02, lies)
     circuit.close()
     for _ in range(100):
-        circuit.step(0.005, lies, FORCE)
+        circuit.step(0.005, lies, PRESSED)
         assert not circuit.closed
         assert circuit.current == 0.0
     assert circuit.fault == fault
@@ -190,10 +192,10 @@ def test_a_target_that_takes_nothing_is_reported() -> None:
 
 def test_a_short_while_charging_flows_for_a_step_and_opens() -> None:
     circuit = charging()
-    circuit.step(0.005, BRIDGED, FORCE)
+    circuit.step(0.005, BRIDGED, PRESSED)
     assert circuit.closed
     assert circuit.current > 100.0  # for the time that the stage needs to notice
-    circuit.step(0.005, BRIDGED, FORCE)
+    circuit.step(0.005, BRIDGED, PRESSED)
     assert not circuit.closed
     assert circuit.fault == SHORT
 
@@ -247,7 +249,7 @@ def test_a_battery_that_fills_up_draws_constant_current_then_less_and_less() -> 
     circuit.close()
     currents, delivered = [], 0.0
     for _ in range(6000):
-        circuit.step(0.01, FULL, 80.0)
+        circuit.step(0.01, FULL, Bars.flat(80.0))
         currents.append(circuit.current)
         delivered += circuit.current * 0.01
     flat = sum(current > 9.99 for current in currents) * 0.01
@@ -263,6 +265,6 @@ def test_a_battery_without_capacity_keeps_its_voltage() -> None:
     circuit = Circuit(CircuitParameters())
     circuit.close()
     for _ in range(2000):
-        circuit.step(0.05, FULL, 80.0)
+        circuit.step(0.05, FULL, Bars.flat(80.0))
     assert circuit.probe()[1] == 24.0
     assert circuit.current == pytest.approx(10.0)

@@ -55,38 +55,58 @@ def statics(parameters: WorldParameters) -> tuple[float, float, float]:
 
     delta, servo, target = ScalarDelta(), parameters.servo.stiffness, parameters.target
     compliance, contact = parameters.platform.compliance, parameters.contact
+    pads = 2.0 * contact.pad_stiffness * 0.048**2
     u, v = np.meshgrid(0.07 * ((np.arange(2000) + 0.5) / 2000 - 0.5), (0.0087, -0.0087))
 
     def compressed(depth: float, tilt: np.ndarray) -> np.ndarray:
         return np.maximum(depth + (tilt[0] - target.tilt_x) * v - (tilt[1] - target.tilt_y) * u, 0.0)
 
+    def pressed(depth: float, tilt: np.ndarray, power: int) -> float:
+        springs = compressed(depth, tilt)
+        stops = np.maximum(springs - contact.hard_stop, 0.0)
+        each = contact.stiffness * springs**power + 0.5 * contact.hard_stop_stiffness * stops**power
+        return float(np.sum(each)) / 2000
+
+    def borne(depth: float) -> float:
+        z = target.z + depth
+        lever = sum(delta.jacobian(0.0, 0.0, z)[6:]) / 3.0
+        push = servo * (delta.inverse(0.0, 0.0, COMMAND)[0] - delta.inverse(0.0, 0.0, z)[0]) / lever
+        return push + pull(parameters.magnets, -depth, 0.0)
+
     def tilted(depth: float) -> np.ndarray:
+        most = 0.048 * borne(depth)  # N·m of one pad that bears all
+
         def energy(scaled: np.ndarray) -> float:
             tilt = 0.01 * scaled
-            springs = contact.stiffness * np.sum(compressed(depth, tilt) ** 2) / 2000
-            return float(0.5 * (tilt @ tilt / compliance + springs))
+            springs = pressed(depth, tilt, 2)
+            yaw = abs(tilt[1] - target.tilt_y)
+            held = pads * yaw**2 if pads * yaw < most else 2.0 * most * yaw - most**2 / pads
+            return float(0.5 * (tilt @ tilt / compliance + springs + held))
 
         if compliance == 0.0:
             return np.zeros(2)
         return 0.01 * minimize(energy, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-12}).x
 
     def force(depth: float) -> float:
-        return float(contact.stiffness * np.sum(compressed(depth, tilted(depth))) / 2000)
+        return pressed(depth, tilted(depth), 1)
 
-    def balance(depth: float) -> float:
-        z = target.z + depth
-        lever = sum(delta.jacobian(0.0, 0.0, z)[6:]) / 3.0
-        push = servo * (delta.inverse(0.0, 0.0, COMMAND)[0] - delta.inverse(0.0, 0.0, z)[0]) / lever
-        return push + pull(parameters.magnets, -depth, 0.0) - force(depth)
-
-    depth = brentq(balance, -0.002, 0.002, xtol=1e-9)
+    depth = brentq(lambda depth: borne(depth) - force(depth), -0.002, 0.002, xtol=1e-9)
     return (force(depth), *tilted(depth))
 
 
 @pytest.mark.parametrize("mujoco", [False, True])
 @pytest.mark.parametrize(
     ("compliance", "pitch", "yaw", "stiffness"),
-    [(0.0, 0.0, 2.0, 1e5), (0.02, 0.0, 1.0, 1e5), (0.01, 0.0, 2.0, 1e6), (0.03, 2.0, 0.0, 1e6), (0.02, -2.0, 1.5, 1e5)],
+    [
+        (0.0, 0.0, 2.0, 1e5),
+        (0.02, 0.0, 1.0, 1e5),
+        (0.01, 0.0, 2.0, 1e6),
+        (0.03, 2.0, 0.0, 1e6),
+        (0.02, -2.0, 1.5, 1e5),
+        (0.01, 0.0, 5.0, 1e5),
+        (0.01, 0.0, -4.0, 3e4),
+        (0.03, -3.0, 5.0, 1e6),
+    ],
 )
 def test_force_and_tilt_at_rest_are_those_of_statics(
     arm: ArmFactory, mujoco: bool, compliance: float, pitch: float, yaw: float, stiffness: float
@@ -94,12 +114,27 @@ def test_force_and_tilt_at_rest_are_those_of_statics(
     parameters = leaning(compliance, pitch, yaw, stiffness, servo=ServoParameters(friction=0.0), gravity_y=0.0)
     force, alpha, beta = statics(parameters)
     found = settled(arm, parameters, mujoco)
-    assert found.contact_force == pytest.approx(force, rel=0.005)
+    # The statics' angles are small ones, MuJoCo's are not.
+    assert found.contact_force == pytest.approx(force, rel=0.005 if abs(yaw) < 5.0 else 0.012)
     assert found.peak_force >= found.contact_force
-    assert found.tilt == pytest.approx((alpha, beta), rel=0.01, abs=2e-5)
-    # By the lever rule: what turns the platform about y is the moment of the contact.
-    if compliance > 0.0:
-        assert found.pad_share - 0.5 == pytest.approx(0.5 * beta / compliance / force / 0.048, rel=0.02, abs=1e-3)
+    assert found.tilt == pytest.approx((alpha, beta), rel=0.01 if abs(yaw) < 5.0 else 0.02, abs=2e-5)
+    residual = alpha - math.radians(pitch), beta - math.radians(yaw)
+    assert found.lean.residual == pytest.approx(residual, rel=0.02, abs=3e-5)
+    assert found.lean.free == pytest.approx((-math.radians(pitch), -math.radians(yaw)))
+    assert found.bars.upper + found.bars.lower == pytest.approx(found.contact_force)
+    if compliance > 0.0:  # what turns the platform about x is the difference of what the bars bear
+        assert found.bars.lower - found.bars.upper == pytest.approx(alpha / compliance / 0.0087, rel=0.02, abs=0.1)
+
+
+@pytest.mark.parametrize("compliance", [0.01, 0.03])
+@pytest.mark.parametrize("lean", [(3.0, 0.0, 1e6), (-2.0, 4.0, 1e5), (0.0, 5.0, 3e4)])
+def test_both_give_each_bar_the_same(arm: ArmFactory, compliance: float, lean: tuple[float, float, float]) -> None:
+    parameters = leaning(compliance, *lean, servo=ServoParameters(friction=0.0), gravity_y=0.0)
+    light, other = (settled(arm, parameters, mujoco) for mujoco in (False, True))
+    assert other.contact_force == pytest.approx(light.contact_force, rel=0.01)
+    assert other.bars[:2] == pytest.approx(light.bars[:2], rel=0.03, abs=0.5)
+    assert other.bars[2:] == pytest.approx(light.bars[2:], abs=0.06)  # a point of 24 more or less
+    assert other.lean.residual == pytest.approx(light.lean.residual, rel=0.02, abs=2e-4)
 
 
 def test_both_dock_alike_with_friction_weight_and_a_lever(arm: ArmFactory) -> None:
@@ -113,11 +148,12 @@ def test_both_dock_alike_with_friction_weight_and_a_lever(arm: ArmFactory) -> No
             each.aim((0.0, 0.0, 0.06 + 0.026 * min((tick + 1) / 16.0, 1.0)))
             each.run(0.05)
         squares.append(math.dist(light.world.mechanics.position, other.world.mechanics.position) ** 2)
-    assert math.sqrt(sum(squares[5:]) / len(squares[5:])) < 1e-4
+    # While the face swings aside by 0.7 mm, friction grows with the force: whether it holds it is decided on the way.
+    assert math.sqrt(sum(squares[5:]) / len(squares[5:])) < 1.6e-4
     first, second = light.world.mechanics, other.world.mechanics
     # Friction holds the face while it swings aside by lever · tilt, so that the platform goes the other way.
     assert second.position[0] < -0.5 * 0.02 * second.tilt[1] < 0.0
-    assert first.position[0] == pytest.approx(second.position[0], abs=8e-5)
+    assert first.position[0] == pytest.approx(second.position[0], abs=1.6e-4)
     assert first.tilt == pytest.approx(second.tilt, rel=0.05)
 
 
@@ -144,5 +180,5 @@ def test_what_is_level_has_the_model_of_two_spheres() -> None:
     level = mujoco_model.build(WorldParameters(), DeltaGeometry(), 1e-3, integrator)
     assert (level.npair, level.njnt, level.neq) == (2, 12, 3)
     leans = mujoco_model.build(leaning(0.01, 0.0, 1.0), DeltaGeometry(), 1e-3, integrator)
-    assert (leans.njnt, leans.neq) == (14, 5)
+    assert (leans.njnt, leans.neq) == (14, 6)
     assert leans.npair > 2

@@ -12,6 +12,7 @@ from deltacharger_sim.parameters import WorldParameters
 from deltacharger_sim.world import World
 from deltacharger_tactile.errors import DatasetError
 from deltacharger_tactile.generator import generate_continuous
+from deltacharger_tactile.pad_source import Lean
 from deltacharger_tactile.second.generator import dock_anew
 from deltacharger_tactile.second.parameters import SecondParameters, SheetParameters
 from deltacharger_tactile.second.sheet import Sheets, SheetSensor
@@ -167,9 +168,9 @@ def test_a_source_stays_finite_and_bounded(force: float) -> None:
     time = 0.0
     for pose in ((0.03, 0.03, 0.52), (-0.03, 0.0, -0.52), (0.0, 0.0, 0.0), (0.0, -0.03, 0.52)):
         for step in (0.0, 1e-3, 1e4):
-            for share in (0.0, 0.5, 1.0):
+            for yaw in (-0.1, 0.0, 0.1):
                 time += step
-                frames = source.frames(time, pose, force, 2, 0.0, share)
+                frames = source.frames(time, pose, force, 2, 0.0, Lean(free=(0.03, yaw)))
                 dead = np.isnan(frames)
                 assert np.array_equal(dead[0], source.rig.sheets.dead)
                 assert frames[~dead].min() >= 0.0

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a world keeps and shows for tests and reports, never for docking."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_tactile.pad_source import Pose
+
+
+@dataclass
+class Record:
+    """What really happened; for tests and reports, never for docking.
+
+    Attributes:
+        energised_shorts: times that live electrodes were shorted.
+        energised_unsafe: s that the electrodes were live with negative clearance.
+        energised: s that the electrodes were live: the contactor was closed, whether or not current flowed.
+        parted_live: times that live electrodes left the target.
+        unpowered_live: times that a servo lost its torque while the electrodes were live.
+        broken_current: largest current that the contactor had to interrupt, A.
+        contacts: dockings, bounces not counted.
+        peak_force: largest normal force, that of impacts within a step included, N.
+        peak_push: largest force on the target along z without that of the magnets, N: of the servos and of impacts.
+        lifted_live: times that live electrodes stood with a bar that carried nothing while the other pressed.
+        bar_heat: largest heat in the contact of one bar, W.
+    """
+
+    energised_shorts: int = 0
+    energised_unsafe: float = 0.0
+    energised: float = 0.0
+    parted_live: int = 0
+    unpowered_live: int = 0
+    broken_current: float = 0.0
+    contacts: int = 0
+    peak_force: float = 0.0
+    peak_push: float = 0.0
+    lifted_live: int = 0
+    bar_heat: float = 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the values by name."""
+        return dataclasses.asdict(self)
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The truth at one instant, for tests and reports: m, rad, N, A, charger_base; `misalignment` in end_effector."""
+
+    time: float
+    position: Vector
+    misalignment: Pose | None
+    contact_force: float
+    push: float
+    charge_current: float
+    contactor_closed: bool
+    clearance: float
