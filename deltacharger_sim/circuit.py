@@ -82,7 +82,7 @@ class Circuit:
     def step(self, dt: float, overlap: Overlap | None, bars: Bars) -> None:
         """Advance by `dt` s with the terminals lying on each other as `overlap` (None = apart), pressed as `bars`."""
         self._since += dt
-        if bars != self._bars or overlap is not self._overlap:
+        if bars is not self._bars or overlap is not self._overlap:
             self._overlap, self._bars, self._known_contacts = overlap, bars, None
         if self._phase is _OPEN and not self._stuck:
             self.current = self._shorted_for = 0.0

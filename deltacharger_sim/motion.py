@@ -15,6 +15,7 @@ from deltacharger_sim.tilt import tilts
 from deltacharger_tactile.pad_source import Lean
 
 _NONE: Vector = (0.0, 0.0, 0.0)
+_UNTOUCHED = Bars.flat(0.0)
 
 
 class Motion(ABC):
@@ -46,7 +47,7 @@ class Motion(ABC):
         self.velocity = self.angles = self.rates = self.torques = self.slack = _NONE
         self.tilt = (0.0, 0.0)
         self._leans = tilts(parameters)
-        self._bars: Bars | None = None  # where something leans
+        self._bars = _UNTOUCHED
         self.contact_force = self.peak_force = self.magnet_force = self.imbalance = 0.0
         self.still = False
 
@@ -66,7 +67,9 @@ class Motion(ABC):
     @property
     def bars(self) -> Bars:
         """What each bar bears."""
-        return Bars.flat(self.contact_force) if self._bars is None else self._bars
+        if not self._leans and self._bars.upper != 0.5 * self.contact_force:
+            self._bars = Bars.flat(self.contact_force)
+        return self._bars
 
     @property
     def onset(self) -> float:

@@ -268,3 +268,45 @@ def test_a_battery_without_capacity_keeps_its_voltage() -> None:
         circuit.step(0.05, FULL, Bars.flat(80.0))
     assert circuit.probe()[1] == 24.0
     assert circuit.current == pytest.approx(10.0)
+
+
+def test_both_bars_are_contacts_in_series_each_with_its_own_force_and_pressed_length() -> None:
+    def resistance(bars: Bars, lies: Overlap = FULL) -> float:
+        circuit = make(target_leakage=0.0)
+        circuit.step(0.005, lies, bars)
+        return circuit.probe()[0]
+
+    for force, lies in ((80.0, FULL), (31.0, HALF)):
+        both = 0.01 / (lies.fraction * math.sqrt(force / 80.0))
+        assert resistance(Bars.flat(force), lies) == both
+    assert resistance(Bars(10.0, 70.0)) == pytest.approx(0.005 * (math.sqrt(40.0 / 10.0) + math.sqrt(40.0 / 70.0)))
+    assert resistance(Bars(40.0, 40.0, 0.25, 1.0)) == pytest.approx(0.005 * (4.0 + 1.0))
+    assert resistance(Bars(10.0, 70.0)) == resistance(Bars(70.0, 10.0))
+
+
+@pytest.mark.parametrize("lifted", [Bars(0.0, FORCE, 0.0, 1.0), Bars(FORCE, 0.0, 1.0, 0.0)])
+def test_a_bar_that_does_not_press_opens_the_circuit(lifted: Bars) -> None:
+    circuit = make()
+    circuit.step(0.005, FULL, lifted)
+    resistance, target = circuit.probe()
+    assert math.isinf(resistance)
+    assert math.isnan(target)
+    live = charging()
+    for _ in range(20):
+        live.step(0.005, FULL, lifted)
+        assert live.current == 0.0
+        assert live.heat == 0.0
+    assert not live.closed
+    assert live.fault == NO_CHARGE_CURRENT
+
+
+def test_heat_is_that_of_the_bar_with_the_larger_resistance() -> None:
+    circuit = charging()
+    circuit.step(0.005, FULL, Bars.flat(80.0))
+    assert circuit.heat == pytest.approx(10.0**2 * 0.005)
+    for bars in (Bars(2.5, 77.5), Bars(77.5, 2.5)):
+        circuit.step(0.005, FULL, bars)
+        assert circuit.heat == pytest.approx(10.0**2 * 0.005 * 4.0)
+    circuit.step(0.005, BRIDGED, PRESSED)
+    assert circuit.current > 100.0
+    assert circuit.heat == 0.0

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deltacharger_sim.circuit import NO_CHARGE_CURRENT
 from deltacharger_sim.parameters import (
     ContactParameters,
     PlatformParameters,
@@ -248,6 +250,48 @@ def test_a_target_pitched_about_x_comes_nearer_below_and_loads_lower_rows_and_th
         bars = touching.world.mechanics.bars
     assert loads[1] > loads[0]
     assert bars.lower > bars.upper
+
+
+def test_a_bar_that_lifts_while_live_ends_charging_and_is_on_record(arm: ArmFactory) -> None:
+    pitched = arm(WorldParameters(target=TargetParameters(tilt_x=math.radians(2.3))))
+    pitched.dock()
+    pitched.charge()
+    world, record = pitched.world, pitched.world.record
+    assert world.circuit.current == pytest.approx(10.0)
+    assert record.lifted_live == 0
+    # Both bars press, the upper one with less: its contact warms more than half of a level one would.
+    assert 0.0 < world.mechanics.bars.upper < world.mechanics.bars.lower
+    assert record.bar_heat > 0.7
+    pitched.go((0.0, 0.0, 0.0795))
+    assert world.mechanics.contact_force > 20.0
+    assert world.mechanics.bars.upper == 0.0
+    assert record.lifted_live == 1
+    assert record.parted_live == 0
+    assert not world.circuit.closed
+    assert world.circuit.fault == NO_CHARGE_CURRENT
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "compliance", "pitch"), [(1e5, 0.0, 2.6), (1e5, 0.03, 3.8), (1e6, 0.0, 0.26), (1e6, 0.03, 1.5)]
+)
+def test_a_bar_lifts_from_a_pitch_on_that_both_stiffnesses_tell(
+    arm: ArmFactory, stiffness: float, compliance: float, pitch: float
+) -> None:
+    found = []
+    for scale in (0.95, 1.05):
+        pitched = arm(
+            WorldParameters(
+                servo=ServoParameters(friction=0.0),
+                contact=ContactParameters(stiffness=stiffness),
+                platform=PlatformParameters(compliance=compliance),
+                target=TargetParameters(tilt_x=scale * math.radians(pitch)),
+            )
+        )
+        pitched.dock(0.006)
+        found.append(pitched.world.mechanics.bars)
+    assert found[0].upper > 0.0
+    assert found[1].upper == 0.0
+    assert found[1].upper_pressed == 0.0
 
 
 def test_a_tilting_contact_comes_to_rest_at_any_step_and_stiffness(arm: ArmFactory) -> None:
