@@ -44,6 +44,8 @@ BAR_LENGTH, BAR_HEIGHT, BAR_GAP = 0.070, 0.010, 0.0074
 """m; an electrode's bar along x and y, and the gap to the other bar (assumed: they short at the paper's 12°)."""
 MAGNET_FORCE, MAGNET_WIDTH, MAGNET_FLOOR = 60.0, 0.008, 0.2
 """All magnets together: N in contact at zero offset, m of lateral offset that halves it, least share (assumed)."""
+PAD_DISTANCE = 0.048
+"""m from the middle of the platform to each pad, along x."""
 PAD_YAW_STIFFNESS = 690.0
 """N·m/rad, moment of both pads about y by the yaw that remains, at 78 N: slope of the tactile contact model."""
 DOCKING_JITTER = 1.0e-3

@@ -47,13 +47,14 @@ def dock(context: Context, target: Target, given: ElectrodePose | None) -> Scrip
     """
     parameters = context.parameters
     context.known_contact = None
-    electrodes = given or (yield from locate(context))  # 1
+    context.electrodes = electrodes = given or (yield from locate(context))  # 1
     if parameters.approach == "published":
         yield from prepare(context)
         yield from published.dock(context, target, electrodes.position)
         return
     check_roll(context, electrodes, target.critical_angle)
     check_lean(context, electrodes)
+    target.foresee(electrodes)
     yield from prepare(context)
     yield from approach(context, electrodes.position)  # 2
     if parameters.approach == "paper":

@@ -68,6 +68,12 @@ class Plan:
     aside: float = 0.0
 
 
+def empty_pad_offset(parameters: DockingParameters, force: float) -> float:
+    """Return the offset by load (m) from which a contact under so much force (N) leaves a pad with next to nothing."""
+    p = parameters
+    return p.load_share_max * force * p.pad_distance / p.pad_yaw_stiffness * p.load_per_yaw
+
+
 class AlongFilter:
     """Place of one target along x of charger_base, and the load bias of its lean.
 
@@ -79,6 +85,7 @@ class AlongFilter:
         bias_stddev: m.
 
     Attributes:
+        foreseen: where it was foreseen to be, m.
         target: where the target is, m; NaN before the first look.
         bias, bias_stddev: the load bias, m.
     """
@@ -93,11 +100,12 @@ class AlongFilter:
     ) -> None:
         p = parameters
         self._parameters, self._pull = p, MagnetPull(p)
-        self._foreseen, self._foreseen_stddev, self._bias = place, place_stddev, bias
+        self.foreseen, self._foreseen_stddev, self._bias = place, place_stddev, bias
         shared = math.hypot(bias_stddev, p.horizontal_shared)
         self._prior = np.array([shared, p.gain_error, p.force_error, p.magnet_error, p.magnet_width_error]) ** 2
         self._looks: list[Look] = []
         self._weights, self._means, self._spread = np.ones(1), np.full(1, math.nan), math.inf
+        self._innovations = 0.0
         self.target = math.nan
         self.bias, self.bias_stddev = bias, shared
 
@@ -111,9 +119,11 @@ class AlongFilter:
         last[:, -2:] = landing[:, -2:]
         of_bias = rows[:, :, 0]
         told, of_last, by_bias = np.moveaxis(np.linalg.solve(joint, np.stack([residual, last, of_bias], axis=2)), 2, 0)
-        logs = -0.5 * ((residual * told).sum(axis=1) + np.linalg.slogdet(joint)[1])
-        if math.isfinite(self._foreseen):
-            logs -= 0.5 * ((places - self._foreseen) / self._foreseen_stddev) ** 2
+        square = (residual * told).sum(axis=1)
+        self._innovations = float(square.min())
+        logs = -0.5 * (square + np.linalg.slogdet(joint)[1])
+        if math.isfinite(self.foreseen):
+            logs -= 0.5 * ((places - self.foreseen) / self._foreseen_stddev) ** 2
         weights = np.exp(logs - logs.max())
         self._weights = weights = weights / weights.sum()
         self.target = float(weights @ places)
@@ -133,6 +143,12 @@ class AlongFilter:
         mean = float(self._weights @ self._means)
         return Offset(mean, math.sqrt(self._spread**2 + float(self._weights @ (self._means - mean) ** 2)))
 
+    @property
+    def contradicts_itself(self) -> bool:
+        """Whether the looks differ by more than their errors allow: the pads do not feel where the arm has gone."""
+        p = self._parameters
+        return self._innovations > p.contradiction_start + 2.0 * p.contradiction_each * len(self._looks)
+
     def risk(self, limit: float) -> float:
         """Return the probability that this contact lies farther off than `limit` (m), either way."""
         parts = zip(self._weights.tolist(), self._means.tolist(), strict=True)
@@ -143,11 +159,12 @@ class AlongFilter:
 
         Where the contact that stays turns out worse than this one, nothing was gained: it can be made again.
         """
-        now, known, probe = self.risk(limit), self._information(), self._parameters.probe_offset
+        now, known = self.risk(limit), self._information()
+        far, near = self._parameters.probe_offset, 0.5 * self._parameters.probe_offset
         plans = []
-        for way in ((), (probe,), (-probe,), (probe, -probe), (-probe, probe)):
-            if any(abs(self.bias + aside) > self._parameters.load_max for aside in way):
-                continue  # a pad would be empty
+        for way in ((), (far,), (-far,), (near,), (-near,), (far, -far), (-far, far)):
+            if any(self._empties(aside) for aside in way):
+                continue
             after = known
             for aside in way:
                 rows, noise, landing = self._foresee(aside)
@@ -159,10 +176,15 @@ class AlongFilter:
             plans.append(Plan(gain, len(way) + 1, way[0] if way else 0.0))
         return plans
 
+    def _empties(self, aside: float) -> bool:
+        """Return whether a contact that feels the target's centre `aside` m off would leave a pad nearly empty."""
+        pull, _, _ = self._pull.at(np.array(aside), 0.0, self._looks[-1].angle)
+        return abs(self.bias + aside) > empty_pad_offset(self._parameters, float(pull) + self._looks[-1].push)
+
     def _grid(self) -> Array:
         """Return the places (G,) that come into question, m."""
         first = self._looks[0]
-        middle = self._foreseen if math.isfinite(self._foreseen) else first.platform + first.load - self._bias
+        middle = self.foreseen if math.isfinite(self.foreseen) else first.platform + first.load - self._bias
         return middle + _HALF_WIDTH * np.linspace(-1.0, 1.0, _POINTS)
 
     def _rows(self, places: Array) -> tuple[Array, Array, Array, Array]:
@@ -189,7 +211,7 @@ class AlongFilter:
 
     def _information(self) -> Array:
         """Return the inverse covariance (6, 6) of place and shared errors, linear about where the target is."""
-        place = 1.0 / self._foreseen_stddev**2 if math.isfinite(self._foreseen) else 0.0
+        place = 1.0 / self._foreseen_stddev**2 if math.isfinite(self.foreseen) else 0.0
         known = np.diag([place, *1.0 / np.maximum(self._prior, _LEAST)])
         rows, _, noise, landing = self._rows(np.array([self.target]))
         for index in range(len(self._looks)):

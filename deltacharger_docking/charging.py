@@ -162,7 +162,7 @@ def _clearance_checks(context: Context, order: Order) -> Script[None]:
         if unsafe >= parameters.unsafe_max:
             raise CriticalAngle(
                 f"the target moved while charging: {math.degrees(estimate.angle):.1f}°, "
-                f"{1000 * estimate.vertical:.1f} mm vertical leave no clearance"
+                f"{1000 * estimate.across:.1f} mm across the bars leave no clearance"
             )
 
 

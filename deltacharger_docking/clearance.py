@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """When may current flow: the distance between a charger bar and the wrong bar of the target.
 
-Both terminals carry two parallel bars, 2h long, with a gap of 2g between them. Tilted by an angle about the midpoint
-and shifted by y across the bars, the nearest corner of a charger bar keeps a distance of
-c(angle, y) = g (1 + cos angle) − h |sin angle| − |y| from the opposite bar. With g = 3.7 mm and h = 35 mm it vanishes
-at 12.07° for y = 0 and already at 3.9° for y = 5 mm; the sizes were chosen for the paper's critical angle, 12°.
+Both terminals carry two parallel bars, 2h long, with a gap of 2g between them. Turned by an angle about the midpoint
+and shifted by v across the target's bars, the nearest corner of a charger bar keeps a distance of
+c(angle, v) = g (1 + cos angle) − h |sin angle| − |v| from the opposite bar. With g = 3.7 mm and h = 35 mm it vanishes
+at 12.07° for v = 0 and already at 3.9° for v = 5 mm; the sizes were chosen for the paper's critical angle, 12°.
+
+v = y cos angle − x sin angle is what the pads feel best: a lean of the faces, which they take for an offset along the
+bars, leaks into y but not into v.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import Enum
+from typing import Any
 
 from deltacharger_docking.parameters import DockingParameters
 
@@ -35,7 +39,8 @@ class MisalignmentClasses:
 class FeltPose:
     """Misalignment as felt: pose of the target in end_effector with standard deviations (rad, m).
 
-    Beside the pose, where they were asked for, stand the paper's classes; None = not told.
+    Beside the pose, where they were asked for, stand the paper's classes; None = not told. `across` is the offset across
+    the target's bars (m), forces are sums over each pad (N), yaw and pitch lean the target's faces; NaN = not told.
     """
 
     angle: float
@@ -48,6 +53,28 @@ class FeltPose:
     sure: bool = True
     in_range: bool = True
     classes: MisalignmentClasses | None = None
+    left_force: float = math.nan
+    right_force: float = math.nan
+    across: float = math.nan
+    across_stddev: float = math.nan
+    yaw: float = math.nan
+    yaw_stddev: float = math.nan
+    pitch: float = math.nan
+    pitch_stddev: float = math.nan
+
+    @classmethod
+    def of(cls, told: Any, classes: MisalignmentClasses | None = None) -> FeltPose:
+        """Return the values of an estimate or message; what it does not have is not told."""
+        names = (item.name for item in fields(cls) if item.name != "classes")
+        return cls(**{name: getattr(told, name) for name in names if hasattr(told, name)}, classes=classes)
+
+    def __post_init__(self) -> None:
+        """Work out the offset across the bars where nobody told it, as if both errors were independent."""
+        if math.isnan(self.across):
+            cosine, sine = math.cos(self.angle), math.sin(self.angle)
+            spread = math.hypot(cosine * self.vertical_stddev, sine * self.horizontal_stddev)
+            object.__setattr__(self, "across", cosine * self.vertical - sine * self.horizontal)
+            object.__setattr__(self, "across_stddev", spread)
 
     @property
     def stddevs(self) -> tuple[float, float, float]:
@@ -58,7 +85,7 @@ class FeltPose:
     def numbers(self) -> dict[str, float]:
         """What was felt, by names that end in the unit."""
         told: dict[str, float] = {}
-        for name, unit in (("angle", "rad"), ("vertical", "m"), ("horizontal", "m")):
+        for name, unit in (("angle", "rad"), ("vertical", "m"), ("horizontal", "m"), ("across", "m")):
             told |= {f"{name}_{unit}": getattr(self, name), f"{name}_stddev_{unit}": getattr(self, f"{name}_stddev")}
         return told
 
@@ -70,7 +97,8 @@ class FeltPose:
     @property
     def complete(self) -> bool:
         """Whether every number is finite."""
-        return all(map(math.isfinite, (self.angle, self.vertical, self.horizontal, *self.stddevs)))
+        poses = self.angle, self.vertical, self.horizontal, self.across, self.across_stddev
+        return all(map(math.isfinite, (*poses, *self.stddevs)))
 
 
 class Verdict(Enum):
@@ -78,8 +106,8 @@ class Verdict(Enum):
 
     SAFE = "safe at six standard deviations"
     PROBABLY_SAFE = "safe at three standard deviations"
-    TOO_CLOSE = "the vertical error leaves no clearance"
-    CRITICAL = "the angle leaves no clearance even without a vertical error"
+    TOO_CLOSE = "the offset across the bars leaves no clearance"
+    CRITICAL = "the angle leaves no clearance even without an offset across the bars"
 
     @property
     def leaves_clearance(self) -> bool:
@@ -87,15 +115,15 @@ class Verdict(Enum):
         return self in (Verdict.SAFE, Verdict.PROBABLY_SAFE)
 
 
-def clearance(angle: float, vertical: float, half_gap: float, half_length: float) -> float:
+def clearance(angle: float, across: float, half_gap: float, half_length: float) -> float:
     """Return the clearance (m); negative where a charger bar touches the wrong target bar."""
-    return half_gap * (1.0 + math.cos(angle)) - half_length * abs(math.sin(angle)) - abs(vertical)
+    return half_gap * (1.0 + math.cos(angle)) - half_length * abs(math.sin(angle)) - abs(across)
 
 
 def clearance_stddev(estimate: FeltPose, half_gap: float, half_length: float) -> float:
-    """Return the standard deviation (m) of the clearance to first order in angle and vertical error."""
+    """Return the standard deviation (m) of the clearance to first order in the errors of angle and offset across."""
     slope = half_gap * abs(math.sin(estimate.angle)) + half_length * math.cos(estimate.angle)
-    return math.hypot(slope * estimate.angle_stddev, estimate.vertical_stddev)
+    return math.hypot(slope * estimate.angle_stddev, estimate.across_stddev)
 
 
 def judge(estimate: FeltPose, parameters: DockingParameters, critical_angle: float | None = None) -> Verdict:
@@ -110,7 +138,7 @@ def judge(estimate: FeltPose, parameters: DockingParameters, critical_angle: flo
     limit = parameters.critical_angle if critical_angle is None else min(critical_angle, parameters.critical_angle)
     sigma = clearance_stddev(estimate, gap, length)
     centred = clearance(estimate.angle, 0.0, gap, length)
-    actual = clearance(estimate.angle, estimate.vertical, gap, length)
+    actual = clearance(estimate.angle, estimate.across, gap, length)
     worst_angle = abs(estimate.angle) + parameters.clearance_sigmas * estimate.angle_stddev
     if worst_angle >= limit or centred - parameters.clearance_sigmas * sigma < parameters.clearance_min:
         return Verdict.CRITICAL

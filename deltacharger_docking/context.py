@@ -17,6 +17,7 @@ from deltacharger_docking.observation import (
     Command,
     Decision,
     DockingStatus,
+    ElectrodePose,
     Observation,
     Reply,
     Request,
@@ -65,6 +66,7 @@ class Context:
         self.doubtful = False  # there was a second source since the last estimate was asked for
         self.energy = 0.0
         self.commanded: Vector = NAN3
+        self.electrodes: ElectrodePose | None = None  # of the present target, as seen or said before contact
         self.known_contact: KnownContact | None = None  # on the present target
         self.goal_angles: Vector = NAN3  # at which the servos' goals end up, where that is known
         self.deadline = math.inf

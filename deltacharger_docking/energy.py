@@ -13,6 +13,7 @@ from deltacharger_docking.codes import (
     ContactorWelded,
     DockingError,
     DuplicateSource,
+    Leaning,
     NoChargeCurrent,
     NoContact,
     NoTactileContact,
@@ -249,6 +250,17 @@ class Watch:
         return None
 
 
+def _open_circuit(context: Context) -> DockingError:
+    """Return why electrodes that touch do not conduct: a pitch that was seen lifts a bar, else they may be dirty."""
+    seen, found = context.electrodes, "the probe found an open circuit: the electrodes touch but do not conduct"
+    if seen is not None and abs(seen.pitch) > context.parameters.lean_sigmas * seen.pitch_stddev:
+        return Leaning(
+            f"{found}; their faces are pitched by {math.degrees(seen.pitch):+.1f}° about x of charger_base, so that a "
+            "bar does not press: level the target or the charger"
+        )
+    return NoChargeCurrent(f"{found}; clean them, and see that no pitch of the faces lifts a bar")
+
+
 def _check_probe(context: Context, reply: Reply) -> None:
     parameters = context.parameters
     if not reply.success:
@@ -256,7 +268,7 @@ def _check_probe(context: Context, reply: Reply) -> None:
     if reply.resistance < parameters.probe_resistance_min:
         raise ShortCircuit(f"the probe found {reply.resistance:.2f} Ω between the electrodes; clean or realign them")
     if not math.isfinite(reply.resistance) or not math.isfinite(reply.target_voltage):
-        raise NoChargeCurrent("the probe found an open circuit: the electrodes touch but do not conduct; clean them")
+        raise _open_circuit(context)
     if reply.target_voltage < 0.0:
         raise ReversePolarity(f"the probe found {reply.target_voltage:.1f} V: the target's electrodes are swapped")
     if not parameters.target_voltage_min <= reply.target_voltage <= parameters.target_voltage_max:

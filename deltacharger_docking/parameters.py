@@ -14,6 +14,7 @@ from deltacharger_core.machine import (
     MAGNET_FLOOR,
     MAGNET_FORCE,
     MAGNET_WIDTH,
+    PAD_DISTANCE,
     PAD_YAW_STIFFNESS,
     SERVO_DAMPING,
     SERVO_STIFFNESS,
@@ -147,8 +148,13 @@ class DockingParameters(Bounded):
         PAD_YAW_STIFFNESS, 1.0, 1e5, "N·m/rad", "moment about y of both pads by the yaw that remains in contact"
     )
     load_per_yaw: float = number(5.73, 0.1, 100.0, "m/rad", "offset along the bars that loads the pads as a yaw does")
-    load_max: float = number(0.026, 0.001, 0.1, "m", "load bias, probe included, beyond which a pad is nearly empty")
+    pad_force_min: float = number(3.0, 0.1, 50.0, "N", "force of a pad below which it does not hold its ridge")
+    load_share_max: float = number(
+        0.85, 0.1, 1.0, "", "share of the moment that empties a pad, beyond which a contact is not made for probing"
+    )
+    pad_distance: float = number(PAD_DISTANCE, 0.02, 0.1, "m", "pad centre from the end effector's centre along x")
     probe_offset: float = number(0.006, 0.001, 0.02, "m", "how far beside the target the magnets' force is probed")
+    probe_gain_min: float = number(0.03, 0.0, 1.0, "", "fall of that risk that is worth a contact for probing alone")
     force_repeatability: float = number(0.045, 0.0, 0.5, "", "scatter of a pad's force from one contact to the next")
     force_error: float = number(0.06, 0.0, 0.5, "", "relative error of the pads' force that all contacts share")
     magnet_force: float = number(MAGNET_FORCE, 0.0, 300.0, "N", "pull of the magnets in contact without offset")

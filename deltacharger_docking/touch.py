@@ -8,10 +8,19 @@ from dataclasses import replace
 
 from deltacharger_core.script import Script
 from deltacharger_docking.clearance import FeltPose, Verdict, clearance, clearance_stddev, judge
-from deltacharger_docking.codes import CriticalAngle, EstimateUnsure, Misaligned, NoTactileContact, State, TactileStale
+from deltacharger_docking.codes import (
+    CriticalAngle,
+    EstimateUnsure,
+    Leaning,
+    Misaligned,
+    NoTactileContact,
+    State,
+    TactileStale,
+)
 from deltacharger_docking.context import Context
-from deltacharger_docking.observation import Service
-from deltacharger_docking.place import AxisFilter
+from deltacharger_docking.goals import in_words
+from deltacharger_docking.observation import ElectrodePose, Service
+from deltacharger_docking.target_place import TargetPlace
 
 
 def measure(context: Context) -> Script[FeltPose]:
@@ -47,7 +56,7 @@ def tell_verdict(context: Context, felt: FeltPose, critical_angle: float) -> Ver
     parameters = context.parameters
     verdict = judge(felt, parameters, critical_angle)
     gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
-    left, sigma = clearance(felt.angle, felt.vertical, gap, length), clearance_stddev(felt, gap, length)
+    left, sigma = clearance(felt.angle, felt.across, gap, length), clearance_stddev(felt, gap, length)
     context.decide(
         "verdict",
         verdict.value,
@@ -70,16 +79,12 @@ class Target:
         self._context = context
         self.critical_angle = critical_angle
         self.depth = math.inf
-        self._forget_place()
-        self._off = (math.nan, math.nan)  # m, of this contact from where the target is
-        self._gain = math.nan  # expected of another contact
-        self._pays = True  # that one
+        self._place = TargetPlace(context.parameters)
         self.begin()
 
-    def _forget_place(self) -> None:
-        parameters = self._context.parameters
-        self._x = AxisFilter(parameters, parameters.horizontal_scale, parameters.horizontal_shared)
-        self._y = AxisFilter(parameters)
+    def foresee(self, electrodes: ElectrodePose) -> None:
+        """Take where the electrodes were seen or said to be, and how they lean, before the first contact."""
+        self._place = TargetPlace(self._context.parameters, electrodes)
 
     def begin(self) -> None:
         """Forget what earlier goals have counted; the target's place stays known."""
@@ -106,9 +111,9 @@ class Target:
             return False
         self._unsure_here = 0
         x, y, _ = context.position
-        self._x.update(x, felt.horizontal, felt.horizontal_stddev)
-        self._y.update(y, felt.vertical, felt.vertical_stddev)
-        if (self._x.contradicts_itself or self._y.contradicts_itself) and not stay:
+        self._place.feel(felt, x, y, context.contact.force)
+        context.status.estimate = self._place.told(felt)
+        if self._place.contradicts_itself and not stay:
             context.decide("contradiction", "the pads do not feel the arm's own moves", x_m=felt.horizontal)
             raise EstimateUnsure(
                 "what the pads feel contradicts the arm's own moves; do their frames repeat themselves, or does the "
@@ -118,13 +123,11 @@ class Target:
         safe = verdict is Verdict.SAFE or (
             verdict is Verdict.PROBABLY_SAFE and self._passed >= parameters.clearance_contacts
         )
-        self._off = self._x.target - x, self._y.target - y
-        self._gain = self._x.gain(parameters.overlap_loss_max) + self._y.gain(parameters.landing_limit)
-        self._pays = self._gain > parameters.redocking_gain_min * (1 + self._moves)
-        context.status.aligned = safe and not self._pays
+        self._place.choose(self._moves, self._reaches)
+        context.status.aligned = safe and not self._pays and self._place.risk <= parameters.aligned_risk_max
         settled = stay or not self._pays or (self._exhausted and parameters.charge_when_not_aligned)
         if stay and not safe:
-            self._forget_place()  # the target is not any more where it was
+            self._place = TargetPlace(parameters)  # the target is not any more where it was
         return settled and safe
 
     def still_allows_rest(self, felt: FeltPose) -> bool:
@@ -136,7 +139,7 @@ class Target:
 
     def rest(self) -> None:
         """Tell that the electrodes rest here."""
-        aligned, (x, y) = self._context.status.aligned, self._off
+        aligned, (x, y) = self._context.status.aligned, self._place.off
         text = "another contact would not pay" if aligned else "the electrodes have clearance here"
         self._context.decide("aligned" if aligned else "exhausted", text, x_m=x, y_m=y)
 
@@ -151,7 +154,8 @@ class Target:
         context = self._context
         if self._felt is not None and not self._felt.usable:
             return self._look_elsewhere(self._felt)
-        x, y = self._off
+        aside = self._place.plan.aside if self._pays else 0.0
+        (x, y), risk = self._place.step(aside), self._place.risk
         if self._exhausted:
             context.decide("exhausted", "no correction is left", x_m=x, y_m=y, moves=self._moves)
             raise Misaligned(
@@ -160,12 +164,23 @@ class Target:
             )
         if max(abs(x), abs(y)) > context.parameters.alignment_tolerance:
             context.status.alignments += 1
-            context.decide("move", "the electrodes are taken to where the target was felt", x_m=x, y_m=y)
+            text = "to where the target was felt" if not aside else "beside it: the magnets' force tells where it is"
+            context.decide("move", f"the electrodes are taken {text}", x_m=x, y_m=y, risk=risk)
         else:
             context.status.redockings += 1
             text = "this contact lies too far beside the target" if self._pays else "clearance is not sure yet"
-            context.decide("again", f"{text}: it is made anew", gain=self._gain, x_m=x, y_m=y)
+            context.decide("again", f"{text}: it is made anew", risk=risk, x_m=x, y_m=y)
         return x, y
+
+    @property
+    def _pays(self) -> bool:
+        return self._place.plan.gain > 0.0
+
+    def _reaches(self, x: float, y: float) -> bool:
+        """Return whether the platform reaches a contact so far (m) from this one, and the place before it."""
+        here, parameters = self._context.position, self._context.parameters
+        place = here[0] + x, here[1] + y, here[2]
+        return not self._context.planner.reachable(place, (*place[:2], place[2] - parameters.lift))
 
     @property
     def _moves(self) -> int:
@@ -182,7 +197,7 @@ class Target:
         verdict = tell_verdict(self._context, felt, self.critical_angle)
         self._passed = self._passed + 1 if verdict.leaves_clearance else 0
         mean = sum(self._angles) / len(self._angles)
-        centred = replace(felt, angle=mean, vertical=0.0)
+        centred = replace(felt, angle=mean, across=0.0)
         if (
             len(self._angles) >= parameters.clearance_contacts
             and judge(centred, parameters, self.critical_angle) is Verdict.CRITICAL
@@ -199,6 +214,13 @@ class Target:
         self._unsure_here += 1
         self._unsure += 1
         place = context.position
+        yaw = self._place.least_yaw(felt, place[0])
+        if math.isfinite(yaw):
+            if self._unsure_here >= parameters.unsure_here_max:
+                raise self._leaning(felt, yaw)
+            context.status.redockings += 1
+            context.decide("again", "one pad bears nearly all: the contact is made anew", yaw_rad=yaw)
+            return 0.0, 0.0
         x, y = _pointed_at(felt, parameters.unsure_move_sigmas)
         lost = felt.complete and math.hypot(x, y) > parameters.unsure_move_min
         reachable = lost and not context.planner.reachable((place[0] + x, place[1] + y, place[2]))
@@ -212,6 +234,20 @@ class Target:
         context.status.redockings += 1
         context.decide("again", "the estimate is unsure: the contact is made anew", times=self._unsure)
         return 0.0, 0.0
+
+    def _leaning(self, felt: FeltPose, yaw: float) -> Leaning:
+        """Return that the faces are yawed by so much (rad) at least; where the camera saw more, by that."""
+        electrodes = self._context.electrodes
+        seen = electrodes.known_yaw if electrodes is not None else 0.0
+        yaw = seen if seen * yaw > yaw * yaw else yaw
+        x, y, z = self._context.position
+        return Leaning(
+            f"one pad bears nearly all ({felt.left_force:.0f} N left, {felt.right_force:.0f} N right): the target's faces "
+            f"are yawed by {math.degrees(yaw):+.1f}° or more about y of charger_base; move the robot to "
+            f"suggested_base_pose, which is to {in_words(yaw)}",
+            (x, y, z),
+            yaw,
+        )
 
     def _give_up(self, felt: FeltPose) -> None:
         limit = min(self.critical_angle, self._context.parameters.critical_angle)

@@ -37,8 +37,7 @@ _CENTRES = {"angle": _DEGREES, "vertical": _OFFSETS, "horizontal": _OFFSETS}  # 
 
 def estimate(message: Misalignment, with_classes: bool = False) -> FeltPose:
     """Return the plain values of a Misalignment; its most probable classes only where they were asked for."""
-    told = {item.name: getattr(message, item.name) for item in fields(FeltPose) if item.name != "classes"}
-    return FeltPose(**told, classes=_classes(message) if with_classes else None)
+    return FeltPose.of(message, _classes(message) if with_classes else None)
 
 
 def _classes(message: Misalignment) -> MisalignmentClasses:

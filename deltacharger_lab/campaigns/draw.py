@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from deltacharger_core.parameters import ParameterError
 from deltacharger_docking.observation import ElectrodePose
@@ -15,7 +15,7 @@ from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_lab.campaigns.disturbances import Nudge
 from deltacharger_lab.campaigns.keys import EstimatorErrors
 from deltacharger_lab.campaigns.pads import FIRST
-from deltacharger_lab.campaigns.parts import NOMINAL, build_parts, nested, second_family
+from deltacharger_lab.campaigns.parts import NOMINAL, build_parts, nested, second_family, target_lean
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.campaigns.spread import Value
 from deltacharger_lab.campaigns.told import told_geometry, told_stiffness
@@ -115,19 +115,33 @@ def _goal(values: Mapping[str, Value], source: random.Random) -> ElectrodePose:
     limit = float(values.get("shift.limit", math.inf))
     moved = float(values.get("shift.x", 0.0)), float(values.get("shift.y", 0.0))
     for _ in range(_REDRAWS):
-        (x, y, z), roll = seen_at(values, position, standing, source)
+        (x, y, z), roll, turn = seen_at(values, position, standing, source)
         if max(abs(position[0] + moved[0] - x), abs(position[1] + moved[1] - y)) <= limit:
             break
     else:
         raise ParameterError("shift.limit", limit, "is never kept by these errors of vision; give a larger one")
     stddev = math.hypot(*(float(values.get(f"{key}_stddev", 0.0)) for key in ("camera.roll", "hand_eye.rotation")))
-    return ElectrodePose((x, y, z), roll, stddev if stddev > _GOAL_STDDEV_LEAST else 0.0)
+    pose = ElectrodePose((x, y, z), roll, stddev if stddev > _GOAL_STDDEV_LEAST else 0.0)
+    return replace(pose, **_seen_lean(values, turn, source)) if values.get("camera.lean_stddev") else pose
+
+
+def _seen_lean(values: Mapping[str, Value], turn: tuple[float, float], source: random.Random) -> dict[str, float]:
+    """Return yaw and pitch of the target's faces as a camera sees them whose mount is turned by `turn` (x, y), rad."""
+    seen = float(values["camera.lean_stddev"])
+    stddev = math.hypot(seen, float(values.get("hand_eye.rotation_stddev", 0.0)))
+    pitch, yaw = target_lean(values)
+    return {
+        "pitch": pitch + turn[0] + seen * source.gauss(0.0, 1.0),
+        "yaw": yaw + turn[1] + seen * source.gauss(0.0, 1.0),
+        "pitch_stddev": stddev,
+        "yaw_stddev": stddev,
+    }
 
 
 def seen_at(
     values: Mapping[str, Value], position: Sequence[float], roll: float, source: random.Random
-) -> tuple[Vector, float]:
-    """Return where a camera sees electrodes, m, charger_base, and their roll as it sees it, rad.
+) -> tuple[Vector, float, tuple[float, float]]:
+    """Return where a camera sees electrodes, m, charger_base, their roll as it sees it, and its mount's turn (x, y), rad.
 
     Args:
         values: of the keys `camera` and `hand_eye`; 0 where one is missing.
@@ -142,7 +156,7 @@ def seen_at(
     rx, ry, rz = (turn * each for each in noise[6:9])
     swung = (ry * az - rz * ay, rz * ax - rx * az, rx * ay - ry * ax)  # a small rotation about the camera
     x, y, z = (position[index] + seen * noise[index] + place * noise[3 + index] + swung[index] for index in range(3))
-    return (x, y, z), roll + turned * noise[9] + rz
+    return (x, y, z), roll + turned * noise[9] + rz, (rx, ry)
 
 
 def _derived(

@@ -69,14 +69,17 @@ class Felt:
         gauss = self._noise.gauss
         noise = [wrong.position_stddev * gauss(0.0, 1.0), wrong.position_stddev * gauss(0.0, 1.0)]
         noise += [wrong.angle_stddev * gauss(0.0, 1.0)]
-        told = {axis: getattr(felt, axis) for axis in AXES}
+        told = {axis: getattr(felt, axis) for axis in (*AXES, "across")}
         if wrong.tail is not None and truth is not None:
-            for axis, real in zip(AXES, truth, strict=True):
+            x, y, angle = truth
+            cosine, sine = math.cos(angle), math.sin(angle)
+            for axis, real in (("horizontal", x), ("across", y * cosine - x * sine), ("angle", angle)):
                 told[axis] = real + getattr(felt, f"{axis}_stddev") * self._student(wrong.tail)
-        moved = {
-            axis: told[axis] + getattr(wrong, f"bias_{axis}") + more for axis, more in zip(AXES, noise, strict=True)
-        }
-        spread = {f"{axis}_stddev": wrong.stddev_scale * getattr(felt, f"{axis}_stddev") for axis in AXES}
+            told["vertical"] = (told["across"] + told["horizontal"] * sine) / cosine
+        off = [getattr(wrong, f"bias_{axis}") + more for axis, more in zip(AXES, noise, strict=True)]
+        moved = {axis: told[axis] + more for axis, more in zip(AXES, off, strict=True)}
+        moved["across"] = told["across"] + off[1] * math.cos(felt.angle) - off[0] * math.sin(felt.angle)
+        spread = {name: wrong.stddev_scale * getattr(felt, name) for name in (f"{axis}_stddev" for axis in told)}
         return replace(felt, **moved, **spread)
 
     def _student(self, freedom: float) -> float:

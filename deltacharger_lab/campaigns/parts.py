@@ -34,8 +34,7 @@ def build_parts(
     content = nested(values, "world")
     target = content.setdefault("target", {})
     target.update(place, z=NOMINAL[2] + place["z"])
-    if heading := float(values.get("parked.heading", 0.0)):
-        target["tilt_y"] = target.get("tilt_y", 0.0) - heading
+    target["tilt_x"], target["tilt_y"] = target_lean(values)
     content.update(_axes(gravity))
     world = from_mapping(content, WorldParameters, "world")
     factor, constant = (float(values.get(f"told.{name}", 1.0)) for name in ("servo_stiffness", "torque_constant"))
@@ -49,6 +48,12 @@ def build_parts(
     pads = nested(values, "tactile")
     pads.setdefault("contact", {}).update(nested(values, "electrode"))
     return world, from_mapping(pads, TactileParameters, "tactile"), docking
+
+
+def target_lean(values: Mapping[str, Value]) -> tuple[float, float]:
+    """Return how the target's faces are pitched and yawed against the platform, rad."""
+    pitch, yaw = (float(values.get(f"world.target.tilt_{axis}", 0.0)) for axis in "xy")
+    return pitch, yaw - float(values.get("parked.heading", 0.0))
 
 
 def second_family(values: Mapping[str, Value]) -> SecondParameters | None:

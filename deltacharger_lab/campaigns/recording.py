@@ -162,9 +162,9 @@ def _seen(reply: Reply, part: Part, number: int, recording: Protocol) -> Reply:
     place = {name: value for name, value in errs.items() if name.startswith("hand_eye.")}
     look = {name: value for name, value in errs.items() if name.startswith("camera.")}
     mounted = random.Random(f"{recording.rig} hand_eye")
-    believed, roll = seen_at(place, part.target, math.radians(part.angle_deg), mounted)
+    believed, roll, _ = seen_at(place, part.target, math.radians(part.angle_deg), mounted)
     errors = random.Random(f"{recording.rig} {recording.seed} {part.name} {number}")
-    return dataclasses.replace(reply, detection=ElectrodePose(*seen_at(look, believed, roll, errors)))
+    return dataclasses.replace(reply, detection=ElectrodePose(*seen_at(look, believed, roll, errors)[:2]))
 
 
 def record_paper(recording: Protocol, progress: Callable[[str], None]) -> Dataset:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -306,10 +306,8 @@ class VirtualCharger:
             return Reply(number, True, resistance=ohm, target_voltage=volt)
         elif service is Service.ESTIMATE:
             left, right = np.mean(pending.frames, axis=0)
-            felt = self.model.predict(left, right)
-            told = {item.name: getattr(felt, item.name) for item in fields(FeltPose) if item.name != "classes"}
             classes = self.classes(left, right) if self.classes and pending.request.model else None
-            return Reply(number, True, estimate=FeltPose(**told, classes=classes))
+            return Reply(number, True, estimate=FeltPose.of(self.model.predict(left, right), classes))
         elif service is Service.DETECT:
             return Reply(number, True, detection=GOAL)
         return Reply(number, True)

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a target is by all contacts on it, along and across its bars, and which contact would be worth its time next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from deltacharger_docking.along import AlongFilter, Look, Plan
+from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.observation import ElectrodePose
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.place import AxisFilter
+
+_UNTOLD = 1e3  # N, standard deviation of a force that nobody told
+_ON_PAD = 0.009  # m across, within which a ridge is all on its pad
+_FAR = 0.02  # m along, beyond which a ridge may have left its pad
+_DOUBT = 0.4  # of the share of a yaw that remains in contact: compliance and stiffness differ from robot to robot
+
+
+class TargetPlace:
+    """The place of one target, felt by contact after contact.
+
+    Args:
+        parameters: docking's.
+        electrodes: where they were seen or said to be; None = unknown.
+
+    Attributes:
+        off: of the target from the platform where this contact was commanded, m, along x and y.
+        plan: the way on that is expected to gain most; its gain is less what its contacts cost.
+    """
+
+    def __init__(self, parameters: DockingParameters, electrodes: ElectrodePose | None = None) -> None:
+        self._parameters = parameters
+        self._along = AlongFilter(parameters) if electrodes is None else _foreseen(parameters, electrodes)
+        self._across = AxisFilter(parameters)
+        self._pitch = (math.nan, math.nan) if electrodes is None else (electrodes.pitch, electrodes.pitch_stddev)
+        self._turn = math.nan  # rad, of the bars in the first contact: along and across it the places count
+        self.off = (math.nan, math.nan)
+        self.plan = Plan(0.0, 1)
+
+    def feel(self, felt: FeltPose, x: float, y: float, push: float) -> None:
+        """Take what a contact of the platform at (x, y), m, tells under the servos' push (N)."""
+        p = self._parameters
+        if math.isnan(self._turn):
+            self._turn = felt.angle
+        cosine, sine = math.cos(self._turn), math.sin(self._turn)
+        platform = cosine * y - sine * x
+        self._across.update(platform, felt.across, felt.across_stddev)
+        own = math.sqrt(max((p.horizontal_scale * felt.horizontal_stddev) ** 2 - p.horizontal_shared**2, 1e-8))
+        force = felt.left_force + felt.right_force
+        spread = p.force_repeatability * math.hypot(felt.left_force, felt.right_force)
+        if not (force > 0.0 and math.isfinite(push)):
+            force, spread, push = 0.0, _UNTOLD, 0.0
+        self._along.update(Look(x, felt.horizontal, own, force, spread, push, felt.across, felt.angle))
+        along, across = self._along.target - x, self._across.target - platform
+        self.off = along, (across + along * sine) / cosine
+
+    @property
+    def contradicts_itself(self) -> bool:
+        """Whether the contacts differ by more than their errors allow."""
+        return self._along.contradicts_itself or self._across.contradicts_itself
+
+    @property
+    def risk(self) -> float:
+        """Told probability that this contact lies too far off, along or across the bars."""
+        p = self._parameters
+        return self._along.risk(p.overlap_loss_max) + self._across.contact.beyond(p.landing_limit)
+
+    def choose(self, moves: int, reaches: Callable[[float, float], bool]) -> None:
+        """Choose the way on after so many moves.
+
+        Args:
+            moves: that were made.
+            reaches: whether the platform reaches a place that lies so far (m, along x and y) from here.
+        """
+        p = self._parameters
+        price, across = p.redocking_gain_min * (1 + moves), self._across.gain(p.landing_limit)
+        plans = [
+            replace(plan, gain=plan.gain + across - price - p.probe_gain_min * (plan.contacts - 1))
+            for plan in self._along.plans(p.overlap_loss_max)
+            if not plan.aside or reaches(*self.step(plan.aside))
+        ]
+        self.plan = max(plans, key=lambda plan: plan.gain)
+
+    def step(self, aside: float = 0.0) -> tuple[float, float]:
+        """Return by how much (m) to move so that the target's centre is felt `aside` (m) along the bars."""
+        x, y = self.off
+        return x - aside, y - aside * math.tan(self._turn)
+
+    def least_yaw(self, felt: FeltPose, x: float) -> float:
+        """Return the yaw of the faces (rad) that one pad at least needs to bear nearly all while both have a ridge.
+
+        Args:
+            felt: in a contact that is not in range.
+            x: of the platform, m.
+
+        Returns:
+            NaN where both pads bear, or the empty one may have lost its ridge.
+        """
+        p, loads = self._parameters, (felt.left_force, felt.right_force)
+        light, force = min(loads), sum(loads)
+        if not (felt.complete and light < p.pad_force_min and force > 5.0 * p.pad_force_min):
+            return math.nan
+        side = -1.0 if loads[0] > loads[1] else 1.0  # of the light pad along x
+        ridge = felt.across / math.cos(felt.angle) + side * p.pad_distance * math.tan(felt.angle)
+        if abs(ridge) > _ON_PAD or abs(self._along.foreseen - x) > _FAR:
+            return math.nan
+        return -side * p.pad_distance * force * (p.platform_compliance + 1.0 / p.pad_yaw_stiffness)
+
+    def told(self, felt: FeltPose) -> FeltPose:
+        """Return what is felt in this contact as all contacts together tell it, the yaw of the faces included."""
+        p, contact = self._parameters, self._along.contact
+        angle = felt.angle
+        sine, cosine = math.sin(angle), math.cos(angle)
+        rigid = 1.0 + p.platform_compliance * p.pad_yaw_stiffness
+        pitch, pitch_stddev = self._pitch if all(map(math.isfinite, self._pitch)) else (0.0, p.yaw_stddev)
+        bias, spread = self._along.bias / p.load_per_yaw, self._along.bias_stddev / p.load_per_yaw
+        yaw = rigid * bias + pitch * math.tan(angle)
+        return replace(
+            felt,
+            horizontal=contact.mean,
+            horizontal_stddev=contact.stddev,
+            vertical=(felt.across + contact.mean * sine) / cosine,
+            vertical_stddev=math.hypot(felt.across_stddev, contact.stddev * sine) / cosine,
+            yaw=yaw,
+            yaw_stddev=math.hypot(rigid * spread, _DOUBT * rigid * bias, pitch_stddev * math.tan(angle)),
+            pitch=self._pitch[0],
+            pitch_stddev=self._pitch[1],
+        )
+
+
+def _foreseen(parameters: DockingParameters, electrodes: ElectrodePose) -> AlongFilter:
+    """Return the filter with what is known before contact: the place, and from the lean the load bias.
+
+    The platform turns after a yaw until 1/(1 + compliance · stiffness) of it is left. Rolled bars take a pitch for a
+    yaw, by its tangent.
+    """
+    p, roll = parameters, math.tan(electrodes.roll)
+    yaw, yaw_stddev = _among(p.yaw_stddev, electrodes.yaw, electrodes.yaw_stddev)
+    pitch, pitch_stddev = _among(p.yaw_stddev, electrodes.pitch, electrodes.pitch_stddev)
+    left = p.load_per_yaw / (1.0 + p.platform_compliance * p.pad_yaw_stiffness)
+    bias = left * (yaw - roll * pitch)
+    spread = math.hypot(left * yaw_stddev, left * roll * pitch_stddev, _DOUBT * bias)
+    return AlongFilter(p, electrodes.position[0], p.place_stddev, bias, spread)
+
+
+def _among(usual: float, seen: float, stddev: float) -> tuple[float, float]:
+    """Return a lean (rad) and its standard deviation by what is usual among targets, and seen of this one if known."""
+    if not (math.isfinite(seen) and math.isfinite(stddev)):
+        return 0.0, usual
+    if usual == 0.0:
+        return 0.0, 0.0
+    weight = usual**2 / (usual**2 + stddev**2)
+    return weight * seen, math.sqrt(weight) * stddev
