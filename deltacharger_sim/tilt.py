@@ -148,17 +148,6 @@ class PlatformTilt:
             shares.append(stiff / self._stiffness)
         return Bars(forces[0], forces[1], shares[0], shares[1])
 
-    def _turn_back(self, beta: float, force: float) -> tuple[float, float, float]:
-        """Return the moment of the pads (N·m) at a tilt about y and a normal force (N), and its slopes by both.
-
-        The second slope is that of one pad alone, its place along x (m).
-        """
-        moment, most = self._pads * (beta - self._target[1]), PAD * force
-        if -most <= moment <= most:
-            return moment, self._pads, 0.0
-        arm = copysign(PAD, moment)
-        return arm * force, 0.0, arm
-
     def _lie_flat(self, pads: float) -> tuple[float, ...]:
         """Return α, β and Σ N while all of both bars presses: constants, slopes over D and over a moment of the pads.
 
@@ -193,9 +182,13 @@ class PlatformTilt:
         # From where the last solution's tangent leads.
         alpha, beta = alpha + (depth - last) * turn_a, beta + (depth - last) * turn_b
         da = db = slope = 0.0
+        tip, yaw = self._pads, self._target[1]
         for _ in range(_ITERATIONS):
             stiff, ku, kv, kuu, kuv, kvv, force, moment_u, moment_v, most, least = self._sums(depth, alpha, beta)
-            pads, held, arm = self._turn_back(beta, force)
+            pads, held, arm, bound = tip * (beta - yaw), tip, 0.0, PAD * force
+            if pads > bound or pads < -bound:
+                arm = PAD if pads > 0.0 else -PAD
+                pads, held = arm * force, 0.0
             # α + c Σ v N = 0 and β − c (Σ u N − M) = 0, with their derivatives by α and β.
             ra, rb = alpha + c * moment_v, beta - c * (moment_u - pads)
             ends = ra * da + rb * db
@@ -211,7 +204,7 @@ class PlatformTilt:
             if abs(da) * up + abs(db) * half <= _ENOUGH * most:
                 # What is left is linear: not worth another sum.
                 force = force - kv * da + ku * db
-                if self._turn_back(beta, force)[1:] == (held, arm):
+                if (-PAD * force <= tip * (beta - yaw) <= PAD * force) == (held > 0.0):
                     break
         # What the tilt gives way as the centre goes deeper: dα = −c Σ k v …, the same system with another right side.
         wa, wb = -c * kv, c * (ku - arm * stiff)
@@ -225,8 +218,8 @@ class PlatformTilt:
     ) -> tuple[float, float]:
         """Return the tilt (rad) on a step that ended at `there` where the moments along the step are in balance.
 
-        They are `slope` at the start and `ends` < 0 at the end. By a secant in a bracket whose
-        far end counts half, after the Illinois rule.
+        They are `slope` at the start and `ends` < 0 at the end. By a secant in a bracket whose far end counts half,
+        after the Illinois rule.
         """
         (alpha, beta), (da, db), c = there, step, self._compliance
         low, high, at_low, at_high, back = 0.0, 1.0, ends, slope, 0.0  # shares of the step, from its end
@@ -234,7 +227,9 @@ class PlatformTilt:
             back = low - at_low * (high - low) / (at_high - at_low)
             a, b = alpha + back * da, beta + back * db
             force, moment_u, moment_v = self._sums(depth, a, b)[6:9]
-            here = (a + c * moment_v) * da + (b - c * (moment_u - self._turn_back(b, force)[0])) * db
+            most = PAD * force
+            pads = min(max(self._pads * (b - self._target[1]), -most), most)
+            here = (a + c * moment_v) * da + (b - c * (moment_u - pads)) * db
             if abs(here) <= -_OVERSHOT * slope:
                 break
             if here < 0.0:
