@@ -60,6 +60,7 @@ class _Camera:
 
     position_stddev: float = number(0.0, 0.0, 0.02, "m", "error of a detection, per axis, drawn for each docking")
     roll_stddev: float = number(0.0, 0.0, 0.2, "rad", "error of its roll")
+    lean_stddev: float = number(0.0, 0.0, 0.2, "rad", "error of its yaw and of its pitch; 0 = it tells neither")
 
 
 @dataclass(frozen=True)
