@@ -18,6 +18,7 @@ from deltacharger_lab.campaigns.draw import draw
 from deltacharger_lab.campaigns.parts import build_parts
 from deltacharger_lab.campaigns.scene import load_campaign_scene, parse_campaign_scene
 from deltacharger_tactile import MODEL_PATHS
+from deltacharger_tactile.second.parameters import SecondParameters
 from deltacharger_tactile.source import ContactSource
 
 from .campaigns import QUICK, comparable
@@ -269,6 +270,21 @@ def test_a_packaged_scene_docks_on_second_pads(name: str, exact: bool) -> None:
     assert row["error"] == ""
     assert row["pads"] == "second"
     assert (row["shorts"], row["energised_unsafe"]) == (0, 0.0)
+
+
+def test_the_second_family_yields_as_the_worlds_platform_unless_it_has_its_own() -> None:
+    def compliance(world: float | None, own: float | None) -> float:
+        content = {**QUICK, "pads": "second"}
+        content |= {} if world is None else {"world": {"platform": {"compliance": world}}}
+        content |= {} if own is None else {"second": {"platform": {"compliance": own}}}
+        drawn = draw(parse_campaign_scene(content, "x"), 3, 0, "guarded")
+        return (drawn.second or SecondParameters()).platform.compliance
+
+    usual = SecondParameters().platform.compliance
+    assert [compliance(*each) for each in ((None, None), (0.0, None), (0.03, None), (0.03, 0.01), (None, 0.01))] == [
+        usual, usual, 0.03, 0.01, 0.01,
+    ]  # fmt: skip
+    assert compliance(1e-6, None) == 1e-4, "the stiffest that the family has"
 
 
 def test_keys_of_the_second_family_reach_its_pads_and_are_refused_without_them() -> None:

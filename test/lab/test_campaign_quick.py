@@ -88,6 +88,8 @@ def test_a_whole_line_is_told_once_and_stops_where_it_is_held() -> None:
         ({"world": {"circuit": {"target_voltage": -24.0}}}, "guarded"),
         ({"target": {"x": 0.06, "y": 0.06}, "shift": {"x": 0.02}}, "guarded"),
         ({"world": {"magnets": {"force": 0.0}}}, "guarded"),
+        ({"world": {"target": {"tilt_x": 0.01, "tilt_y": 0.02}, "platform": {"compliance": 0.02}}}, "guarded"),
+        ({"world": {"target": {"tilt_x": 0.005, "tilt_y": -0.003}}}, "guarded"),
     ],
 )
 def test_a_docking_ends_as_it_does_computed_in_full(content: dict[str, Any], approach: str) -> None:
@@ -97,6 +99,8 @@ def test_a_docking_ends_as_it_does_computed_in_full(content: dict[str, Any], app
     same = ("code_name", "charged", "shorts", "parted_live", "seed", "rig_seed", "goal_x", "place_x")
     assert {name: quick[name] for name in same} == {name: exact[name] for name in same}
     assert quick["energised_unsafe"] == exact["energised_unsafe"] == 0.0
+    assert quick["lifted_live"] == exact["lifted_live"] == 0
+    assert quick["bar_heat"] == pytest.approx(exact["bar_heat"], rel=0.3)
     assert quick["peak_push"] == pytest.approx(exact["peak_push"], rel=0.1, abs=1.0)
 
 
