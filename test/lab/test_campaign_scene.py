@@ -184,7 +184,8 @@ def test_what_a_seed_drew_it_draws_for_ever(name: str, digest: str) -> None:
     for number in range(40):
         one = draw(scene, 21, number, "guarded")
         world = one.world
-        parts = map(astuple, (world.servo, world.contact, world.magnets, world.target, one.goal))
+        servo, contact, *parts = map(astuple, (world.servo, world.contact, world.magnets, world.target, one.goal))
+        parts = [servo, contact[:4], *parts]  # without pad_stiffness, a parameter younger than the digests
         gravity = (world.gravity_x, world.gravity_y, world.gravity_z)
         found.update(repr((sorted(one.values.items()), *parts, *gravity, one.seed, one.rig_seed)).encode())
     assert found.hexdigest()[:32] == digest
