@@ -258,12 +258,14 @@ class Target:
 
 
 def _pointed_at(felt: FeltPose, sigmas: float) -> tuple[float, float]:
-    """Return where (m) an unsure estimate points: out of range all of it, else along axes known at `sigmas`."""
-    x, y = felt.horizontal, felt.vertical
-    if felt.in_range:
-        x = x if abs(x) > sigmas * felt.horizontal_stddev else 0.0
-        y = y if abs(y) > sigmas * felt.vertical_stddev else 0.0
-    return x, y
+    """Return where (m) an unsure estimate points: across the bars alone where it is out of range.
+
+    Along them a pad that has lost its ridge cannot be told from one that a lean leaves empty.
+    """
+    if not felt.in_range:
+        return 0.0, felt.across / math.cos(felt.angle)
+    x = felt.horizontal if abs(felt.horizontal) > sigmas * felt.horizontal_stddev else 0.0
+    return x, felt.vertical if abs(felt.vertical) > sigmas * felt.vertical_stddev else 0.0
 
 
 def too_tilted(angle: float) -> str:
