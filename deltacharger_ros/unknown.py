@@ -25,5 +25,5 @@ def unknown(message: Any) -> Any:
 
 
 def unknown_misalignment() -> Misalignment:
-    """Return a message that says nothing was felt."""
+    """Return a message that says nothing was felt: what every Misalignment begins with."""
     return unknown(Misalignment(header=Header(frame_id="end_effector")))

@@ -61,9 +61,8 @@ def to_message(estimate: Estimate, name: str, stamp: Any) -> Misalignment:
         name: of the model.
         stamp: of the newest frame used.
     """
-    message = Misalignment()
+    message = unknown_misalignment()  # the estimator tells no across, yaw and pitch: they stay NaN
     message.header.stamp = stamp
-    message.header.frame_id = "end_effector"
     message.contact, message.sure, message.in_range = estimate.contact, estimate.sure, estimate.in_range
     for axis in ("angle", "vertical", "horizontal"):
         for field in (axis, f"{axis}_stddev"):

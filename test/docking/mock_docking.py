@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_ros.executor import Spinner
+from deltacharger_ros.unknown import unknown_misalignment
 
 from ..nodes import options
 
@@ -71,7 +72,8 @@ class MockDocking(Node):
         assert goal.hold
         assert goal.electrodes.header.frame_id == "", "the camera is asked"
         self.tell(DockingState.STATE_APPROACH, request_id=goal.request_id)
-        result = Dock.Result(contact_current=0.45, contact_force=17.0, charge_current=10.0)
+        result = Dock.Result(misalignment=unknown_misalignment(), contact_current=0.45, contact_force=17.0)
+        result.charge_current = 10.0
         stop_after = goal.stop_after.sec + 1e-9 * goal.stop_after.nanosec
         while not self._stopping.wait(0.02):
             charged = max(time.monotonic() - began - APPROACH, 0.0)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 from array import array
 from pathlib import Path
 from types import SimpleNamespace
@@ -32,6 +33,26 @@ from deltacharger_records.replay.record import replay
 pytestmark = pytest.mark.ros
 
 FEEDBACK = "dock/_action/feedback"
+WITHOUT_LEAN = """\
+std_msgs/Header header
+bool contact
+bool sure
+bool in_range
+float64 angle
+float64 angle_stddev
+float64 vertical
+float64 vertical_stddev
+float64 horizontal
+float64 horizontal_stddev
+float32[] angle_probability
+float32[] vertical_probability
+float32[] horizontal_probability
+float32 left_force
+float32 right_force
+string model
+"""
+"""Misalignment.msg of before it told across, yaw and pitch."""
+NEWER = ("across", "across_stddev", "yaw", "yaw_stddev", "pitch", "pitch_stddev")
 
 
 def without(text: str, *names: str) -> str:
@@ -104,3 +125,46 @@ def test_what_was_defined_in_another_way_is_named(tmp_path: Path) -> None:
     definition = mcap_recording.schema_text(kind).replace("float32 charge_current", "float64 charge_current")
     path = older(tmp_path / "a.mcap", kind, definition)
     assert "defined otherwise" in Recording(path).unreadable["charger_power"]
+
+
+def before_lean(kind: Any) -> str:
+    """Return the schema of a type that holds a Misalignment, or is one, with Misalignment as it was."""
+    head, *parts = re.split(r"(?m)^=+\nMSG: ", mcap_recording.schema_text(kind))
+    if kind is Misalignment:
+        head = WITHOUT_LEAN
+    name = "deltacharger/Misalignment\n"
+    parts = [name + WITHOUT_LEAN if part.startswith(name) else part for part in parts]
+    return ("=" * 80 + "\nMSG: ").join([head, *parts])
+
+
+def felt(**more: float) -> Misalignment:
+    return Misalignment(angle=0.02, vertical=-0.001, contact=True, angle_probability=[0.25, 0.75], model="pose", **more)
+
+
+def test_a_misalignment_of_before_it_told_the_lean_has_none(tmp_path: Path) -> None:
+    definition = before_lean(Misalignment)
+    assert fields(definition) != fields(mcap_recording.schema_text(Misalignment))
+    old = as_before(felt(yaw=0.3), definition)
+    path = older(tmp_path / "a.mcap", Misalignment, definition, raw(2.2, "misalignment", felt())._replace(data=old))
+    found: list[Misalignment] = []
+    recording = Recording(path)
+    assert not recording.unreadable
+    recording.read(lambda name, _, each: found.append(each) if name == "misalignment" else None)
+    assert not recording.damage
+    (told,) = found
+    assert (told.angle, told.vertical, told.contact, told.model) == (0.02, -0.001, True, "pose")
+    assert list(told.angle_probability) == [0.25, 0.75]
+    assert all(math.isnan(getattr(told, name)) for name in NEWER)
+
+
+def test_feedback_of_before_the_lean_is_replayed(tmp_path: Path) -> None:
+    kind = KINDS[NAMES[FEEDBACK]]
+    definition = before_lean(kind)
+    message = kind(feedback=Dock.Feedback(misalignment=felt(), waiting_for="nobody"))
+    old = as_before(message, definition)
+    path = older(tmp_path / "a.mcap", kind, definition, raw(9.0, FEEDBACK, kind())._replace(data=old))
+    found: list[Any] = []
+    Recording(path).read(lambda name, _, each: found.append(each.feedback) if name == FEEDBACK else None)
+    (feedback,) = found
+    assert (feedback.misalignment.angle, feedback.waiting_for) == (0.02, "nobody")
+    assert all(math.isnan(getattr(feedback.misalignment, name)) for name in NEWER)

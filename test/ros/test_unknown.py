@@ -25,7 +25,8 @@ def numbers(message: Any) -> Iterator[float]:
 
 
 @pytest.mark.parametrize(
-    ("kind", "count"), [(PredictMisalignment.Response, 8), (DetectElectrodes.Response, 7 + 36 + 3), (Probe.Response, 2)]
+    ("kind", "count"),
+    [(PredictMisalignment.Response, 14), (DetectElectrodes.Response, 7 + 36 + 3), (Probe.Response, 2)],
 )
 def test_no_number_of_an_answer_without_a_measurement_is_one(kind: Any, count: int) -> None:
     assert 0.0 in list(numbers(kind()))
