@@ -19,6 +19,7 @@ from deltacharger_core.rotation import rotation
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.errors import MountError
+from deltacharger_vision.placed import Placed, is_front
 from deltacharger_vision.poses import cross_matrix, transform
 
 FRAME, CAMERA_FRAME = "charger_base", "camera_color_optical_frame"
@@ -28,24 +29,6 @@ _PLACE, _DOCK = (0.0, 0.12, -0.12), (0.0, 0.0, DOCK_DISTANCE)
 _FARTHEST = 5.0  # m
 _UNIT = 1e-3
 _KEYS = ("frame", "camera_frame", "position", "orientation", "covariance", "calibration")
-
-
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """Electrodes in charger_base.
-
-    Attributes:
-        position: (3,) m, midpoint between the bars on their touched faces.
-        roll: rad in (−π/2, π/2], from +x to the projection of the bars' long axis on the x–y plane.
-        normal: (3,) unit normal of the touched faces, toward the camera; NaN where it cannot be trusted.
-        covariance: (6, 6) of position (m), of the rotation about x and y, and of the roll (rad), the mount's error
-            included.
-    """
-
-    position: Array
-    roll: float
-    normal: Array
-    covariance: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +135,7 @@ class Mount:
         write_yaml(path, content)
 
     def place(self, found: Detection) -> Placed:
-        """Return a detection in charger_base."""
+        """Return a detection in charger_base; a normal of faces that look away, or askew to their bars, is dropped."""
         turn = self.pose[:3, :3]
         arm = turn @ found.position
         both = np.zeros((6, 6))
@@ -160,14 +143,15 @@ class Mount:
         lever = np.eye(6)
         lever[:3, 3:] = -cross_matrix(arm)
         covariance = both @ found.covariance @ both.T + lever @ self.covariance @ lever.T
-        x, y, z = turn @ found.axis
+        axis, normal = turn @ found.axis, turn @ found.normal
+        x, y, z = axis
         # d roll = dωz − z (x dωx + y dωy) / (x² + y²), from d axis = dω × axis.
         to_roll = np.eye(6)
         to_roll[5, 3:5] = -z * np.array([x, y]) / (x * x + y * y)
         return Placed(
             position=arm + self.pose[:3, 3],
             roll=line_angle(x, y),
-            normal=turn @ found.normal,
+            normal=normal if is_front(axis, normal, arm) else np.full(3, np.nan),
             covariance=to_roll @ covariance @ to_roll.T,
         )
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from deltacharger_vision.detector.detection import Detection
-from deltacharger_vision.mount import CAMERA_FRAME, FRAME, Mount, Placed
+from deltacharger_vision.mount import CAMERA_FRAME, FRAME, Mount
+from deltacharger_vision.placed import Placed
 
 _PLACED = ("position", "roll", "normal", "covariance")
 _SEEN = (*_PLACED, "confidence", "range", "source")

@@ -2,14 +2,15 @@
 """mock_detector_node: electrode_detector_node without a camera, for tests of everything above it.
 
 Publishes: electrode_detection when asked. Serves: detect_electrodes.
-Parameters: where the electrodes seem to be (x, y, z, roll in charger_base), its uncertainty, and `fault`, which may be
+Parameters: where the electrodes seem to be (x, y, z, roll, yaw and pitch in charger_base), its uncertainty, and `fault`, which may be
 set while it runs:
 
 nothing        it finds no electrodes
 stale          the image is 10 s old
 beyond_reach   the electrodes seem to be 0.5 m away
 unsure_roll    the roll's standard deviation is 10 degrees
-leaning        the faces seem to be yawed by 10 degrees; else their lean is unknown
+leaning        the faces are yawed by 10 degrees
+no_normal      it cannot tell how the electrodes lean
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from deltacharger.msg import ElectrodeDetection
 from deltacharger.srv import DetectElectrodes
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -30,12 +32,14 @@ from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.unknown import unknown
 from deltacharger_scenes.mocks.fault_switch import FaultSwitch
 from deltacharger_scenes.mocks.parameters import DETECTOR_FAULTS, MockDetectorNodeParameters
+from deltacharger_vision.placed import Placed, leaning_normal
+from deltacharger_vision.ros.detections import detection_message
 
 _STALE_AGE = 10.0  # s
 _FAR = 0.5  # m
-_ABOUT_X, _ABOUT_Y, _ABOUT_Z = 21, 28, 35  # of the 6 × 6 covariance, row-major: variances of the rotations
-_YAW, _YAW_STDDEV = math.radians(10.0), math.radians(0.5)
+_YAW = math.radians(10.0)
 _UNSURE_ROLL = math.radians(10.0)
+_CAMERA = (0.0, 0.12, -0.12)  # m
 
 
 class MockDetectorNode(Node):
@@ -75,30 +79,16 @@ class MockDetectorNode(Node):
         return response
 
     def _detection(self, fault: str) -> ElectrodeDetection:
-        detection = ElectrodeDetection()
-        stamp = self.get_clock().now()
+        given, stamp = self._given, self.get_clock().now()
         if fault == "stale":
             stamp -= Duration(seconds=_STALE_AGE)
-        detection.header.stamp = stamp.to_msg()
-        detection.header.frame_id = "charger_base"
-        pose = detection.pose.pose
-        pose.position.x, pose.position.y = self._given.x, self._given.y
-        pose.position.z = _FAR if fault == "beyond_reach" else self._given.z
-        leans, roll = fault == "leaning", 0.5 * self._given.roll
-        yaw = 0.5 * _YAW if leans else 0.0
-        turn = pose.orientation  # by the yaw about y, of what is rolled about z
-        turn.x, turn.y = math.sin(yaw) * math.sin(roll), math.sin(yaw) * math.cos(roll)
-        turn.z, turn.w = math.cos(yaw) * math.sin(roll), math.cos(yaw) * math.cos(roll)
-        covariance = [0.0] * 36
-        for index in (0, 7, 14):
-            covariance[index] = self._given.position_stddev**2
-        covariance[_ABOUT_X] = covariance[_ABOUT_Y] = _YAW_STDDEV**2 if leans else math.nan
-        covariance[_ABOUT_Z] = (_UNSURE_ROLL if fault == "unsure_roll" else self._given.roll_stddev) ** 2
-        detection.pose.covariance = covariance
-        detection.roll = math.atan2(math.tan(2.0 * roll), math.cos(2.0 * yaw))  # as the camera sees it
-        detection.confidence = 0.95
-        detection.range = math.dist((pose.position.x, pose.position.y, pose.position.z), (0.0, 0.12, -0.12))
-        return detection
+        position = np.array([given.x, given.y, _FAR if fault == "beyond_reach" else given.z])
+        roll_stddev = _UNSURE_ROLL if fault == "unsure_roll" else given.roll_stddev
+        deviations = [given.position_stddev] * 3 + [given.lean_stddev] * 2 + [roll_stddev]
+        yaw = _YAW if fault == "leaning" else given.yaw
+        normal = np.full(3, math.nan) if fault == "no_normal" else leaning_normal(yaw, given.pitch)
+        placed = Placed(position, given.roll, normal, np.diag(np.square(deviations)))
+        return detection_message(placed, stamp.to_msg(), 0.95, math.dist(position, _CAMERA))
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -27,7 +27,7 @@ POWER_FAULTS = (
     "contactor_welded",
 )
 TACTILE_FAULTS = ("none", "silence", "zero_frames", "unsure", "power_silence", "tare_refusal", *POWER_FAULTS)
-DETECTOR_FAULTS = ("none", "nothing", "stale", "beyond_reach", "unsure_roll", "leaning")
+DETECTOR_FAULTS = ("none", "nothing", "stale", "beyond_reach", "unsure_roll", "leaning", "no_normal")
 NAVIGATOR_FAULTS = ("none", "refuse", "abort", "lost", "never_answers", "slow", "mute")
 _FAULT = "how to misbehave"
 
@@ -88,6 +88,9 @@ class MockDetectorNodeParameters(MockFaultParameters):
     roll: float = number(0.0, -math.pi / 2, math.pi / 2, "rad", "of the electrodes about z")
     position_stddev: float = number(0.001, 0.0, 0.1, "m", "standard deviation of each coordinate")
     roll_stddev: float = number(0.004, 0.0, 1.0, "rad", "standard deviation of the roll")
+    yaw: float = number(0.0, -0.7, 0.7, "rad", "lean of the electrodes about y")
+    pitch: float = number(0.0, -0.7, 0.7, "rad", "lean of the electrodes about x")
+    lean_stddev: float = number(0.009, 0.0, 1.0, "rad", "standard deviation of the rotations about x and y")
     fault: str = choice("none", DETECTOR_FAULTS, _FAULT, live=True)
 
 

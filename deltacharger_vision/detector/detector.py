@@ -95,12 +95,14 @@ class ElectrodeDetector:
         roll = line_angle(x, y)
         turning = cross_matrix(pose.rotation[:, 2])
         spread = turning @ found.covariance[3:, 3:] @ turning.T
-        trusted = found.upright and math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) <= self.settings.normal_stddev
+        # Where depth should be and is not, one tilt in a hundred is off by far more than the edges tell.
+        checked = found.fused or pose.translation[2] < self.settings.judgement.stereo_range
+        known = math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) <= self.settings.normal_stddev
         return Detection(
             position=pose.translation,
             roll=roll,
             axis=pose.rotation[:, 0] * math.copysign(1.0, x * math.cos(roll) + y * math.sin(roll)),
-            normal=-pose.rotation[:, 2] if trusted else np.full(3, np.nan),
+            normal=-pose.rotation[:, 2] if found.upright and checked and known else np.full(3, np.nan),
             covariance=found.covariance,
             confidence=found.confidence,
             range=float(np.linalg.norm(pose.translation)),

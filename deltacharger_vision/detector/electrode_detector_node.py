@@ -33,11 +33,12 @@ from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.unknown import unknown
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector
-from deltacharger_vision.detector.electrode_detector_node_io import Camera, Shot, to_message
+from deltacharger_vision.detector.electrode_detector_node_io import Camera, Shot
 from deltacharger_vision.errors import MountError, VisionError
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.mount import Mount
 from deltacharger_vision.parameters import DetectorNodeParameters
+from deltacharger_vision.ros.detections import detection_message
 from deltacharger_vision.ros.messages import color_message
 from deltacharger_vision.terminal import Terminal
 
@@ -141,7 +142,8 @@ class ElectrodeDetectorNode(Node):
         if found is None:
             return None, "no electrodes in the image: turn the robot toward the target, clear the view, check the light"
         self._tally.found += 1
-        message = to_message(found, self._mount.place(found), shot)
+        placed, stamp = self._mount.place(found), shot.color.header.stamp
+        message = detection_message(placed, stamp, found.confidence, found.range)
         self._detections.publish(message)
         return message, ""
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The camera's topics as pairs of one instant, listened to only while somebody wants them; detections as messages."""
+"""The camera's topics as pairs of one instant, listened to only while somebody wants them."""
 
 from __future__ import annotations
 
@@ -11,15 +11,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from deltacharger.msg import ElectrodeDetection
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
-from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.images import RgbdImage
-from deltacharger_vision.mount import FRAME, Placed
 from deltacharger_vision.parameters import CAMERA_INFO, COLOR, DEPTH
 from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, stamp_ns
 
@@ -184,17 +181,3 @@ class Camera:
         self._matched = time.monotonic()
         self._shot = Shot(self.shots + 1, stamp, color, depth, self._info)
         self._news.notify_all()
-
-
-def to_message(found: Detection, placed: Placed, shot: Shot) -> ElectrodeDetection:
-    """Return a detection as its message, in charger_base, with the image's stamp."""
-    message = ElectrodeDetection()
-    message.header.stamp, message.header.frame_id = shot.color.header.stamp, FRAME
-    pose = message.pose.pose
-    pose.position.x, pose.position.y, pose.position.z = (float(value) for value in placed.position)
-    pose.orientation.z, pose.orientation.w = math.sin(0.5 * placed.roll), math.cos(0.5 * placed.roll)
-    message.pose.covariance = placed.covariance.ravel()
-    message.roll = placed.roll
-    message.confidence = found.confidence
-    message.range = found.range
-    return message

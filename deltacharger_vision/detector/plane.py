@@ -7,6 +7,7 @@ the ray: q·(x/z, y/z, 1) with q = n/D. Metal is left out: stereo sees reflectio
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,9 +44,12 @@ class PlaneSettings(Bounded):
     known: float = number(0.25, 0.0, 1.0, "", "share of the region's depth that must be known")
     inliers: float = number(0.5, 0.1, 1.0, "", "share of the known depth that must lie on the plane")
     tolerance: float = number(0.05, 0.001, 1.0, "1/m", "inverse depth that is off by more is not on the plane")
-    noise: float = number(0.002, 1e-6, 0.1, "1/m", "least standard deviation of inverse depth")
+    noise: float = number(0.002, 1e-6, 0.1, "1/m", "least standard deviation of inverse depth that is not rounded")
+    step: float = number(0.001, 0.0, 0.1, "m", "steps in which depth comes: millimetres, as 16UC1 carries it")
     bias: float = number(0.001, 1e-6, 0.1, "1/m", "standard deviation of what shifts all inverse depths: 0.03 px")
-    slope_bias: float = number(0.006, 1e-6, 1.0, "1/m", "standard deviation of what tilts them, per unit ray")
+    slope_bias: float = number(
+        0.002, 1e-6, 1.0, "1/m", "the same of what tilts them, per unit ray: 0.03 px over a plate"
+    )
 
 
 @dataclass(frozen=True)
@@ -120,13 +124,16 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
     coefficients = _consensus(region, settings.tolerance, random)
     if coefficients is None:
         return None
+    # Where depth is rounded most samples may lie on one step; less than its own scatter would fit that step alone.
+    rounded = settings.step / math.sqrt(12.0) * float(np.median(region.inverse)) ** 2
+    least = math.hypot(settings.noise, rounded)
     scatter, weight = settings.tolerance, np.ones(count)
     for _ in range(_ROUNDS):
         residual = region.inverse - region.rays @ coefficients
         near = np.abs(residual) < settings.tolerance
         if np.count_nonzero(near) < max(settings.fewest, settings.inliers * count):
             return None
-        scatter = max(settings.noise, 1.4826 * float(np.median(np.abs(residual[near]))))
+        scatter = max(least, 1.4826 * float(np.median(np.abs(residual[near]))))
         weight = np.maximum(1.0 - (residual / (_TUKEY * scatter)) ** 2, 0.0) ** 2
         normal = (region.rays * weight[:, None]).T @ region.rays
         coefficients = np.asarray(
@@ -162,4 +169,6 @@ def _correlation(region: Region, residual: Array, good: Mask) -> float:
     variance = float(np.mean(residual[good] ** 2))
     if variance <= 0.0:
         return 1.0
-    return float(np.clip(np.mean(mean[full] ** 2 * size[full]) / variance, 1.0, size.max()))
+    # The plane itself has taken three degrees of freedom out of few block means.
+    means = float(np.sum(mean[full] ** 2 * size[full])) / max(1, np.count_nonzero(full) - 3)
+    return float(np.clip(means / variance, 1.0, size.max()))

@@ -18,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
+from deltacharger_core.rotation import rotation
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
@@ -26,6 +27,7 @@ from deltacharger_vision.mount import Mount
 from ..chargers import DEADLINE, Spin, wait_until
 from ..nodes import options
 from ..scenes.camera_driver import TARGET, Driver, picture
+from .detector_scenes import without_depth
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
 
@@ -63,10 +65,29 @@ def test_electrodes_are_told_in_charger_base_with_an_error_that_holds(
     assert off @ np.linalg.solve(covariance[:3, :3], off) < 9.0
     assert covariance[5, 5] == pytest.approx(math.radians(0.5) ** 2, rel=0.2)  # the mount's error leads
     assert found.roll == pytest.approx(TARGET[3], abs=0.005)
-    assert 2.0 * math.atan2(found.pose.pose.orientation.z, found.pose.pose.orientation.w) == pytest.approx(found.roll)
+    turn = found.pose.pose.orientation
+    axes = np.array(rotation(turn.x, turn.y, turn.z, turn.w))
+    assert math.atan2(axes[1, 0], axes[0, 0]) == pytest.approx(found.roll)
+    assert axes[:2, 2] == pytest.approx(0.0, abs=0.01), "the target stands straight before the charger"
+    assert np.sqrt(np.diag(covariance)[3:5]) == pytest.approx(math.radians(0.5), rel=0.2)
     assert found.header.frame_id == "charger_base"
     assert 0.2 < found.range < 0.3
     assert 0.5 < found.confidence <= 1.0
+
+
+def test_where_depth_should_be_and_is_not_no_normal_is_published(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
+) -> None:
+    driver.image = without_depth(driver.image)
+    detector()
+    found = driver.ask(5.0).detection
+    turn, covariance = found.pose.pose.orientation, np.reshape(found.pose.covariance, (6, 6))
+    assert (turn.x, turn.y) == pytest.approx((0.0, 0.0))
+    assert 2.0 * math.atan2(turn.z, turn.w) == pytest.approx(found.roll)
+    unknown = np.isnan(covariance)
+    assert unknown[3:5].all()
+    assert unknown[:, 3:5].all()
+    assert unknown.sum() == 20, "position and roll have their errors"
 
 
 def test_it_listens_only_while_it_looks(detector: Callable[..., ElectrodeDetectorNode], driver: Driver) -> None:

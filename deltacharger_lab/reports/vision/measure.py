@@ -18,7 +18,8 @@ from deltacharger_lab.reports.vision.views import DrawnView, about, draw_light
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.detector.detector import ElectrodeDetector
 from deltacharger_vision.images import Intrinsics, RgbdImage
-from deltacharger_vision.mount import Mount, Placed
+from deltacharger_vision.mount import Mount
+from deltacharger_vision.placed import Placed
 from deltacharger_vision.poses import turn
 from deltacharger_vision.rendering.camera import SimulatedCamera
 from deltacharger_vision.rendering.mujoco_camera import MujocoCamera

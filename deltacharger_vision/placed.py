@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A detection in charger_base, and the lean of the target's touched faces that it tells.
+
+For a target whose axes are the columns of R in charger_base, yaw = atan2(R[0, 2], R[2, 2]) is the lean about +y and
+pitch = atan2(−R[1, 2], R[2, 2]) that about +x; the normal toward the camera is −R[:, 2].
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from deltacharger_core.arrays import Array
+
+_SQUARE = 0.01  # cosine between bars and normal, which are perpendicular: more contradicts the roll
+_STEEPEST = 0.1  # least share of a normal that is along z: a lean of 84°
+
+
+@dataclass(frozen=True)
+class Lean:
+    """Lean of the touched faces in charger_base, rad; all NaN where the normal is not known.
+
+    Attributes:
+        yaw: about +y.
+        pitch: about +x.
+        covariance: (2, 2) of both, in this order.
+    """
+
+    yaw: float
+    pitch: float
+    covariance: Array
+
+    @property
+    def yaw_stddev(self) -> float:
+        """Standard deviation of the yaw, rad."""
+        return math.sqrt(self.covariance[0, 0])
+
+    @property
+    def pitch_stddev(self) -> float:
+        """Standard deviation of the pitch, rad."""
+        return math.sqrt(self.covariance[1, 1])
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Electrodes in charger_base.
+
+    Attributes:
+        position: (3,) m, midpoint between the bars on their touched faces.
+        roll: rad in (−π/2, π/2], from +x to the projection of the bars' long axis on the x–y plane.
+        normal: (3,) unit normal of the touched faces, toward the camera; NaN where it cannot be trusted.
+        covariance: (6, 6) of position (m), of the rotation about x and y, and of the roll (rad), the mount's error
+            included.
+    """
+
+    position: Array
+    roll: float
+    normal: Array
+    covariance: Array
+
+    @property
+    def upright(self) -> bool:
+        """Whether the normal is known."""
+        return bool(np.isfinite(self.normal).all())
+
+    def rotation(self) -> Array:
+        """Return (3, 3) charger_base_R_target: z against the normal, x at the roll; without a normal, about z alone."""
+        z = -self.normal if self.upright else np.array([0.0, 0.0, 1.0])
+        x = np.array([math.cos(self.roll) * z[2], math.sin(self.roll) * z[2], 0.0])
+        x[2] = -(math.cos(self.roll) * z[0] + math.sin(self.roll) * z[1])
+        x /= np.linalg.norm(x)
+        return np.column_stack([x, np.cross(z, x), z])
+
+    def told_covariance(self) -> Array:
+        """Return `covariance`, NaN in the rows and columns of the rotations about x and y where no normal is known."""
+        found = self.covariance.copy()
+        if not self.upright:
+            found[3:5, :] = found[:, 3:5] = math.nan
+        return found
+
+    def lean(self) -> Lean:
+        """Return the lean, and what the covariance makes of it to first order."""
+        if not self.upright:
+            return Lean(math.nan, math.nan, np.full((2, 2), math.nan))
+        x, _, z = self.rotation().T
+        # dz = dω × z, and dωz is that of the roll: dωz = d roll + x_z (x_x dωx + x_y dωy) / (x_x² + x_y²).
+        about_z = np.array([*(x[2] * x[:2] / (x[0] ** 2 + x[1] ** 2)), 1.0])
+        turning = np.vstack([np.eye(3)[:2], about_z])
+        moved = np.array([[0.0, z[2], -z[1]], [-z[2], 0.0, z[0]], [z[1], -z[0], 0.0]]) @ turning
+        slope = np.stack(
+            [
+                (z[2] * moved[0] - z[0] * moved[2]) / (z[0] ** 2 + z[2] ** 2),
+                (z[1] * moved[2] - z[2] * moved[1]) / (z[1] ** 2 + z[2] ** 2),
+            ]
+        )
+        return Lean(math.atan2(z[0], z[2]), math.atan2(-z[1], z[2]), slope @ self.covariance[3:, 3:] @ slope.T)
+
+
+def leaning_normal(yaw: float, pitch: float) -> Array:
+    """Return the (3,) unit normal, toward the camera, of faces that lean by a yaw and a pitch, rad."""
+    z = np.array([math.tan(yaw), -math.tan(pitch), 1.0])
+    return np.asarray(-z / np.linalg.norm(z))
+
+
+def is_front(axis: Array, normal: Array, sight: Array) -> bool:
+    """Return whether a normal is that of faces seen from the front by camera and charger alike, square to their bars.
+
+    Args:
+        axis: (3,) unit vector along the bars.
+        normal: (3,) unit normal, toward who looks.
+        sight: (3,) from the camera to the faces.
+    """
+    return bool(normal @ sight < 0.0 and normal[2] < -_STEEPEST and abs(normal @ axis) < _SQUARE)

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Electrodes in charger_base as a message."""
+
+from __future__ import annotations
+
+from builtin_interfaces.msg import Time
+from deltacharger.msg import ElectrodeDetection
+
+from deltacharger_vision.mount import FRAME, quaternion
+from deltacharger_vision.placed import Placed
+
+
+def detection_message(placed: Placed, stamp: Time, confidence: float, distance: float) -> ElectrodeDetection:
+    """Return electrodes as their message.
+
+    Args:
+        placed: where they are.
+        stamp: of the image.
+        confidence: 0 to 1.
+        distance: m from the camera.
+    """
+    message = ElectrodeDetection(roll=placed.roll, confidence=confidence, range=distance)
+    message.header.stamp, message.header.frame_id = stamp, FRAME
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    place.x, place.y, place.z = (float(value) for value in placed.position)
+    turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion(placed.rotation()))
+    message.pose.covariance = placed.told_covariance().ravel()
+    return message
