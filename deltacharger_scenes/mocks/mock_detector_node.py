@@ -2,8 +2,8 @@
 """mock_detector_node: electrode_detector_node without a camera, for tests of everything above it.
 
 Publishes: electrode_detection when asked. Serves: detect_electrodes.
-Parameters: where the electrodes seem to be (x, y, z, roll, yaw and pitch in charger_base), its uncertainty, and `fault`, which may be
-set while it runs:
+Parameters: where the electrodes seem to be (x, y, z, roll, yaw and pitch in charger_base), its uncertainty, and
+`fault`, which may be set while it runs:
 
 nothing        it finds no electrodes
 stale          the image is 10 s old

@@ -32,7 +32,7 @@ from deltacharger_vision.detector.detection import Detection
 
 from .conftest import Quick
 
-NOTHING = [math.nan] * 5
+NOTHING = [math.nan] * 9
 
 REPORT = ("vision", "--images", "2")
 MEASURES_WITH = ("cv2", "matplotlib", "scipy")
@@ -72,6 +72,14 @@ def test_the_mount_decides(quick_report: Quick) -> None:
     exact, half, whole = (quick_report[2]["mount"][name] for name in LEVELS)
     assert exact["base_mm_p50"] == pytest.approx(exact["camera_mm_p50"], rel=1e-6)
     assert 10.0 * exact["base_mm_p50"] < half["base_mm_p50"] < whole["base_mm_p50"]
+
+
+def test_the_lean_is_told_by_depth_and_the_mount_spoils_it(quick_report: Quick) -> None:
+    rows, mount = quick_report[2]["rows"], quick_report[2]["mount"]
+    near = [rows[key(each)] for each in members(BY_RANGE) if 0.18 < each.away < 0.35]
+    assert all(each["leans"] == each["found"] > 0 for each in near)
+    assert max(each[f"{axis}_rms"] for each in near for axis in ("yaw", "pitch")) < 0.5
+    assert mount["exact"]["yaw_rms"] < 0.3 * mount["1° / 3 mm"]["yaw_rms"]
 
 
 def test_the_page_says_what_the_figures_say(quick_report: Quick) -> None:
@@ -133,18 +141,24 @@ def test_wrong_is_what_is_far_off() -> None:
 
 
 def test_only_right_detections_count_as_found() -> None:
-    images = [[0, 1, 0, 1.0, 2.0, 0.1, 3.0, 1.0], [1, 1, 1, *NOTHING], [2, 0, 0, *NOTHING]]
+    images = [[0, 1, 0, 1.0, 2.0, 0.1, 3.0, 1.0, 0.3, 0.4, 1.0, -2.0], [1, 1, 1, *NOTHING], [2, 0, 0, *NOTHING]]
     found = row(images)
     assert (found["images"], found["found"], found["wrong"]) == (3, 1, 1)
     assert found["xy_mm_p50"] == 1.0
+    assert (found["leans"], found["yaw_rms"], found["pitch_sigma_rms"]) == (1, 0.3, 2.0)
+    assert (found["yaw_held"], found["pitch_held"]) == (1.0, 0.0)
     assert worst(images, real=True) == 1
     assert worst(images[::2], real=True) == 2
     assert worst(images[::2], real=False) == 0
 
 
 def test_a_target_that_is_missed_is_said_to_be() -> None:
-    good = row([[0, 1, 0, 0.1, 0.1, 0.1, 3.0, 1.0]] * 100)
-    bad = row([[0, 0, 0, *NOTHING]] * 2 + [[0, 1, 1, *NOTHING]] + [[0, 1, 0, 1.1, 2.1, 1.1, 3.0, 1.0]] * 97)
+    good = row([[0, 1, 0, 0.1, 0.1, 0.1, 3.0, 1.0, 0.1, 0.1, 1.0, 1.0]] * 100)
+    bad = row(
+        [[0, 0, 0, *NOTHING]] * 2
+        + [[0, 1, 1, *NOTHING]]
+        + [[0, 1, 0, 1.1, 2.1, 1.1, 3.0, 1.0, 0.1, 0.1, 1.0, 1.0]] * 97
+    )
     for whole, time, met in ((good, 14.9, True), (bad, 15.1, False)):
         names = {key(each): {"median_ms": time} for each in members(BY_RANGE)}
         alarms = {"images": 100, "wrong": 0 if met else 1}

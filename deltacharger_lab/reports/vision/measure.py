@@ -28,15 +28,18 @@ from deltacharger_vision.rendering.scene import RenderedScene
 
 WRONG_POSITION, WRONG_ROLL = 0.010, math.radians(5.0)
 """A detection that is farther off, m or rad, is wrong."""
-FIELDS = ("seed", "found", "wrong", "xy_mm", "z_mm", "roll_deg", "nees", "tilt_deg")
-"""Of one image: found and wrong are 0 or 1, errors NaN where nothing right was found, the tilt where it is not told."""
+_LEANS = ("yaw_deg", "pitch_deg", "yaw_sigma", "pitch_sigma")
+FIELDS = ("seed", "found", "wrong", "xy_mm", "z_mm", "roll_deg", "nees", "tilt_deg", *_LEANS)
+"""Of one image: found and wrong are 0 or 1, errors NaN where nothing right was found, tilt and lean where no normal is
+told. The lean is that in charger_base by an exact mount; sigma: its error over the told standard deviation."""
 _WARM_UP = 5
 _RUNS = 3  # of one detection; other work of the machine only ever adds to the least
 
 LEVELS = {"exact": (0.0, 0.0), "0.5° / 2 mm": (math.radians(0.5), 0.002), "1° / 3 mm": (math.radians(1.0), 0.003)}
 """Standard deviation of the mount about and along each axis, rad and m, by name."""
-MOUNT_FIELDS = ("seed", "found", "camera_mm", "base_mm", "xy_mm", "z_mm", "roll_deg", "nees")
+MOUNT_FIELDS = ("seed", "found", "camera_mm", "base_mm", "xy_mm", "z_mm", "roll_deg", "nees", *_LEANS)
 """Of one image: error of the position in the camera's frame and in charger_base, there also across and along z."""
+_EXACT = Mount(Mount.default().pose, np.zeros((6, 6)))
 _ASIDE, _AWAY = 0.010, (0.070, 0.090)  # m, of the target in charger_base
 _ROLL, _LEAN = math.radians(6.0), math.radians(2.0)
 
@@ -93,7 +96,7 @@ def judge(name: str, seeds: Sequence[int]) -> tuple[str, list[list[float]]]:
 
 def errors(found: Detection | None, pose: Array, real: bool = True) -> list[float]:
     """Return FIELDS but the seed, of a detection where the terminal is at (4, 4) `pose`, or is none."""
-    nothing = [math.nan] * 5
+    nothing = [math.nan] * (len(FIELDS) - 3)
     if found is None:
         return [0.0, 0.0, *nothing]
     error, roll = _off(found, pose)
@@ -102,7 +105,15 @@ def errors(found: Detection | None, pose: Array, real: bool = True) -> list[floa
     told = bool(np.all(np.isfinite(found.normal)))
     tilt = math.acos(min(1.0, float(-found.normal @ pose[:3, 2]))) if told else math.nan
     across, away, turned = 1e3 * float(np.hypot(*error[:2])), 1e3 * abs(float(error[2])), math.degrees(abs(roll))
-    return [1.0, 0.0, across, away, turned, _nees(error, found), math.degrees(tilt)]
+    lean = _lean_errors(_EXACT.place(found), _EXACT.pose @ pose)
+    return [1.0, 0.0, across, away, turned, _nees(error, found), math.degrees(tilt), *lean]
+
+
+def _lean_errors(placed: Placed, target: Array) -> list[float]:
+    """Return _LEANS where the terminal is at (4, 4) `target` in charger_base."""
+    found, (x, y, z) = placed.lean(), target[:3, 2]
+    yaw, pitch = found.yaw - math.atan2(x, z), found.pitch - math.atan2(-y, z)
+    return [math.degrees(abs(yaw)), math.degrees(abs(pitch)), yaw / found.yaw_stddev, pitch / found.pitch_stddev]
 
 
 def _off(found: Detection | Placed, pose: Array) -> tuple[Array, float]:
@@ -133,13 +144,15 @@ def judge_mount(level: str, seeds: Sequence[int]) -> tuple[str, list[list[float]
         pose = np.linalg.inv(true) @ target
         found = detector.detect(camera.render(scene, pose, random))
         if found is None:
-            rows.append([float(seed), 0.0, *[math.nan] * 6])
+            rows.append([float(seed), 0.0, *[math.nan] * (len(MOUNT_FIELDS) - 2)])
             continue
         placed = mount.place(found)
         error, roll = _off(placed, target)
         seen = float(np.linalg.norm(found.position - pose[:3, 3]))
         sizes = (seen, float(np.linalg.norm(error)), float(np.hypot(*error[:2])), abs(float(error[2])))
-        rows.append([float(seed), 1.0, *(1e3 * each for each in sizes), math.degrees(abs(roll)), _nees(error, placed)])
+        lean = _lean_errors(placed, target)
+        told = (math.degrees(abs(roll)), _nees(error, placed))
+        rows.append([float(seed), 1.0, *(1e3 * each for each in sizes), *told, *lean])
     return level, rows
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from deltacharger_core.arrays import Array
 from deltacharger_lab.campaigns.summary import quantiles, upper_bound
 from deltacharger_lab.reports.pool import work
 from deltacharger_lab.reports.report import Progress, Report, at_least, at_most
@@ -19,6 +20,7 @@ from deltacharger_lab.reports.vision.measure import FIELDS, MOUNT_FIELDS
 from deltacharger_lab.reports.vision.pictures import PICTURES
 from deltacharger_lab.reports.vision.plan import VisionPlan
 
+_NORMAL_95 = 1.96
 _LIBRARIES = ("numpy", "opencv-python-headless", "opencv-python", "mujoco", "matplotlib")
 
 
@@ -78,9 +80,25 @@ def row(images: Sequence[Sequence[float]], fields: Sequence[str] = FIELDS) -> di
         right &= column["wrong"] == 0.0
         found["wrong"] = int(column["wrong"].sum())
     found["found"] = int(right.sum())
+    for name in ("yaw", "pitch"):
+        degrees, sigmas = (column[f"{name}_{each}"][right] for each in ("deg", "sigma"))
+        found |= {f"{name}_rms": _rms(degrees), f"{name}_sigma_rms": _rms(sigmas), f"{name}_held": _held(sigmas)}
+    found["leans"] = int(np.isfinite(column["yaw_deg"][right]).sum())
     for name in (each for each in fields if each.endswith(("_mm", "_deg"))):
         found[f"{name}_p50"], found[f"{name}_p95"] = quantiles(column[name][right], 0.5, 0.95)
     return {**found, "nees": float(np.mean(column["nees"][right])) if right.any() else math.nan}
+
+
+def _rms(values: Array) -> float:
+    """Return the root mean square of what is known, NaN where nothing is."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else math.nan
+
+
+def _held(sigmas: Array) -> float:
+    """Return the share of errors, in standard deviations, that the interval of 95 % holds."""
+    known = sigmas[np.isfinite(sigmas)]
+    return float(np.mean(np.abs(known) <= _NORMAL_95)) if len(known) else math.nan
 
 
 def band(images: dict[str, list[list[float]]]) -> list[list[float]]:
