@@ -27,7 +27,7 @@ from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.pad_source import Turn
 
 PAD = 0.048  # m from the middle to each pad, along x
-_ITERATIONS = 60
+_ITERATIONS, _HALVINGS = 40, 8
 _ENOUGH = 1e-3  # of the largest compression that a last Newton step may change; its error is about the square of that
 _SHORTEST = 1e-6  # m of half an overlap; bars that lie further apart press as on one spot
 _OVERSHOT = -0.5  # of the slope along a Newton step; one that ends beyond is cut back
@@ -226,7 +226,7 @@ class PlatformTilt:
         """
         (alpha, beta), (da, db), c = there, step, self._compliance
         low, high, at_low, at_high, back = 0.0, 1.0, ends, slope, 0.0  # shares of the step, from its end
-        for _ in range(_ITERATIONS):
+        for _ in range(_HALVINGS):
             if at_high == at_low:
                 break
             back = low - at_low * (high - low) / (at_high - at_low)
