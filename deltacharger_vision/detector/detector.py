@@ -95,7 +95,7 @@ class ElectrodeDetector:
         roll = line_angle(x, y)
         turning = cross_matrix(pose.rotation[:, 2])
         spread = turning @ found.covariance[3:, 3:] @ turning.T
-        # Where depth should be and is not, one tilt in a hundred is off by far more than the edges tell.
+        # Where depth should be and is not, two tilts in a hundred are off by far more than the edges tell.
         checked = found.fused or pose.translation[2] < self.settings.judgement.stereo_range
         known = math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) <= self.settings.normal_stddev
         return Detection(
