@@ -126,6 +126,15 @@ def clearance_stddev(estimate: FeltPose, half_gap: float, half_length: float) ->
     return math.hypot(slope * estimate.angle_stddev, estimate.across_stddev)
 
 
+def pitch_shift(estimate: FeltPose, parameters: DockingParameters) -> float:
+    """Return by how much (m) a pitch that is known may shift what the pads feel across the bars; 0 where unknown.
+
+    An unknown one is in the estimate's own error: its model has learnt from contacts that lean.
+    """
+    pitch = abs(estimate.pitch) + parameters.lean_sigmas * estimate.pitch_stddev
+    return parameters.pitch_shift * pitch if math.isfinite(pitch) else 0.0
+
+
 def judge(estimate: FeltPose, parameters: DockingParameters, critical_angle: float | None = None) -> Verdict:
     """Decide what `estimate` allows.
 
@@ -137,8 +146,9 @@ def judge(estimate: FeltPose, parameters: DockingParameters, critical_angle: flo
     gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
     limit = parameters.critical_angle if critical_angle is None else min(critical_angle, parameters.critical_angle)
     sigma = clearance_stddev(estimate, gap, length)
+    shifted = abs(estimate.across) + pitch_shift(estimate, parameters)
     centred = clearance(estimate.angle, 0.0, gap, length)
-    actual = clearance(estimate.angle, estimate.across, gap, length)
+    actual = clearance(estimate.angle, shifted, gap, length)
     worst_angle = abs(estimate.angle) + parameters.clearance_sigmas * estimate.angle_stddev
     if worst_angle >= limit or centred - parameters.clearance_sigmas * sigma < parameters.clearance_min:
         return Verdict.CRITICAL

@@ -115,11 +115,12 @@ class DockingParameters(Bounded):
         math.radians(5.0), 0.0, math.radians(15.0), "rad", "yaw of the electrodes' faces that is not docked to"
     )
     pitch_max: float = number(
-        math.radians(3.0), 0.0, math.radians(15.0), "rad", "pitch of the electrodes' faces that is not docked to"
+        math.radians(5.0), 0.0, math.radians(15.0), "rad", "pitch of the electrodes' faces that is not docked to"
     )
     lean_sigmas: float = number(2.0, 0.0, 6.0, "", "standard deviations by which a given lean lies beyond its limit")
     electrode_half_gap: float = number(0.5 * BAR_GAP, 0.0005, 0.02, "m", "half the gap between the two bars")
     electrode_half_length: float = number(0.5 * BAR_LENGTH, 0.005, 0.1, "m", "half the length of a bar")
+    pitch_shift: float = number(0.0086, 0.0, 0.1, "m/rad", "error across the bars by a pitch: 0.15 mm a degree")
     clearance_min: float = number(0.0003, 0.0, 0.005, "m", "clearance that must remain at clearance_sigmas")
     clearance_sigmas: float = number(3.0, 3.0, 12.0, "", "standard deviations without which no current flows")
     clearance_sigmas_sure: float = number(6.0, 6.0, 24.0, "", "standard deviations at which one contact is enough")

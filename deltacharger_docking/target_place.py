@@ -35,7 +35,6 @@ class TargetPlace:
         self._parameters = parameters
         self._along = AlongFilter(parameters) if electrodes is None else _foreseen(parameters, electrodes)
         self._across = AxisFilter(parameters)
-        self._pitch = (math.nan, math.nan) if electrodes is None else (electrodes.pitch, electrodes.pitch_stddev)
         self._turn = math.nan  # rad, of the bars in the first contact: along and across it the places count
         self.off = (math.nan, math.nan)
         self.plan = Plan(0.0, 1)
@@ -115,7 +114,7 @@ class TargetPlace:
         angle = felt.angle
         sine, cosine = math.sin(angle), math.cos(angle)
         rigid = 1.0 + p.platform_compliance * p.pad_yaw_stiffness
-        pitch, pitch_stddev = self._pitch if all(map(math.isfinite, self._pitch)) else (0.0, p.yaw_stddev)
+        pitch, pitch_stddev = _among(p.yaw_stddev, felt.pitch, felt.pitch_stddev)
         bias, spread = self._along.bias / p.load_per_yaw, self._along.bias_stddev / p.load_per_yaw
         yaw = rigid * bias + pitch * math.tan(angle)
         return replace(
@@ -126,8 +125,6 @@ class TargetPlace:
             vertical_stddev=math.hypot(felt.across_stddev, contact.stddev * sine) / cosine,
             yaw=yaw,
             yaw_stddev=math.hypot(rigid * spread, _DOUBT * rigid * bias, pitch_stddev * math.tan(angle)),
-            pitch=self._pitch[0],
-            pitch_stddev=self._pitch[1],
         )
 
 

@@ -43,6 +43,9 @@ def measure(context: Context) -> Script[FeltPose]:
     felt = reply.estimate
     if not reply.success or felt is None:
         raise TactileStale(f"no misalignment estimate: {reply.message}")
+    seen = context.electrodes
+    if seen is not None:
+        felt = replace(felt, pitch=seen.pitch, pitch_stddev=seen.pitch_stddev)
     context.status.estimate = felt
     text = "sure" if felt.sure and felt.in_range else "unsure" if felt.in_range else "out of range"
     context.decide("measured", text, **felt.numbers)
