@@ -76,6 +76,10 @@ class FeltPose:
             object.__setattr__(self, "across", cosine * self.vertical - sine * self.horizontal)
             object.__setattr__(self, "across_stddev", spread)
 
+    def is_of(self, other: FeltPose) -> bool:
+        """Return whether both are of the same frames: docking works out only the place along the bars, and the lean."""
+        return all(getattr(self, name) == getattr(other, name) for name in ("angle", "across", "left_force", "sure"))
+
     @property
     def stddevs(self) -> tuple[float, float, float]:
         """Standard deviations of angle (rad), vertical and horizontal (m)."""

@@ -24,6 +24,7 @@ from deltacharger_docking.observation import (
     Service,
 )
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.yielding import RemainingShare
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 from deltacharger_kinematics.line import way_done
 from deltacharger_kinematics.scalar import ScalarDelta
@@ -66,6 +67,7 @@ class Context:
         self.doubtful = False  # there was a second source since the last estimate was asked for
         self.energy = 0.0
         self.commanded: Vector = NAN3
+        self.share = RemainingShare(parameters)
         self.electrodes: ElectrodePose | None = None  # of the present target, as seen or said before contact
         self.known_contact: KnownContact | None = None  # on the present target
         self.goal_angles: Vector = NAN3  # at which the servos' goals end up, where that is known

@@ -12,11 +12,11 @@ from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.place import AxisFilter
+from deltacharger_docking.yielding import RemainingShare
 
 _UNTOLD = 1e3  # N, standard deviation of a force that nobody told
 _ON_PAD = 0.009  # m across, within which a ridge is all on its pad
 _FAR = 0.02  # m along, beyond which a ridge may have left its pad
-_DOUBT = 0.4  # of the share of a yaw that remains in contact: compliance and stiffness differ from robot to robot
 
 
 class TargetPlace:
@@ -24,6 +24,7 @@ class TargetPlace:
 
     Args:
         parameters: docking's.
+        share: of a yaw that is left in contact.
         electrodes: where they were seen or said to be; None = unknown.
 
     Attributes:
@@ -31,9 +32,15 @@ class TargetPlace:
         plan: the way on that is expected to gain most; its gain is less what its contacts cost.
     """
 
-    def __init__(self, parameters: DockingParameters, electrodes: ElectrodePose | None = None) -> None:
-        self._parameters = parameters
-        self._along = AlongFilter(parameters) if electrodes is None else _foreseen(parameters, electrodes)
+    def __init__(
+        self, parameters: DockingParameters, share: RemainingShare, electrodes: ElectrodePose | None = None
+    ) -> None:
+        self._parameters, self._share = parameters, share
+        self._yaw = self._seen = (math.nan, math.nan)  # along the ridges: among usual targets, and by itself
+        if electrodes is not None:
+            self._yaw = _along_ridges(electrodes, parameters.yaw_stddev)
+            self._seen = _along_ridges(electrodes, math.inf)
+        self._along = AlongFilter(parameters) if electrodes is None else self._foreseen(electrodes)
         self._across = AxisFilter(parameters)
         self._turn = math.nan  # rad, of the bars in the first contact: along and across it the places count
         self.off = (math.nan, math.nan)
@@ -108,46 +115,52 @@ class TargetPlace:
             return math.nan
         return -side * p.pad_distance * force * (p.platform_compliance + 1.0 / p.pad_yaw_stiffness)
 
+    def learn(self) -> None:
+        """Let a target whose yaw was seen teach the share of it that is left, once its contacts have told."""
+        per_yaw = self._parameters.load_per_yaw
+        self._share.learn(*self._seen, self._along.bias / per_yaw, self._along.bias_stddev / per_yaw)
+
+    def _foreseen(self, electrodes: ElectrodePose) -> AlongFilter:
+        """Return the filter with what is known before contact: the place, and from the yaw the load bias."""
+        (yaw, stddev), share, per_yaw = self._yaw, self._share, self._parameters.load_per_yaw
+        spread = per_yaw * math.hypot(share.value * stddev, share.stddev * yaw)
+        place = electrodes.position[0], self._parameters.place_stddev
+        return AlongFilter(self._parameters, *place, per_yaw * share.value * yaw, spread)
+
     def told(self, felt: FeltPose) -> FeltPose:
         """Return what is felt in this contact as all contacts together tell it, the yaw of the faces included."""
         p, contact = self._parameters, self._along.contact
         angle = felt.angle
         sine, cosine = math.sin(angle), math.cos(angle)
-        rigid = 1.0 + p.platform_compliance * p.pad_yaw_stiffness
         pitch, pitch_stddev = _among(p.yaw_stddev, felt.pitch, felt.pitch_stddev)
         bias, spread = self._along.bias / p.load_per_yaw, self._along.bias_stddev / p.load_per_yaw
-        yaw = rigid * bias + pitch * math.tan(angle)
+        share = self._share.value
+        doubt = self._share.stddev / share**2 * bias
         return replace(
             felt,
             horizontal=contact.mean,
             horizontal_stddev=contact.stddev,
             vertical=(felt.across + contact.mean * sine) / cosine,
             vertical_stddev=math.hypot(felt.across_stddev, contact.stddev * sine) / cosine,
-            yaw=yaw,
-            yaw_stddev=math.hypot(rigid * spread, _DOUBT * rigid * bias, pitch_stddev * math.tan(angle)),
+            yaw=bias / share + pitch * math.tan(angle),
+            yaw_stddev=math.hypot(spread / share, doubt, pitch_stddev * math.tan(angle)),
         )
 
 
-def _foreseen(parameters: DockingParameters, electrodes: ElectrodePose) -> AlongFilter:
-    """Return the filter with what is known before contact: the place, and from the lean the load bias.
+def _along_ridges(electrodes: ElectrodePose, usual: float) -> tuple[float, float]:
+    """Return the yaw along the ridges before contact and its standard deviation, rad.
 
-    The platform turns after a yaw until 1/(1 + compliance · stiffness) of it is left. Rolled bars take a pitch for a
-    yaw, by its tangent.
+    Rolled ridges take a pitch for a yaw, by the tangent. `usual`: standard deviation of both among targets.
     """
-    p, roll = parameters, math.tan(electrodes.roll)
-    yaw, yaw_stddev = _among(p.yaw_stddev, electrodes.yaw, electrodes.yaw_stddev)
-    pitch, pitch_stddev = _among(p.yaw_stddev, electrodes.pitch, electrodes.pitch_stddev)
-    left = p.load_per_yaw / (1.0 + p.platform_compliance * p.pad_yaw_stiffness)
-    bias = left * (yaw - roll * pitch)
-    spread = math.hypot(left * yaw_stddev, left * roll * pitch_stddev, _DOUBT * bias)
-    return AlongFilter(p, electrodes.position[0], p.place_stddev, bias, spread)
+    roll = math.tan(electrodes.roll)
+    yaw, yaw_stddev = _among(usual, electrodes.yaw, electrodes.yaw_stddev)
+    pitch, pitch_stddev = _among(usual, electrodes.pitch, electrodes.pitch_stddev)
+    return yaw - roll * pitch, math.hypot(yaw_stddev, roll * pitch_stddev)
 
 
 def _among(usual: float, seen: float, stddev: float) -> tuple[float, float]:
     """Return a lean (rad) and its standard deviation by what is usual among targets, and seen of this one if known."""
     if not (math.isfinite(seen) and math.isfinite(stddev)):
         return 0.0, usual
-    if usual == 0.0:
-        return 0.0, 0.0
-    weight = usual**2 / (usual**2 + stddev**2)
+    weight = 1.0 / (1.0 + (stddev / usual) ** 2) if usual > 0.0 else 0.0
     return weight * seen, math.sqrt(weight) * stddev

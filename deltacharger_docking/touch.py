@@ -82,12 +82,12 @@ class Target:
         self._context = context
         self.critical_angle = critical_angle
         self.depth = math.inf
-        self._place = TargetPlace(context.parameters)
+        self._place = TargetPlace(context.parameters, context.share)
         self.begin()
 
     def foresee(self, electrodes: ElectrodePose) -> None:
         """Take where the electrodes were seen or said to be, and how they lean, before the first contact."""
-        self._place = TargetPlace(self._context.parameters, electrodes)
+        self._place = TargetPlace(self._context.parameters, self._context.share, electrodes)
 
     def begin(self) -> None:
         """Forget what earlier goals have counted; the target's place stays known."""
@@ -130,7 +130,7 @@ class Target:
         context.status.aligned = safe and not self._pays and self._place.risk <= parameters.aligned_risk_max
         settled = stay or not self._pays or (self._exhausted and parameters.charge_when_not_aligned)
         if stay and not safe:
-            self._place = TargetPlace(parameters)  # the target is not any more where it was
+            self._place = TargetPlace(parameters, context.share)  # the target is not any more where it was
         return settled and safe
 
     def still_allows_rest(self, felt: FeltPose) -> bool:
@@ -142,6 +142,7 @@ class Target:
 
     def rest(self) -> None:
         """Tell that the electrodes rest here."""
+        self._place.learn()
         aligned, (x, y) = self._context.status.aligned, self._place.off
         text = "another contact would not pay" if aligned else "the electrodes have clearance here"
         self._context.decide("aligned" if aligned else "exhausted", text, x_m=x, y_m=y)

@@ -61,13 +61,14 @@ def to_message(estimate: Estimate, name: str, stamp: Any) -> Misalignment:
         name: of the model.
         stamp: of the newest frame used.
     """
-    message = unknown_misalignment()  # the estimator tells no across, yaw and pitch: they stay NaN
+    message = unknown_misalignment()  # pads alone tell no yaw and no pitch: they stay NaN
     message.header.stamp = stamp
     message.contact, message.sure, message.in_range = estimate.contact, estimate.sure, estimate.in_range
     for axis in ("angle", "vertical", "horizontal"):
         for field in (axis, f"{axis}_stddev"):
             setattr(message, field, getattr(estimate, field))
         setattr(message, f"{axis}_probability", getattr(estimate, f"{axis}_probability").astype(np.float32))
+    message.across, message.across_stddev = estimate.across, estimate.across_stddev
     message.left_force, message.right_force = estimate.left_force, estimate.right_force
     message.model = name
     return message

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from array import array
 from collections.abc import Sequence
@@ -38,6 +39,15 @@ _CENTRES = {"angle": _DEGREES, "vertical": _OFFSETS, "horizontal": _OFFSETS}  # 
 def estimate(message: Misalignment, with_classes: bool = False) -> FeltPose:
     """Return the plain values of a Misalignment; its most probable classes only where they were asked for."""
     return FeltPose.of(message, _classes(message) if with_classes else None)
+
+
+def told(value: FeltPose, source: Misalignment) -> Misalignment:
+    """Return the message that an estimate came from with the numbers that docking made of it."""
+    message = copy.deepcopy(source)
+    for name in ("horizontal", "vertical", "across", "yaw", "pitch"):
+        setattr(message, name, getattr(value, name))
+        setattr(message, f"{name}_stddev", getattr(value, f"{name}_stddev"))
+    return message
 
 
 def _classes(message: Misalignment) -> MisalignmentClasses:

@@ -19,7 +19,7 @@ from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_core.texts import cut
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.observation import Reply, Request, Service
-from deltacharger_docking.ros.messages import estimate, seen
+from deltacharger_docking.ros.messages import estimate, seen, told
 from deltacharger_ros.action_caller import result_of
 from deltacharger_ros.messages import duration, seconds
 from deltacharger_ros.qos import SERVICE
@@ -106,8 +106,11 @@ class Services:
             return replies, self._refusal
 
     def misalignment(self, value: FeltPose | None) -> Misalignment:
-        """Return the message that the machine's last estimate came from; NaN where there is none."""
-        return next((message for felt, message in list(self._felt) if felt is value), unknown_misalignment())
+        """Return the message that the machine's last estimate came from, with what it made of it; NaN without one."""
+        if value is None:
+            return unknown_misalignment()
+        asked = (message for felt, message in list(self._felt) if felt.is_of(value))
+        return next((told(value, message) for message in asked), unknown_misalignment())
 
     def contactor(self, wanted: bool, closed: bool) -> None:
         """Renew the lease while `wanted`, ten times a second; open at once when it no longer is."""
