@@ -66,6 +66,7 @@ RESULTS: dict[str, tuple[type, str]] = {
     "final_misalignment": (float, "m, distance of the centres of a charged docking; NaN = not charged"),
     "clearance": (float, "m, truth at the outcome, between the nearest wrong bars; NaN = not in contact"),
     "felt_horizontal": (float, "m, last estimate"),
+    "felt_horizontal_stddev": (float, "m, its told standard deviation"),
     "felt_vertical": (float, "m, last estimate"),
     "felt_angle": (float, "rad, last estimate"),
     "estimates": (int, "estimates of the misalignment up to the outcome"),
@@ -79,6 +80,7 @@ RESULTS: dict[str, tuple[type, str]] = {
     "error": (str, "of a docking that crashed, else empty"),
 }
 """Columns of what came out, with type, unit and meaning."""
+_FELT = tuple(name for name in RESULTS if name.startswith("felt_"))
 
 
 def columns(scene: CampaignScene) -> dict[str, tuple[type, str]]:
@@ -189,7 +191,7 @@ def result(charger: VirtualCharger, outcome: DockingOutcome, above: float) -> di
         "final_angle": angle,
         "final_misalignment": math.hypot(x, y) if outcome.success else math.nan,
         "clearance": truth.clearance,
-        **{f"felt_{axis}": math.nan if felt is None else getattr(felt, axis) for axis in feeling.AXES},
+        **({} if felt is None else {name: getattr(felt, name.removeprefix("felt_")) for name in _FELT}),
         **_record(charger),
     }
 
