@@ -184,10 +184,11 @@ def test_what_a_seed_drew_it_draws_for_ever(name: str, digest: str) -> None:
     for number in range(40):
         one = draw(scene, 21, number, "guarded")
         world = one.world
-        servo, contact, *parts = map(astuple, (world.servo, world.contact, world.magnets, world.target, one.goal))
-        parts = [servo, contact[:4], *parts]  # without pad_stiffness, a parameter younger than the digests
+        parts = list(map(astuple, (world.servo, world.contact, world.magnets, world.target, one.goal)))
+        parts[1], parts[4] = parts[1][:4], parts[4][:4]  # pad_stiffness and a goal's lean are younger than the digests
+        values = sorted(item for item in one.values.items() if item[0] != "docking.yaw_stddev")  # so is this
         gravity = (world.gravity_x, world.gravity_y, world.gravity_z)
-        found.update(repr((sorted(one.values.items()), *parts, *gravity, one.seed, one.rig_seed)).encode())
+        found.update(repr((values, *parts, *gravity, one.seed, one.rig_seed)).encode())
     assert found.hexdigest()[:32] == digest
 
 
