@@ -7,8 +7,8 @@ it falls with the distance of the centres. Contacts at different places of the p
 
 Given the place of the target, everything else is taken as normal and linear: the load bias, the gain error of h, and
 the scale errors of the pads' force, of the magnets and of their width, shared by all contacts; and for each contact its
-landing beside the commanded place (`docking_jitter`), which encoders do not see. So the likelihood of a place is that of
-one normal vector. It is worked out on a grid of places, since it may have two peaks: the force is even in x.
+landing beside the commanded place (`docking_jitter`), which encoders do not see. So the likelihood of a place is that
+of one normal vector. It is worked out on a grid of places, since it may have two peaks: the force is even in x.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _LEAST = 1e-12  # m²
 
 
 @dataclass(frozen=True)
-class Look:
+class LookAlong:
     """What one contact tells along the bars.
 
     Attributes:
@@ -103,13 +103,13 @@ class AlongFilter:
         self.foreseen, self._foreseen_stddev, self._bias = place, place_stddev, bias
         shared = math.hypot(bias_stddev, p.horizontal_shared)
         self._prior = np.array([shared, p.gain_error, p.force_error, p.magnet_error, p.magnet_width_error]) ** 2
-        self._looks: list[Look] = []
+        self._looks: list[LookAlong] = []
         self._weights, self._means, self._spread = np.ones(1), np.full(1, math.nan), math.inf
         self._innovations = 0.0
         self.target = math.nan
         self.bias, self.bias_stddev = bias, shared
 
-    def update(self, look: Look) -> None:
+    def update(self, look: LookAlong) -> None:
         """Take what one contact tells."""
         self._looks.append(look)
         places = self._grid()

@@ -39,8 +39,9 @@ class MisalignmentClasses:
 class FeltPose:
     """Misalignment as felt: pose of the target in end_effector with standard deviations (rad, m).
 
-    Beside the pose, where they were asked for, stand the paper's classes; None = not told. `across` is the offset across
-    the target's bars (m), forces are sums over each pad (N), yaw and pitch lean the target's faces; NaN = not told.
+    Beside the pose, where they were asked for, stand the paper's classes; None = not told. `across` is the offset
+    across the target's bars (m), forces are sums over each pad (N), yaw and pitch lean the target's faces; NaN = not
+    told.
     """
 
     angle: float

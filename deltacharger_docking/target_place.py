@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a target is by all contacts on it, along and across its bars, and which contact would be worth its time next."""
+"""Where a target is by all contacts on it, along and across its bars, and which contact is worth its time next."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from deltacharger_docking.along import AlongFilter, Look, Plan
+from deltacharger_docking.along import AlongFilter, LookAlong, Plan
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
@@ -36,11 +36,12 @@ class TargetPlace:
         self, parameters: DockingParameters, share: RemainingShare, electrodes: ElectrodePose | None = None
     ) -> None:
         self._parameters, self._share = parameters, share
-        self._yaw = self._seen = (math.nan, math.nan)  # along the ridges: among usual targets, and by itself
+        # Its yaw along the ridges: among usual targets, and by itself.
+        self._yaw, self._seen = (0.0, parameters.yaw_stddev), (math.nan, math.nan)
         if electrodes is not None:
             self._yaw = _along_ridges(electrodes, parameters.yaw_stddev)
             self._seen = _along_ridges(electrodes, math.inf)
-        self._along = AlongFilter(parameters) if electrodes is None else self._foreseen(electrodes)
+        self._along = self._foreseen(electrodes)
         self._across = AxisFilter(parameters)
         self._turn = math.nan  # rad, of the bars in the first contact: along and across it the places count
         self.off = (math.nan, math.nan)
@@ -59,7 +60,7 @@ class TargetPlace:
         spread = p.force_repeatability * math.hypot(felt.left_force, felt.right_force)
         if not (force > 0.0 and math.isfinite(push)):
             force, spread, push = 0.0, _UNTOLD, 0.0
-        self._along.update(Look(x, felt.horizontal, own, force, spread, push, felt.across, felt.angle))
+        self._along.update(LookAlong(x, felt.horizontal, own, force, spread, push, felt.across, felt.angle))
         along, across = self._along.target - x, self._across.target - platform
         self.off = along, (across + along * sine) / cosine
 
@@ -103,15 +104,15 @@ class TargetPlace:
             x: of the platform, m.
 
         Returns:
-            NaN where both pads bear, or the empty one may have lost its ridge.
+            NaN where both pads bear, the faces are parallel by construction, or the empty pad may have lost its ridge.
         """
         p, loads = self._parameters, (felt.left_force, felt.right_force)
         light, force = min(loads), sum(loads)
-        if not (felt.complete and light < p.pad_force_min and force > 5.0 * p.pad_force_min):
+        if not (felt.complete and light < p.pad_force_min and force > 5.0 * p.pad_force_min and p.yaw_stddev > 0.0):
             return math.nan
         side = -1.0 if loads[0] > loads[1] else 1.0  # of the light pad along x
         ridge = felt.across / math.cos(felt.angle) + side * p.pad_distance * math.tan(felt.angle)
-        if abs(ridge) > _ON_PAD or abs(self._along.foreseen - x) > _FAR:
+        if abs(ridge) > _ON_PAD or not abs(self._along.foreseen - x) <= _FAR:
             return math.nan
         return -side * p.pad_distance * force * (p.platform_compliance + 1.0 / p.pad_yaw_stiffness)
 
@@ -120,12 +121,14 @@ class TargetPlace:
         per_yaw = self._parameters.load_per_yaw
         self._share.learn(*self._seen, self._along.bias / per_yaw, self._along.bias_stddev / per_yaw)
 
-    def _foreseen(self, electrodes: ElectrodePose) -> AlongFilter:
-        """Return the filter with what is known before contact: the place, and from the yaw the load bias."""
+    def _foreseen(self, electrodes: ElectrodePose | None) -> AlongFilter:
+        """Return the filter with what is known before contact: the place if any, and from the yaw the load bias."""
         (yaw, stddev), share, per_yaw = self._yaw, self._share, self._parameters.load_per_yaw
         spread = per_yaw * math.hypot(share.value * stddev, share.stddev * yaw)
-        place = electrodes.position[0], self._parameters.place_stddev
-        return AlongFilter(self._parameters, *place, per_yaw * share.value * yaw, spread)
+        place = math.nan if electrodes is None else electrodes.position[0]
+        return AlongFilter(
+            self._parameters, place, self._parameters.place_stddev, per_yaw * share.value * yaw, spread
+        )
 
     def told(self, felt: FeltPose) -> FeltPose:
         """Return what is felt in this contact as all contacts together tell it, the yaw of the faces included."""

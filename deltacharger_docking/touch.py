@@ -20,6 +20,7 @@ from deltacharger_docking.codes import (
 from deltacharger_docking.context import Context
 from deltacharger_docking.goals import in_words
 from deltacharger_docking.observation import ElectrodePose, Service
+from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.target_place import TargetPlace
 
 
@@ -119,8 +120,8 @@ class Target:
         if self._place.contradicts_itself and not stay:
             context.decide("contradiction", "the pads do not feel the arm's own moves", x_m=felt.horizontal)
             raise EstimateUnsure(
-                "what the pads feel contradicts the arm's own moves; do their frames repeat themselves, or does the "
-                "target move?"
+                "what the pads feel contradicts the arm's own moves; do their frames repeat themselves, does the "
+                "target move, or do its magnets pull otherwise than magnet_force and magnet_width tell?"
             )
         verdict = self._judge(felt)
         safe = verdict is Verdict.SAFE or (
@@ -129,8 +130,10 @@ class Target:
         self._place.choose(self._moves, self._reaches)
         context.status.aligned = safe and not self._pays and self._place.risk <= parameters.aligned_risk_max
         settled = stay or not self._pays or (self._exhausted and parameters.charge_when_not_aligned)
-        if stay and not safe:
-            self._place = TargetPlace(parameters, context.share)  # the target is not any more where it was
+        if stay and not safe:  # the target is not any more where it was: what it did before tells nothing
+            self._place = TargetPlace(parameters, context.share)
+            self._place.feel(felt, x, y, context.contact.force)
+            self._place.choose(self._moves, self._reaches)
         return settled and safe
 
     def still_allows_rest(self, felt: FeltPose) -> bool:
@@ -225,7 +228,7 @@ class Target:
             context.status.redockings += 1
             context.decide("again", "one pad bears nearly all: the contact is made anew", yaw_rad=yaw)
             return 0.0, 0.0
-        x, y = _pointed_at(felt, parameters.unsure_move_sigmas)
+        x, y = _pointed_at(felt, parameters)
         lost = felt.complete and math.hypot(x, y) > parameters.unsure_move_min
         reachable = lost and not context.planner.reachable((place[0] + x, place[1] + y, place[2]))
         if reachable and self._unsure < parameters.unsure_max:
@@ -246,9 +249,9 @@ class Target:
         yaw = seen if seen * yaw > yaw * yaw else yaw
         x, y, z = self._context.position
         return Leaning(
-            f"one pad bears nearly all ({felt.left_force:.0f} N left, {felt.right_force:.0f} N right): the target's faces "
-            f"are yawed by {math.degrees(yaw):+.1f}° or more about y of charger_base; move the robot to "
-            f"suggested_base_pose, which is to {in_words(yaw)}",
+            f"one pad bears nearly all ({felt.left_force:.0f} N left, {felt.right_force:.0f} N right): the target's "
+            f"faces are yawed by {math.degrees(yaw):+.1f}° or more about y of charger_base, unless it stands far "
+            f"beside its given place; move the robot to suggested_base_pose, which is to {in_words(yaw)}",
             (x, y, z),
             yaw,
         )
@@ -261,12 +264,13 @@ class Target:
         raise EstimateUnsure(f"the tactile estimate stayed {what} after {self._unsure} dockings; check pads and target")
 
 
-def _pointed_at(felt: FeltPose, sigmas: float) -> tuple[float, float]:
-    """Return where (m) an unsure estimate points: across the bars alone where it is out of range.
+def _pointed_at(felt: FeltPose, parameters: DockingParameters) -> tuple[float, float]:
+    """Return where (m) an unsure estimate points: across the bars alone where it is out of range and faces may lean.
 
     Along them a pad that has lost its ridge cannot be told from one that a lean leaves empty.
     """
-    if not felt.in_range:
+    sigmas = parameters.unsure_move_sigmas
+    if not felt.in_range and parameters.yaw_stddev > 0.0:
         return 0.0, felt.across / math.cos(felt.angle)
     x = felt.horizontal if abs(felt.horizontal) > sigmas * felt.horizontal_stddev else 0.0
     return x, felt.vertical if abs(felt.vertical) > sigmas * felt.vertical_stddev else 0.0

@@ -9,9 +9,10 @@ they are rolled by an angle of the tangent t. They turn the platform back by M =
 x, until one of them is empty and the other bears all: |M| ≤ N s. They add no normal force of their own: the electrodes'
 stiffness stands for bars and pads together. About x they resist a thirtieth of what the bars do, which is left out.
 
-The platform yields by its compliance, α = −c (Σ v N − t M) and β = c (Σ u N − M). While both pads press that is the minimum of
-a convex energy, (α² + β²)/2c + Σ ∫ k p²/2l over the pressed length + K s² (b − t a)². Of one pad alone the moment follows the
-normal force at once: with that of the step before, force and moment would take turns wherever inertia holds the depth.
+The platform yields by its compliance, α = −c (Σ v N − t M) and β = c (Σ u N − M). While both pads press that is the
+minimum of a convex energy, (α² + β²)/2c + Σ ∫ k p²/2l over the pressed length + K s² (b − t a)². Of one pad alone the
+moment follows the normal force at once: with that of the step before, force and moment would take turns wherever
+inertia holds the depth.
 
 Where both bars press along their whole length and off their stops, it is a 2 × 2 linear system, with both pads pressed
 or one of them empty, solved once for every place of the target. Elsewhere it is Newton's iteration over the pressed

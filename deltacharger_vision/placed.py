@@ -19,7 +19,7 @@ _STEEPEST = 0.1  # least share of a normal that is along z: a lean of 84°
 
 
 @dataclass(frozen=True)
-class Lean:
+class PlateLean:
     """Lean of the touched faces in charger_base, rad; all NaN where the normal is not known.
 
     Attributes:
@@ -80,10 +80,10 @@ class Placed:
             found[3:5, :] = found[:, 3:5] = math.nan
         return found
 
-    def lean(self) -> Lean:
+    def lean(self) -> PlateLean:
         """Return the lean, and what the covariance makes of it to first order."""
         if not self.upright:
-            return Lean(math.nan, math.nan, np.full((2, 2), math.nan))
+            return PlateLean(math.nan, math.nan, np.full((2, 2), math.nan))
         x, _, z = self.rotation().T
         # dz = dω × z, and dωz is that of the roll: dωz = d roll + x_z (x_x dωx + x_y dωy) / (x_x² + x_y²).
         about_z = np.array([*(x[2] * x[:2] / (x[0] ** 2 + x[1] ** 2)), 1.0])
@@ -95,7 +95,7 @@ class Placed:
                 (z[1] * moved[2] - z[2] * moved[1]) / (z[1] ** 2 + z[2] ** 2),
             ]
         )
-        return Lean(math.atan2(z[0], z[2]), math.atan2(-z[1], z[2]), slope @ self.covariance[3:, 3:] @ slope.T)
+        return PlateLean(math.atan2(z[0], z[2]), math.atan2(-z[1], z[2]), slope @ self.covariance[3:, 3:] @ slope.T)
 
 
 def leaning_normal(yaw: float, pitch: float) -> Array:

@@ -122,26 +122,29 @@ def _goal(values: Mapping[str, Value], source: random.Random) -> ElectrodePose:
         raise ParameterError("shift.limit", limit, "is never kept by these errors of vision; give a larger one")
     stddev = math.hypot(*(float(values.get(f"{key}_stddev", 0.0)) for key in ("camera.roll", "hand_eye.rotation")))
     pose = ElectrodePose((x, y, z), roll, stddev if stddev > _GOAL_STDDEV_LEAST else 0.0)
-    return replace(pose, **_seen_lean(values, turn, source)) if values.get("camera.lean_stddev") else pose
+    return _with_lean(pose, values, turn, source) if values.get("camera.lean_stddev") else pose
 
 
-def _seen_lean(values: Mapping[str, Value], turn: tuple[float, float], source: random.Random) -> dict[str, float]:
-    """Return yaw and pitch of the target's faces as a camera sees them whose mount is turned by `turn` (x, y), rad."""
+def _with_lean(
+    pose: ElectrodePose, values: Mapping[str, Value], turn: tuple[float, float], source: random.Random
+) -> ElectrodePose:
+    """Return `pose` with yaw and pitch of the faces as a camera sees them whose mount is turned by `turn`, rad."""
     seen = float(values["camera.lean_stddev"])
     stddev = math.hypot(seen, float(values.get("hand_eye.rotation_stddev", 0.0)))
     pitch, yaw = target_lean(values)
-    return {
-        "pitch": pitch + turn[0] + seen * source.gauss(0.0, 1.0),
-        "yaw": yaw + turn[1] + seen * source.gauss(0.0, 1.0),
-        "pitch_stddev": stddev,
-        "yaw_stddev": stddev,
-    }
+    return replace(
+        pose,
+        pitch=pitch + turn[0] + seen * source.gauss(0.0, 1.0),
+        yaw=yaw + turn[1] + seen * source.gauss(0.0, 1.0),
+        pitch_stddev=stddev,
+        yaw_stddev=stddev,
+    )
 
 
 def seen_at(
     values: Mapping[str, Value], position: Sequence[float], roll: float, source: random.Random
 ) -> tuple[Vector, float, tuple[float, float]]:
-    """Return where a camera sees electrodes, m, charger_base, their roll as it sees it, and its mount's turn (x, y), rad.
+    """Return where a camera sees electrodes, m, charger_base, their roll as it sees it, its mount's turn (x, y), rad.
 
     Args:
         values: of the keys `camera` and `hand_eye`; 0 where one is missing.

@@ -44,6 +44,8 @@ def build_parts(
         "torque_constant": constant * world.servo.torque_constant,
         **_axes(told_gravity(values, gravity)),
     }
+    if world.magnets.force == 0.0:  # whoever has built none knows it
+        given["magnet_force"] = 0.0
     docking = from_mapping(given | nested(values, "docking"), DockingParameters, "docking")
     pads = nested(values, "tactile")
     pads.setdefault("contact", {}).update(nested(values, "electrode"))

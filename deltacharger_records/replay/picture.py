@@ -158,8 +158,9 @@ def _clearance(axes: Axes, replay: Replay) -> None:
 def _left(touch: Touch, replay: Replay) -> tuple[float, float]:
     """Return the clearance of a measurement and what is sure of it at three standard deviations, mm."""
     gap, length = replay.parameters.electrode_half_gap, replay.parameters.electrode_half_length
-    left = clearance(touch.angle, touch.vertical, gap, length)
-    return 1e3 * left, 1e3 * (left - 3.0 * clearance_stddev(touch.estimate, gap, length))
+    felt = touch.estimate
+    left = clearance(felt.angle, felt.across, gap, length)
+    return 1e3 * left, 1e3 * (left - 3.0 * clearance_stddev(felt, gap, length))
 
 
 def _maps(figure: Figure, place: Any, replay: Replay) -> None:

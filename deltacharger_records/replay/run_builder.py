@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from deltacharger_ros.messages import PHASES
 _MEASURED = (
     *("horizontal_m", "vertical_m", "angle_rad"),
     *("horizontal_stddev_m", "vertical_stddev_m", "angle_stddev_rad"),
+    *("across_m", "across_stddev_m"),
 )
 
 
@@ -109,9 +111,9 @@ class RunBuilder:
         self.run.decided.add(time, *values)
         if not self.run.decisions:  # recorded without docking_decision
             stddevs = (felt.horizontal_stddev, felt.vertical_stddev, felt.angle_stddev)
-            self._touch(time, [*values, *stddevs], felt.sure and felt.in_range)
+            self._touch(time, [*values, *stddevs, felt.across, felt.across_stddev], felt.sure and felt.in_range)
 
     def _touch(self, time: float, values: Sequence[float], sure: bool) -> None:
-        x, y, angle, x_stddev, y_stddev, angle_stddev = values
-        spreads = x_stddev, y_stddev, angle_stddev
-        self.run.touches.append(Touch(time, x, y, angle, *spreads, sure, self._contacts, self.run.frames))
+        x, y, angle, x_stddev, y_stddev, angle_stddev, across, across_stddev = values
+        touch = Touch(time, x, y, angle, x_stddev, y_stddev, angle_stddev, sure, self._contacts, self.run.frames)
+        self.run.touches.append(replace(touch, across=across, across_stddev=across_stddev))

@@ -58,6 +58,8 @@ class Touch:
     """One measurement by touch that docking acted on: the target's pose in end_effector (m, rad) at `time` (s).
 
     Attributes:
+        across: offset across the target's bars, m; NaN = not recorded.
+        across_stddev: m.
         sure: whether the estimator was, inside what it knows.
         frames: what the pads felt, (left, right), each (rows, columns) N; None = not recorded.
         contact: number of the contact in which it was made, from 1; 0 = not told.
@@ -77,12 +79,22 @@ class Touch:
     frames: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
     verdict: str = ""
     clearance: float = float("nan")
+    across: float = float("nan")
+    across_stddev: float = float("nan")
 
     @property
     def estimate(self) -> FeltPose:
-        """It as docking judges it."""
-        spreads = (self.angle_stddev, self.vertical_stddev, self.horizontal_stddev)
-        return FeltPose(self.angle, spreads[0], self.vertical, spreads[1], self.horizontal, spreads[2])
+        """It as docking judges it: by `across`, which FeltPose works out of the pose where it was not recorded."""
+        return FeltPose(
+            self.angle,
+            self.angle_stddev,
+            self.vertical,
+            self.vertical_stddev,
+            self.horizontal,
+            self.horizontal_stddev,
+            across=self.across,
+            across_stddev=self.across_stddev,
+        )
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,7 @@ def _tilted(replay: Replay, message: str) -> str:
     needed = quantity(parameters.clearance_min, "m")
     times = f" in {_WORDS.get(len(touches), len(touches))} dockings" if len(touches) > 1 else ""
     felt = f"{quantity(estimate.angle, 'rad')} ± {quantity(estimate.angle_stddev, 'rad')}"
-    text = f"the angle was measured as {felt}{times}; even without a vertical error the clearance would be "
+    text = f"the angle was measured as {felt}{times}; even without an offset across the bars the clearance would be "
     if left < parameters.clearance_min:
         return text + f"{quantity(left, 'm')}, {needed} are needed"
     if worst < parameters.clearance_min:
@@ -145,11 +145,12 @@ def _off(replay: Replay, message: str) -> str:
     judged = [touch for touch in replay.run.touches if not math.isnan(touch.clearance)]
     if not judged:
         return message
-    last, needed = judged[-1], quantity(replay.parameters.clearance_min, "m")
+    needed = quantity(replay.parameters.clearance_min, "m")
+    last = judged[-1].estimate
     return (
-        f"{message}; the last measurement found {quantity(last.vertical, 'm')} ± {quantity(last.vertical_stddev, 'm')} "
-        f"vertically and {quantity(last.angle, 'rad')} ± {quantity(last.angle_stddev, 'rad')}, which leaves "
-        f"{quantity(last.clearance, 'm')} of clearance, and {needed} are needed at three standard deviations"
+        f"{message}; the last measurement found {quantity(last.across, 'm')} ± {quantity(last.across_stddev, 'm')} "
+        f"across the bars and {quantity(last.angle, 'rad')} ± {quantity(last.angle_stddev, 'rad')}, which leaves "
+        f"{quantity(judged[-1].clearance, 'm')} of clearance, and {needed} are needed at three standard deviations"
     )
 
 
@@ -167,11 +168,12 @@ _TELLERS: dict[Code, Callable[[Replay, str], str]] = {
 
 
 def _mean(touches: list[Touch]) -> FeltPose:
-    """Return the mean angle of several dockings, with the largest of their standard deviations."""
-    names = ("angle_stddev", "vertical_stddev", "horizontal_stddev")
-    angle, vertical, horizontal = (max(getattr(touch, name) for touch in touches) for name in names)
-    mean = sum(touch.angle for touch in touches) / len(touches)
-    return FeltPose(mean, angle, 0.0, vertical, 0.0, horizontal)
+    """Return the mean angle of several dockings without an offset, with the largest of their standard deviations."""
+    names = ("angle_stddev", "vertical_stddev", "horizontal_stddev", "across_stddev")
+    felt = [touch.estimate for touch in touches]
+    angle, vertical, horizontal, across = (max(getattr(each, name) for each in felt) for name in names)
+    mean = sum(each.angle for each in felt) / len(felt)
+    return FeltPose(mean, angle, 0.0, vertical, 0.0, horizontal, across=0.0, across_stddev=across)
 
 
 def _way_back(replay: Replay) -> str:

@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
+from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import State
 from deltacharger_docking.observation import DockGoal
 from deltacharger_docking.parameters import DockingParameters
@@ -36,6 +38,13 @@ def quick_charger(*place: float, parameters: Mapping[str, Any] = MappingProxyTyp
     """The same with quick steps; servos that are given need its damping."""
     servo = {"servo": ServoParameters(damping=quick.DAMPING)}
     return charger(*place, parameters={**quick.STEPS, **parameters}, **{**servo, **world})
+
+
+def felt_as(felt: FeltPose, **values: Any) -> FeltPose:
+    """The same estimate with other values; the offset across the bars follows the pose, its error stays."""
+    other = replace(felt, **values)
+    across = other.vertical * math.cos(other.angle) - other.horizontal * math.sin(other.angle)
+    return replace(other, across=across) if values.keys() & {"angle", "vertical", "horizontal"} else other
 
 
 def assert_safe_at_home(run: VirtualCharger) -> None:

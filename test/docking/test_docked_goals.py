@@ -15,7 +15,7 @@ from deltacharger_docking.observation import DockGoal, Reply, Service
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import CircuitParameters, MagnetParameters
 
-from .dockings import assert_safe_at_home, charger, quick_charger
+from .dockings import assert_safe_at_home, charger, felt_as, quick_charger
 
 
 def docked(*place: float, start_charging: bool = True, **kwargs: Any) -> VirtualCharger:
@@ -28,7 +28,7 @@ def docked(*place: float, start_charging: bool = True, **kwargs: Any) -> Virtual
 def shifted(reply: Reply, degrees: float) -> Reply:
     """The same answer on a target turned by so much."""
     assert reply.estimate is not None
-    return replace(reply, estimate=replace(reply.estimate, angle=math.radians(degrees)))
+    return replace(reply, estimate=felt_as(reply.estimate, angle=math.radians(degrees)))
 
 
 def test_a_stop_condition_counts_from_its_own_goal() -> None:
@@ -84,7 +84,7 @@ def test_what_is_lifted_to_make_its_contact_anew_is_not_docked_until_it_rests_ag
 
 
 def test_a_target_whose_magnets_do_not_let_go_is_docked_whatever_the_goal_came_to() -> None:
-    run = quick_charger(magnets=MagnetParameters(force=200.0))
+    run = quick_charger(magnets=MagnetParameters(force=200.0), parameters={"magnet_force": 200.0})
     run.answer[Service.ESTIMATE] = functools.partial(shifted, degrees=14.0)
     outcome = run.dock()
     assert outcome.code is Code.STUCK

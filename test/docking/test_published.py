@@ -16,7 +16,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
 from deltacharger_sim.parameters import TargetParameters, WorldParameters
 
-from .dockings import MILLIMETRE, assert_safe_at_home, quick_charger
+from .dockings import MILLIMETRE, assert_safe_at_home, felt_as, quick_charger
 
 Step = tuple[float, float]
 ZERO: Step = (0.0, 0.0)
@@ -54,7 +54,7 @@ class Told:
         self.places.append((x, y))
         horizontal, vertical = self.offsets.pop(0) if len(self.offsets) > 1 else self.offsets[0]
         classes = MisalignmentClasses(math.radians(self.degrees), vertical * MILLIMETRE, horizontal * MILLIMETRE)
-        return replace(reply, estimate=replace(reply.estimate, classes=classes, **self.felt))
+        return replace(reply, estimate=felt_as(reply.estimate, classes=classes, **self.felt))
 
     def of(self, kind: str) -> list[Decision]:
         return [each for each in self.decisions if each.kind == kind]

@@ -16,6 +16,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.docking import columns, dock_once
 from deltacharger_lab.campaigns.felt import AXES, Felt
 from deltacharger_lab.campaigns.keys import EstimatorErrors
+from deltacharger_lab.campaigns.paper import PaperClasses
 from deltacharger_lab.campaigns.scene import parse_campaign_scene
 from deltacharger_lab.campaigns.servo_load import SECONDS
 
@@ -28,6 +29,8 @@ ESTIMATE = FeltPose(
     vertical_stddev=0.0002,
     horizontal=-0.003,
     horizontal_stddev=0.0012,
+    across=0.001 * math.cos(0.05) + 0.003 * math.sin(0.05),
+    across_stddev=0.0002,
 )
 TRUTH = (-0.002, 0.0012, 0.052)
 
@@ -79,6 +82,8 @@ def test_tails_have_the_width_that_is_told_and_the_weight_of_students_t(tail: fl
         assert np.mean(np.abs(z) < half) == pytest.approx(0.5, abs=0.025)
         assert np.mean(np.abs(z) > 5.0) == pytest.approx(beyond_5, abs=0.003)
         assert (np.mean(np.abs(z) > 5.0) > 0.0) == (beyond_5 > 0.0)
+    for each in found:  # the vertical offset follows from the two, at the true angle
+        assert each.vertical == pytest.approx((each.across + each.horizontal * math.sin(angle)) / math.cos(angle))
 
 
 def test_the_tail_leaves_the_noise_as_it_was() -> None:
@@ -125,10 +130,9 @@ def test_the_papers_classes_are_those_of_the_packaged_cnn() -> None:
     assert row["error"] == ""
     assert row["first_angle_stddev"] == 0.0
     assert math.degrees(row["felt_angle"]) == pytest.approx(round(math.degrees(row["felt_angle"])))
-    cosine, sine = math.cos(row["felt_angle"]), math.sin(row["felt_angle"])
-    felt_across = row["felt_vertical"] * cosine - row["felt_horizontal"] * sine
-    classes = (-0.01, -0.005, 0.0, 0.005, 0.01)
-    assert any(felt_across == pytest.approx(y * cosine - x * sine, abs=1e-9) for x in classes for y in classes)
+    assert row["last_horizontal_stddev"] == row["last_vertical_stddev"] == 0.0
+    told = PaperClasses().predict(*np.random.default_rng(1).uniform(0.0, 4.0, (2, 10, 10)))
+    assert {told.horizontal, told.vertical} <= {-0.01, -0.005, 0.0, 0.005, 0.01}
 
 
 @pytest.mark.parametrize("paper", [False, True])

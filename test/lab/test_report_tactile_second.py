@@ -58,8 +58,8 @@ def test_an_act_without_clearance_is_unsafe(monkeypatch: pytest.MonkeyPatch) -> 
 
         def predict(self, left: np.ndarray, right: np.ndarray) -> Estimate:
             none, small, yes = np.zeros(len(left)), np.full(len(left), 1e-4), np.ones(len(left), dtype=bool)
-            chances = np.zeros((len(left), 6))
-            return Estimate(none, small, none, small, none, small, yes, yes, yes, chances, chances, chances, none, none)
+            chances, forces = [np.zeros((len(left), 6))] * 3, [none] * 2
+            return Estimate(none, small, none, small, none, small, yes, yes, yes, *chances, *forces, none, small)
 
         def drifted(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
             return np.zeros(len(left), dtype=bool)

@@ -28,7 +28,10 @@ from deltacharger_scenes.scene import Scene
 BEGAN = 1_795_000_000 * 10**9  # ns since 1970
 NAMES = {topic.name: f"/a/{topic.name}" for topic in TOPICS}
 KINDS = {NAMES[topic.name]: topic.kind for topic in TOPICS}
-MEASURED = ("angle_rad", "angle_stddev_rad", "vertical_m", "vertical_stddev_m", "horizontal_m", "horizontal_stddev_m")
+MEASURED = (
+    *("angle_rad", "angle_stddev_rad", "vertical_m", "vertical_stddev_m", "horizontal_m", "horizontal_stddev_m"),
+    *("across_m", "across_stddev_m"),
+)
 
 
 def raw(seconds: float, name: str, message: Any) -> Raw:
@@ -58,10 +61,19 @@ def decision(seconds: float, state: State, kind: str, text: str = "", **values: 
     return raw(seconds, "docking_decision", told)
 
 
-def measured(seconds: float, angle: float, vertical: float = 0.0, horizontal: float = 0.0, sure: bool = True) -> Raw:
-    """Return the decision that tells a measurement (degrees and m)."""
-    values = (math.radians(angle), math.radians(0.3), vertical, 1e-4, horizontal, 1e-3)
-    told = dict(zip(MEASURED, values, strict=True))
+def measured(
+    seconds: float,
+    angle: float,
+    vertical: float = 0.0,
+    horizontal: float = 0.0,
+    sure: bool = True,
+    without: tuple[str, ...] = (),
+) -> Raw:
+    """Return the decision that tells a measurement (degrees and m), `without` some of its numbers."""
+    turn = math.radians(angle)
+    across = vertical * math.cos(turn) - horizontal * math.sin(turn)
+    values = (turn, math.radians(0.3), vertical, 1e-4, horizontal, 1e-3, across, 1e-4)
+    told = {name: value for name, value in zip(MEASURED, values, strict=True) if name not in without}
     return decision(seconds, State.MEASURE, "measured", "sure" if sure else "unsure", **told)
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -62,9 +63,9 @@ def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
 
 def test_a_critical_angle_is_explained_by_the_clearance_it_would_leave(tmp_path: Path) -> None:
     assert why(replay(tilted(tmp_path))) == (
-        "Charging was refused: the angle was measured as 12.6° ± 0.3° in two dockings; even without a vertical error "
-        "the clearance would be −0.3 mm, 0.3 mm are needed. Level the target or the charger. The arm was home again at "
-        "3.0 s."
+        "Charging was refused: the angle was measured as 12.6° ± 0.3° in two dockings; even without an offset across "
+        "the bars the clearance would be −0.3 mm, 0.3 mm are needed. Level the target or the charger. The arm was home "
+        "again at 3.0 s."
     )
 
 
@@ -276,3 +277,21 @@ def test_a_picture_that_cannot_be_written_is_refused_at_once(
     code, _, err = run(capsys, str(tilted(tmp_path)), "--picture", str(tmp_path / "no" / "run.png"))
     assert code == 2
     assert "--picture" in err
+
+
+def test_clearance_is_that_of_the_offset_across_the_bars_which_an_older_record_leaves_to_the_pose(
+    tmp_path: Path,
+) -> None:
+    told = measured(2.7, 6.0, vertical=2e-3, horizontal=4e-3)
+    older = measured(2.7, 6.0, vertical=2e-3, horizontal=4e-3, without=("across_m", "across_stddev_m"))
+    (new,), (old,) = (
+        replay(write(tmp_path / f"{name}.mcap", docking(each, until=3.0))).run.touches
+        for name, each in (("new", told), ("old", older))
+    )
+    across = 2e-3 * math.cos(math.radians(6.0)) - 4e-3 * math.sin(math.radians(6.0))
+    assert math.isnan(old.across)
+    assert new.estimate.across == pytest.approx(across)
+    assert old.estimate.across == pytest.approx(across)
+    # The pads know it better than the pose does, along whose horizontal a lean leaks.
+    assert new.estimate.across_stddev == pytest.approx(1e-4)
+    assert old.estimate.across_stddev > new.estimate.across_stddev

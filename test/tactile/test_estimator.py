@@ -52,7 +52,8 @@ def test_precise_enough_to_decide(wide: Any) -> None:
 def test_three_standard_deviations_hold(wide: Any, name: str, axis: int) -> None:
     _, _, pose, estimate = wide
     z = ((getattr(estimate, name) - pose[:, axis]) / getattr(estimate, f"{name}_stddev"))[estimate.in_range]
-    assert 0.6 < z.std() < 1.1
+    # Rigs whose faces are level stay below 1: what is told includes the lean that training has and nobody knows.
+    assert 0.5 < z.std() < 1.1
     assert np.mean(np.abs(z) > 3) < 0.01
     assert np.abs(z).max() < 7.0
 

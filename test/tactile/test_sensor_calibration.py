@@ -18,6 +18,7 @@ from deltacharger_tactile.calibration.faults import KnownDockings, compare_tares
 from deltacharger_tactile.calibration.fit import JITTER, MISFIT_LIMIT, Parts, fit, judge, predict
 from deltacharger_tactile.calibration.rig import AXES, SHAPE, TactileCalibration
 from deltacharger_tactile.errors import FrameError, SensorCalibrationError
+from deltacharger_tactile.estimate import Limits
 from deltacharger_tactile.generator import generate_continuous, measure
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.sensor import Rig
@@ -240,9 +241,14 @@ def test_correcting_moves_the_estimate_and_what_follows_from_it(model: PoseEstim
     assert np.array_equal(likely, np.clip(np.round(got.vertical[raw.contact] / 0.005), -2, 2) + 2)
     assert not np.any(got.in_range & ~raw.in_range)
     assert not np.any(got.sure & ~raw.sure)
-    vague = dataclasses.replace(made, bias_stddev=np.array([0.01, 0.0, 0.0])).correct(raw)
+    vague = dataclasses.replace(made, bias_stddev=np.array([0.0, 0.01, 0.0])).correct(raw)
     assert vague.in_range.any()
     assert not vague.sure.any()
+    # What is vague along x reaches the offset across the bars by their roll alone.
+    vague = dataclasses.replace(made, bias_stddev=np.array([0.01, 0.0, 0.0])).correct(raw)
+    assert vague.sure.any()
+    assert not np.any(vague.sure & (0.01 * np.abs(np.sin(raw.angle)) > Limits().across_stddev))
+    assert np.any(raw.sure & ~vague.sure)
     far = dataclasses.replace(made, bias=np.array([0.0, 0.02, 0.0])).correct(raw)
     assert not far.in_range[raw.vertical < 0.0].any()
     one = made.correct(model.predict(frames[0, 0], frames[0, 1]))

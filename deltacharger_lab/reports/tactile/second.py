@@ -152,8 +152,8 @@ def _counts(data: Dataset, cut: float) -> Row:
 def _acts(told: Estimate) -> Any:
     """Return (N,) whether an estimate is sure and leaves the clearance that docking keeps, at as many σ."""
     half = _DOCKING.electrode_half_length
-    spread = np.hypot(half * np.asarray(told.angle_stddev), np.asarray(told.vertical_stddev))
-    left = _clearances(told.angle, told.vertical) - _DOCKING.clearance_sigmas * spread
+    spread = np.hypot(half * np.asarray(told.angle_stddev), np.asarray(told.across_stddev))
+    left = _clearances(told.angle, told.across) - _DOCKING.clearance_sigmas * spread
     return np.asarray(told.sure) & (left >= _DOCKING.clearance_min)
 
 
