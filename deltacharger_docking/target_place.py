@@ -126,9 +126,7 @@ class TargetPlace:
         (yaw, stddev), share, per_yaw = self._yaw, self._share, self._parameters.load_per_yaw
         spread = per_yaw * math.hypot(share.value * stddev, share.stddev * yaw)
         place = math.nan if electrodes is None else electrodes.position[0]
-        return AlongFilter(
-            self._parameters, place, self._parameters.place_stddev, per_yaw * share.value * yaw, spread
-        )
+        return AlongFilter(self._parameters, place, self._parameters.place_stddev, per_yaw * share.value * yaw, spread)
 
     def told(self, felt: FeltPose) -> FeltPose:
         """Return what is felt in this contact as all contacts together tell it, the yaw of the faces included."""

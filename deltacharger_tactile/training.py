@@ -166,16 +166,16 @@ def record(
 def _another_sheet(felt: NDArray[np.float32], random: np.random.Generator) -> NDArray[np.float32]:
     """Return frames (N, 2, 10, 10) N as sheets of another make would read them, so that the model leans on none.
 
-    Half of them tell nothing below a force of up to the paper's 1 N, which differs from taxel to taxel; taxels at the rim
-    may read less, characteristics bend, and bars beside the pads may bear a part of the force.
+    Half of them tell nothing below a force of up to the paper's 1 N, which differs from taxel to taxel. Taxels at the
+    rim may read less, characteristics bend, and bars beside the pads may bear a part of the force.
     """
     shape = felt.shape[1:]
     rim = np.ones(shape, dtype=bool)
     rim[:, 1:-1, 1:-1] = False
     read = felt * random.uniform(0.75, 1.05) * (1.0 - random.uniform(0.0, 0.2) * rim)
     read *= 1.0 + random.uniform(-0.2, 0.2, (PADS, 1, 1)) * (1.0 - np.minimum(read / 9.0, 1.0))
-    band = random.uniform(0.0, 1.1) * (random.random() < 0.5)
-    band = band * (1.0 + 0.15 * np.clip(random.standard_normal(shape), -2.0, 2.0))
+    least = random.uniform(0.0, 1.1) * (random.random() < 0.5)
+    band = least * (1.0 + 0.15 * np.clip(random.standard_normal(shape), -2.0, 2.0))
     return np.asarray(np.where(read >= band, read, 0.0), dtype=np.float32)
 
 
