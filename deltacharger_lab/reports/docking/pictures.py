@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_lab.reports.docking import summary
+from deltacharger_lab.reports.docking import lean_picture, summary
 from deltacharger_records.plotting import BLUE, GREEN, INK, ORANGE, PURPLE, RED, Axes, picture, top_legend
 
 FORMS = {
@@ -184,10 +184,12 @@ PICTURES = {
     "docking-load.png": _load,
     "docking-alignment.png": _alignment,
     "docking-errors.png": _errors,
+    lean_picture.NAME: lean_picture.outcomes,
 }
+_NEEDS = {"docking-clearance.png": "edge", lean_picture.NAME: "lean5"}
 
 
 def without(rows: dict[str, summary.Columns]) -> dict[str, str]:
     """Return the pictures whose campaign is not there, with the reason."""
-    needs = {name: "edge" if draw is _clearance else "random" for name, draw in PICTURES.items()}
+    needs = {name: _NEEDS.get(name, "random") for name in PICTURES}
     return {name: f"the campaign {needed} was not run" for name, needed in needs.items() if needed not in rows}
