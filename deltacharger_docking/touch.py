@@ -20,7 +20,6 @@ from deltacharger_docking.codes import (
 from deltacharger_docking.context import Context
 from deltacharger_docking.goals import in_words
 from deltacharger_docking.observation import ElectrodePose, Service
-from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.target_place import TargetPlace
 
 
@@ -228,7 +227,7 @@ class Target:
             context.status.redockings += 1
             context.decide("again", "one pad bears nearly all: the contact is made anew", yaw_rad=yaw)
             return 0.0, 0.0
-        x, y = _pointed_at(felt, parameters)
+        x, y = _pointed_at(felt, parameters.unsure_move_sigmas)
         lost = felt.complete and math.hypot(x, y) > parameters.unsure_move_min
         reachable = lost and not context.planner.reachable((place[0] + x, place[1] + y, place[2]))
         if reachable and self._unsure < parameters.unsure_max:
@@ -264,13 +263,12 @@ class Target:
         raise EstimateUnsure(f"the tactile estimate stayed {what} after {self._unsure} dockings; check pads and target")
 
 
-def _pointed_at(felt: FeltPose, parameters: DockingParameters) -> tuple[float, float]:
-    """Return where (m) an unsure estimate points: across the bars alone where it is out of range and faces may lean.
+def _pointed_at(felt: FeltPose, sigmas: float) -> tuple[float, float]:
+    """Return where (m) an unsure estimate points: across the bars alone where it is out of range.
 
     Along them a pad that has lost its ridge cannot be told from one that a lean leaves empty.
     """
-    sigmas = parameters.unsure_move_sigmas
-    if not felt.in_range and parameters.yaw_stddev > 0.0:
+    if not felt.in_range:
         return 0.0, felt.across / math.cos(felt.angle)
     x = felt.horizontal if abs(felt.horizontal) > sigmas * felt.horizontal_stddev else 0.0
     return x, felt.vertical if abs(felt.vertical) > sigmas * felt.vertical_stddev else 0.0

@@ -126,7 +126,8 @@ def test_the_story_is_in_order_with_every_state_and_decision(tmp_path: Path) -> 
         *("idle", "accepted", "approach", "contact", "contact", "measure", "measured", "measured"),
         *("interrupted", "retract", "retracted", "idle"),
     ]
-    assert "measured: sure (angle 12.5° ± 0.3°, vertical 0.0 mm ± 0.1 mm, horizontal 0.0 mm ± 1.0 mm)" in lines[6]
+    told = "angle 12.5° ± 0.3°, vertical 0.0 mm ± 0.1 mm, horizontal 0.0 mm ± 1.0 mm, across 0.0 mm ± 0.1 mm"
+    assert f"measured: sure ({told})" in lines[6]
 
 
 def test_numbers_have_the_unit_of_their_name() -> None:
