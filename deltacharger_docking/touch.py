@@ -138,6 +138,7 @@ class Target:
     def still_allows_rest(self, felt: FeltPose) -> bool:
         """Take what is felt once the arm is at ease; return whether it has left the clearance."""
         if felt.usable and judge(felt, self._context.parameters, self.critical_angle).leaves_clearance:
+            self._context.status.estimate = self._place.told(felt)
             return True
         self._passed, self._context.status.aligned = 0, False
         return False

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all contacts together tell of a target: its place, the yaw of its faces, and whose force was never told."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.magnet_pull import MagnetPull
+from deltacharger_docking.observation import ElectrodePose
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.target_place import TargetPlace
+
+MILLIMETRE, DEGREE = 1e-3, math.radians(1.0)
+PARAMETERS = DockingParameters()
+PUSH = 17.0  # N
+RIGID = 1.0 + PARAMETERS.platform_compliance * PARAMETERS.pad_yaw_stiffness
+
+
+def seen(yaw: float = math.nan, stddev: float = math.nan, roll: float = 0.0) -> ElectrodePose:
+    """Electrodes straight ahead, whose yaw (degrees) a camera may have seen."""
+    return ElectrodePose((0.0, 0.0, 0.08), roll, yaw=yaw * DEGREE, yaw_stddev=stddev * DEGREE)
+
+
+def contact(x: float, yaw: float = 0.0, across: float = 0.0, angle: float = 0.0, force: bool = True) -> FeltPose:
+    """What one contact tells of a target x and across (m) off whose faces are yawed by degrees, all by the model."""
+    left = 0.5 * (float(MagnetPull(PARAMETERS).at(np.array(x), across, angle)[0]) + PUSH)
+    along = x + PARAMETERS.load_per_yaw * yaw * DEGREE / RIGID
+    vertical = (across + along * math.sin(angle)) / math.cos(angle)
+    forces = {"left_force": left, "right_force": left} if force else {}
+    return FeltPose(angle, 0.001, vertical, 2e-4, along, 1.2e-3, across=across, across_stddev=2e-4, **forces)
+
+
+@pytest.mark.parametrize("yaw", [2.0, -2.0, 0.5])
+@pytest.mark.parametrize("camera", [0.2, None], ids=["seen", "not seen"])
+def test_the_yaw_is_told_with_its_sign_by_contacts_beside_the_target(yaw: float, camera: float | None) -> None:
+    place = TargetPlace(PARAMETERS, seen() if camera is None else seen(yaw, camera))
+    felt = contact(0.0)
+    for aside in (0.0, 0.006, -0.006, 0.0):
+        felt = contact(aside, yaw)
+        place.feel(felt, -aside, 0.0, PUSH)
+    told = place.told(felt)
+    assert math.copysign(1.0, told.yaw) == math.copysign(1.0, yaw)
+    assert abs(told.yaw - yaw * DEGREE) < 2.0 * told.yaw_stddev
+    assert abs(told.yaw) > 0.3 * abs(yaw * DEGREE)
+    assert abs(told.horizontal) < 2.0 * MILLIMETRE, "a lean is not taken for an offset"
+    assert abs(felt.horizontal) > 3.0 * abs(told.horizontal)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.12, -0.12])
+def test_told_across_is_the_felt_one_and_the_vertical_follows_from_it(angle: float) -> None:
+    place, felt = TargetPlace(PARAMETERS, seen(roll=angle)), contact(0.001, 1.0, 0.002, angle)
+    place.feel(felt, 0.0, 0.0, PUSH)
+    told = place.told(felt)
+    assert (told.across, told.across_stddev, told.angle) == (felt.across, felt.across_stddev, angle)
+    assert told.vertical * math.cos(angle) - told.horizontal * math.sin(angle) == pytest.approx(felt.across)
+    x, y = place.off
+    assert y * math.cos(angle) - x * math.sin(angle) == pytest.approx(felt.across)
+
+
+@pytest.mark.parametrize("force", [math.nan, 0.0])
+def test_a_force_that_is_not_told_is_unknown(force: float) -> None:
+    parameters = DockingParameters(yaw_stddev=0.0)
+    place = TargetPlace(parameters, seen())
+    felt = FeltPose(0.0, 0.001, 0.0, 2e-4, 0.003, 7e-4, left_force=force, right_force=force)
+    place.feel(felt, 0.0, 0.0, PUSH)
+    assert not place.contradicts_itself
+    assert place.told(felt).horizontal == pytest.approx(0.003, abs=0.3 * MILLIMETRE)
+    assert place.off[0] == pytest.approx(0.003, abs=0.8 * MILLIMETRE)
+
+
+def test_a_probe_is_made_beside_the_target_along_its_bars_and_only_where_the_arm_reaches() -> None:
+    angle = 0.1
+    place = TargetPlace(PARAMETERS, seen(roll=angle))
+    place.feel(contact(0.002, 1.5, 0.0, angle), 0.0, 0.0, PUSH)
+    place.choose(0, lambda x, y: True)
+    assert place.plan.aside != 0.0
+    (x, y), (a, b) = place.step(), place.step(place.plan.aside)
+    assert (x - a, y - b) == pytest.approx((place.plan.aside, place.plan.aside * math.tan(angle)))
+    place.choose(0, lambda x, y: False)
+    assert place.plan.aside == 0.0
+
+
+def test_parallel_faces_are_never_probed_for_their_lean() -> None:
+    place = TargetPlace(DockingParameters(yaw_stddev=0.0), seen())
+    place.feel(contact(0.0), 0.0, 0.0, PUSH)
+    place.choose(0, lambda x, y: True)
+    assert place.plan.gain <= 0.0
+
+
+def one_pad(left: float, right: float) -> FeltPose:
+    return FeltPose(0.0, 0.01, 0.0, 1e-3, 0.05, 0.02, in_range=False, left_force=left, right_force=right)
+
+
+def test_a_pad_that_bears_all_needs_a_yaw_toward_it_where_both_ridges_are_on_their_pads() -> None:
+    place = TargetPlace(PARAMETERS, seen())
+    left = place.least_yaw(one_pad(60.0, 0.5), 0.0)
+    assert left == pytest.approx(-place.least_yaw(one_pad(0.5, 60.0), 0.0))
+    assert left > 0.0
+    assert math.isnan(place.least_yaw(one_pad(40.0, 20.0), 0.0)), "both bear"
+    assert math.isnan(place.least_yaw(one_pad(6.0, 0.5), 0.0)), "too little to tell"
+    assert math.isnan(place.least_yaw(one_pad(60.0, 0.5), 0.03)), "so far off a ridge may have left its pad"
+    assert math.isnan(TargetPlace(PARAMETERS).least_yaw(one_pad(60.0, 0.5), 0.0)), "nobody knows where it is"
+    parallel = TargetPlace(DockingParameters(yaw_stddev=0.0), seen())
+    assert math.isnan(parallel.least_yaw(one_pad(60.0, 0.5), 0.0)), "parallel by construction"
