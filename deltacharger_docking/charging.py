@@ -22,6 +22,7 @@ from deltacharger_docking.context import Context
 from deltacharger_docking.energy import Watch, no_current
 from deltacharger_docking.observation import DockGoal, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.touch import with_pitch
 
 
 @dataclass
@@ -146,7 +147,7 @@ def _clearance_checks(context: Context, order: Order) -> Script[None]:
         reply = yield from context.ask(
             Service.ESTIMATE, TactileStale, parameters.measure_timeout, parameters.clearance_frames
         )
-        estimate = reply.estimate
+        estimate = None if reply.estimate is None else with_pitch(context, reply.estimate)
         if estimate is None or not estimate.usable:
             blind += 1
             context.decide("blind", "the clearance was not felt", times=blind)

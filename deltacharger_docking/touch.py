@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 
 from deltacharger_core.script import Script
-from deltacharger_docking.clearance import FeltPose, Verdict, clearance, clearance_stddev, judge
+from deltacharger_docking.clearance import FeltPose, Verdict, clearance, clearance_stddev, judge, pitch_shift
 from deltacharger_docking.codes import (
     CriticalAngle,
     EstimateUnsure,
@@ -43,10 +43,7 @@ def measure(context: Context) -> Script[FeltPose]:
     felt = reply.estimate
     if not reply.success or felt is None:
         raise TactileStale(f"no misalignment estimate: {reply.message}")
-    seen = context.electrodes
-    if seen is not None:
-        felt = replace(felt, pitch=seen.pitch, pitch_stddev=seen.pitch_stddev)
-    context.status.estimate = felt
+    context.status.estimate = felt = with_pitch(context, felt)
     text = "sure" if felt.sure and felt.in_range else "unsure" if felt.in_range else "out of range"
     context.decide("measured", text, **felt.numbers)
     if not felt.contact:
@@ -54,12 +51,19 @@ def measure(context: Context) -> Script[FeltPose]:
     return felt
 
 
+def with_pitch(context: Context, felt: FeltPose) -> FeltPose:
+    """Return what was felt with the pitch that was seen before contact: no pad tells it."""
+    seen = context.electrodes
+    return felt if seen is None else replace(felt, pitch=seen.pitch, pitch_stddev=seen.pitch_stddev)
+
+
 def tell_verdict(context: Context, felt: FeltPose, critical_angle: float) -> Verdict:
     """Judge clearance by a usable estimate, and tell the verdict by its numbers."""
     parameters = context.parameters
     verdict = judge(felt, parameters, critical_angle)
     gap, length = parameters.electrode_half_gap, parameters.electrode_half_length
-    left, sigma = clearance(felt.angle, felt.across, gap, length), clearance_stddev(felt, gap, length)
+    left = clearance(felt.angle, abs(felt.across) + pitch_shift(felt, parameters), gap, length)
+    sigma = clearance_stddev(felt, gap, length)
     context.decide(
         "verdict",
         verdict.value,

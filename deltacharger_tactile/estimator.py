@@ -262,7 +262,8 @@ class PoseEstimator:
         except npz.NpzError as error:
             raise ModelError(str(path), str(error)) from error
         if header.get("format") != FORMAT or header.get("features") != features.names():
-            raise ModelError(str(path), "made by another version of this package, or no pose model")
+            made = f"format {header.get('format')!r}, and this version reads {FORMAT}"
+            raise ModelError(str(path), f"made by another version of this package ({made}), or no pose model")
         if not all(np.issubdtype(array.dtype, np.number) and np.all(np.isfinite(array)) for array in arrays.values()):
             raise ModelError(str(path), "an array holds NaN, infinity or no numbers")
         try:

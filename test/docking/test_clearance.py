@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +16,8 @@ from deltacharger_docking.place import AxisFilter
 
 GAP, LENGTH = 0.0037, 0.035
 PARAMETERS = DockingParameters()
+LEVEL = [item for item in fields(FeltPose) if item.name not in ("across", "across_stddev", "classes")]
+"""What an estimate of before the offset across was told has."""
 
 
 def felt(degrees: float, vertical: float = 0.0, sigma_degrees: float = 0.1, sigma: float = 2e-4) -> FeltPose:
@@ -59,6 +63,52 @@ def test_uncertainty_only_ever_makes_the_verdict_stricter() -> None:
 def test_a_lower_critical_angle_counts_and_a_higher_one_does_not() -> None:
     assert judge(felt(5.0), PARAMETERS, math.radians(4.0)) is Verdict.CRITICAL
     assert judge(felt(12.5), PARAMETERS, math.radians(20.0)) is Verdict.CRITICAL
+
+
+def test_without_an_offset_across_that_is_told_it_follows_from_the_pose_with_both_errors() -> None:
+    angle = math.radians(10.0)
+    pose = FeltPose(angle, 0.002, 0.003, 2e-4, 0.004, 1e-3)
+    assert pose.across == pytest.approx(0.003 * math.cos(angle) - 0.004 * math.sin(angle))
+    random = np.random.default_rng(4)
+    y, x = 0.003 + 2e-4 * random.standard_normal(100_000), 0.004 + 1e-3 * random.standard_normal(100_000)
+    assert pose.across_stddev == pytest.approx(np.std(y * math.cos(angle) - x * math.sin(angle)), rel=0.02)
+    assert FeltPose.of(SimpleNamespace(**{item.name: getattr(pose, item.name) for item in LEVEL})) == pose
+    assert not FeltPose(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan).complete
+
+
+@pytest.mark.parametrize("off", [0.005, -0.005])
+@pytest.mark.parametrize("degrees", [10.0, -10.0])
+def test_a_lean_taken_for_an_offset_along_the_bars_changes_no_verdict(degrees: float, off: float) -> None:
+    """It leaks into the vertical offset by the roll, but not into the offset across the bars."""
+    angle, across = math.radians(degrees), 2e-4
+    for spread in (5e-5, 1e-4, 2e-4, 4e-4):
+        level, leaning = (
+            FeltPose(
+                *(angle, 5e-4, (across + x * math.sin(angle)) / math.cos(angle), 5e-4, x, 1e-3),
+                across=across,
+                across_stddev=spread,
+            )
+            for x in (0.001, 0.001 + off)
+        )
+        assert abs(level.vertical - leaning.vertical) > 8e-4
+        assert judge(level, PARAMETERS) is judge(leaning, PARAMETERS)
+        # Where nobody tells the offset across, that of the pose is the same, and less sure.
+        worked_out = replace(leaning, across=math.nan, across_stddev=math.nan)
+        assert worked_out.across == pytest.approx(across)
+
+
+def test_a_pitch_that_was_seen_only_ever_makes_the_verdict_stricter_and_an_unknown_one_changes_nothing() -> None:
+    order = [Verdict.SAFE, Verdict.PROBABLY_SAFE, Verdict.TOO_CLOSE, Verdict.CRITICAL]
+    for degrees in (0.0, 5.0, 8.0):
+        for vertical in np.linspace(-0.006, 0.006, 13):
+            pose = felt(degrees, vertical)
+            seen = [
+                replace(pose, pitch=sign * pitch, pitch_stddev=0.01) for pitch in (0.0, 0.05, 0.3) for sign in (1, -1)
+            ]
+            ranks = [order.index(judge(each, PARAMETERS)) for each in [pose, *seen]]
+            assert ranks == sorted(ranks)
+            assert judge(replace(pose, pitch=0.3), PARAMETERS) is judge(pose, PARAMETERS)
+            assert judge(replace(pose, pitch_stddev=0.3), PARAMETERS) is judge(pose, PARAMETERS)
 
 
 def axis(shared: float = 0.0, scale: float = 1.0, jitter: float = 0.00095) -> AxisFilter:

@@ -117,6 +117,11 @@ def test_a_pose_model_that_does_not_fit_is_refused(tmp_path: Path) -> None:
             with pytest.raises(ModelError):
                 PoseEstimator.load(tmp_path / "bad.npz")
     meta = json.loads(str(good["meta"]))
+    np.savez(tmp_path / "lean.npz", **{**good, "meta": np.array(json.dumps(meta | {"format": 2}))})
+    with pytest.raises(
+        ModelError, match=r"lean\.npz.*format 2, and this version reads 3.*train one or use the packaged"
+    ):
+        PoseEstimator.load(tmp_path / "lean.npz")  # of before leans were learnt: its seats mean another thing
     for change in ({"format": 1}, {"members": "two"}, {"interval": [1]}, {"support": None}):
         np.savez(tmp_path / "bad.npz", **{**good, "meta": np.array(json.dumps(meta | change))})
         with pytest.raises(ModelError):
