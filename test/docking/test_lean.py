@@ -60,9 +60,9 @@ def test_a_yaw_is_refused_before_anything_moves_with_the_stand_that_faces_it(yaw
 @pytest.mark.parametrize("seen", [True, False])
 @pytest.mark.parametrize("yaw", [0.0, 9.0])
 def test_a_pitch_is_refused_before_anything_moves_and_no_stand_mends_it(yaw: float, seen: bool) -> None:
-    run, outcome = dock_at(leaning(yaw, -4.5), seen)
+    run, outcome = dock_at(leaning(yaw, -6.5), seen)
     assert (outcome.code, outcome.retriable, outcome.suggested_base) == (Code.LEANING, False, None)
-    for told in ("pitched by -4.5°", "more than 3.0°", "level the target or the charger", "floor", "suspension"):
+    for told in ("pitched by -6.5°", "more than 5.0°", "level the target or the charger", "floor", "suspension"):
         assert told in outcome.message
     assert_nothing_was_moved(run)
 
@@ -70,9 +70,9 @@ def test_a_pitch_is_refused_before_anything_moves_and_no_stand_mends_it(yaw: flo
 @pytest.mark.parametrize(
     ("pose", "refused"),
     [
-        (leaning(5.9, 3.9), False),
-        (leaning(6.1, 3.9), True),
-        (leaning(5.9, 4.1), True),
+        (leaning(5.9, 5.9), False),
+        (leaning(6.1, 5.9), True),
+        (leaning(5.9, 6.1), True),
         (leaning(-6.1, 0.0), True),
         (leaning(UNKNOWN, UNKNOWN), False),
         (leaning(12.0, 12.0, stddev=UNKNOWN), False),

@@ -13,11 +13,17 @@ from deltacharger_docking.magnet_pull import MagnetPull
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.target_place import TargetPlace
+from deltacharger_docking.yielding import RemainingShare
 
 MILLIMETRE, DEGREE = 1e-3, math.radians(1.0)
 PARAMETERS = DockingParameters()
 PUSH = 17.0  # N
 RIGID = 1.0 + PARAMETERS.platform_compliance * PARAMETERS.pad_yaw_stiffness
+
+
+def target_place(parameters: DockingParameters, electrodes: ElectrodePose | None = None) -> TargetPlace:
+    """A target's place before an arm that has learnt nothing yet."""
+    return TargetPlace(parameters, RemainingShare(parameters), electrodes)
 
 
 def seen(yaw: float = math.nan, stddev: float = math.nan, roll: float = 0.0) -> ElectrodePose:
@@ -37,7 +43,7 @@ def contact(x: float, yaw: float = 0.0, across: float = 0.0, angle: float = 0.0,
 @pytest.mark.parametrize("yaw", [2.0, -2.0, 0.5])
 @pytest.mark.parametrize("camera", [0.2, None], ids=["seen", "not seen"])
 def test_the_yaw_is_told_with_its_sign_by_contacts_beside_the_target(yaw: float, camera: float | None) -> None:
-    place = TargetPlace(PARAMETERS, seen() if camera is None else seen(yaw, camera))
+    place = target_place(PARAMETERS, seen() if camera is None else seen(yaw, camera))
     felt = contact(0.0)
     for aside in (0.0, 0.006, -0.006, 0.0):
         felt = contact(aside, yaw)
@@ -52,7 +58,7 @@ def test_the_yaw_is_told_with_its_sign_by_contacts_beside_the_target(yaw: float,
 
 @pytest.mark.parametrize("angle", [0.0, 0.12, -0.12])
 def test_told_across_is_the_felt_one_and_the_vertical_follows_from_it(angle: float) -> None:
-    place, felt = TargetPlace(PARAMETERS, seen(roll=angle)), contact(0.001, 1.0, 0.002, angle)
+    place, felt = target_place(PARAMETERS, seen(roll=angle)), contact(0.001, 1.0, 0.002, angle)
     place.feel(felt, 0.0, 0.0, PUSH)
     told = place.told(felt)
     assert (told.across, told.across_stddev, told.angle) == (felt.across, felt.across_stddev, angle)
@@ -64,7 +70,7 @@ def test_told_across_is_the_felt_one_and_the_vertical_follows_from_it(angle: flo
 @pytest.mark.parametrize("force", [math.nan, 0.0])
 def test_a_force_that_is_not_told_is_unknown(force: float) -> None:
     parameters = DockingParameters(yaw_stddev=0.0)
-    place = TargetPlace(parameters, seen())
+    place = target_place(parameters, seen())
     felt = FeltPose(0.0, 0.001, 0.0, 2e-4, 0.003, 7e-4, left_force=force, right_force=force)
     place.feel(felt, 0.0, 0.0, PUSH)
     assert not place.contradicts_itself
@@ -74,7 +80,7 @@ def test_a_force_that_is_not_told_is_unknown(force: float) -> None:
 
 def test_a_probe_is_made_beside_the_target_along_its_bars_and_only_where_the_arm_reaches() -> None:
     angle = 0.1
-    place = TargetPlace(PARAMETERS, seen(roll=angle))
+    place = target_place(PARAMETERS, seen(roll=angle))
     place.feel(contact(0.002, 1.5, 0.0, angle), 0.0, 0.0, PUSH)
     place.choose(0, lambda x, y: True)
     assert place.plan.aside != 0.0
@@ -85,7 +91,7 @@ def test_a_probe_is_made_beside_the_target_along_its_bars_and_only_where_the_arm
 
 
 def test_parallel_faces_are_never_probed_for_their_lean() -> None:
-    place = TargetPlace(DockingParameters(yaw_stddev=0.0), seen())
+    place = target_place(DockingParameters(yaw_stddev=0.0), seen())
     place.feel(contact(0.0), 0.0, 0.0, PUSH)
     place.choose(0, lambda x, y: True)
     assert place.plan.gain <= 0.0
@@ -96,13 +102,13 @@ def one_pad(left: float, right: float) -> FeltPose:
 
 
 def test_a_pad_that_bears_all_needs_a_yaw_toward_it_where_both_ridges_are_on_their_pads() -> None:
-    place = TargetPlace(PARAMETERS, seen())
+    place = target_place(PARAMETERS, seen())
     left = place.least_yaw(one_pad(60.0, 0.5), 0.0)
     assert left == pytest.approx(-place.least_yaw(one_pad(0.5, 60.0), 0.0))
     assert left > 0.0
     assert math.isnan(place.least_yaw(one_pad(40.0, 20.0), 0.0)), "both bear"
     assert math.isnan(place.least_yaw(one_pad(6.0, 0.5), 0.0)), "too little to tell"
     assert math.isnan(place.least_yaw(one_pad(60.0, 0.5), 0.03)), "so far off a ridge may have left its pad"
-    assert math.isnan(TargetPlace(PARAMETERS).least_yaw(one_pad(60.0, 0.5), 0.0)), "nobody knows where it is"
-    parallel = TargetPlace(DockingParameters(yaw_stddev=0.0), seen())
+    assert math.isnan(target_place(PARAMETERS).least_yaw(one_pad(60.0, 0.5), 0.0)), "nobody knows where it is"
+    parallel = target_place(DockingParameters(yaw_stddev=0.0), seen())
     assert math.isnan(parallel.least_yaw(one_pad(60.0, 0.5), 0.0)), "parallel by construction"
