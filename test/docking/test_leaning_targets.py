@@ -103,3 +103,16 @@ def test_a_pitch_that_lifts_a_bar_is_never_live_and_named_where_a_camera_has_see
     assert run.world.record.energised == 0.0
     assert run.world.record.lifted_live == 0
     assert_safe_at_home(run)
+
+
+def test_a_pitch_that_was_seen_counts_while_charging_as_it_did_before() -> None:
+    run = leaning((1.0, 0.0, 1.0), pitch=0.5)
+    outcome = dock(run, 0.5)
+    assert outcome.success, outcome.message
+    seen = math.radians(0.5)
+    for seconds in (0.0, run.parameters.clearance_period + 1.0):
+        run.run(seconds)
+        felt = run.machine.status.estimate
+        assert run.machine.status.charging
+        assert felt is not None
+        assert (felt.pitch, felt.pitch_stddev) == (seen, math.radians(0.5))

@@ -119,6 +119,12 @@ def test_a_heading_turns_the_faces_back() -> None:
     assert one == two
 
 
+def test_docking_knows_that_there_are_no_magnets_but_not_how_strong_others_are() -> None:
+    for force, told in ((0.0, 0.0), (50.0, DockingParameters().magnet_force)):
+        assert build_parts({"world.magnets.force": force}, "guarded")[2].magnet_force == told
+    assert build_parts({"world.magnets.force": 0.0, "docking.magnet_force": 40.0}, "guarded")[2].magnet_force == 40.0
+
+
 def nudged(exact: bool = False, friction: float = 0.0, **nudge: float) -> dict[str, Any]:
     """Return the row of a docking whose target is nudged."""
     world = {**QUICK["world"], "contact": {"friction": friction}}
