@@ -122,7 +122,9 @@ def test_answers_from_fresh_frames_and_publishes(pads: Pads) -> None:
     assert abs(found.angle - TRUTH[2]) < 4 * found.angle_stddev
     assert abs(found.vertical - TRUTH[1]) < 4 * found.vertical_stddev
     assert abs(found.horizontal - TRUTH[0]) < 4 * found.horizontal_stddev
-    for unknown in ("across", "yaw", "pitch"):
+    across = TRUTH[1] * math.cos(TRUTH[2]) - TRUTH[0] * math.sin(TRUTH[2])
+    assert abs(found.across - across) < 4 * found.across_stddev
+    for unknown in ("yaw", "pitch"):
         assert math.isnan(getattr(found, unknown))
         assert math.isnan(getattr(found, f"{unknown}_stddev"))
     assert len(found.angle_probability) == 6
