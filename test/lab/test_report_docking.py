@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import math
 from pathlib import Path
@@ -12,9 +14,12 @@ import numpy as np
 import pytest
 
 from deltacharger_bringup.cli.main import main
+from deltacharger_core.parameters import declared
+from deltacharger_docking import along, magnet_pull, place, target_place
+from deltacharger_docking.parameters import DockingParameters
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.summary import upper_bound
-from deltacharger_lab.reports.docking import grounds
+from deltacharger_lab.reports.docking import grounds, lean, lean_picture
 from deltacharger_lab.reports.docking import report as docking_report
 from deltacharger_lab.reports.docking import summary as docking_summary
 from deltacharger_lab.reports.docking.pictures import PICTURES
@@ -24,6 +29,7 @@ from deltacharger_lab.reports.docking.summary import Columns
 pytest.importorskip("pyarrow", reason="pyarrow is not installed (extra campaign)")
 
 SEVEN = math.radians(7.0)
+ALIGNED = "what is called aligned, lean5"
 
 
 def rows(count: int, **changes: Any) -> Columns:
@@ -160,7 +166,7 @@ def test_a_report_runs_what_is_missing_and_tells_what_it_has(
     assert {Path(name).name for name in answer["files"]} == {
         "docking.md",
         "docking.json",
-        *(name for name in PICTURES if name != "docking-clearance.png"),
+        *(name for name in PICTURES if name not in ("docking-clearance.png", lean_picture.NAME)),
     }
     figures = json.loads((tmp_path / "docking.json").read_text("utf-8"))
     assert {name: each["n"] for name, each in figures["parts"].items()} == {"random": 3, "upright": 3}
@@ -211,3 +217,78 @@ def test_nudges_count_who_opened_and_who_was_unsafe() -> None:
     assert (found["n"], found["opened"], found["unsafe"], found["unsafe_opened"]) == (5, 3, 2, 1)
     assert found["delay"]["median"] == pytest.approx(0.4)
     assert found["seconds"]["max"] == pytest.approx(0.3)
+
+
+def leaning(yaws: list[float], pitches: list[float], **changes: Any) -> Columns:
+    """Return a charged docking for each yaw and pitch (degrees)."""
+    usual: dict[str, Any] = {
+        "aligned": True,
+        "contacts": 1,
+        "lifted_live": 0,
+        "bar_heat": 0.1,
+        "felt_horizontal": 0.002,
+    }
+    found = rows(len(yaws), **(usual | {"felt_horizontal_stddev": 0.0005} | changes))
+    tilts = {"y": yaws, "x": pitches}
+    return found | {f"world.target.tilt_{axis}": np.radians(each) for axis, each in tilts.items()}
+
+
+def test_leans_are_told_by_whole_degrees_either_way() -> None:
+    every = leaning([0.5, -4.5, 5.0, 2.2], [-1.5, 4.9, -5.0, 0.0])
+    every["charged"][1], every["code_name"] = False, np.array(["NONE", "LEANING", "NONE", "NONE"])
+    cells = lean.by_lean(every)
+    assert [(yaw, pitch) for yaw in range(5) for pitch in range(5) if cells[yaw][pitch]["n"]] == [
+        (0, 1),
+        (2, 0),
+        (4, 4),
+    ]
+    assert (cells[4][4]["n"], cells[4][4]["share"], cells[4][4]["refused"]) == (2, 0.5, {"LEANING": 1})
+
+
+def test_a_robot_that_stands_askew_has_yawed_faces() -> None:
+    yaw, pitch = lean.lean(rows(1) | {"parked.heading": np.radians([3.0])})
+    assert (yaw[0], pitch[0]) == (pytest.approx(3.0), 0.0)
+
+
+def test_what_is_refused_late_or_by_no_name_is_not_refused_soon() -> None:
+    every = leaning([4.0] * 4, [0.0] * 4, charged=False, code_name="LEANING")
+    every["time"], every["contacts"] = np.array([19.0, 21.0, 0.0, 5.0]), np.array([1, 1, 0, 1])
+    every["code_name"] = np.array(["LEANING", "LEANING", "LEANING", "CRASHED"])
+    found = lean.figures(every)
+    assert (found["soon"]["hits"], found["soon"]["n"], found["untouched"], found["leaning"]) == (2, 4, 1, 3)
+
+
+def test_the_told_offset_is_judged_against_where_the_electrodes_rest() -> None:
+    assert lean.figures(leaning([0.0], [0.0]))["told"]["rms"] == pytest.approx((0.002 - 0.001) / 0.0005)
+    assert lean.figures(leaning([0.0], [0.0], charged=False, code_name="LEANING"))["told"]["n"] == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "missed"),
+    [
+        ({}, set()),
+        (
+            {"final_horizontal": 0.0041},
+            {"at rest within 2.5 mm along x, lean5", f"beyond 4 mm along the bars of {ALIGNED}"},
+        ),
+        ({"energised_unsafe": 0.1}, {"energised without clearance, lean5"}),
+        ({"lifted_live": 1}, {"live with a lifted bar, campaigns of leaning faces"}),
+        ({"time": 17.0}, {"seconds to charging, lean5, median"}),
+    ],
+)
+def test_a_target_of_leaning_faces_is_missed_by_what_it_is_about(changes: dict[str, Any], missed: set[str]) -> None:
+    found = lean.targets({"lean5": lean.figures(leaning([1.0, 4.0], [1.0, 0.0], **changes))})
+    assert {each["name"] for each in found if each["met"] is False} == missed
+
+
+def test_each_number_of_the_filters_over_contacts_has_a_ground() -> None:
+    known = {name for choice in grounds.CHOICES for name in choice.names}
+    declared_names = {each.name for each in declared(DockingParameters)}
+    read = set()
+    for module in (along, target_place, magnet_pull, place):
+        names = {
+            node.attr for node in ast.walk(ast.parse(inspect.getsource(module))) if isinstance(node, ast.Attribute)
+        }
+        read |= names & declared_names
+    assert len(read) > 20
+    assert read <= known
