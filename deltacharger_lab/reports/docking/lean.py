@@ -36,7 +36,7 @@ Of the light model at rest (`reports.simulation.lean.remains`), which docs/simul
 world has 5.7° at most."""
 
 
-class Wanted(NamedTuple):
+class LeanLimits(NamedTuple):
     """What is wanted of a campaign: shares in %, of those charged but the first, and s; None = nothing."""
 
     charged: float
@@ -46,10 +46,10 @@ class Wanted(NamedTuple):
 
 
 LIMITS = {
-    "default": Wanted(99.9, 98.0, 94.0, None),  # its seconds are a target of all dockings
-    "rigid": Wanted(98.0, None, 93.0, 14.0),
-    "lean2": Wanted(96.0, 80.0, 90.0, 14.0),
-    "lean5": Wanted(60.0, None, 88.0, 16.0),
+    "default": LeanLimits(99.9, 98.0, 94.0, None),  # its seconds are a target of all dockings
+    "rigid": LeanLimits(98.0, None, 93.0, 14.0),
+    "lean2": LeanLimits(96.0, 80.0, 90.0, 14.0),
+    "lean5": LeanLimits(60.0, None, 88.0, 16.0),
 }
 BEYOND_MOST = 0.5  # % of those that are called aligned
 MODEST_LEAST = 90.0  # % charged of `lean5` up to `MODEST`
