@@ -58,8 +58,8 @@ def test_three_standard_deviations_hold(wide: Any, name: str, axis: int) -> None
     _, _, pose, estimate = wide
     truth = np.column_stack([pose, across(pose)])
     z = ((getattr(estimate, name) - truth[:, axis]) / getattr(estimate, f"{name}_stddev"))[estimate.in_range]
-    # Faces of these rigs are level: what is told across the bars includes the pitch that training has and nobody knows.
-    assert (0.45 if name in ("vertical", "across") else 0.6) < z.std() < 1.1
+    # Faces of these rigs are level: what is told of places includes the lean that training has and nobody knows.
+    assert (0.6 if name == "angle" else 0.45) < z.std() < 1.1
     assert np.mean(np.abs(z) > 3) < 0.01
     assert np.abs(z).max() < 7.0
 
