@@ -108,7 +108,8 @@ class TargetPlace:
         """
         p, loads = self._parameters, (felt.left_force, felt.right_force)
         light, force = min(loads), sum(loads)
-        enough = max(5.0 * p.pad_force_min, 0.5 * p.magnet_force)  # less may be pads that tell little
+        # Less may be pads that tell little, or a target so far aside that its magnets hardly pull.
+        enough = max(5.0 * p.pad_force_min, 0.65 * p.magnet_force)
         if not (felt.complete and light < p.pad_force_min and force > enough and p.yaw_stddev > 0.0):
             return math.nan
         side = -1.0 if loads[0] > loads[1] else 1.0  # of the light pad along x

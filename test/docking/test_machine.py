@@ -149,17 +149,11 @@ def test_a_pad_that_lost_its_ridge_still_tells_the_direction_across_the_bars(y: 
     assert max(abs(value) for value in run.world.snapshot().misalignment[:2]) < 3.5 * MILLIMETRE
 
 
-@pytest.mark.parametrize(
-    ("yaw_stddev", "code"),
-    [(math.radians(1.2), Code.LEANING), (0.0, Code.ESTIMATE_UNSURE)],
-    ids=["may lean", "parallel"],
-)
-def test_along_the_bars_a_pad_without_load_moves_nothing_as_a_lean_may_leave_it_empty(
-    yaw_stddev: float, code: Code
-) -> None:
+@pytest.mark.parametrize("yaw_stddev", [math.radians(1.2), 0.0], ids=["may lean", "parallel"])
+def test_along_the_bars_a_pad_without_load_moves_nothing_as_a_lean_may_leave_it_empty(yaw_stddev: float) -> None:
     run = charger(x=25.0, y=0.0, parameters={"yaw_stddev": yaw_stddev})
     outcome = run.dock()
-    assert outcome.code is code
+    assert outcome.code is Code.ESTIMATE_UNSURE  # so far aside the magnets hardly pull: no lean, then
     assert outcome.alignments == 0
     assert run.world.record.energised == 0.0
     assert_safe_at_home(run)
