@@ -5,14 +5,16 @@ Each electrode presses along the line of length l in which it overlaps its mate,
 the contact of a spring bed, integrated exactly. A point at (u, v) of the platform is compressed by D + a v − b u, with
 D the compression on the platform's axis and (a, b) the platform's tilt less the target's; springs cannot pull, so that
 an end or a whole bar lifts. The tactile pads, springs K at ±s along x, bear on the target's ridges, at ±s (1, t) where
-they are rolled by an angle of the tangent t. They turn the platform back by M = 2 K s² (b − t a) about y and −t M about
-x, until one of them is empty and the other bears all: |M| ≤ N s. They add no normal force of their own: the electrodes'
-stiffness stands for bars and pads together. About x they resist a thirtieth of what the bars do, which is left out.
+they are rolled by an angle of the tangent t. They turn the platform back by M = 2 K s² (b − t a) about y, until one of
+them is empty and the other bears all: |M| ≤ N s. (a is taken for the pitch that the bars leave of the target's, since
+what hangs on the moment's own tilt drives itself up on stiff springs.) They add no normal force of their own: the
+electrodes' stiffness stands for bars and pads together. About x they resist a thirtieth of what the bars do, and turn
+by −t M; both are left out.
 
-The platform yields by its compliance, α = −c (Σ v N − t M) and β = c (Σ u N − M). While both pads press that is the
-minimum of a convex energy, (α² + β²)/2c + Σ ∫ k p²/2l over the pressed length + K s² (b − t a)². Of one pad alone the
-moment follows the normal force at once: with that of the step before, force and moment would take turns wherever
-inertia holds the depth.
+The platform yields by its compliance, α = −c Σ v N and β = c (Σ u N − M). While both pads press that is the minimum of
+a convex energy, (α² + β²)/2c + Σ ∫ k p²/2l over the pressed length + K s² (b − t a)². Of one pad alone the moment
+follows the normal force at once: with that of the step before, force and moment would take turns wherever inertia holds
+the depth.
 
 Where both bars press along their whole length and off their stops, it is a 2 × 2 linear system, with both pads pressed
 or one of them empty, solved once for every place of the target. Elsewhere it is Newton's iteration over the pressed
@@ -51,6 +53,15 @@ def pads_turn(parameters: WorldParameters) -> float:
     return 2.0 * parameters.contact.pad_stiffness * PAD * PAD
 
 
+def _level_yaw(parameters: WorldParameters) -> float:
+    """Return the platform's tilt about y (rad) at which both pads bear alike: rolled ridges take a pitch for a yaw."""
+    target, terminal = parameters.target, parameters.terminal
+    up = 0.5 * (terminal.gap + terminal.height)
+    held = 2.0 * parameters.contact.stiffness * up * up
+    left = target.tilt_x / (1.0 + parameters.platform.compliance * held)
+    return target.tilt_y - math.tan(target.roll) * left
+
+
 class PlatformTilt:
     """Contact of two electrodes that need not lie flat.
 
@@ -62,10 +73,9 @@ class PlatformTilt:
 
     def __init__(self, parameters: WorldParameters) -> None:
         self._compliance = parameters.platform.compliance
-        self._target = tilt_x, tilt_y = parameters.target.tilt_x, parameters.target.tilt_y
-        self._slope = math.tan(parameters.target.roll)  # of the ridges on which the pads bear
-        self._yaw = tilt_y - self._slope * tilt_x  # of the target along its ridges
+        self._target = parameters.target.tilt_x, parameters.target.tilt_y
         contact, terminal = parameters.contact, parameters.terminal
+        self._yaw = _level_yaw(parameters)
         self._stiffness, self._stop = contact.stiffness, 0.5 * contact.hard_stop_stiffness  # of one bar
         self._travel = contact.hard_stop
         self._length, self._up = terminal.length, 0.5 * (terminal.gap + terminal.height)
@@ -109,7 +119,7 @@ class PlatformTilt:
             self._flat, self._empty = self._lie_flat(self._pads), ()
         a0, b0, n0, a1, b1, n1, _, _, _ = self._flat
         alpha, beta, force = a0 + a1 * depth, b0 + b1 * depth, n0 + n1 * depth
-        moment, most = self._pads * (beta - self._slope * alpha - self._yaw), PAD * force
+        moment, most = self._pads * (beta - self._yaw), PAD * force
         if not -most <= moment <= most:
             self._empty = self._empty or self._lie_flat(0.0)
             a0, b0, n0, a1, b1, n1, a2, b2, n2 = self._empty
@@ -161,14 +171,14 @@ class PlatformTilt:
         stiff = 2.0 * self._stiffness
         q = self._compliance * stiff
         uv, uu, vv = mx * my, mx * mx + half * half / 3.0, my * my + up * up
-        held, t = pads / stiff, self._slope
-        aa, bb, ab = 1.0 + q * (vv + held * t * t), 1.0 + q * (uu + held), -q * (uv + held * t)
+        held = pads / stiff
+        aa, bb, ab = 1.0 + q * vv, 1.0 + q * (uu + held), -q * uv
         determinant = aa * bb - ab * ab
         found: list[float] = []
         for depth, target_a, target_b, right_a, right_b in (
-            (0.0, tx, ty, tx * vv - ty * uv - held * t * self._yaw, ty * uu - tx * uv + held * self._yaw),
+            (0.0, tx, ty, tx * vv - ty * uv, ty * uu - tx * uv + held * self._yaw),
             (1.0, 0.0, 0.0, -my, mx),
-            (0.0, 0.0, 0.0, t / stiff, -1.0 / stiff),
+            (0.0, 0.0, 0.0, 0.0, -1.0 / stiff),
         ):
             alpha = q * (bb * right_a - ab * right_b) / determinant
             beta = q * (aa * right_b - ab * right_a) / determinant
@@ -186,32 +196,32 @@ class PlatformTilt:
         # From where the last solution's tangent leads.
         alpha, beta = alpha + (depth - last) * turn_a, beta + (depth - last) * turn_b
         da = db = slope = 0.0
-        tip, yaw, t = self._pads, self._yaw, self._slope
+        tip, yaw = self._pads, self._yaw
         for _ in range(_ITERATIONS):
             stiff, ku, kv, kuu, kuv, kvv, force, moment_u, moment_v, most, least = self._sums(depth, alpha, beta)
-            pads, held, arm, bound = tip * (beta - t * alpha - yaw), tip, 0.0, PAD * force
+            pads, held, arm, bound = tip * (beta - yaw), tip, 0.0, PAD * force
             if pads > bound or pads < -bound:
                 arm = PAD if pads > 0.0 else -PAD
                 pads, held = arm * force, 0.0
-            # α + c (Σ v N − t M) = 0 and β − c (Σ u N − M) = 0, with their derivatives by α and β.
-            ra, rb = alpha + c * (moment_v - t * pads), beta - c * (moment_u - pads)
+            # α + c Σ v N = 0 and β − c (Σ u N − M) = 0, with their derivatives by α and β.
+            ra, rb = alpha + c * moment_v, beta - c * (moment_u - pads)
             ends = ra * da + rb * db
             if ends < _OVERSHOT * slope:
                 alpha, beta = self._cut_back(depth, (alpha, beta), (da, db), slope, ends)
                 da = db = slope = 0.0
                 continue
-            aa, ab = 1.0 + c * (kvv + t * (t * held - arm * kv)), -c * (kuv + t * (held - arm * ku))
-            ba, bb = c * (arm * kv - kuv - t * held), 1.0 + c * (kuu + held - arm * ku)
+            aa, ab = 1.0 + c * kvv, -c * kuv
+            ba, bb = ab + c * arm * kv, 1.0 + c * (kuu + held - arm * ku)
             determinant = aa * bb - ab * ba
             da, db = (bb * ra - ab * rb) / determinant, (aa * rb - ba * ra) / determinant
             alpha, beta, slope = alpha - da, beta - db, ra * da + rb * db
             if abs(da) * up + abs(db) * half <= _ENOUGH * most:
                 # What is left is linear: not worth another sum.
                 force = force - kv * da + ku * db
-                if (-PAD * force <= tip * (beta - t * alpha - yaw) <= PAD * force) == (held > 0.0):
+                if (-PAD * force <= tip * (beta - yaw) <= PAD * force) == (held > 0.0):
                     break
         # What the tilt gives way as the centre goes deeper: dα = −c Σ k v …, the same system with another right side.
-        wa, wb = -c * (kv - t * arm * stiff), c * (ku - arm * stiff)
+        wa, wb = -c * kv, c * (ku - arm * stiff)
         da, db = (bb * wa - ab * wb) / determinant, (aa * wb - ba * wa) / determinant
         self.angles, self._load, self._tangent = (alpha, beta), (force, depth), (depth, da, db)
         self._lifts = least < 0.0 or most > self._travel
@@ -234,8 +244,8 @@ class PlatformTilt:
             a, b = alpha + back * da, beta + back * db
             force, moment_u, moment_v = self._sums(depth, a, b)[6:9]
             most = PAD * force
-            pads = min(max(self._pads * (b - self._slope * a - self._yaw), -most), most)
-            here = (a + c * (moment_v - self._slope * pads)) * da + (b - c * (moment_u - pads)) * db
+            pads = min(max(self._pads * (b - self._yaw), -most), most)
+            here = (a + c * moment_v) * da + (b - c * (moment_u - pads)) * db
             if abs(here) <= -_OVERSHOT * slope:
                 break
             if here < 0.0:

@@ -16,7 +16,7 @@ from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_lab.campaigns.docking import dock_once
 from deltacharger_lab.campaigns.quick_motion import QuickPlanner, WholeFeed
-from deltacharger_lab.campaigns.scene import parse_campaign_scene
+from deltacharger_lab.campaigns.scene import load_campaign_scene, parse_campaign_scene
 from deltacharger_tactile.source import ContactSource
 
 from .campaigns import QUICK, scene
@@ -102,6 +102,14 @@ def test_a_docking_ends_as_it_does_computed_in_full(content: dict[str, Any], app
     assert quick["lifted_live"] == exact["lifted_live"] == 0
     assert quick["bar_heat"] == pytest.approx(exact["bar_heat"], rel=0.3)
     assert quick["peak_push"] == pytest.approx(exact["peak_push"], rel=0.1, abs=1.0)
+
+
+@pytest.mark.parametrize(("number", "seed"), [(473, 20), (989, 20)])
+def test_rolled_faces_that_lean_strike_no_harder_than_level_ones_of_stiff_springs(number: int, seed: int) -> None:
+    """The pads' moment, which follows the force, must not drive the force up in turn: it once told 23 000 N here."""
+    row = dock_once(load_campaign_scene("edge"), seed, number, "guarded")
+    assert row["error"] == ""
+    assert 100.0 < row["peak_force"] < 2000.0
 
 
 def test_noise_of_the_estimator_reaches_the_estimate() -> None:
