@@ -25,11 +25,12 @@ from __future__ import annotations
 
 import math
 
+from deltacharger_core.machine import PAD_DISTANCE
 from deltacharger_sim.bars import Bars
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.pad_source import Turn
 
-PAD = 0.048  # m from the middle to each pad, along x
+PAD = PAD_DISTANCE
 _ITERATIONS, _HALVINGS = 40, 8
 _ENOUGH = 1e-3  # of the largest compression that a last Newton step may change; its error is about the square of that
 _SHORTEST = 1e-6  # m of half an overlap; bars that lie further apart press as on one spot

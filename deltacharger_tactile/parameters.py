@@ -13,7 +13,16 @@ import json
 import math
 from dataclasses import dataclass, field
 
-from deltacharger_core.machine import COLUMNS, DOCKING_JITTER, MAGNET_FLOOR, MAGNET_FORCE, MAGNET_WIDTH, PADS, ROWS
+from deltacharger_core.machine import (
+    COLUMNS,
+    DOCKING_JITTER,
+    MAGNET_FLOOR,
+    MAGNET_FORCE,
+    MAGNET_WIDTH,
+    PAD_DISTANCE,
+    PADS,
+    ROWS,
+)
 from deltacharger_core.parameters import Bounded, number, words
 
 SHAPE = (PADS, ROWS, COLUMNS)
@@ -27,7 +36,7 @@ _DEGREE = math.pi / 180.0
 class PadContactParameters(Bounded):
     """Pads, ridge and elastomer; lengths in m, tilts in rad. Raises ParameterError where a value is out of bounds."""
 
-    pad_distance: float = number(0.048, 0.02, 0.1, "m", "pad centre from the end effector's centre along x")
+    pad_distance: float = number(PAD_DISTANCE, 0.02, 0.1, "m", "pad centre from the end effector's centre along x")
     pad_side: float = number(0.024, 0.01, 0.05, "m", "side of the square pad (10 × 10 taxels)")
     sub_samples: int = number(3, 1, 5, "", "contact points per taxel and axis")
     ridge_length: float = number(0.046, 0.01, 0.1, "m", "insulated ridge of the target along its x")
