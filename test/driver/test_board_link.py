@@ -242,9 +242,11 @@ def test_a_command_that_a_reboot_interrupts_says_so(rig: Rig, link: BoardLink) -
 def test_unplugging_ends_everything_with_port_gone_and_replugging_goes_on(rig: Rig, link: BoardLink) -> None:
     link.start()
     wait_until(lambda: len(rig.frames) >= 10)
-    threading.Timer(0.05, rig.cable.stop).start()
+    pull = threading.Timer(0.05, rig.cable.stop)
+    pull.start()
     with pytest.raises(PortGone):
         link.probe()
+    pull.join()  # the old cable takes its link away last
     assert len(rig.losses) == 1
     with pytest.raises(PortGone):
         link.start()
