@@ -203,7 +203,7 @@ class TargetVisit:
         self._goal = goal  # what brought the arm here
         limit = goal.critical_angle or context.parameters.critical_angle
         self._order = Order(goal, limit, desk.started)
-        self._target: Target | None = None
+        self._target = Target(context, limit)
         self._is_new = False  # a further goal waits to be looked at
         self.supervising = False
 
@@ -262,13 +262,14 @@ class TargetVisit:
         """Measure anew where the electrodes rest, and dock anew only where they have no good contact any more."""
         context = self._context
         value, least = context.contact.value, context.parameters.contact_lost_current
-        if self._target is None or not (context.observation.tactile_contact and value >= least):
+        if not (context.observation.tactile_contact and value >= least):
             yield from self._dock()
             return
         context.decide("stay", "docked: clearance is measured anew where it stands", contact_current_A=value)
-        yield from self._feel_again(self._target)
+        yield from self._feel_again()
 
-    def _feel_again(self, target: Target) -> Script[None]:
+    def _feel_again(self) -> Script[None]:
+        target = self._target
         self._context.status.alignments = self._context.status.redockings = 0
         target.critical_angle = self._order.critical_angle
         if self._context.parameters.approach == "published":
@@ -279,9 +280,9 @@ class TargetVisit:
     def _charge(self) -> Script[None]:
         """Close, report success or hold the goal, watch over charging, and open."""
         context, desk = self._context, self._desk
-        while context.doubtful and self._target is not None:
+        while context.doubtful:
             yield from wait_for_single_sources(context)
-            yield from self._feel_again(self._target)  # without the second source
+            yield from self._feel_again()  # without the second source
         yield from energise(context)
         context.status.charging = True
         context.enter(State.CHARGING, math.inf)
@@ -289,7 +290,7 @@ class TargetVisit:
             desk.succeed("charging")
         self.supervising = True
         self._order.since = context.time
-        reason = yield from charge(context, self._order)
+        reason = yield from charge(context, self._order, self._target)
         yield from de_energise(context)
         if not self._is_new:
             desk.succeed(reason)

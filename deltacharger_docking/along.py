@@ -149,6 +149,20 @@ class AlongFilter:
         p = self._parameters
         return self._innovations > p.contradiction_start + 2.0 * p.contradiction_each * len(self._looks)
 
+    def parts(self, load: float, platform: float) -> tuple[float, float]:
+        """Return how much of an offset by load (m) the target's place makes and how much its lean, as foreseen.
+
+        Args:
+            load: felt, or needed for what was felt, by a contact of the platform at `platform`, m.
+            platform: m, charger_base.
+        """
+        if not math.isfinite(self.foreseen):
+            return load, 0.0
+        place, lean = self._foreseen_stddev**2, float(self._prior[0])
+        aside = self.foreseen - platform
+        excess = (load - aside - self._bias) / (place + lean)
+        return aside + excess * place, self._bias + excess * lean
+
     def risk(self, limit: float) -> float:
         """Return the probability that this contact lies farther off than `limit` (m), either way."""
         parts = zip(self._weights.tolist(), self._means.tolist(), strict=True)

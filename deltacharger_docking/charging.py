@@ -22,7 +22,7 @@ from deltacharger_docking.context import Context
 from deltacharger_docking.energy import Watch, no_current
 from deltacharger_docking.observation import DockGoal, Reply, Service
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.touch import with_pitch
+from deltacharger_docking.touch import Target, with_pitch
 
 
 @dataclass
@@ -100,14 +100,14 @@ class Counter:
         return context.time - self._since > context.parameters.power_age_max
 
 
-def charge(context: Context, order: Order) -> Script[str]:
+def charge(context: Context, order: Order, target: Target) -> Script[str]:
     """Watch over charging until the order is met, wants no current, or the target is full; return which.
 
     Raises:
         DockingError: what ended charging; the caller opens and retracts.
     """
     watch, taper, counter = Watch(context), Taper(context.parameters), Counter()
-    checks = _clearance_checks(context, order) if context.parameters.keeps_clearance else _touch_checks(context)
+    checks = _clearance_checks(context, order, target) if context.parameters.keeps_clearance else _touch_checks(context)
     while True:
         problem = watch.problem()
         flow = taper.judge(context.time, context.observation.charge_current)
@@ -138,7 +138,7 @@ def _touch_checks(context: Context) -> Script[None]:
             raise NoTactileContact("the pads feel nothing any more while charging")
 
 
-def _clearance_checks(context: Context, order: Order) -> Script[None]:
+def _clearance_checks(context: Context, order: Order, target: Target) -> Script[None]:
     """Feel the misalignment every few seconds; end charging when clearance is gone or unknown too often in a row."""
     parameters = context.parameters
     unsafe = blind = 0
@@ -155,7 +155,7 @@ def _clearance_checks(context: Context, order: Order) -> Script[None]:
                 raise _blind(reply, blind)
             continue
         blind = 0
-        context.status.estimate = estimate
+        context.status.estimate = target.told_later(estimate)
         lost = not judge(estimate, parameters, order.critical_angle).leaves_clearance
         unsafe = unsafe + 1 if lost else 0
         if lost:

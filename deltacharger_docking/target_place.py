@@ -7,16 +7,19 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from deltacharger_docking.along import AlongFilter, LookAlong, Plan
+import numpy as np
+
+from deltacharger_docking.along import AlongFilter, LookAlong, Plan, empty_pad_offset
 from deltacharger_docking.clearance import FeltPose
+from deltacharger_docking.magnet_pull import MagnetPull
 from deltacharger_docking.observation import ElectrodePose
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.place import AxisFilter
+from deltacharger_docking.place import AxisFilter, Offset
 from deltacharger_docking.yielding import RemainingShare
 
 _UNTOLD = 1e3  # N, standard deviation of a force that nobody told
 _ON_PAD = 0.009  # m across, within which a ridge is all on its pad
-_FAR = 0.02  # m along, beyond which a ridge may have left its pad
+_FAR = 0.02  # m along, where a ridge begins to leave its pad
 
 
 class TargetPlace:
@@ -43,6 +46,7 @@ class TargetPlace:
             self._seen = _along_ridges(electrodes, math.inf)
         self._along = self._foreseen(electrodes)
         self._across = AxisFilter(parameters)
+        self._load = math.nan  # m, offset by load that this contact told first
         self._turn = math.nan  # rad, of the bars in the first contact: along and across it the places count
         self.off = (math.nan, math.nan)
         self.plan = Plan(0.0, 1)
@@ -61,6 +65,7 @@ class TargetPlace:
         if not (force > 0.0 and math.isfinite(push)):
             force, spread, push = 0.0, _UNTOLD, 0.0
         self._along.update(LookAlong(x, felt.horizontal, own, force, spread, push, felt.across, felt.angle))
+        self._load = felt.horizontal
         along, across = self._along.target - x, self._across.target - platform
         self.off = along, (across + along * sine) / cosine
 
@@ -83,7 +88,7 @@ class TargetPlace:
             reaches: whether the platform reaches a place that lies so far (m, along x and y) from here.
         """
         p = self._parameters
-        price, across = p.redocking_gain_min * (1 + moves), self._across.gain(p.landing_limit)
+        price, across = p.redocking_gain_min * 1.5**moves, self._across.gain(p.landing_limit)
         plans = [
             replace(plan, gain=plan.gain + across - price - p.probe_gain_min * (plan.contacts - 1))
             for plan in self._along.plans(p.overlap_loss_max)
@@ -96,27 +101,44 @@ class TargetPlace:
         x, y = self.off
         return x - aside, y - aside * math.tan(self._turn)
 
-    def least_yaw(self, felt: FeltPose, x: float) -> float:
+    def least_yaw(self, felt: FeltPose, x: float, push: float) -> float:
         """Return the yaw of the faces (rad) that one pad at least needs to bear nearly all while both have a ridge.
 
         Args:
             felt: in a contact that is not in range.
             x: of the platform, m.
+            push: of the servos on the target, N.
 
         Returns:
-            NaN where both pads bear, the faces are parallel by construction, or the empty pad may have lost its ridge.
+            NaN where both pads bear, the empty pad may have lost its ridge, or the target's place explains it better.
         """
         p, loads = self._parameters, (felt.left_force, felt.right_force)
         light, force = min(loads), sum(loads)
         # Less may be pads that tell little, or a target so far aside that its magnets hardly pull.
-        enough = max(5.0 * p.pad_force_min, 0.65 * p.magnet_force)
-        if not (felt.complete and light < p.pad_force_min and force > enough and p.yaw_stddev > 0.0):
+        pull, _, _ = MagnetPull(p).at(np.array(_FAR), 0.0, 0.0)
+        if not (felt.complete and light < p.pad_force_min and force > max(push + float(pull), 5.0 * p.pad_force_min)):
             return math.nan
-        side = -1.0 if loads[0] > loads[1] else 1.0  # of the light pad along x
-        ridge = felt.across / math.cos(felt.angle) + side * p.pad_distance * math.tan(felt.angle)
-        if abs(ridge) > _ON_PAD or not abs(self._along.foreseen - x) <= _FAR:
+        heavy = 1.0 if loads[0] > loads[1] else -1.0  # of the pad that bears, along x
+        ridge = felt.across / math.cos(felt.angle) - heavy * p.pad_distance * math.tan(felt.angle)
+        place, lean = self._along.parts(heavy * empty_pad_offset(p, force), x)
+        if abs(ridge) > _ON_PAD or heavy * lean < abs(place):
             return math.nan
-        return -side * p.pad_distance * force * (p.platform_compliance + 1.0 / p.pad_yaw_stiffness)
+        return heavy * p.pad_distance * force * (p.platform_compliance + 1.0 / p.pad_yaw_stiffness)
+
+    def pointed_at(self, felt: FeltPose, x: float) -> tuple[float, float]:
+        """Return where (m, along x and y) an unsure estimate points, felt by the platform at `x` (m).
+
+        Out of range it points across the bars alone: along them a pad that has lost its ridge cannot be told from one
+        that a lean leaves empty.
+        """
+        if not felt.in_range:
+            return 0.0, felt.across / math.cos(felt.angle)
+        sigmas = self._parameters.unsure_move_sigmas
+        along, _ = self._along.parts(felt.horizontal, x)
+        return (
+            along if abs(along) > sigmas * felt.horizontal_stddev else 0.0,
+            felt.vertical if abs(felt.vertical) > sigmas * felt.vertical_stddev else 0.0,
+        )
 
     def learn(self) -> None:
         """Let a target whose yaw was seen teach the share of it that is left, once its contacts have told."""
@@ -130,9 +152,17 @@ class TargetPlace:
         place = math.nan if electrodes is None else electrodes.position[0]
         return AlongFilter(self._parameters, place, self._parameters.place_stddev, per_yaw * share.value * yaw, spread)
 
-    def told(self, felt: FeltPose) -> FeltPose:
-        """Return what is felt in this contact as all contacts together tell it, the yaw of the faces included."""
+    def told(self, felt: FeltPose, later: bool = False) -> FeltPose:
+        """Return what is felt in this contact as all contacts together tell it, the yaw of the faces included.
+
+        `later`: the contact has been felt before, and where its loads have changed, the target has slid.
+        """
         p, contact = self._parameters, self._along.contact
+        if math.isnan(self._load):  # the published approach feels no place
+            return felt
+        if later:
+            spread = math.hypot(contact.stddev, p.horizontal_scale * felt.horizontal_stddev)
+            contact = Offset(contact.mean + felt.horizontal - self._load, spread)
         angle = felt.angle
         sine, cosine = math.sin(angle), math.cos(angle)
         pitch, pitch_stddev = _among(p.yaw_stddev, felt.pitch, felt.pitch_stddev)

@@ -147,6 +147,10 @@ class Target:
         self._passed, self._context.status.aligned = 0, False
         return False
 
+    def told_later(self, felt: FeltPose) -> FeltPose:
+        """Return what is felt while the electrodes rest, as all contacts together tell it."""
+        return self._place.told(felt, later=True)
+
     def rest(self) -> None:
         """Tell that the electrodes rest here."""
         self._place.learn()
@@ -225,14 +229,14 @@ class Target:
         self._unsure_here += 1
         self._unsure += 1
         place = context.position
-        yaw = self._place.least_yaw(felt, place[0])
+        yaw = self._place.least_yaw(felt, place[0], context.contact.force)
         if math.isfinite(yaw):
             if self._unsure_here >= parameters.unsure_here_max:
                 raise self._leaning(felt, yaw)
             context.status.redockings += 1
             context.decide("again", "one pad bears nearly all: the contact is made anew", yaw_rad=yaw)
             return 0.0, 0.0
-        x, y = _pointed_at(felt, parameters.unsure_move_sigmas)
+        x, y = self._place.pointed_at(felt, place[0])
         lost = felt.complete and math.hypot(x, y) > parameters.unsure_move_min
         reachable = lost and not context.planner.reachable((place[0] + x, place[1] + y, place[2]))
         if reachable and self._unsure < parameters.unsure_max:
@@ -266,17 +270,6 @@ class Target:
             raise CriticalAngle(too_tilted(felt.angle))
         what = "outside what the estimator knows" if not felt.in_range else "unsure"
         raise EstimateUnsure(f"the tactile estimate stayed {what} after {self._unsure} dockings; check pads and target")
-
-
-def _pointed_at(felt: FeltPose, sigmas: float) -> tuple[float, float]:
-    """Return where (m) an unsure estimate points: across the bars alone where it is out of range.
-
-    Along them a pad that has lost its ridge cannot be told from one that a lean leaves empty.
-    """
-    if not felt.in_range:
-        return 0.0, felt.across / math.cos(felt.angle)
-    x = felt.horizontal if abs(felt.horizontal) > sigmas * felt.horizontal_stddev else 0.0
-    return x, felt.vertical if abs(felt.vertical) > sigmas * felt.vertical_stddev else 0.0
 
 
 def too_tilted(angle: float) -> str:

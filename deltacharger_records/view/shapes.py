@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deltacharger_core.arrays import Array
+from deltacharger_core.machine import PAD_DISTANCE
 from deltacharger_kinematics.geometry import LIMB_COUNT, LIMB_DIRECTIONS, DeltaGeometry
 from deltacharger_records.view.mechanism import elbows, feet, motors, rods
 from deltacharger_vision.terminal import Terminal
@@ -37,7 +38,6 @@ _RING = 0.0255  # of the setup ring behind the motors' plane
 _PLATE = (0.125, 0.045, 0.014)
 _PLATE_BACK = 0.013
 _PAD = (0.024, 0.024, 0.006)
-_PAD_PLACE = 0.048
 _CAMERA = (0.110, 0.0545, 0.033)  # OAK-D
 _TARGET_PLATE = (0.200, 0.120, 0.005)
 
@@ -96,7 +96,7 @@ def platform(geometry: DeltaGeometry) -> Boxes:
     for side in (1.0, -1.0):
         bar = (terminal.bar_length, terminal.bar_height, terminal.bar_thickness)
         boxes.add((0.0, side * terminal.spacing / 2, -terminal.bar_thickness / 2), bar, ELECTRODE)
-        boxes.add((side * _PAD_PLACE, 0.0, -_PAD[2] / 2), _PAD, PAD)
+        boxes.add((side * PAD_DISTANCE, 0.0, -_PAD[2] / 2), _PAD, PAD)
     return boxes
 
 

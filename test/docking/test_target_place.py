@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,6 +57,17 @@ def test_the_yaw_is_told_with_its_sign_by_contacts_beside_the_target(yaw: float,
     assert abs(felt.horizontal) > 3.0 * abs(told.horizontal)
 
 
+def test_what_loads_change_by_in_one_contact_is_the_targets_slide_and_not_its_lean() -> None:
+    place, felt = target_place(PARAMETERS, seen(2.0, 0.1)), contact(0.0, 2.0)
+    place.feel(felt, 0.0, 0.0, PUSH)
+    before, same = place.told(felt), place.told(felt, later=True)
+    slid = place.told(replace(felt, horizontal=felt.horizontal + 0.005), later=True)
+    assert same.horizontal == pytest.approx(before.horizontal)
+    assert same.horizontal_stddev > before.horizontal_stddev
+    assert slid.horizontal - before.horizontal == pytest.approx(0.005)
+    assert slid.yaw == before.yaw
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.12, -0.12])
 def test_told_across_is_the_felt_one_and_the_vertical_follows_from_it(angle: float) -> None:
     place, felt = target_place(PARAMETERS, seen(roll=angle)), contact(0.001, 1.0, 0.002, angle)
@@ -103,12 +115,37 @@ def one_pad(left: float, right: float) -> FeltPose:
 
 def test_a_pad_that_bears_all_needs_a_yaw_toward_it_where_both_ridges_are_on_their_pads() -> None:
     place = target_place(PARAMETERS, seen())
-    left = place.least_yaw(one_pad(60.0, 0.5), 0.0)
-    assert left == pytest.approx(-place.least_yaw(one_pad(0.5, 60.0), 0.0))
+    left = place.least_yaw(one_pad(60.0, 0.5), 0.0, PUSH)
+    assert left == pytest.approx(-place.least_yaw(one_pad(0.5, 60.0), 0.0, PUSH))
     assert left > 0.0
-    assert math.isnan(place.least_yaw(one_pad(40.0, 20.0), 0.0)), "both bear"
-    assert math.isnan(place.least_yaw(one_pad(6.0, 0.5), 0.0)), "too little to tell"
-    assert math.isnan(place.least_yaw(one_pad(60.0, 0.5), 0.03)), "so far off a ridge may have left its pad"
-    assert math.isnan(target_place(PARAMETERS).least_yaw(one_pad(60.0, 0.5), 0.0)), "nobody knows where it is"
+    assert math.isfinite(place.least_yaw(one_pad(35.0, 0.5), 0.0, PUSH)), "the magnets pull: it is not far aside"
+    assert math.isnan(place.least_yaw(one_pad(22.0, 0.5), 0.0, PUSH)), "they do not"
+    assert math.isnan(place.least_yaw(one_pad(6.0, 0.5), 0.0, 0.0)), "too little to tell"
+    assert math.isnan(place.least_yaw(one_pad(40.0, 20.0), 0.0, PUSH)), "both bear"
+    assert math.isnan(place.least_yaw(one_pad(60.0, 0.5), -0.02, PUSH)), "its place loads that pad as well"
+    assert math.isnan(target_place(PARAMETERS).least_yaw(one_pad(60.0, 0.5), 0.0, PUSH)), "nobody knows where it is"
     parallel = target_place(DockingParameters(yaw_stddev=0.0), seen())
-    assert math.isnan(parallel.least_yaw(one_pad(60.0, 0.5), 0.0)), "parallel by construction"
+    assert math.isnan(parallel.least_yaw(one_pad(60.0, 0.5), 0.0, PUSH)), "parallel by construction"
+
+
+def test_an_unsure_offset_points_along_the_bars_as_far_as_no_lean_explains_it() -> None:
+    far = FeltPose(0.0, 0.01, 0.0, 1e-3, 0.02, 1e-3, left_force=60.0, right_force=4.0)
+    parallel = target_place(DockingParameters(yaw_stddev=0.0), seen())
+    assert parallel.pointed_at(far, 0.0)[0] == pytest.approx(0.02, rel=0.02)
+    assert target_place(PARAMETERS).pointed_at(far, 0.0)[0] == 0.02, "nobody knows where it is"
+    leaning = target_place(DockingParameters(yaw_stddev=3.0 * DEGREE), seen())
+    assert abs(leaning.pointed_at(far, 0.0)[0]) < 0.003
+    assert parallel.pointed_at(one_pad(60.0, 0.5), 0.0) == (0.0, 0.0), "out of range"
+
+
+def test_each_further_contact_has_to_gain_more() -> None:
+    place = target_place(DockingParameters(yaw_stddev=0.0), seen())
+    place.feel(contact(0.005), 0.0, 0.0, PUSH)
+    gains = []
+    for moves in (0, 4, 8):
+        place.choose(moves, lambda x, y: True)
+        gains.append(place.plan.gain)
+    first = PARAMETERS.redocking_gain_min
+    assert gains[0] > 0.0
+    assert gains[0] - gains[1] == pytest.approx(first * (1.5**4 - 1.0))
+    assert gains[0] - gains[2] == pytest.approx(first * (1.5**8 - 1.0))
