@@ -129,7 +129,7 @@ class DockingParameters(Bounded):
     landing_limit: float = number(0.0025, 0.001, 0.02, "m", "offset across the bars within which a contact shall lie")
     overlap_loss_max: float = number(0.004, 0.001, 0.03, "m", "the same along the bars: overlap that may be lost")
     redocking_gain_min: float = number(
-        0.004, 0.0, 1.0, "", "fall of the risk to lie beyond these limits that is worth a second contact; ×1.5 each move"
+        0.004, 0.0, 1.0, "", "fall of the risk to lie beyond these limits that is worth a second contact; x1.5 a move"
     )
     contradiction_start: float = number(25.0, 1.0, 1000.0, "", "squared innovations that contradict the arm's moves")
     contradiction_each: float = number(4.0, 0.0, 100.0, "", "what each look adds to contradiction_start")
