@@ -114,9 +114,10 @@ class TargetPlace:
         """
         p, loads = self._parameters, (felt.left_force, felt.right_force)
         light, force = min(loads), sum(loads)
-        # Less may be pads that tell little, or a target so far aside that its magnets hardly pull.
+        # No more than so far aside, or than pads that tell little: it may be either.
         pull, _, _ = MagnetPull(p).at(np.array(_FAR), 0.0, 0.0)
-        if not (felt.complete and light < p.pad_force_min and force > max(push + float(pull), 5.0 * p.pad_force_min)):
+        enough = max((push + float(pull)) / (1.0 - 2.0 * p.force_repeatability), 5.0 * p.pad_force_min)
+        if not (felt.complete and light < p.pad_force_min and force > enough):
             return math.nan
         heavy = 1.0 if loads[0] > loads[1] else -1.0  # of the pad that bears, along x
         ridge = felt.across / math.cos(felt.angle) - heavy * p.pad_distance * math.tan(felt.angle)
