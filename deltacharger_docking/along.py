@@ -33,7 +33,7 @@ class LookAlong:
     """What one contact tells along the bars.
 
     Attributes:
-        platform: m, charger_base.
+        platform: its place along x as measured, m, charger_base.
         load: offset as the loads tell it, m.
         load_stddev: its own standard deviation, m.
         force: sum over both pads, N.
@@ -58,9 +58,9 @@ class Plan:
     """What another contact, or some of them, are expected to gain.
 
     Attributes:
-        gain: fall of the risk to lie beyond the limit.
-        contacts: that it takes, the one that stays included.
-        aside: where the first of them feels the target's centre, m along the bars.
+        gain: expected fall of the risk to lie beyond the limit.
+        contacts: how many it takes; the last one is made at the target and stays.
+        aside: where the first contact is to feel the target's centre, m along the bars; 0 = at the target.
     """
 
     gain: float
@@ -153,8 +153,8 @@ class AlongFilter:
         """Return how much of an offset by load (m) the target's place makes and how much its lean, as foreseen.
 
         Args:
-            load: felt, or needed for what was felt, by a contact of the platform at `platform`, m.
-            platform: m, charger_base.
+            load: as felt, or where a pad is empty the least that empties it, m.
+            platform: where the platform is, m, charger_base.
         """
         if not math.isfinite(self.foreseen):
             return load, 0.0
@@ -171,7 +171,8 @@ class AlongFilter:
     def plans(self, limit: float) -> list[Plan]:
         """Return what a contact at the target is expected to gain, and what probes beside it before that one.
 
-        Where the contact that stays turns out worse than this one, nothing was gained: it can be made again.
+        Where the contact that stays turns out worse than this one, nothing is counted as gained or lost: it can be made
+        again.
         """
         now, known = self.risk(limit), self._information()
         far, near = self._parameters.probe_offset, 0.5 * self._parameters.probe_offset

@@ -78,7 +78,7 @@ class FeltPose:
             object.__setattr__(self, "across_stddev", spread)
 
     def is_of(self, other: FeltPose) -> bool:
-        """Return whether both are of the same frames: docking works out only the place along the bars, and the lean."""
+        """Return whether both are of the same frames, by values that docking never changes."""
         return all(getattr(self, name) == getattr(other, name) for name in ("angle", "across", "left_force", "sure"))
 
     @property

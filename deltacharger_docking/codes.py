@@ -168,7 +168,7 @@ class Misaligned(DockingError, code=Code.MISALIGNED, retriable=True, mended_by_d
 
 
 class Leaning(Misplaced, code=Code.LEANING):
-    """The electrodes' faces lean too far. Example: the robot is parked askew; `electrodes` is None for a pitch."""
+    """The electrodes' faces lean too far. Example: the robot is parked askew. `electrodes` is None for a pitch."""
 
 
 class NoChargeCurrent(DockingError, code=Code.NO_CHARGE_CURRENT, retriable=True):

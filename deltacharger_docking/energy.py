@@ -62,7 +62,8 @@ def energise(context: Context) -> Script[None]:
     """Probe, close the contactor and wait until charge current has been stable.
 
     Raises:
-        DockingError: of the code of what was found: short, polarity, voltage, no current, a fault of the power stage.
+        DockingError: of the code of what was found: short, polarity, voltage, a bar that a pitch lifts, no current, a
+            fault of the power stage.
     """
     parameters = context.parameters
     context.enter(State.ENERGISE, parameters.energise_timeout)

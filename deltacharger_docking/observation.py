@@ -247,7 +247,7 @@ class DockingOutcome(GoalOutcome):
 class DockingStatus:
     """What the machine tells about itself between commands.
 
-    `aligned`: this contact was measured and accepted: it has clearance, and another one would not pay.
+    `aligned`: this contact has clearance, another one would not pay, and the told risk is at most `aligned_risk_max`.
     """
 
     state: State = State.IDLE

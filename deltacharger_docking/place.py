@@ -27,7 +27,9 @@ class Offset:
 
 
 class AxisFilter:
-    """Kalman filter of the target's place along one axis of charger_base, as contacts feel it.
+    """Kalman filter of the target's place along one axis, as contacts feel it.
+
+    The axis may be any that stays as it is in charger_base; docking takes the one across the bars.
 
     A contact lies beside its commanded place by `docking_jitter` (standard deviation, m), which encoders do not see.
     The error of an estimate has three parts: one that all contacts of a docking share, so that more of them do not tell

@@ -27,12 +27,12 @@ class TargetPlace:
 
     Args:
         parameters: docking's.
-        share: of a yaw that is left in contact.
+        share: of a yaw that is left in contact; taught by targets whose yaw was seen.
         electrodes: where they were seen or said to be; None = unknown.
 
     Attributes:
-        off: of the target from the platform where this contact was commanded, m, along x and y.
-        plan: the way on that is expected to gain most; its gain is less what its contacts cost.
+        off: how far the target lies from the platform as measured in this contact, m, along x and y.
+        plan: the way on that is expected to gain most; the price of its contacts is taken off its gain.
     """
 
     def __init__(
@@ -46,8 +46,8 @@ class TargetPlace:
             self._seen = _along_ridges(electrodes, math.inf)
         self._along = self._foreseen(electrodes)
         self._across = AxisFilter(parameters)
-        self._load = math.nan  # m, offset by load that this contact told first
-        self._turn = math.nan  # rad, of the bars in the first contact: along and across it the places count
+        self._load = math.nan  # m, offset by load in this contact, before the arm was put at ease
+        self._turn = math.nan  # rad, of the bars in the first contact; places across the bars are told by it
         self.off = (math.nan, math.nan)
         self.plan = Plan(0.0, 1)
 
@@ -102,7 +102,7 @@ class TargetPlace:
         return x - aside, y - aside * math.tan(self._turn)
 
     def least_yaw(self, felt: FeltPose, x: float, push: float) -> float:
-        """Return the yaw of the faces (rad) that one pad at least needs to bear nearly all while both have a ridge.
+        """Return the least yaw of the faces (rad) with which one pad bears nearly all although both have a ridge.
 
         Args:
             felt: in a contact that is not in range.
@@ -114,7 +114,7 @@ class TargetPlace:
         """
         p, loads = self._parameters, (felt.left_force, felt.right_force)
         light, force = min(loads), sum(loads)
-        # No more than so far aside, or than pads that tell little: it may be either.
+        # With no more force than there is _FAR aside, or than pads tell well, an offset may empty the pad as well.
         pull, _, _ = MagnetPull(p).at(np.array(_FAR), 0.0, 0.0)
         enough = max((push + float(pull)) / (1.0 - 2.0 * p.force_repeatability), 5.0 * p.pad_force_min)
         if not (felt.complete and light < p.pad_force_min and force > enough):
@@ -129,7 +129,7 @@ class TargetPlace:
     def pointed_at(self, felt: FeltPose, x: float) -> tuple[float, float]:
         """Return where (m, along x and y) an unsure estimate points, felt by the platform at `x` (m).
 
-        Out of range it points across the bars alone: along them a pad that has lost its ridge cannot be told from one
+        Out of range it points across the bars alone: nothing tells a pad that has lost its ridge along them from one
         that a lean leaves empty.
         """
         if not felt.in_range:
@@ -142,7 +142,7 @@ class TargetPlace:
         )
 
     def learn(self) -> None:
-        """Let a target whose yaw was seen teach the share of it that is left, once its contacts have told."""
+        """Teach the share of a yaw that is left, where this target's yaw was seen before contact."""
         per_yaw = self._parameters.load_per_yaw
         self._share.learn(*self._seen, self._along.bias / per_yaw, self._along.bias_stddev / per_yaw)
 
@@ -156,7 +156,7 @@ class TargetPlace:
     def told(self, felt: FeltPose, later: bool = False) -> FeltPose:
         """Return what is felt in this contact as all contacts together tell it, the yaw of the faces included.
 
-        `later`: the contact has been felt before, and where its loads have changed, the target has slid.
+        `later`: this contact has been felt before; a change of its loads since then means that the target has slid.
         """
         p, contact = self._parameters, self._along.contact
         if math.isnan(self._load):  # the published approach feels no place
@@ -193,7 +193,7 @@ def _along_ridges(electrodes: ElectrodePose, usual: float) -> tuple[float, float
 
 
 def _among(usual: float, seen: float, stddev: float) -> tuple[float, float]:
-    """Return a lean (rad) and its standard deviation by what is usual among targets, and seen of this one if known."""
+    """Return a lean (rad) and its standard deviation, by what is usual among targets and by what was seen, if known."""
     if not (math.isfinite(seen) and math.isfinite(stddev)):
         return 0.0, usual
     weight = 1.0 / (1.0 + (stddev / usual) ** 2) if usual > 0.0 else 0.0

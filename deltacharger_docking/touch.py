@@ -140,7 +140,7 @@ class Target:
         return settled and safe
 
     def still_allows_rest(self, felt: FeltPose) -> bool:
-        """Take what is felt once the arm is at ease; return whether it has left the clearance."""
+        """Take what is felt once the arm is at ease; return whether clearance remains."""
         if felt.usable and judge(felt, self._context.parameters, self.critical_angle).leaves_clearance:
             self._context.status.estimate = self._place.told(felt)
             return True
@@ -163,6 +163,7 @@ class Target:
 
         Raises:
             Misaligned: clearance was not reached within the allowed alignments.
+            Leaning: one pad bears nearly all, again in this place.
             EstimateUnsure: the estimate stayed unsure.
             CriticalAngle: it did, and tells a tilt beyond the limit.
         """
@@ -223,7 +224,8 @@ class Target:
     def _look_elsewhere(self, felt: FeltPose) -> tuple[float, float]:
         """Return by how much (m) to move before measuring again: where an unsure estimate points, or nowhere.
 
-        A pad that has lost its ridge still tells the direction. It only moves the arm; energising needs a sure one.
+        A pad that has lost its ridge across the bars still tells the direction. An unsure estimate only moves the arm;
+        energising needs a sure one. One pad that bears nearly all is a lean, not a lost ridge: there it moves nowhere.
         """
         context, parameters = self._context, self._context.parameters
         self._unsure_here += 1
@@ -251,7 +253,7 @@ class Target:
         return 0.0, 0.0
 
     def _leaning(self, felt: FeltPose, yaw: float) -> Leaning:
-        """Return that the faces are yawed by so much (rad) at least; where the camera saw more, by that."""
+        """Return the error of faces yawed by so much (rad) at least, or by what was seen where that is more."""
         electrodes = self._context.electrodes
         seen = electrodes.known_yaw if electrodes is not None else 0.0
         yaw = seen if seen * yaw > yaw * yaw else yaw

@@ -202,7 +202,7 @@ class MissionMachine:
         )
 
     def _placed(self, seen: ElectrodePose, electrodes: Place | None) -> Place | None:
-        """Return where seen electrodes are on the ground; they face as seen where that is sure, else as told before."""
+        """Return where seen electrodes are on the ground, facing as seen where that is sure, else as told before."""
         here = self.status.place
         if electrodes is None or here is None:
             return None
@@ -212,7 +212,7 @@ class MissionMachine:
         return self._mount.seen_from(here, seen.position, facing)
 
     def _suggested(self, base: BasePose, electrodes: Place | None) -> Place | None:
-        """Return where electrodes are on the ground that charger_base would face squarely from there."""
+        """Return the electrodes on the ground that charger_base would face squarely from a suggested stand."""
         here = self.status.place
         if electrodes is None or here is None:
             return None

@@ -92,7 +92,8 @@ def electrodes(message: PoseStamped, mount: DockingNodeParameters) -> ElectrodeP
         mount: charger_base in the robot's frame, and how far electrodes may lean.
 
     Raises:
-        Rejected: unknown frame, a pose that is not finite, or one that leans away from charger_base.
+        Rejected: unknown frame, a pose that is not finite, an orientation that is no unit quaternion, or one whose z
+            axis leans by more than `lean_max` from charger_base's.
     """
     frame = message.header.frame_id
     if not frame:
@@ -131,7 +132,7 @@ def seen(message: ElectrodeDetection, age: float) -> ElectrodePose:
     A lean whose variance is NaN, or 0 as in messages that do not fill it, is unknown.
 
     Raises:
-        ValueError: orientation and roll contradict each other, or a variance is negative.
+        ValueError: orientation or roll is not finite, they contradict each other, or a rotation's variance is negative.
     """
     turn, point, covariance = message.pose.pose.orientation, message.pose.pose.position, message.pose.covariance
     axes = rotation(turn.x, turn.y, turn.z, turn.w)
