@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -115,5 +114,6 @@ class RunBuilder:
 
     def _touch(self, time: float, values: Sequence[float], sure: bool) -> None:
         x, y, angle, x_stddev, y_stddev, angle_stddev, across, across_stddev = values
-        touch = Touch(time, x, y, angle, x_stddev, y_stddev, angle_stddev, sure, self._contacts, self.run.frames)
-        self.run.touches.append(replace(touch, across=across, across_stddev=across_stddev))
+        spreads = x_stddev, y_stddev, angle_stddev
+        felt = {"across": across, "across_stddev": across_stddev}
+        self.run.touches.append(Touch(time, x, y, angle, *spreads, sure, self._contacts, self.run.frames, **felt))
