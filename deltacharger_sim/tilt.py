@@ -198,7 +198,7 @@ class PlatformTilt:
         alpha, beta = alpha + (depth - last) * turn_a, beta + (depth - last) * turn_b
         da = db = slope = 0.0
         tip, yaw = self._pads, self._yaw
-        for _ in range(_ITERATIONS):
+        for left in range(_ITERATIONS, -1, -1):
             stiff, ku, kv, kuu, kuv, kvv, force, moment_u, moment_v, most, least = self._sums(depth, alpha, beta)
             pads, held, arm, bound = tip * (beta - yaw), tip, 0.0, PAD * force
             if pads > bound or pads < -bound:
@@ -207,13 +207,15 @@ class PlatformTilt:
             # α + c Σ v N = 0 and β − c (Σ u N − M) = 0, with their derivatives by α and β.
             ra, rb = alpha + c * moment_v, beta - c * (moment_u - pads)
             ends = ra * da + rb * db
-            if ends < _OVERSHOT * slope:
+            if left and ends < _OVERSHOT * slope:
                 alpha, beta = self._cut_back(depth, (alpha, beta), (da, db), slope, ends)
                 da = db = slope = 0.0
                 continue
             aa, ab = 1.0 + c * kvv, -c * kuv
             ba, bb = ab + c * arm * kv, 1.0 + c * (kuu + held - arm * ku)
             determinant = aa * bb - ab * ba
+            if not left:  # about the kink where a pad empties steps may take turns: what bears here, not quite balanced
+                break
             da, db = (bb * ra - ab * rb) / determinant, (aa * rb - ba * ra) / determinant
             alpha, beta, slope = alpha - da, beta - db, ra * da + rb * db
             if abs(da) * up + abs(db) * half <= _ENOUGH * most:
