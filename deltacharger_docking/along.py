@@ -85,7 +85,6 @@ class AlongFilter:
         bias_stddev: m.
 
     Attributes:
-        foreseen: where it was foreseen to be, m.
         target: where the target is, m; NaN before the first look.
         bias, bias_stddev: the load bias, m.
     """
@@ -100,7 +99,7 @@ class AlongFilter:
     ) -> None:
         p = parameters
         self._parameters, self._pull = p, MagnetPull(p)
-        self.foreseen, self._foreseen_stddev, self._bias = place, place_stddev, bias
+        self._place, self._foreseen_stddev, self._bias = place, place_stddev, bias
         shared = math.hypot(bias_stddev, p.horizontal_shared)
         self._prior = np.array([shared, p.gain_error, p.force_error, p.magnet_error, p.magnet_width_error]) ** 2
         self._looks: list[LookAlong] = []
@@ -109,9 +108,9 @@ class AlongFilter:
         self.target = math.nan
         self.bias, self.bias_stddev = bias, shared
 
-    def update(self, look: LookAlong) -> None:
-        """Take what one contact tells."""
-        self._looks.append(look)
+    def update(self, look: LookAlong, again: bool = False) -> None:
+        """Take what one contact tells; `again`: in place of what it told before."""
+        self._looks[-1 if again else len(self._looks) :] = [look]
         places = self._grid()
         rows, residual, noise, landing = self._rows(places)
         joint = np.einsum("gik,k,gjk->gij", rows, self._prior, rows) + noise
@@ -122,8 +121,8 @@ class AlongFilter:
         square = (residual * told).sum(axis=1)
         self._innovations = float(square.min())
         logs = -0.5 * (square + np.linalg.slogdet(joint)[1])
-        if math.isfinite(self.foreseen):
-            logs -= 0.5 * ((places - self.foreseen) / self._foreseen_stddev) ** 2
+        if math.isfinite(self._place):
+            logs -= 0.5 * ((places - self._place) / self._foreseen_stddev) ** 2
         weights = np.exp(logs - logs.max())
         self._weights = weights = weights / weights.sum()
         self.target = float(weights @ places)
@@ -144,6 +143,15 @@ class AlongFilter:
         return Offset(mean, math.sqrt(self._spread**2 + float(self._weights @ (self._means - mean) ** 2)))
 
     @property
+    def felt_bias(self) -> Offset:
+        """The load bias (m) by the contacts alone, without what was foreseen of it; infinite error = they tell none."""
+        before, after = 1.0 / self._prior[0], 1.0 / max(self.bias_stddev**2, _LEAST)
+        gained = float(after - before)
+        if not gained > 1e-9 * before:
+            return Offset(self._bias, math.inf)
+        return Offset(float(after * self.bias - before * self._bias) / gained, 1.0 / math.sqrt(gained))
+
+    @property
     def contradicts_itself(self) -> bool:
         """Whether the looks differ by more than their errors allow: the pads do not feel where the arm has gone."""
         p = self._parameters
@@ -156,10 +164,10 @@ class AlongFilter:
             load: as felt, or where a pad is empty the least that empties it, m.
             platform: where the platform is, m, charger_base.
         """
-        if not math.isfinite(self.foreseen):
+        if not math.isfinite(self._place):
             return load, 0.0
         place, lean = self._foreseen_stddev**2, float(self._prior[0])
-        aside = self.foreseen - platform
+        aside = self._place - platform
         excess = (load - aside - self._bias) / (place + lean)
         return aside + excess * place, self._bias + excess * lean
 
@@ -199,7 +207,7 @@ class AlongFilter:
     def _grid(self) -> Array:
         """Return the places (G,) that come into question, m."""
         first = self._looks[0]
-        middle = self.foreseen if math.isfinite(self.foreseen) else first.platform + first.load - self._bias
+        middle = self._place if math.isfinite(self._place) else first.platform + first.load - self._bias
         return middle + _HALF_WIDTH * np.linspace(-1.0, 1.0, _POINTS)
 
     def _rows(self, places: Array) -> tuple[Array, Array, Array, Array]:
@@ -226,7 +234,7 @@ class AlongFilter:
 
     def _information(self) -> Array:
         """Return the inverse covariance (6, 6) of place and shared errors, linear about where the target is."""
-        place = 1.0 / self._foreseen_stddev**2 if math.isfinite(self.foreseen) else 0.0
+        place = 1.0 / self._foreseen_stddev**2 if math.isfinite(self._place) else 0.0
         known = np.diag([place, *1.0 / np.maximum(self._prior, _LEAST)])
         rows, _, noise, landing = self._rows(np.array([self.target]))
         for index in range(len(self._looks)):

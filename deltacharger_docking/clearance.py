@@ -70,8 +70,11 @@ class FeltPose:
         return cls(**{name: getattr(told, name) for name in names if hasattr(told, name)}, classes=classes)
 
     def __post_init__(self) -> None:
-        """Work out the offset across the bars where nobody told it, as if both errors were independent."""
-        if math.isnan(self.across):
+        """Work out the offset across the bars where nobody told it, as if both errors were independent.
+
+        One without an error is what a publisher leaves that does not know the field: it must not pass for exact.
+        """
+        if math.isnan(self.across) or not self.across_stddev > 0.0:
             cosine, sine = math.cos(self.angle), math.sin(self.angle)
             spread = math.hypot(cosine * self.vertical_stddev, sine * self.horizontal_stddev)
             object.__setattr__(self, "across", cosine * self.vertical - sine * self.horizontal)
@@ -79,7 +82,8 @@ class FeltPose:
 
     def is_of(self, other: FeltPose) -> bool:
         """Return whether both are of the same frames, by values that docking never changes."""
-        return all(getattr(self, name) == getattr(other, name) for name in ("angle", "across", "left_force", "sure"))
+        pairs = ((getattr(self, name), getattr(other, name)) for name in ("angle", "across", "left_force", "sure"))
+        return all(one == two or (one != one and two != two) for one, two in pairs)  # NaN is of the same frames, too
 
     @property
     def stddevs(self) -> tuple[float, float, float]:

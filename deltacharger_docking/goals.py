@@ -74,7 +74,7 @@ def check_place(electrodes: ElectrodePose, planner: Planner, parameters: Docking
         raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
     wrong = planner.reachable((x, y, z), (x, y, z - parameters.standoff))
     if wrong:
-        base = BasePose.before(electrodes.position, electrodes.known_yaw)
+        base = BasePose.before(electrodes.position, electrodes.sure_yaw(parameters.lean_sigmas))
         dx, dy, dz = (f"{1000 * value:+.0f}" for value in (base.x, base.y, base.z))
         turn = f" and {in_words(base.yaw)}" if base.yaw else ""
         raise Unreachable(

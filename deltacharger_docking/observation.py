@@ -75,10 +75,9 @@ class ElectrodePose:
         known = {name: lean for name, lean in leans.items() if not math.isnan(lean)}
         return {"x_m": x, "y_m": y, "z_m": z, "roll_rad": self.roll, **known}
 
-    @property
-    def known_yaw(self) -> float:
-        """The yaw (rad); 0 where nobody knows it, or how well."""
-        return self.yaw if math.isfinite(self.yaw) and math.isfinite(self.yaw_stddev) else 0.0
+    def sure_yaw(self, sigmas: float) -> float:
+        """Return the yaw (rad) where it is surely not 0, by so many standard deviations; else 0."""
+        return self.yaw if abs(self.yaw) > sigmas * self.yaw_stddev else 0.0
 
 
 @dataclass(frozen=True)

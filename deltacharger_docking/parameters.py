@@ -132,7 +132,7 @@ class DockingParameters(Bounded):
         0.004, 0.0, 1.0, "", "fall of the risk to lie beyond these limits that is worth a second contact; x1.5 a move"
     )
     contradiction_start: float = number(25.0, 1.0, 1000.0, "", "squared innovations that contradict the arm's moves")
-    contradiction_each: float = number(4.0, 0.0, 100.0, "", "what each look adds to contradiction_start")
+    contradiction_each: float = number(4.0, 0.0, 100.0, "", "what each number felt adds to contradiction_start")
     alignments_max: int = number(15, 1, 50, "", "corrections and contacts made anew at most, as in the paper")
     docking_jitter: float = number(DOCKING_JITTER, 0.0, 0.01, "m", "scatter of one docking beside its commanded place")
     aligned_risk_max: float = number(
@@ -156,7 +156,7 @@ class DockingParameters(Bounded):
     pad_distance: float = number(PAD_DISTANCE, 0.02, 0.1, "m", "pad centre from the end effector's centre along x")
     probe_offset: float = number(0.006, 0.001, 0.02, "m", "how far beside the target the magnets' force is probed")
     probe_gain_min: float = number(0.03, 0.0, 1.0, "", "fall of that risk that is worth a contact for probing alone")
-    force_repeatability: float = number(0.045, 0.0, 0.5, "", "scatter of a pad's force from one contact to the next")
+    force_repeatability: float = number(0.045, 0.001, 0.5, "", "scatter of a pad's force from one contact to the next")
     force_error: float = number(0.06, 0.0, 0.5, "", "relative error of the pads' force that all contacts share")
     magnet_force: float = number(MAGNET_FORCE, 0.0, 300.0, "N", "pull of the magnets in contact without offset")
     magnet_error: float = number(0.06, 0.0, 0.5, "", "relative error of magnet_force")

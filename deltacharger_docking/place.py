@@ -32,19 +32,12 @@ class AxisFilter:
     The axis may be any that stays as it is in charger_base; docking takes the one across the bars.
 
     A contact lies beside its commanded place by `docking_jitter` (standard deviation, m), which encoders do not see.
-    The error of an estimate has three parts: one that all contacts of a docking share, so that more of them do not tell
-    it; one of this contact alone; and one that grows with the offset by `gain_error`, so that a first look from 8 mm
-    away weighs little once the platform stands close.
-
-    Args:
-        parameters: docking's.
-        scale: true standard deviation of an estimate in what it tells of itself.
-        shared: standard deviation (m) of the part that all contacts share.
+    The error of an estimate has two parts: one of this contact alone, and one that grows with the offset by
+    `gain_error`, so that a first look from 8 mm away weighs little once the platform stands close.
     """
 
-    def __init__(self, parameters: DockingParameters, scale: float = 1.0, shared: float = 0.0) -> None:
+    def __init__(self, parameters: DockingParameters) -> None:
         self._parameters = parameters
-        self._scale, self._shared = scale, shared
         self._information = 0.0  # 1/m²
         self._innovations = 0.0
         self._looks = 0
@@ -56,7 +49,7 @@ class AxisFilter:
     def update(self, platform: float, offset: float, stddev: float) -> None:
         """Take what one contact felt: platform and offset (m), and the standard deviation (m) that it tells."""
         parameters = self._parameters
-        own = max((self._scale * stddev) ** 2 - self._shared**2, _LEAST) + (parameters.gain_error * offset) ** 2
+        own = max(stddev**2, _LEAST) + (parameters.gain_error * offset) ** 2
         variance, place, weight = parameters.docking_jitter**2 + own, platform + offset, 1.0 / own
         mean = offset
         self._looks += 1
@@ -67,13 +60,13 @@ class AxisFilter:
             self._innovations += (place - self.target) ** 2 / (variance + 1.0 / self._information)
         else:
             self.target = place
-        self.contact = Offset(mean, math.hypot(self._shared, 1.0 / math.sqrt(weight)))
+        self.contact = Offset(mean, 1.0 / math.sqrt(weight))
         self._information += 1.0 / variance
         self.target += (place - self.target) / (variance * self._information)
 
     @property
     def _ahead(self) -> float:
-        """Variance (m²) with which the filter foresees the offset of a contact, besides the shared error."""
+        """Variance (m²) with which the filter foresees the offset of a contact."""
         return self._parameters.docking_jitter**2 + 1.0 / self._information + _LEAST
 
     @property
@@ -88,7 +81,7 @@ class AxisFilter:
         Its mean will lie around zero, by what is foreseen less what it will tell; where it turns out worse than this
         one it has gained nothing, for it can be made again.
         """
-        spread = math.sqrt(max(self._ahead - (self.contact.stddev**2 - self._shared**2), 0.0))
+        spread = math.sqrt(max(self._ahead - self.contact.stddev**2, 0.0))
         now = self.contact.beyond(limit)
         risks = (Offset(spread * each, self.contact.stddev).beyond(limit) for each in QUANTILES)
         return sum(max(now - risk, 0.0) for risk in risks) / len(QUANTILES)

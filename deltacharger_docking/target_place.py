@@ -42,8 +42,8 @@ class TargetPlace:
         # Its yaw along the ridges: among usual targets, and by itself.
         self._yaw, self._seen = (0.0, parameters.yaw_stddev), (math.nan, math.nan)
         if electrodes is not None:
-            self._yaw = _along_ridges(electrodes, parameters.yaw_stddev)
-            self._seen = _along_ridges(electrodes, math.inf)
+            usual = parameters.yaw_stddev
+            self._yaw, self._seen = (_along_ridges(electrodes, yaw, usual) for yaw in (usual, math.inf))
         self._along = self._foreseen(electrodes)
         self._across = AxisFilter(parameters)
         self._load = math.nan  # m, offset by load in this contact, before the arm was put at ease
@@ -51,8 +51,11 @@ class TargetPlace:
         self.off = (math.nan, math.nan)
         self.plan = Plan(0.0, 1)
 
-    def feel(self, felt: FeltPose, x: float, y: float, push: float) -> None:
-        """Take what a contact of the platform at (x, y), m, tells under the servos' push (N)."""
+    def feel(self, felt: FeltPose, x: float, y: float, push: float, again: bool = False) -> None:
+        """Take what a contact of the platform at (x, y), m, tells under the servos' push (N).
+
+        `again`: it has told before; what it tells now counts in place of that.
+        """
         p = self._parameters
         if math.isnan(self._turn):
             self._turn = felt.angle
@@ -64,7 +67,7 @@ class TargetPlace:
         spread = p.force_repeatability * math.hypot(felt.left_force, felt.right_force)
         if not (force > 0.0 and math.isfinite(push)):
             force, spread, push = 0.0, _UNTOLD, 0.0
-        self._along.update(LookAlong(x, felt.horizontal, own, force, spread, push, felt.across, felt.angle))
+        self._along.update(LookAlong(x, felt.horizontal, own, force, spread, push, felt.across, felt.angle), again)
         self._load = felt.horizontal
         along, across = self._along.target - x, self._across.target - platform
         self.off = along, (across + along * sine) / cosine
@@ -142,9 +145,15 @@ class TargetPlace:
         )
 
     def learn(self) -> None:
-        """Teach the share of a yaw that is left, where this target's yaw was seen before contact."""
-        per_yaw = self._parameters.load_per_yaw
-        self._share.learn(*self._seen, self._along.bias / per_yaw, self._along.bias_stddev / per_yaw)
+        """Let a target whose yaw was seen teach once, by what its contacts alone told, the share of it that is left."""
+        bias, per_yaw = self._along.felt_bias, self._parameters.load_per_yaw
+        self._share.learn(*self._seen, bias.mean / per_yaw, bias.stddev / per_yaw)
+        self._seen = (math.nan, math.nan)
+
+    def settle(self, felt: FeltPose) -> FeltPose:
+        """Take what this contact tells once the arm is at ease, and return it as `told`."""
+        self._load = felt.horizontal
+        return self.told(felt)
 
     def _foreseen(self, electrodes: ElectrodePose | None) -> AlongFilter:
         """Return the filter with what is known before contact: the place if any, and from the yaw the load bias."""
@@ -181,14 +190,14 @@ class TargetPlace:
         )
 
 
-def _along_ridges(electrodes: ElectrodePose, usual: float) -> tuple[float, float]:
+def _along_ridges(electrodes: ElectrodePose, usual_yaw: float, usual_pitch: float) -> tuple[float, float]:
     """Return the yaw along the ridges before contact and its standard deviation, rad.
 
-    Rolled ridges take a pitch for a yaw, by the tangent. `usual`: standard deviation of both among targets.
+    Rolled ridges take a pitch for a yaw, by the tangent. What is usual among targets is a standard deviation.
     """
     roll = math.tan(electrodes.roll)
-    yaw, yaw_stddev = _among(usual, electrodes.yaw, electrodes.yaw_stddev)
-    pitch, pitch_stddev = _among(usual, electrodes.pitch, electrodes.pitch_stddev)
+    yaw, yaw_stddev = _among(usual_yaw, electrodes.yaw, electrodes.yaw_stddev)
+    pitch, pitch_stddev = _among(usual_pitch, electrodes.pitch, electrodes.pitch_stddev)
     return yaw - roll * pitch, math.hypot(yaw_stddev, roll * pitch_stddev)
 
 

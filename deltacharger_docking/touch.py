@@ -87,6 +87,7 @@ class Target:
         self.critical_angle = critical_angle
         self.depth = math.inf
         self._place = TargetPlace(context.parameters, context.share)
+        self._felt_here = False  # this contact has been taken
         self.begin()
 
     def foresee(self, electrodes: ElectrodePose) -> None:
@@ -118,7 +119,8 @@ class Target:
             return False
         self._unsure_here = 0
         x, y, _ = context.position
-        self._place.feel(felt, x, y, context.contact.force)
+        self._place.feel(felt, x, y, context.contact.force, again=self._felt_here)
+        self._felt_here = True
         context.status.estimate = self._place.told(felt)
         if self._place.contradicts_itself and not stay:
             context.decide("contradiction", "the pads do not feel the arm's own moves", x_m=felt.horizontal)
@@ -142,7 +144,7 @@ class Target:
     def still_allows_rest(self, felt: FeltPose) -> bool:
         """Take what is felt once the arm is at ease; return whether clearance remains."""
         if felt.usable and judge(felt, self._context.parameters, self.critical_angle).leaves_clearance:
-            self._context.status.estimate = self._place.told(felt)
+            self._context.status.estimate = self._place.settle(felt)
             return True
         self._passed, self._context.status.aligned = 0, False
         return False
@@ -167,7 +169,7 @@ class Target:
             EstimateUnsure: the estimate stayed unsure.
             CriticalAngle: it did, and tells a tilt beyond the limit.
         """
-        context = self._context
+        context, self._felt_here = self._context, False
         if self._felt is not None and not self._felt.usable:
             return self._look_elsewhere(self._felt)
         aside = self._place.plan.aside if self._pays else 0.0
@@ -255,7 +257,7 @@ class Target:
     def _leaning(self, felt: FeltPose, yaw: float) -> Leaning:
         """Return the error of faces yawed by so much (rad) at least, or by what was seen where that is more."""
         electrodes = self._context.electrodes
-        seen = electrodes.known_yaw if electrodes is not None else 0.0
+        seen = electrodes.sure_yaw(self._context.parameters.lean_sigmas) if electrodes is not None else 0.0
         yaw = seen if seen * yaw > yaw * yaw else yaw
         x, y, z = self._context.position
         return Leaning(

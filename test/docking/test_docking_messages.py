@@ -113,7 +113,7 @@ def test_the_lean_of_a_goal_with_a_roll_alone_is_unknown_not_zero(roll: float, m
     rounded = tuple(round(value, 4) for value in times(mount.base_pose[3:], told))
     for found in (goal(told, mount), goal(rounded, mount, mount.base_frame)):
         assert all(map(math.isnan, (found.yaw, found.pitch, found.yaw_stddev, found.pitch_stddev)))
-        assert found.known_yaw == 0.0
+        assert found.sure_yaw(2.0) == 0.0
         assert found.roll == pytest.approx(roll * DEGREE, abs=1e-3)
 
 

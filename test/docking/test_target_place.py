@@ -109,6 +109,49 @@ def test_parallel_faces_are_never_probed_for_their_lean() -> None:
     assert place.plan.gain <= 0.0
 
 
+def test_the_same_contact_felt_again_is_not_one_more_witness() -> None:
+    place, felt = target_place(PARAMETERS, seen()), contact(0.003, 1.0)
+    place.feel(felt, 0.0, 0.0, PUSH)
+    risk, told = place.risk, place.told(felt).horizontal_stddev
+    for _ in range(5):
+        place.feel(felt, 0.0, 0.0, PUSH, again=True)
+    assert place.told(felt).horizontal_stddev == pytest.approx(told)
+    assert place.risk == pytest.approx(risk, abs=1e-3)
+
+
+def test_a_target_teaches_the_share_that_is_left_once_and_only_by_what_it_felt() -> None:
+    share = RemainingShare(PARAMETERS)
+    untouched = TargetPlace(PARAMETERS, share, seen(2.0, 0.05))
+    before = share.value, share.stddev
+    untouched.learn()
+    assert (share.value, share.stddev) == before, "no contact"
+    place = TargetPlace(PARAMETERS, share, seen(2.0, 0.05))
+    for aside in (0.0, 0.006, -0.006, 0.0):
+        place.feel(contact(aside, 2.0), -aside, 0.0, PUSH)
+    place.learn()
+    once = share.value, share.stddev
+    assert once[1] < before[1]
+    place.learn()
+    assert (share.value, share.stddev) == once
+
+
+def test_what_a_target_teaches_is_as_sure_as_it_says() -> None:
+    random, scores = np.random.default_rng(4), []
+    for true in 0.0676 * np.exp(random.normal(0.0, 0.3, 60)):
+        share = RemainingShare(PARAMETERS)
+        for _ in range(6):
+            yaw = random.normal(0.0, 2.0)
+            place = TargetPlace(PARAMETERS, share, seen(yaw, 0.05))
+            for aside in (0.0, 0.006, -0.006):
+                landed = aside + random.normal(0.0, PARAMETERS.docking_jitter)
+                felt = contact(landed, yaw * true * RIGID)
+                noise = random.normal(0.0, 1e-3)
+                place.feel(replace(felt, horizontal=felt.horizontal + noise), -aside, 0.0, PUSH)
+            place.learn()
+        scores.append((share.value - true) / share.stddev)
+    assert np.sqrt(np.mean(np.square(scores))) < 1.5
+
+
 def one_pad(left: float, right: float) -> FeltPose:
     return FeltPose(0.0, 0.01, 0.0, 1e-3, 0.05, 0.02, in_range=False, left_force=left, right_force=right)
 
