@@ -114,6 +114,6 @@ class RunBuilder:
 
     def _touch(self, time: float, values: Sequence[float], sure: bool) -> None:
         x, y, angle, x_stddev, y_stddev, angle_stddev, across, across_stddev = values
-        spreads = x_stddev, y_stddev, angle_stddev
-        felt = {"across": across, "across_stddev": across_stddev}
-        self.run.touches.append(Touch(time, x, y, angle, *spreads, sure, self._contacts, self.run.frames, **felt))
+        spreads, where = (x_stddev, y_stddev, angle_stddev), (self._contacts, self.run.frames)
+        touch = Touch(time, x, y, angle, *spreads, sure, *where, across=across, across_stddev=across_stddev)
+        self.run.touches.append(touch)
