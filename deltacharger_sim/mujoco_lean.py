@@ -3,10 +3,10 @@
 
 The face of the platform hangs on two hinges, `platform.lever` behind it, with springs of 1/compliance, critical damping
 and an inertia of their own; without compliance there are none. The pads are one more spring of the hinge about y, at
-rest where the faces are parallel; once one pad is empty, a moment of the whole force at the other takes its place. Each
-bar touches by points along the line in which it overlaps its mate, each with its share of the bar's stiffness and of
-the stop behind it. No angle is taken to be small, the target's force is normal to its own face, and friction at the
-face bends the hinges.
+rest where the yaws are equal (of a rolled target's pitch, which also loads the pads in `tilt`, they know nothing here);
+once one pad is empty, a moment of the whole force at the other takes its place. Each bar touches by points along the
+line in which it overlaps its mate, each with its share of the bar's stiffness and of the stop behind it. No angle is
+taken to be small, the target's force is normal to its own face, and friction at the face bends the hinges.
 """
 
 from __future__ import annotations

@@ -6,10 +6,10 @@ the contact of a spring bed, integrated exactly. A point at (u, v) of the platfo
 D the compression on the platform's axis and (a, b) the platform's tilt less the target's; springs cannot pull, so that
 an end or a whole bar lifts. The tactile pads, springs K at ±s along x, bear on the target's ridges, at ±s (1, t) where
 they are rolled by an angle of the tangent t. They turn the platform back by M = 2 K s² (b − t a) about y, until one of
-them is empty and the other bears all: |M| ≤ N s. (a is taken for the pitch that the bars leave of the target's, since
-what hangs on the moment's own tilt drives itself up on stiff springs.) They add no normal force of their own: the
-electrodes' stiffness stands for bars and pads together. About x they resist a thirtieth of what the bars do, and turn
-by −t M; both are left out.
+them is empty and the other bears all: |M| ≤ N s. (For a stands a constant, the pitch that the bars alone leave of the
+target's: with the tilt of the moment, M would drive itself up on stiff springs.) They add no normal force of their own:
+the electrodes' stiffness stands for bars and pads together. About x they resist a thirtieth of what the bars do, and
+turn by −t M; both are left out.
 
 The platform yields by its compliance, α = −c Σ v N and β = c (Σ u N − M). While both pads press that is the minimum of
 a convex energy, (α² + β²)/2c + Σ ∫ k p²/2l over the pressed length + K s² (b − t a)². Of one pad alone the moment
@@ -50,12 +50,12 @@ def tilts(parameters: WorldParameters) -> bool:
 
 
 def pads_turn(parameters: WorldParameters) -> float:
-    """Return the moment of both pads about y while both press, N·m per rad of the lean's residual."""
+    """Return the moment of both pads about y while both press, N·m per rad of residual yaw."""
     return 2.0 * parameters.contact.pad_stiffness * PAD * PAD
 
 
 def _level_yaw(parameters: WorldParameters) -> float:
-    """Return the platform's tilt about y (rad) at which both pads bear alike: rolled ridges take a pitch for a yaw."""
+    """Return the platform's tilt about y (rad) where both pads bear alike: on rolled ridges a pitch acts as a yaw."""
     target, terminal = parameters.target, parameters.terminal
     up = 0.5 * (terminal.gap + terminal.height)
     held = 2.0 * parameters.contact.stiffness * up * up

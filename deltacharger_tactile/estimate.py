@@ -40,8 +40,8 @@ class Estimate:
     NaN = unknown (no contact). Standard deviations are errors against the pose in contact on rigs that training
     did not see.
 
-    In one contact a lean of the faces along the bars looks like a horizontal offset: 0.01° like 1 mm. `horizontal`
-    takes all of it for an offset, and `vertical` follows from it; `across` does not depend on it.
+    In one contact a residual lean along the bars looks like a horizontal offset: 0.01° like 1 mm. `horizontal` takes
+    all of it for an offset, and `vertical` follows from `across` and `horizontal`; `across` does not depend on a lean.
 
     Attributes:
         angle: rad about +z, from +x to +y.

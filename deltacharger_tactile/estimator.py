@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """From two tactile frames to the pose of the target in end_effector, with honest standard deviations.
 
-What the networks tell is a seat (N, 3): the offset along the bars as the pads' loads tell it (m), the offset across the
-bars (m), and the angle (rad). The pads know the second well; the first takes a lean for an offset.
+The networks tell a seat (N, 3): the offset along the bars (m) that would load the pads so if nothing leaned, the offset
+across the bars (m), and the angle (rad). A lean falsifies the first; it does not touch the second. (Models for ridges
+with holes are trained on the true offset along the bars.)
 
 Features go through small networks, once for each mirror image of the frames, so that the estimate obeys the
 device's symmetry exactly. Two experts: one for contacts that both pads feel, one for contacts that only one pad

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the packaged pose models, for readings from 0.25 N on and from the paper's 1 N on (about a minute each):
+"""Makes the packaged pose models, for readings from 0.25 N on and from the paper's 1 N on (about three minutes each):
 `python -m deltacharger_tactile.training`, and the same with `--threshold 1`.
 
 The rigs and seeds below belong to training alone; demos, scenes and tests must use others (any rig below 1 000 000).
@@ -64,10 +64,10 @@ class RobotFrames:
     lean: Array
 
     def pose_by_load(self) -> Array:
-        """Return the poses (N, 3) with the horizontal offset that loads the pads as offset and lean do together.
+        """Return the poses (N, 3) with the horizontal offset that, without a lean, would load the pads as they are.
 
-        What counts is the tilt along the ridges, which roll turns against x. The vertical moves along with it, so that
-        the offset across the bars stays the true one.
+        A lean counts by its tilt along the ridges, which are rolled against x. The vertical offset changes with the
+        horizontal one, so that the offset across the bars stays the true one.
         """
         seat = to_seat(self.pose)
         along = self.lean[:, 1] + self.lean[:, 0] * np.tan(self.pose[:, 2])
@@ -117,7 +117,7 @@ def draw_poses(count: int, random: np.random.Generator) -> Array:
 
 
 def draw_leans(count: int, random: np.random.Generator) -> Array:
-    """(count, 2) leans at rest, rad: half of them none, some small, the others up to where a pad is empty."""
+    """(count, 2) leans about x and y at rest, rad: half of them 0, some small, others up to where a pad is empty."""
     leans = random.uniform(-_LEAN_REACH, _LEAN_REACH, (count, 2))
     leans[random.random(count) < _SMALL_LEANS] *= _SMALL
     return np.asarray(leans * (random.random((count, 1)) < _LEANING))
@@ -164,10 +164,10 @@ def record(
 
 
 def _another_sheet(felt: NDArray[np.float32], random: np.random.Generator) -> NDArray[np.float32]:
-    """Return frames (N, 2, 10, 10) N as sheets of another make would read them, so that the model leans on none.
+    """Return frames (N, 2, 10, 10) N as a sheet of another make would read them, so that the model relies on none.
 
-    Half of them tell nothing below a force of up to the paper's 1 N, which differs from taxel to taxel. Taxels at the
-    rim may read less, characteristics bend, and bars beside the pads may bear a part of the force.
+    Half of the sheets read nothing below a threshold, of up to about the paper's 1 N, that differs from taxel to taxel.
+    Taxels at the rim may read less, characteristics bend, and bars beside the pads may bear a part of the force.
     """
     shape = felt.shape[1:]
     rim = np.ones(shape, dtype=bool)

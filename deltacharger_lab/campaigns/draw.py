@@ -128,7 +128,7 @@ def _goal(values: Mapping[str, Value], source: random.Random) -> ElectrodePose:
 def _with_lean(
     pose: ElectrodePose, values: Mapping[str, Value], turn: tuple[float, float], source: random.Random
 ) -> ElectrodePose:
-    """Return `pose` with yaw and pitch of the faces as a camera sees them whose mount is turned by `turn`, rad."""
+    """Return `pose` with the faces' yaw and pitch as seen by a camera whose mount errs by `turn` about x and y, rad."""
     seen = float(values["camera.lean_stddev"])
     stddev = math.hypot(seen, float(values.get("hand_eye.rotation_stddev", 0.0)))
     pitch, yaw = target_lean(values)
@@ -144,7 +144,10 @@ def _with_lean(
 def seen_at(
     values: Mapping[str, Value], position: Sequence[float], roll: float, source: random.Random
 ) -> tuple[Vector, float, tuple[float, float]]:
-    """Return where a camera sees electrodes, m, charger_base, their roll as it sees it, its mount's turn (x, y), rad.
+    """Return where a camera sees electrodes.
+
+    Three values: their place (m, charger_base), their roll (rad), and by how much the mount's error turns the camera
+    about x and y (rad); a lean that it sees is off by the same.
 
     Args:
         values: of the keys `camera` and `hand_eye`; 0 where one is missing.

@@ -214,7 +214,7 @@ class QuickCharger(VirtualCharger):
     def _is_known(self, known: tuple[float, ...], pose: tuple[float, float, float], force: float) -> bool:
         """Return whether what was felt tells what is: same contact and place, and same force or far from threshold.
 
-        Where faces lean the force alone tells nothing: under more of it the pads share it otherwise.
+        Where faces lean, being far from the threshold does not count: under more force the pads share it otherwise.
         """
         x, y, angle, pressed, contact, yaw = known
         if contact != self.world.record.contacts or abs(pose[2] - angle) > _SAME_TURN:

@@ -77,8 +77,8 @@ class Touches:
     ) -> Array:
         """Return what the taxels bear (N, 2, 10, 10) N at poses (N, 3) in contact.
 
-        A `lean` (2,) rad of the world's platform against its target without any moment, about x and about y in the
-        sense of the device's, adds to it; what is left of it under load is this model's own balance.
+        `lean` (2,) rad about x and y is that of the world's platform against its target before any moment acts, with
+        the signs of the device's own lean, to which it is added; this model's own balance finds what load leaves of it.
         """
         lean = device.lean + self.lean + lean
         return model.solve(pose, force, device.line * pose[:, :2], lean, device.ridges).taxels

@@ -30,14 +30,21 @@ MOST = 5.0  # degrees of either in `MAP`
 PRESSED = 72.0  # N on the bars: magnets 3 mm beside their centre (54 N) and the push of the servos
 COMPLIANCES = (0.01, 0.02, 0.03)  # rad/(N·m), of the platform
 LIFTS = {3e4: ("5.7", "5.7"), 1e5: ("3.0", "3.8"), 3e5: ("1.3", "2.1"), 1e6: ("0.7", "1.5")}
-"""Degrees of pitch at which a whole bar lifts, by its spring (N/m): at 0.01 and at 0.03 rad/(N·m).
+"""Degrees of pitch from which a whole bar lifts, by its spring (N/m): at 0.01 and at 0.03 rad/(N·m).
 
-Of the light model at rest (`reports.simulation.lean.remains`), which docs/simulation.md tells of 1e5 and 1e6 N/m; a
-world has 5.7° at most."""
+Of the light model at rest (`reports.simulation.lean.remains`); 5.7° is the largest lean that a world takes. Of 1e5 and
+1e6 N/m docs/simulation.md tells the same."""
 
 
 class LeanLimits(NamedTuple):
-    """What is wanted of a campaign: shares in %, of those charged but the first, and s; None = nothing."""
+    """What is wanted of a campaign; None = nothing.
+
+    Attributes:
+        charged: % of all.
+        aligned: % of the charged that are called aligned.
+        near: % of the charged that rest within 2.5 mm along x.
+        seconds: s to charging, median.
+    """
 
     charged: float
     aligned: float | None

@@ -30,8 +30,9 @@ WRONG_POSITION, WRONG_ROLL = 0.010, math.radians(5.0)
 """A detection that is farther off, m or rad, is wrong."""
 _LEANS = ("yaw_deg", "pitch_deg", "yaw_sigma", "pitch_sigma")
 FIELDS = ("seed", "found", "wrong", "xy_mm", "z_mm", "roll_deg", "nees", "tilt_deg", *_LEANS)
-"""Of one image: found and wrong are 0 or 1, errors NaN where nothing right was found, tilt and lean where no normal is
-told. The lean is that in charger_base by an exact mount; sigma: its error over the told standard deviation."""
+"""Of one image. found and wrong are 0 or 1. Errors are NaN where nothing right was found, those of tilt and lean also
+where no normal is told. Yaw and pitch are those in charger_base by an exact mount; *_sigma are their errors in units of
+the told standard deviation."""
 _WARM_UP = 5
 _RUNS = 3  # of one detection; other work of the machine only ever adds to the least
 
