@@ -3,10 +3,10 @@
 
 The face of the platform hangs on two hinges, `platform.lever` behind it, with springs of 1/compliance, critical damping
 and an inertia of their own; without compliance there are none. The pads are one more spring of the hinge about y, at
-rest where the yaws are equal (of a rolled target's pitch, which also loads the pads in `tilt`, they know nothing here);
-once one pad is empty, a moment of the whole force at the other takes its place. Each bar touches by points along the
-line in which it overlaps its mate, each with its share of the bar's stiffness and of the stop behind it. No angle is
-taken to be small, the target's force is normal to its own face, and friction at the face bends the hinges.
+rest where both bear alike (`tilt.level_yaw`); once one pad is empty, a moment of the whole force at the other takes its
+place. Each bar touches by points along the line in which it overlaps its mate, each with its share of the bar's
+stiffness and of the stop behind it. No angle is taken to be small, the target's force is normal to its own face, and
+friction at the face bends the hinges.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 from deltacharger_sim.bars import Bars
 from deltacharger_sim.mujoco_springs import IMPEDANCE, share, share_impedance, spring
 from deltacharger_sim.parameters import WorldParameters
-from deltacharger_sim.tilt import PAD, pads_turn
+from deltacharger_sim.tilt import PAD, level_yaw, pads_turn
 
 POINTS = 24  # of each bar; with 8 a contact of which one end lifts presses up to 1 % less
 INERTIA = 2.3e-4  # kg·m² of the platform about x and about y: 0.274 kg over a plate of 0.1 m
@@ -60,7 +60,7 @@ def hinges(parameters: WorldParameters) -> str:
     if parameters.platform.compliance == 0.0:
         return ""
     how = f'solimp="{IMPEDANCE} {IMPEDANCE} 0.001"'
-    held = [(name, name, 0.0) for name in _HINGES] + [(_PADS, _HINGES[1], parameters.target.tilt_y)]
+    held = [(name, name, 0.0) for name in _HINGES] + [(_PADS, _HINGES[1], level_yaw(parameters))]
     return "".join(
         f'<joint name="{name}" joint1="{hinge}" polycoef="{rest!r} 0 0 0 0" {how}/>' for name, hinge, rest in held
     )
@@ -125,7 +125,7 @@ class MujocoLean:
         self._hinges = [int(model.joint(name).qposadr[0]) for name in names]
         self._pads = int(model.equality(_PADS).id) if names else -1
         self._about_y = int(model.joint(_HINGES[1]).dofadr[0]) if names else -1
-        self._tip = pads_turn(parameters)
+        self._tip, self._yaw = pads_turn(parameters), level_yaw(parameters)
 
     def lie(self, position: tuple[float, float, float], x: float, y: float) -> None:
         """Put the points where the bars overlap with the target's centre at (x, y) in end_effector, m.
@@ -143,7 +143,7 @@ class MujocoLean:
         """Let the pads act in the next step of MuJoCo by the force and the tilt that the last one left."""
         if not self._hinges:
             return
-        moment = self._tip * (float(data.qpos[self._hinges[1]]) - self._parameters.target.tilt_y)
+        moment = self._tip * (float(data.qpos[self._hinges[1]]) - self._yaw)
         most = PAD * sum(force for _, force in self._pressed(data))
         both = abs(moment) <= most
         data.eq_active[self._pads] = both

@@ -54,7 +54,7 @@ def pads_turn(parameters: WorldParameters) -> float:
     return 2.0 * parameters.contact.pad_stiffness * PAD * PAD
 
 
-def _level_yaw(parameters: WorldParameters) -> float:
+def level_yaw(parameters: WorldParameters) -> float:
     """Return the platform's tilt about y (rad) where both pads bear alike: on rolled ridges a pitch acts as a yaw."""
     target, terminal = parameters.target, parameters.terminal
     up = 0.5 * (terminal.gap + terminal.height)
@@ -76,7 +76,7 @@ class PlatformTilt:
         self._compliance = parameters.platform.compliance
         self._target = parameters.target.tilt_x, parameters.target.tilt_y
         contact, terminal = parameters.contact, parameters.terminal
-        self._yaw = _level_yaw(parameters)
+        self._yaw = level_yaw(parameters)
         self._stiffness, self._stop = contact.stiffness, 0.5 * contact.hard_stop_stiffness  # of one bar
         self._travel = contact.hard_stop
         self._length, self._up = terminal.length, 0.5 * (terminal.gap + terminal.height)

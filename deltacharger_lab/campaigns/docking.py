@@ -76,6 +76,7 @@ RESULTS: dict[str, tuple[type, str]] = {
         for axis, unit in zip(feeling.AXES, ("m", "m", "rad"), strict=True)
         for what, about in (("error", "estimate less truth"), ("stddev", "told standard deviation"))
     },
+    "last_across_stddev": (float, "m, told standard deviation across the bars of the last estimate made in contact"),
     "last_clearance": (float, "m, truth at the last estimate made in contact"),
     "error": (str, "of a docking that crashed, else empty"),
 }
@@ -222,6 +223,7 @@ def _felt(felt: Felt) -> dict[str, Any]:
             row[f"{which}_{axis}_error"], row[f"{which}_{axis}_stddev"] = kept.error[axis], kept.stddev[axis]
     if felt.last is not None:
         row["last_clearance"] = felt.last.clearance
+        row["last_across_stddev"] = felt.last.across_stddev
     return row
 
 

@@ -90,14 +90,21 @@ class Felt:
 
 @dataclass(frozen=True)
 class Kept:
-    """An estimate beside the truth when it was made: by axis its error and standard deviation (m, m, rad)."""
+    """An estimate beside the truth when it was made: by axis its error and standard deviation (m, m, rad).
+
+    Attributes:
+        across_stddev: told standard deviation across the bars, m.
+        clearance: true one, m.
+    """
 
     error: Mapping[str, float]
     stddev: Mapping[str, float]
+    across_stddev: float
     clearance: float
 
     @classmethod
     def of(cls, estimate: FeltPose, truth: tuple[float, float, float], clearance: float) -> Kept:
         """Compare an estimate with the pose of the target in end_effector (m, m, rad)."""
         errors = {axis: getattr(estimate, axis) - real for axis, real in zip(AXES, truth, strict=True)}
-        return cls(errors, {axis: getattr(estimate, f"{axis}_stddev") for axis in AXES}, clearance)
+        stddevs = {axis: getattr(estimate, f"{axis}_stddev") for axis in AXES}
+        return cls(errors, stddevs, estimate.across_stddev, clearance)

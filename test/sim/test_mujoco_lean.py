@@ -28,12 +28,14 @@ ArmFactory = Callable[..., Any]
 COMMAND = 0.086  # m
 
 
-def leaning(compliance: float, pitch: float, yaw: float, stiffness: float = 1e5, **changes: Any) -> WorldParameters:
+def leaning(
+    compliance: float, pitch: float, yaw: float, stiffness: float = 1e5, roll: float = 0.0, **changes: Any
+) -> WorldParameters:
     """Angles in degrees; the platform tilts about its own face, where friction has no lever."""
     return WorldParameters(
         contact=ContactParameters(stiffness=stiffness, hard_stop_stiffness=max(1e6, 2.0 * stiffness)),
         platform=PlatformParameters(compliance=compliance, lever=0.0),
-        target=TargetParameters(tilt_x=math.radians(pitch), tilt_y=math.radians(yaw)),
+        target=TargetParameters(roll=math.radians(roll), tilt_x=math.radians(pitch), tilt_y=math.radians(yaw)),
         **changes,
     )
 
@@ -127,8 +129,10 @@ def test_force_and_tilt_at_rest_are_those_of_statics(
 
 
 @pytest.mark.parametrize("compliance", [0.01, 0.03])
-@pytest.mark.parametrize("lean", [(3.0, 0.0, 1e6), (-2.0, 4.0, 1e5), (0.0, 5.0, 3e4)])
-def test_both_give_each_bar_the_same(arm: ArmFactory, compliance: float, lean: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize(
+    "lean", [(3.0, 0.0, 1e6), (-2.0, 4.0, 1e5), (0.0, 5.0, 3e4), (2.0, 0.0, 1e5, 12.0), (-2.0, 1.0, 3e4, -8.0)]
+)
+def test_both_give_each_bar_the_same(arm: ArmFactory, compliance: float, lean: tuple[float, ...]) -> None:
     parameters = leaning(compliance, *lean, servo=ServoParameters(friction=0.0), gravity_y=0.0)
     light, other = (settled(arm, parameters, mujoco) for mujoco in (False, True))
     assert other.contact_force == pytest.approx(light.contact_force, rel=0.01)

@@ -316,3 +316,30 @@ def test_off_it_is_not_there() -> None:
     world.step()
     assert world.mechanics.tilt == (0.0, 0.0)
     assert world.mechanics.lean is None
+
+
+@pytest.mark.parametrize(
+    ("compliance", "stiffness", "pitch", "yaw", "roll", "at", "step"),
+    [
+        (0.02, 3e5, 0.060628369512575844, -0.013199648339899742, -0.1703010587310249, (0.003944, 0.0026041), 1e-4),
+        (0.03, 1e4, 0.06160243031863548, 0.0668575797617771, -0.3190930839137615, (0.0048354, 0.0109629), 1e-6),
+    ],
+)
+def test_force_is_always_what_the_springs_press_at_the_tilt_that_is_told(
+    compliance: float,
+    stiffness: float,
+    pitch: float,
+    yaw: float,
+    roll: float,
+    at: tuple[float, float],
+    step: float,
+) -> None:
+    tilt = tilting(compliance, at, stiffness, roll=roll, tilt_x=pitch, tilt_y=yaw)
+    depth, before = -tilt.onset, 0.0
+    for _ in range(200):
+        depth += step
+        force, _ = tilt.press(depth)
+        bars = tilt.keep()[1]
+        assert force == pytest.approx(bars.upper + bars.lower, rel=0.02, abs=0.1)
+        assert force - before < 2.5e6 * step + 20.0, "at the kink where a pad empties no force jumps"
+        before = force

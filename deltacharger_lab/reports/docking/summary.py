@@ -250,7 +250,7 @@ def felt_clearance(rows: Columns, sigmas: float) -> Array:
     angle = rows["felt_angle"].astype(float)
     across = rows["felt_vertical"] * np.cos(angle) - rows["felt_horizontal"] * np.sin(angle)
     slope = gap * np.abs(np.sin(angle)) + half * np.cos(angle)
-    spread = np.hypot(slope * rows["last_angle_stddev"], rows["last_vertical_stddev"])
+    spread = np.hypot(slope * rows["last_angle_stddev"], rows["last_across_stddev"])
     clear = gap * (1.0 + np.cos(angle)) - half * np.abs(np.sin(angle)) - np.abs(across)
     return np.asarray(clear - sigmas * spread)
 
