@@ -136,8 +136,6 @@ class TactileCalibration:
         across = given["across"].ravel() - by_x * self.bias[0] - by_y * self.bias[1]
         doubt = np.hypot(by_x * self.bias_stddev[0], by_y * self.bias_stddev[1])
         across_spread = np.hypot(given["across_stddev"].ravel(), doubt)
-        # An error of the angle turns x and y about each other; across the bars it makes none.
-        pose["vertical"] = (across + pose["horizontal"] * np.sin(pose["angle"])) / np.cos(pose["angle"])
         within = (np.abs(across) <= POSITION_LIMIT) & (np.abs(pose["angle"]) <= ANGLE_LIMIT)
         precise = (across_spread <= allowed.across_stddev) & (spread["angle"] <= allowed.angle_stddev)
         in_range = given["in_range"].ravel() & within
