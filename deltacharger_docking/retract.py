@@ -48,9 +48,13 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         if away > parameters.lift:
             raise Stuck(f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand")
     context.status.docked = False
-    reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, context.parameters.service_timeout)
+    reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, parameters.service_timeout)
     if not reply.success:
         raise ServoFailure(f"the servos' torque was not switched off: {reply.message}")
+    # A goal that follows at once would else take an older servo_state at its word, and send limp servos a trajectory.
+    end = context.time + parameters.servo_age_max
+    while context.observation.torque_enabled and context.time < end:
+        yield NEXT
     context.decide("limp", "the servos' torque is off")
 
 

@@ -16,11 +16,12 @@ import pytest
 
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Code, State
-from deltacharger_docking.observation import DockGoal, Reply, Request, Service
+from deltacharger_docking.observation import DockGoal, Observation, Reply, Request, Service
 from deltacharger_kinematics.trajectory_feed import Waypoint
 from deltacharger_lab.campaigns.servo_load import Effort
 from deltacharger_lab.campaigns.virtual_charger import GOAL
 
+from .dockings import quick_charger
 from .silences import Faulty
 
 _PUSH_BOUND = 30.0  # N; what the current bound of the servos allows at the dock, however far the command goes
@@ -191,3 +192,17 @@ def test_pads_that_feel_the_same_wherever_they_are_never_energise() -> None:
     assert outcome.code in ends, outcome
     assert State.ENERGISE not in run.states
     run.assert_never_hurt()
+
+
+def test_a_goal_that_follows_at_once_is_not_misled_by_a_servo_state_from_before_the_torque_was_off() -> None:
+    run = quick_charger()
+    seen: list[bool] = []
+
+    def late(observation: Observation) -> Observation:
+        seen.append(observation.torque_enabled)
+        return replace(observation, torque_enabled=seen[max(len(seen) - 6, 0)])  # six ticks old
+
+    run.distort = late
+    for _ in range(2):
+        assert run.dock(DockGoal(GOAL, start_charging=False)).success
+        assert run.undock().success
