@@ -17,7 +17,7 @@ from deltacharger_tactile import PoseEstimator
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.dataset import SUBSET_ANGLE
 from deltacharger_tactile.estimate import Estimate
-from deltacharger_tactile.generator import generate_paper
+from deltacharger_tactile.generator import generate_continuous, generate_paper
 from deltacharger_tactile.second.parameters import SecondParameters
 
 PLAN = tactile_plan.quick_plan(1)
@@ -50,6 +50,26 @@ def test_the_pretrained_estimates_are_judged_on_both_and_trained_on_neither(monk
 
 
 KEYS = ("threshold", "frames", "physics")
+
+
+def test_who_knows_the_pose_never_acts_unsafely(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = generate_continuous(rigs=(860,), count=600, seed=3, threshold=0.0)
+    x, y, angle = data.contact_pose.T
+
+    class Knowing:
+        def predict(self, left: np.ndarray, right: np.ndarray) -> Estimate:
+            none, small, yes = np.zeros(len(left)), np.full(len(left), 1e-6), np.ones(len(left), dtype=bool)
+            chances, forces = [np.zeros((len(left), 6))] * 3, [none] * 2
+            across = y * np.cos(angle) - x * np.sin(angle)
+            return Estimate(angle, small, y, small, x, small, yes, yes, yes, *chances, *forces, across, small)
+
+        def drifted(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+            return np.zeros(len(left), dtype=bool)
+
+    monkeypatch.setattr(second, "default_model", lambda cut: Knowing())
+    row = second._counts(data, 0.25)
+    assert row["acts"] > 50
+    assert row["unsafe"] == 0
 
 
 def test_an_act_without_clearance_is_unsafe(monkeypatch: pytest.MonkeyPatch) -> None:

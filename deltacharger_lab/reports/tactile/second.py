@@ -137,7 +137,8 @@ def _counts(data: Dataset, cut: float) -> Row:
     told = model.predict(left, right)
     used, sure = np.asarray(told.in_range), np.asarray(told.sure)
     acts = _acts(told)
-    short = _clearances(truth[:, 2], truth[:, 1]) < 0.0
+    x, y, angle = truth[:, :3].T
+    short = _clearances(angle, y * np.cos(angle) - x * np.sin(angle)) < 0.0
     found: Row = {
         "n": len(data), "contact": int(np.sum(told.contact)), "in_range": int(used.sum()), "sure": int(sure.sum()),
         "drift": int(model.drifted(left, right).sum()), "acts": int(acts.sum()), "unsafe": int((acts & short).sum()),
@@ -157,9 +158,9 @@ def _acts(told: Estimate) -> Any:
     return np.asarray(told.sure) & (left >= _DOCKING.clearance_min)
 
 
-def _clearances(angles: Any, verticals: Any) -> Any:
+def _clearances(angles: Any, across: Any) -> Any:
     sizes = _DOCKING.electrode_half_gap, _DOCKING.electrode_half_length
-    return np.array([clearance(*pose, *sizes) for pose in zip(angles, verticals, strict=True)])
+    return np.array([clearance(*pose, *sizes) for pose in zip(angles, across, strict=True)])
 
 
 def summed(rows: Iterable[Row], *keys: str) -> list[Row]:
