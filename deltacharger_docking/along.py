@@ -99,7 +99,7 @@ class AlongFilter:
     ) -> None:
         p = parameters
         self._parameters, self._pull = p, MagnetPull(p)
-        self._place, self._foreseen_stddev, self._bias = place, place_stddev, bias
+        self._foreseen, self._foreseen_stddev, self._bias = place, place_stddev, bias
         shared = math.hypot(bias_stddev, p.horizontal_shared)
         self._prior = np.array([shared, p.gain_error, p.force_error, p.magnet_error, p.magnet_width_error]) ** 2
         self._looks: list[LookAlong] = []
@@ -121,8 +121,8 @@ class AlongFilter:
         square = (residual * told).sum(axis=1)
         self._innovations = float(square.min())
         logs = -0.5 * (square + np.linalg.slogdet(joint)[1])
-        if math.isfinite(self._place):
-            logs -= 0.5 * ((places - self._place) / self._foreseen_stddev) ** 2
+        if math.isfinite(self._foreseen):
+            logs -= 0.5 * ((places - self._foreseen) / self._foreseen_stddev) ** 2
         weights = np.exp(logs - logs.max())
         self._weights = weights = weights / weights.sum()
         self.target = float(weights @ places)
@@ -164,10 +164,10 @@ class AlongFilter:
             load: as felt, or where a pad is empty the least that empties it, m.
             platform: where the platform is, m, charger_base.
         """
-        if not math.isfinite(self._place):
+        if not math.isfinite(self._foreseen):
             return load, 0.0
         place, lean = self._foreseen_stddev**2, float(self._prior[0])
-        aside = self._place - platform
+        aside = self._foreseen - platform
         excess = (load - aside - self._bias) / (place + lean)
         return aside + excess * place, self._bias + excess * lean
 
@@ -207,7 +207,7 @@ class AlongFilter:
     def _grid(self) -> Array:
         """Return the places (G,) that come into question, m."""
         first = self._looks[0]
-        middle = self._place if math.isfinite(self._place) else first.platform + first.load - self._bias
+        middle = self._foreseen if math.isfinite(self._foreseen) else first.platform + first.load - self._bias
         return middle + _HALF_WIDTH * np.linspace(-1.0, 1.0, _POINTS)
 
     def _rows(self, places: Array) -> tuple[Array, Array, Array, Array]:
@@ -234,7 +234,7 @@ class AlongFilter:
 
     def _information(self) -> Array:
         """Return the inverse covariance (6, 6) of place and shared errors, linear about where the target is."""
-        place = 1.0 / self._foreseen_stddev**2 if math.isfinite(self._place) else 0.0
+        place = 1.0 / self._foreseen_stddev**2 if math.isfinite(self._foreseen) else 0.0
         known = np.diag([place, *1.0 / np.maximum(self._prior, _LEAST)])
         rows, _, noise, landing = self._rows(np.array([self.target]))
         for index in range(len(self._looks)):

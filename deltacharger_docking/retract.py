@@ -53,7 +53,11 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         raise ServoFailure(f"the servos' torque was not switched off: {reply.message}")
     # A goal that follows at once would else take an older servo_state at its word, and send limp servos a trajectory.
     end = context.time + parameters.servo_age_max
-    while context.observation.torque_enabled and context.time < end:
+    while context.observation.torque_enabled:
+        if context.time > end:
+            raise ServoFailure(
+                "servo_state still tells that the torque is on; look at servo_node, or cut the servos' power"
+            )
         yield NEXT
     context.decide("limp", "the servos' torque is off")
 

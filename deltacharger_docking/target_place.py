@@ -20,6 +20,7 @@ from deltacharger_docking.yielding import RemainingShare
 _UNTOLD = 1e3  # N, standard deviation of a force that nobody told
 _ON_PAD = 0.009  # m across, within which a ridge is all on its pad
 _FAR = 0.02  # m along, where a ridge begins to leave its pad
+_DEARER = 1.5  # what a contact has to gain, by what the one before had to
 
 
 class TargetPlace:
@@ -91,7 +92,7 @@ class TargetPlace:
             reaches: whether the platform reaches a place that lies so far (m, along x and y) from here.
         """
         p = self._parameters
-        price, across = p.redocking_gain_min * 1.5**moves, self._across.gain(p.landing_limit)
+        price, across = p.redocking_gain_min * _DEARER**moves, self._across.gain(p.landing_limit)
         plans = [
             replace(plan, gain=plan.gain + across - price - p.probe_gain_min * (plan.contacts - 1))
             for plan in self._along.plans(p.overlap_loss_max)

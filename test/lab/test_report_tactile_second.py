@@ -17,6 +17,7 @@ from deltacharger_tactile import PoseEstimator
 from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.dataset import SUBSET_ANGLE
 from deltacharger_tactile.estimate import Estimate
+from deltacharger_tactile.estimator import to_seat
 from deltacharger_tactile.generator import generate_continuous, generate_paper
 from deltacharger_tactile.second.parameters import SecondParameters
 
@@ -52,39 +53,36 @@ def test_the_pretrained_estimates_are_judged_on_both_and_trained_on_neither(monk
 KEYS = ("threshold", "frames", "physics")
 
 
+class Telling:
+    """Tells one pose (N, 3) or the same of all frames, and believes it by `stddev`."""
+
+    def __init__(self, pose: np.ndarray, stddev: float) -> None:
+        self._pose, self._stddev = pose, stddev
+
+    def predict(self, left: np.ndarray, right: np.ndarray) -> Estimate:
+        x, y, angle = np.broadcast_to(self._pose, (len(left), 3)).T
+        small, yes, none = np.full(len(left), self._stddev), np.ones(len(left), dtype=bool), np.zeros(len(left))
+        chances, forces, across = (
+            [np.zeros((len(left), 6))] * 3,
+            [none] * 2,
+            to_seat(np.column_stack([x, y, angle]))[:, 1],
+        )
+        return Estimate(angle, small, y, small, x, small, yes, yes, yes, *chances, *forces, across, small)
+
+    def drifted(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+        return np.zeros(len(left), dtype=bool)
+
+
 def test_who_knows_the_pose_never_acts_unsafely(monkeypatch: pytest.MonkeyPatch) -> None:
     data = generate_continuous(rigs=(860,), count=600, seed=3, threshold=0.0)
-    x, y, angle = data.contact_pose.T
-
-    class Knowing:
-        def predict(self, left: np.ndarray, right: np.ndarray) -> Estimate:
-            none, small, yes = np.zeros(len(left)), np.full(len(left), 1e-6), np.ones(len(left), dtype=bool)
-            chances, forces = [np.zeros((len(left), 6))] * 3, [none] * 2
-            across = y * np.cos(angle) - x * np.sin(angle)
-            return Estimate(angle, small, y, small, x, small, yes, yes, yes, *chances, *forces, across, small)
-
-        def drifted(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-            return np.zeros(len(left), dtype=bool)
-
-    monkeypatch.setattr(second, "default_model", lambda cut: Knowing())
+    monkeypatch.setattr(second, "default_model", lambda cut: Telling(data.contact_pose, 1e-6))
     row = second._counts(data, 0.25)
     assert row["acts"] > 50
     assert row["unsafe"] == 0
 
 
 def test_an_act_without_clearance_is_unsafe(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Bold:
-        """Says that all is aligned, and believes it."""
-
-        def predict(self, left: np.ndarray, right: np.ndarray) -> Estimate:
-            none, small, yes = np.zeros(len(left)), np.full(len(left), 1e-4), np.ones(len(left), dtype=bool)
-            chances, forces = [np.zeros((len(left), 6))] * 3, [none] * 2
-            return Estimate(none, small, none, small, none, small, yes, yes, yes, *chances, *forces, none, small)
-
-        def drifted(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-            return np.zeros(len(left), dtype=bool)
-
-    monkeypatch.setattr(second, "default_model", lambda cut: Bold())
+    monkeypatch.setattr(second, "default_model", lambda cut: Telling(np.zeros(3), 1e-4))
     (row, *_) = second.summed(second.judge_estimates(860, 3, PLAN), *KEYS)
     assert row["acts"] == row["n"]
     assert 0.2 * row["n"] < row["unsafe"] < row["n"], "most of ±12 mm and ±20° leaves no clearance"

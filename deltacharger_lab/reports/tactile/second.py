@@ -22,7 +22,7 @@ from deltacharger_tactile.classifiers.classifier import Classifier
 from deltacharger_tactile.classifiers.judgement import evaluate
 from deltacharger_tactile.dataset import Dataset
 from deltacharger_tactile.estimate import Estimate
-from deltacharger_tactile.estimator import THRESHOLD
+from deltacharger_tactile.estimator import THRESHOLD, to_seat
 from deltacharger_tactile.generator import generate_continuous
 from deltacharger_tactile.second.generator import JUST_NOW, dock_anew
 from deltacharger_tactile.second.parameters import SecondParameters
@@ -137,8 +137,8 @@ def _counts(data: Dataset, cut: float) -> Row:
     told = model.predict(left, right)
     used, sure = np.asarray(told.in_range), np.asarray(told.sure)
     acts = _acts(told)
-    x, y, angle = truth[:, :3].T
-    short = _clearances(angle, y * np.cos(angle) - x * np.sin(angle)) < 0.0
+    _, across, angle = to_seat(truth).T
+    short = _clearances(angle, across) < 0.0
     found: Row = {
         "n": len(data), "contact": int(np.sum(told.contact)), "in_range": int(used.sum()), "sure": int(sure.sum()),
         "drift": int(model.drifted(left, right).sum()), "acts": int(acts.sum()), "unsafe": int((acts & short).sum()),
