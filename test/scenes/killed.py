@@ -69,7 +69,7 @@ class Rig:
         self.pulse = Pulse()
         self._processes: dict[str, Process] = {}
         self._sent: dict[str, int] = {}  # the last signal
-        self.state: Any = None
+        self.state = DockingState()  # until the first comes
         self.outcome: Outcome | None = None
         self.error = ""
         self.phase = ""

@@ -74,7 +74,8 @@ class FaultClient(Node):
 
     def is_connected(self) -> bool:
         ready = all(service.service_is_ready() for service in self.asked.values())
-        return ready and bool(self._trajectories.get_subscription_count()) and None not in (self.servo, self.frame)
+        heard = None not in (self.servo, self.frame, self.power)
+        return ready and heard and bool(self._trajectories.get_subscription_count())
 
     def call(self, name: str, **fields: Any) -> Any:
         """Call a service and return its answer."""

@@ -83,7 +83,7 @@ class Charger:
         self.simulated = composition.charger
         self.client = client
         self.pulse = Pulse()
-        self.state: Any = None
+        self.state = DockingState()  # until the first comes
         self._servo: Any = None
         self._frame: Any = None
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
