@@ -21,7 +21,7 @@ import numpy as np
 from deltacharger_core.arrays import Array
 from deltacharger_docking.magnet_pull import MagnetPull
 from deltacharger_docking.parameters import DockingParameters
-from deltacharger_docking.place import QUANTILES, Offset
+from deltacharger_docking.place import Offset, contradicts, expected_gain
 
 _HALF_WIDTH, _POINTS = 0.024, 65  # m around the place foreseen, and places of the grid
 _NEGLIGIBLE = 1e-6  # weight of a place
@@ -153,9 +153,8 @@ class AlongFilter:
 
     @property
     def contradicts_itself(self) -> bool:
-        """Whether the looks differ by more than their errors allow: the pads do not feel where the arm has gone."""
-        p = self._parameters
-        return self._innovations > p.contradiction_start + 2.0 * p.contradiction_each * len(self._looks)
+        """Whether the looks differ by more than their errors allow."""
+        return contradicts(self._parameters, self._innovations, 2 * len(self._looks))
 
     def parts(self, load: float, platform: float) -> tuple[float, float]:
         """Return how much of an offset by load (m) the target's place makes and how much its lean, as foreseen.
@@ -177,11 +176,7 @@ class AlongFilter:
         return sum(weight * Offset(mean, self._spread).beyond(limit) for weight, mean in parts if weight > _NEGLIGIBLE)
 
     def plans(self, limit: float) -> list[Plan]:
-        """Return what a contact at the target is expected to gain, and what probes beside it before that one.
-
-        Where the contact that stays turns out worse than this one, nothing is counted as gained or lost: it can be made
-        again.
-        """
+        """Return what a contact at the target is expected to gain, and what probes beside it before that one."""
         now, known = self.risk(limit), self._information()
         far, near = self._parameters.probe_offset, 0.5 * self._parameters.probe_offset
         plans = []
@@ -193,10 +188,7 @@ class AlongFilter:
                 rows, noise, landing = self._foresee(aside)
                 after = after + rows.T @ np.linalg.solve(noise + np.outer(landing, landing), rows)
             foreseen, told = self._landing(after)
-            spread = math.sqrt(max(foreseen - told, 0.0))
-            risks = (Offset(spread * each, math.sqrt(told)).beyond(limit) for each in QUANTILES)
-            gain = sum(max(now - risk, 0.0) for risk in risks) / len(QUANTILES)
-            plans.append(Plan(gain, len(way) + 1, way[0] if way else 0.0))
+            plans.append(Plan(expected_gain(now, foreseen, told, limit), len(way) + 1, way[0] if way else 0.0))
         return plans
 
     def _empties(self, aside: float) -> bool:

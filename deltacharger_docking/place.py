@@ -10,7 +10,7 @@ from statistics import NormalDist
 from deltacharger_docking.parameters import DockingParameters
 
 _LEAST = 1e-12  # m²; below it a variance would divide by nothing
-QUANTILES = tuple(NormalDist().inv_cdf((index + 0.5) / 16) for index in range(16))
+_QUANTILES = tuple(NormalDist().inv_cdf((index + 0.5) / 16) for index in range(16))
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,34 @@ class Offset:
         """Return the probability that it lies farther off than `limit` (m), either way."""
         scale = math.sqrt(2.0) * max(self.stddev, math.sqrt(_LEAST))
         return 0.5 * (math.erfc((limit - self.mean) / scale) + math.erfc((limit + self.mean) / scale))
+
+
+def expected_gain(now: float, foreseen: float, told: float, limit: float) -> float:
+    """Return by how much another contact, made at the target, is expected to lower the risk to lie beyond `limit`.
+
+    Its mean will lie around zero, by what is foreseen less what it will tell; where it turns out worse than this one it
+    has gained nothing, for it can be made again.
+
+    Args:
+        now: risk of this contact.
+        foreseen: variance of the other one's offset before it is felt, m².
+        told: and after, m².
+        limit: m.
+    """
+    spread, stddev = math.sqrt(max(foreseen - told, 0.0)), math.sqrt(told)
+    risks = (Offset(spread * each, stddev).beyond(limit) for each in _QUANTILES)
+    return sum(max(now - risk, 0.0) for risk in risks) / len(_QUANTILES)
+
+
+def contradicts(parameters: DockingParameters, innovations: float, values: int) -> bool:
+    """Return whether so many values differ by more than their errors allow: the pads do not feel where the arm went.
+
+    Args:
+        parameters: docking's.
+        innovations: sum of squares, each over its variance.
+        values: how many were felt.
+    """
+    return innovations > parameters.contradiction_start + parameters.contradiction_each * values
 
 
 class AxisFilter:
@@ -71,17 +99,9 @@ class AxisFilter:
 
     @property
     def contradicts_itself(self) -> bool:
-        """Whether the looks differ by more than their errors allow: the pads do not feel where the arm has gone."""
-        start, each = self._parameters.contradiction_start, self._parameters.contradiction_each
-        return self._innovations > start + each * self._looks
+        """Whether the looks differ by more than their errors allow."""
+        return contradicts(self._parameters, self._innovations, self._looks)
 
     def gain(self, limit: float) -> float:
-        """Return by how much another contact, made at the target, is expected to lower the risk to lie beyond `limit`.
-
-        Its mean will lie around zero, by what is foreseen less what it will tell; where it turns out worse than this
-        one it has gained nothing, for it can be made again.
-        """
-        spread = math.sqrt(max(self._ahead - self.contact.stddev**2, 0.0))
-        now = self.contact.beyond(limit)
-        risks = (Offset(spread * each, self.contact.stddev).beyond(limit) for each in QUANTILES)
-        return sum(max(now - risk, 0.0) for risk in risks) / len(QUANTILES)
+        """Return by how much another contact is expected to lower the risk to lie beyond `limit` (m)."""
+        return expected_gain(self.contact.beyond(limit), self._ahead, self.contact.stddev**2, limit)
