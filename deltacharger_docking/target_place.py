@@ -20,7 +20,7 @@ from deltacharger_docking.yielding import RemainingShare
 _UNTOLD = 1e3  # N, standard deviation of a force that nobody told
 _ON_PAD = 0.009  # m across, within which a ridge is all on its pad
 _FAR = 0.02  # m along, where a ridge begins to leave its pad
-_DEARER = 1.5  # what a contact has to gain, by what the one before had to
+_DEARER = 1.5  # a further contact has to gain so many times what the one before had to
 
 
 class TargetPlace:

@@ -62,11 +62,8 @@ class Telling:
     def predict(self, left: np.ndarray, right: np.ndarray) -> Estimate:
         x, y, angle = np.broadcast_to(self._pose, (len(left), 3)).T
         small, yes, none = np.full(len(left), self._stddev), np.ones(len(left), dtype=bool), np.zeros(len(left))
-        chances, forces, across = (
-            [np.zeros((len(left), 6))] * 3,
-            [none] * 2,
-            to_seat(np.column_stack([x, y, angle]))[:, 1],
-        )
+        chances, forces = [np.zeros((len(left), 6))] * 3, [none] * 2
+        across = to_seat(np.column_stack([x, y, angle]))[:, 1]
         return Estimate(angle, small, y, small, x, small, yes, yes, yes, *chances, *forces, across, small)
 
     def drifted(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
