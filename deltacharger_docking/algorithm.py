@@ -180,6 +180,18 @@ def prepare(context: Context) -> Script[None]:
     if not reply.success:
         raise TactileStale(f"the pads were not tared: {reply.message}; they must be free before docking")
     context.decide("tared", "the pads are tared in free air")
+    yield from weigh(context)
+
+
+def weigh(context: Context) -> Script[None]:
+    """Let the arm's weight tell how far the servos yield, unless this arm has been felt before."""
+    springs = context.springs
+    end = context.time + context.parameters.weighing_timeout
+    while not springs.is_felt and context.time < end and not (yield from context.read()):
+        pass
+    if springs.is_felt:
+        values = {"felt_Nm_per_rad": springs.stiffness, "told_Nm_per_rad": context.parameters.servo_stiffness}
+        context.decide("stiffness", "as stiff as the servos are felt to be", **values)
 
 
 def _servos_silent(context: Context) -> bool:

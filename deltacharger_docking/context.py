@@ -31,6 +31,8 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, between
 
 _READING = 0.01  # s between two of them, the servos' cycle
+_STILL = 0.003  # rad; two counts of an encoder
+_NEARLY = 0.95  # of a servo's current bound
 _REACHES_OUT = (State.APPROACH, State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
 
 
@@ -57,7 +59,8 @@ class Context:
         self.kinematics = ScalarDelta(geometry)
         self.contact = ContactCurrent(self.kinematics, parameters)
         self.planner = planner or Planner(parameters, geometry)
-        self.feed = feed or TrajectoryFeed(parameters.servo_damping / parameters.servo_stiffness)
+        self.springs = self.planner.springs
+        self.feed = feed or TrajectoryFeed(self.springs.lag)
         self.status = DockingStatus()
         self.observation = Observation(time=0.0)
         self.time = 0.0  # s, the observations' clock; stands still where that is set back
@@ -184,6 +187,7 @@ class Context:
         Raises:
             ServoFailure: they were not enabled.
         """
+        self.goal_angles = self.observation.angles
         reply = yield from self.ask(Service.TORQUE_ON, ServoFailure, self.parameters.service_timeout)
         if not reply.success:
             raise ServoFailure(f"the servos were not enabled: {reply.message}")
@@ -261,6 +265,29 @@ class Context:
             yield from self.rest()
         return False
 
+    def read(self) -> Script[bool]:
+        """Fill the contact current's window anew, and feel the servos' springs where the arm stood still meanwhile.
+
+        Returns:
+            Whether it did.
+        """
+        before = self.observation.angles
+        self.contact.clear()
+        yield from self.wait(self.parameters.contact_window + _READING, reads=True)
+        after = self.observation.angles
+        still = all(abs(now - then) <= _STILL for now, then in zip(after, before, strict=True))
+        if still and math.isfinite(self.goal_angles[0]) and not self._is_bound(self.contact.currents):
+            self.springs.feel(self.goal_angles, after, self.contact.currents)
+            self.feed.lag = self.springs.lag
+        return still
+
+    def _is_bound(self, currents: Vector) -> bool:
+        """Return whether some current (A) is at its bound, so that it no longer tells how far the servo yields."""
+        parameters = self.parameters
+        held = self.kinematics.holding_torque(*self.position, parameters.gravity)
+        bounds = (abs(torque) / parameters.torque_constant + parameters.push_current for torque in held)
+        return not all(abs(now) < _NEARLY * bound for now, bound in zip(currents, bounds, strict=True))
+
     def check_way(self, *places: Vector) -> None:
         """Refuse a way from the measured position through `places` before its first leg moves anything.
 
@@ -288,13 +315,12 @@ class Context:
         Raises:
             ServoFailure: no current was measured within the age allowed for servo_state.
         """
-        parameters, contact = self.parameters, self.contact
-        settled = self.time + parameters.settle_time
+        parameters, contact, settle_time = self.parameters, self.contact, self.springs.settle_time
+        settled = self.time + settle_time
         touching = self.observation.tactile_contact
-        yield from self.wait(min(parameters.settle_time, parameters.settle_touching if touching else math.inf))
+        yield from self.wait(min(settle_time, parameters.settle_touching if touching else math.inf))
         while True:
-            contact.clear()
-            yield from self.wait(parameters.contact_window + _READING, reads=True)
+            yield from self.read()
             if self.time > settled or not abs(contact.drift) > parameters.drift_max:
                 break
         end = self.time + parameters.servo_age_max

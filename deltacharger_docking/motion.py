@@ -9,6 +9,7 @@ import numpy as np
 
 from deltacharger_docking.codes import Unreachable
 from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.springs import Springs
 from deltacharger_kinematics import Delta, DeltaGeometry, Status
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.line import Line, LineRefused, plan_line
@@ -16,11 +17,16 @@ from deltacharger_kinematics.trajectory_feed import Waypoint
 
 
 class Planner:
-    """Plans lines in ``charger_base`` (m) under speed limits, with the weight of the arm fed forward."""
+    """Plans lines in ``charger_base`` (m) under speed limits, with the weight of the arm fed forward.
+
+    Attributes:
+        springs: what the servos yield by.
+    """
 
     def __init__(self, parameters: DockingParameters, geometry: DeltaGeometry) -> None:
         self._parameters = parameters
         self._delta = Delta(geometry)
+        self.springs = Springs(parameters)
 
     def line(self, start: Vector, goal: Vector, speed: float, push: float | None = None) -> tuple[Waypoint, ...]:
         """Return the waypoints from `start` to `goal`, without the start itself.
@@ -47,7 +53,7 @@ class Planner:
                 ) from error
             raise Unreachable(f"the arm cannot go that way: {error}; move the robot closer to the target") from error
         held = self._delta.holding_torque(line.positions, self._parameters.gravity)
-        angles, velocities = self._command(line, held / self._parameters.servo_stiffness)
+        angles, velocities = self._command(line, held / self.springs.stiffness)
         allowed = self._parameters.push_current if push is None else push
         bound = np.abs(held) + allowed * self._parameters.torque_constant
         return tuple(

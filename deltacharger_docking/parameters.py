@@ -46,7 +46,7 @@ class DockingParameters(Bounded):
     )
     published_clearance_rule: bool = flag(False, "whether published, too, needs clearance before current may flow")
     current_signal: str = choice("contact", SIGNALS, "what counts as current: contact, or the raw maximum or sum")
-    servo_stiffness: float = number(SERVO_STIFFNESS, 1.0, 50.0, "N·m/rad", "servo stiffness in position mode")
+    servo_stiffness: float = number(SERVO_STIFFNESS, 0.5, 160.0, "N·m/rad", "servo stiffness, until it is felt")
     servo_damping: float = number(SERVO_DAMPING, 0.0, 10.0, "N·m·s/rad", "servo damping")
     torque_constant: float = number(TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current, as servo_node's")
     gravity_x: float = number(GRAVITY[0], -20.0, 20.0, "m/s²", "gravity along x of charger_base")
@@ -54,6 +54,7 @@ class DockingParameters(Bounded):
     gravity_z: float = number(GRAVITY[2], -20.0, 20.0, "m/s²", "gravity along z of charger_base")
     contact_window: float = number(0.12, 0.02, 0.5, "s", "time over which the contact current is the median")
     free_current: float = number(0.06, 0.005, 0.5, "A", "contact current, either way, that is not free air")
+    weighing_timeout: float = number(2.5, 0.0, 10.0, "s", "limit for the arm to rest under its weight after torque on")
     home_x: float = number(0.0, -0.06, 0.06, "m", "where the arm rests, x")
     home_y: float = number(0.0, -0.06, 0.06, "m", "where the arm rests, y")
     home_z: float = number(0.0, 0.0, 0.11, "m", "where the arm rests, z")
@@ -244,11 +245,6 @@ class DockingParameters(Bounded):
     def home(self) -> Vector:
         """Resting position in charger_base, m."""
         return self.home_x, self.home_y, self.home_z
-
-    @property
-    def settle_time(self) -> float:
-        """How long the arm needs to come to rest after a step: four time constants of the servo, s."""
-        return max(4.0 * self.servo_damping / self.servo_stiffness, 0.1)
 
     @property
     def current_target(self) -> float:

@@ -132,7 +132,7 @@ def slope_expected(context: Context) -> float:
     x, y, z = context.position
     jacobian = context.kinematics.jacobian(x, y, z)
     lever = (jacobian[6] + jacobian[7] + jacobian[8]) / 3.0
-    return context.parameters.servo_stiffness / (3.0 * lever * context.parameters.torque_constant)
+    return 1.0 / (3.0 * lever * context.springs.compliance)
 
 
 def _paper(context: Context, depth: float) -> Script[None]:
@@ -207,9 +207,10 @@ def _guarded(context: Context, depth: float) -> Script[None]:
     """Step coarsely until the current leaves its baseline, then by what is missing; enter the band from below."""
     parameters = context.parameters
     low, high = parameters.current_min + parameters.band_margin, parameters.current_max - parameters.band_margin
-    expected = slope = slope_expected(context)
-    overshoots = 0
+    response, overshoots = 1.0, 0  # response: the slope's share of the expected one
     while True:
+        expected = slope_expected(context)
+        slope = response * expected
         before, z = context.contact.value, context.commanded[2]
         if low <= before <= high:
             return
@@ -220,8 +221,8 @@ def _guarded(context: Context, depth: float) -> Script[None]:
             )
             if overshoots > parameters.overshoots_max:
                 raise Overcurrent(
-                    f"contact current overshot to {before:.2f} A {overshoots} times; is the target moving, or the "
-                    "parameter servo_stiffness far too low?"
+                    f"contact current overshot to {before:.2f} A {overshoots} times; is the target moving?"
+                    f"{context.springs.contradiction}"
                 )
             yield from step_to(context, z - parameters.overshoot_back_off / slope)
             continue
@@ -237,8 +238,8 @@ def _guarded(context: Context, depth: float) -> Script[None]:
         yield from step_to(context, z + step)
         after = context.contact.value
         if touching and before > 0.0 and after - before > parameters.response_told:
-            measured = (after - before) / step
-            slope = min(max(measured, parameters.response_min * expected), parameters.response_max * expected)
+            measured = (after - before) / (step * expected)
+            response = min(max(measured, parameters.response_min), parameters.response_max)
 
 
 def _check_depth(context: Context, depth: float) -> None:
@@ -259,7 +260,7 @@ def ease(context: Context) -> Script[bool]:
         return False
     context.enter(State.CONTACT, parameters.contact_timeout)
     place, hottest = context.position, _hottest(context)
-    fades, response = True, parameters.servo_stiffness / parameters.torque_constant
+    fades, response = True, 1.0 / context.springs.compliance
     for _ in range(parameters.ease_rounds):
         before = context.contact.currents
         wanted = _wanted(context, fades)
@@ -310,8 +311,7 @@ def _wanted(context: Context, fades: bool) -> Vector:
 def _lead(context: Context, change: Vector, place: Vector) -> Script[bool]:
     """Lead the goal angles by `change` (rad), back by a part once the platform slips from `place`; return whether."""
     parameters = context.parameters
-    lag = parameters.servo_damping / parameters.servo_stiffness
-    duration = max(parameters.ease_time_min, parameters.ease_lags * lag)
+    duration = max(parameters.ease_time_min, parameters.ease_lags * context.springs.lag)
     start, began = context.goal_angles, context.time
     context.follow(_ramp(context, start, change, duration))
     while context.feed.is_under_way(context.time):

@@ -30,7 +30,7 @@ def take_off(context: Context, z: float) -> Script[None]:
         yield from release(context, travel)
         x, y, _ = context.position
         yield from context.move((x, y, z), parameters.travel_speed, settle=False)
-        end = context.time + parameters.settle_time
+        end = context.time + context.springs.settle_time
         while context.position[2] > z + lacks and context.time < end:
             yield NEXT
         if not context.position[2] > z + lacks:
@@ -65,7 +65,7 @@ def release(context: Context, travel: float) -> Script[None]:
         yield NEXT
     context.feed.stop()
     x, y, z = context.position
-    lead = parameters.release_current * parameters.torque_constant / parameters.servo_stiffness
+    lead = parameters.release_current * context.springs.compliance
     a, b, c = (max(angle - lead, geometry.joint_min) for angle in context.observation.angles)
     goal = a, b, c
     begun, pushed = context.time, context.contact.value
@@ -121,7 +121,7 @@ def _pull(context: Context, goal: Vector, current: float, z: float, seconds: flo
 
 def _standing(context: Context) -> Vector:
     """Return the angles (rad) under which the arm stays where it is, its weight carried."""
-    geometry, stiffness = context.kinematics.geometry, context.parameters.servo_stiffness
+    geometry, stiffness = context.kinematics.geometry, context.springs.stiffness
     held = context.kinematics.holding_torque(*context.position, context.parameters.gravity)
     wanted = (angle + torque / stiffness for angle, torque in zip(context.observation.angles, held, strict=True))
     a, b, c = (min(max(angle, geometry.joint_min), geometry.joint_max) for angle in wanted)
@@ -135,4 +135,5 @@ def _stuck(context: Context) -> Stuck:
     return Stuck(
         f"the magnets held against {parameters.release_current:.1f} A per servo for "
         f"{parameters.release_time:.1f} s; move the target away by hand or raise release_current"
+        f"{context.springs.contradiction}"
     )

@@ -42,7 +42,7 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
     if needed or observation.torque_enabled:
         yield from lift_off(context, pull=strayed and not observation.torque_enabled)
         yield from context.move(parameters.home, parameters.travel_speed, settle=False)
-        yield from context.wait(parameters.settle_time)
+        yield from context.wait(context.springs.settle_time)
         away = math.dist(context.position, parameters.home)
         context.decide("retracted", "the arm is home" if away <= parameters.lift else "the arm stayed", away_m=away)
         if away > parameters.lift:

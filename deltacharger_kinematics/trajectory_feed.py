@@ -43,12 +43,12 @@ _SHORTEST = 0.001  # s between two points
 class TrajectoryFeed:
     """Turns one line at a time into pieces. Times are those of the caller's clock, s.
 
-    Args:
+    Attributes:
         lag: by how much the arm follows its goal, s.
     """
 
     def __init__(self, lag: float) -> None:
-        self._lag = lag
+        self.lag = lag
         self._line: Piece = ()
         self._times: tuple[float, ...] = ()
         self._origin = 0.0  # when the line would have begun, had it never been held
@@ -139,7 +139,7 @@ class TrajectoryFeed:
 
     def _behind(self, place: float) -> float:
         """Return where on the line the arm is when its goal is at `place`."""
-        return max(place - self._lag, min(place, self._times[0]))
+        return max(place - self.lag, min(place, self._times[0]))
 
     def _sample(self, place: float, offset: float, at_rest: bool = False) -> Waypoint:
         """Return the line's point at `place` for `offset` s after the sending; between waypoints linear in angles."""

@@ -33,7 +33,7 @@ LEVER = 0.038  # m of dz/dθ at the dock: what a servo's torque presses with
 class ServoParameters(Bounded):
     """MX-64 at 12 V in position mode, seen at its horn."""
 
-    stiffness: float = number(SERVO_STIFFNESS, 2.5, 20.0, "N·m/rad", "position loop as a spring")
+    stiffness: float = number(SERVO_STIFFNESS, 2.0, 40.0, "N·m/rad", "position loop as a spring")
     damping: float = number(SERVO_DAMPING, 0.05, 5.0, "N·m·s/rad", "position loop and back-EMF as a damper")
     stall_torque: float = number(STALL_TORQUE, 0.5, 12.0, "N·m", "largest torque whatever the current bound")
     torque_constant: float = number(TORQUE_CONSTANT, 0.5, 3.0, "N·m/A", "torque per current")

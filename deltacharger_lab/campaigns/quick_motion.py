@@ -95,7 +95,7 @@ class QuickPlanner(Planner):
             for point in (start, between(start, goal, 0.5), goal)
         ]
         allowed = (parameters.push_current if push is None else push) * parameters.torque_constant
-        softness, low, high = 1.0 / parameters.servo_stiffness, geometry.joint_min, geometry.joint_max
+        softness, low, high = 1.0 / self.springs.stiffness, geometry.joint_min, geometry.joint_max
         for index in range(1, len(ways)):
             way, (a, b, c) = ways[index], angles[index]
             first, middle, last = (1.0 - way) * (1.0 - 2.0 * way), 4.0 * way * (1.0 - way), way * (2.0 * way - 1.0)

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The servos' position loop as docking takes it: a spring as stiff as it was told, until the arm has felt it."""
+
+from __future__ import annotations
+
+import math
+
+from deltacharger_core.parameters import declared
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_kinematics.geometry import Vector
+
+_LEAST = 0.1  # A of all servos together (root of the sum of squares); a lighter load tells less than encoders round
+_REMEMBERED = 1.0  # A² of readings after which older ones fade: about two with the electrodes in their band
+_FITS = 1.5  # ratio of told and felt stiffness up to which nobody need be told
+
+
+class Springs:
+    """How far the servos yield under load.
+
+    At rest a servo's torque is k (goal − angle) = Kt I, whatever friction holds besides. So every reading at rest tells
+    the compliance Kt/k, by least squares through zero over what was read lately; what play adds counts as compliance.
+    It is kept from docking to docking: the arm stays the same.
+
+    Attributes:
+        compliance: how far a servo yields for each ampere, rad/A.
+        is_felt: whether it was felt, or only told.
+    """
+
+    def __init__(self, parameters: DockingParameters) -> None:
+        self._told = parameters.servo_stiffness
+        self._constant = parameters.torque_constant
+        self._damping = parameters.servo_damping
+        bounds = {key.name: key for key in declared(DockingParameters)}["servo_stiffness"]
+        self._least, self._most = self._constant / bounds.high, self._constant / bounds.low
+        self._yields = self._squares = 0.0  # rad·A and A²
+        self.compliance = self._constant / self._told
+        self.is_felt = False
+
+    @property
+    def stiffness(self) -> float:
+        """Of a servo, N·m/rad."""
+        return self._constant / self.compliance
+
+    @property
+    def lag(self) -> float:
+        """By how much a servo follows its goal late, s."""
+        return self._damping / self.stiffness
+
+    @property
+    def settle_time(self) -> float:
+        """How long the arm needs in free air to come to rest after a step: four time constants of the servo, s."""
+        return max(4.0 * self.lag, 0.1)
+
+    @property
+    def contradiction(self) -> str:
+        """What to say where the servos yield otherwise than told; '' = they do not, or nothing was felt."""
+        ratio = self.stiffness / self._told
+        if 1.0 / _FITS <= ratio <= _FITS:
+            return ""
+        return (
+            f"; the servos yield as with {self.stiffness:.1f} N·m/rad where servo_stiffness says {self._told:g}: "
+            "measure it with `deltacharger calibrate servos`"
+        )
+
+    def feel(self, goals: Vector, angles: Vector, currents: Vector) -> None:
+        """Take a reading at rest: goal and arm angles (rad) and currents (A); one under a light load tells nothing."""
+        squares = sum(current * current for current in currents)
+        if not squares >= _LEAST * _LEAST:
+            return
+        share = min(_REMEMBERED / squares, 1.0)
+        yields = sum((goal - angle) * now for goal, angle, now in zip(goals, angles, currents, strict=True))
+        kept = min((_REMEMBERED - share * squares) / self._squares, 1.0) if self._squares else 0.0
+        self._yields = kept * self._yields + share * yields
+        self._squares = kept * self._squares + share * squares
+        self.compliance = min(max(self._yields / self._squares, self._least), self._most)
+        self.is_felt = math.isfinite(self.compliance)
