@@ -9,7 +9,7 @@ from deltacharger_core.parameters import declared
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 
-_LEAST = 0.1  # A of all servos together (root of the sum of squares); a lighter load tells less than encoders round
+_LEAST_LOAD, _LEAST_YIELD = 0.05, 0.003  # A and rad of all servos, root of the sum of squares: two encoder counts
 _REMEMBERED = 1.0  # A² of readings after which older ones fade: about two with the electrodes in their band
 _FITS = 1.5  # ratio of told and felt stiffness up to which nobody need be told
 
@@ -64,11 +64,12 @@ class Springs:
 
     def feel(self, goals: Vector, angles: Vector, currents: Vector) -> None:
         """Take a reading at rest: goal and arm angles (rad) and currents (A); one under a light load tells nothing."""
-        squares = sum(current * current for current in currents)
-        if not squares >= _LEAST * _LEAST:
+        lags = tuple(goal - angle for goal, angle in zip(goals, angles, strict=True))
+        if not (math.hypot(*currents) >= _LEAST_LOAD and math.hypot(*lags) >= _LEAST_YIELD):
             return
+        squares = sum(current * current for current in currents)
+        yields = sum(lag * current for lag, current in zip(lags, currents, strict=True))
         share = min(_REMEMBERED / squares, 1.0)
-        yields = sum((goal - angle) * now for goal, angle, now in zip(goals, angles, currents, strict=True))
         kept = min((_REMEMBERED - share * squares) / self._squares, 1.0) if self._squares else 0.0
         self._yields = kept * self._yields + share * yields
         self._squares = kept * self._squares + share * squares
