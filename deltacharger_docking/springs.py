@@ -11,6 +11,7 @@ from deltacharger_kinematics.geometry import Vector
 
 _LEAST_LOAD, _LEAST_YIELD = 0.05, 0.003  # A and rad of all servos, root of the sum of squares: two encoder counts
 _REMEMBERED = 1.0  # A² of readings after which older ones fade: about two with the electrodes in their band
+_UNEXPLAINED = 0.5  # share of the lags that one compliance of all servos may leave: play, and how encoders round
 _FITS = 1.5  # ratio of told and felt stiffness up to which nobody need be told
 
 
@@ -63,15 +64,22 @@ class Springs:
         )
 
     def feel(self, goals: Vector, angles: Vector, currents: Vector) -> None:
-        """Take a reading at rest: goal and arm angles (rad) and currents (A); one under a light load tells nothing."""
+        """Take a reading at rest: goal and arm angles (rad) and currents (A).
+
+        One under a light load tells nothing, nor one that no common spring within the parameter's bounds explains, as
+        of servos that are held or not heard.
+        """
         lags = tuple(goal - angle for goal, angle in zip(goals, angles, strict=True))
-        if not (math.hypot(*currents) >= _LEAST_LOAD and math.hypot(*lags) >= _LEAST_YIELD):
+        size, squares = math.hypot(*lags), sum(current * current for current in currents)
+        if not (squares >= _LEAST_LOAD * _LEAST_LOAD and size >= _LEAST_YIELD):
             return
-        squares = sum(current * current for current in currents)
         yields = sum(lag * current for lag, current in zip(lags, currents, strict=True))
+        here = yields / squares
+        left = math.hypot(*(lag - here * current for lag, current in zip(lags, currents, strict=True)))
+        if not (self._least <= here <= self._most and left <= _UNEXPLAINED * size):
+            return
         share = min(_REMEMBERED / squares, 1.0)
         kept = min((_REMEMBERED - share * squares) / self._squares, 1.0) if self._squares else 0.0
         self._yields = kept * self._yields + share * yields
         self._squares = kept * self._squares + share * squares
-        self.compliance = min(max(self._yields / self._squares, self._least), self._most)
-        self.is_felt = math.isfinite(self.compliance)
+        self.compliance, self.is_felt = self._yields / self._squares, True

@@ -9,8 +9,7 @@ from deltacharger_core.parameters import ParameterError, declared
 from deltacharger_lab.campaigns.pads import SECOND
 from deltacharger_lab.campaigns.parts import second_family
 from deltacharger_lab.campaigns.spread import Spread, Value
-from deltacharger_lab.campaigns.told import TOLD_STIFFNESS
-from deltacharger_sim.parameters import ServoParameters, TargetParameters
+from deltacharger_sim.parameters import TargetParameters
 
 _SIGMAS = 3.0  # of a normal distribution that count as its ends
 _TILT = {key.name: key for key in declared(TargetParameters)}["tilt_y"]
@@ -74,14 +73,6 @@ def _told(ends: _Ends) -> Iterator[_Problem]:
     if "told.gravity_azimuth" in ends and _is_nothing(ends, "told.gravity_tilt"):
         value = ends["told.gravity_azimuth"][0]
         yield "told.gravity_azimuth", value, "has no effect where told.gravity_tilt is 0; remove one"
-    if "told.servo_stiffness" in ends:
-        factors = _numbers(ends, "told.servo_stiffness", 1.0)
-        true = _numbers(ends, "world.servo.stiffness", ServoParameters().stiffness)
-        least, most = factors[0] * true[0], factors[1] * true[1]
-        if most < TOLD_STIFFNESS.low or least > TOLD_STIFFNESS.high:
-            allowed = f"{TOLD_STIFFNESS.low:g} to {TOLD_STIFFNESS.high:g} {TOLD_STIFFNESS.unit}"
-            problem = f"makes {least:g} to {most:g} {TOLD_STIFFNESS.unit}; docking.servo_stiffness allows {allowed}"
-            yield "told.servo_stiffness", factors[0], problem
 
 
 def _disturbed(ends: _Ends) -> Iterator[_Problem]:

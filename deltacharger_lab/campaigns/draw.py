@@ -18,8 +18,8 @@ from deltacharger_lab.campaigns.pads import FIRST
 from deltacharger_lab.campaigns.parts import NOMINAL, build_parts, nested, second_family, target_lean
 from deltacharger_lab.campaigns.scene import CampaignScene
 from deltacharger_lab.campaigns.spread import Value
-from deltacharger_lab.campaigns.told import told_geometry, told_stiffness
-from deltacharger_sim.parameters import ServoParameters, TerminalParameters, WorldParameters
+from deltacharger_lab.campaigns.told import told_geometry
+from deltacharger_sim.parameters import TerminalParameters, WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.second.parameters import SecondParameters
 
@@ -170,13 +170,9 @@ def _derived(
 ) -> dict[str, Value]:
     """Return the values that follow from others.
 
-    A tilt for gravity from anywhere, a roll from the clearance it leaves, and what is left of told stiffness within
-    docking's bounds.
+    A tilt for gravity from anywhere, and a roll from the clearance it leaves.
     """
     found: dict[str, Value] = {}
-    if "told.servo_stiffness" in values:
-        true = float(values.get("world.servo.stiffness", ServoParameters().stiffness))
-        found["told.servo_stiffness"] = told_stiffness(true, float(values["told.servo_stiffness"])) / true
     if "gravity.anywhere" in values:
         found |= {"gravity.tilt": 0.0, "gravity.azimuth": 0.0}
     if values.get("gravity.anywhere", False):

@@ -11,7 +11,7 @@ from deltacharger_core.parameters import declared, from_mapping
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_lab.campaigns.spread import Value
-from deltacharger_lab.campaigns.told import tilted_gravity, told_gravity, told_stiffness
+from deltacharger_lab.campaigns.told import tilted_gravity, told_gravity
 from deltacharger_sim.parameters import WorldParameters
 from deltacharger_tactile.parameters import TactileParameters
 from deltacharger_tactile.second.parameters import PlatformRestParameters, SecondParameters
@@ -40,7 +40,7 @@ def build_parts(
     factor, constant = (float(values.get(f"told.{name}", 1.0)) for name in ("servo_stiffness", "torque_constant"))
     given: dict[str, Any] = {
         "approach": approach,
-        "servo_stiffness": told_stiffness(world.servo.stiffness, factor),
+        "servo_stiffness": factor * world.servo.stiffness,
         "torque_constant": constant * world.servo.torque_constant,
         **_axes(told_gravity(values, gravity)),
     }

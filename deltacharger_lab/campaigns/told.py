@@ -10,7 +10,6 @@ from typing import Any
 
 from deltacharger_core.machine import GRAVITY, GRAVITY_STRENGTH
 from deltacharger_core.parameters import declared, number
-from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import LIMB_COUNT, DeltaGeometry, LimbAdjustment, Vector
 from deltacharger_lab.campaigns.spread import Value
 
@@ -57,15 +56,6 @@ class Told:
     gravity_tilt: float = number(0.0, 0.0, math.pi, "rad", "angle from true gravity to that which docking is told")
     gravity_azimuth: float = number(0.0, -math.pi, math.pi, "rad", "direction of that angle, as of gravity.azimuth")
     geometry: ToldGeometry = field(default_factory=ToldGeometry)
-
-
-TOLD_STIFFNESS = {key.name: key for key in declared(DockingParameters)}["servo_stiffness"]
-"""What docking may be told of it."""
-
-
-def told_stiffness(true: float, factor: float) -> float:
-    """Return the stiffness (N·m/rad) that docking is told: `factor` times the true one, within docking's own bounds."""
-    return min(max(factor * true, TOLD_STIFFNESS.low), TOLD_STIFFNESS.high)
 
 
 def told_gravity(values: Mapping[str, Value], true: Vector) -> Vector:

@@ -264,7 +264,7 @@ def test_a_held_goal_survives_a_nudge_and_counts_all_its_energy() -> None:
 
 
 def test_docking_again_is_bounded_and_keeps_the_first_error() -> None:
-    run = charger(3.0, 18.0, parameters=AGAIN)
+    run = charger(3.0, 20.0, parameters=AGAIN)
     outcome = run.dock()
     assert outcome.code is Code.NO_TACTILE_CONTACT
     assert "docking again" in outcome.message

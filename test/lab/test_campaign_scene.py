@@ -59,7 +59,7 @@ def test_a_normal_spread_stays_within_the_bounds() -> None:
         ({"wrold": {}}, "wrold", "did you mean 'world'"),
         ({"name": 3}, "name", "not text"),
         ({"world": {"servo": {"stifness": 15}}}, "world.servo.stifness", "did you mean 'stiffness'"),
-        ({"world": {"servo": {"stiffness": [1, 15]}}}, "world.servo.stiffness[0]", "2.5 to 20 N·m/rad"),
+        ({"world": {"servo": {"stiffness": [1, 15]}}}, "world.servo.stiffness[0]", "2 to 40 N·m/rad"),
         ({"world": {"servo": 15}}, "world.servo", "no mapping"),
         ({"world": {"target": {"x": 0.01}}}, "world.target.x", "give target.x"),
         ({"docking": {"approach": "paper"}}, "docking.approach", "--approach"),

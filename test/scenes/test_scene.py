@@ -27,7 +27,7 @@ def write(folder: Path, text: str) -> Path:
     [
         ("simulaton: {}", "simulaton", "did you mean 'simulation'"),
         ("simulation: {world: {servo: {stifness: 15}}}", "simulation.world.servo.stifness", "did you mean 'stiffness'"),
-        ("simulation: {world: {servo: {stiffness: 150}}}", "simulation.world.servo.stiffness", "2.5 to 20 N·m/rad"),
+        ("simulation: {world: {servo: {stiffness: 150}}}", "simulation.world.servo.stiffness", "2 to 40 N·m/rad"),
         ("simulation: {world: {target: {x: left}}}", "simulation.world.target.x", "'left' is not a number"),
         ("simulation: {seed: 1.5}", "simulation.seed", "not a whole number"),
         ("simulation: {seed: -1}", "simulation.seed", "outside 0 to"),

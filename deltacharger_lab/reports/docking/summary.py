@@ -166,7 +166,7 @@ def by_drawn(rows: Columns) -> list[Figures]:
     """Return how dockings went in the lower, middle and upper third of each range that was drawn from."""
     offset = 1000.0 * np.maximum(np.abs(rows["place_x"] - rows["goal_x"]), np.abs(rows["place_y"] - rows["goal_y"]))
     drawn = (
-        ("servo stiffness, N·m/rad", rows["world.servo.stiffness"].astype(float), (2.5, 6.0, 12.0, 20.0)),
+        ("servo stiffness, N·m/rad", rows["world.servo.stiffness"].astype(float), (2.0, 6.0, 12.0, 20.0, 40.0)),
         ("contact stiffness, N/m", rows["world.contact.stiffness"].astype(float), (1e4, 1e5, 1e6, 1e7)),
         ("offset at contact, mm", offset, (0.0, 4.0, 7.0, 10.0)),
         ("gravity along the push", rows["gravity_z"] / GRAVITY_STRENGTH, (-1.0, -1.0 / 3.0, 1.0 / 3.0, 1.0)),
