@@ -187,8 +187,8 @@ def weigh(context: Context) -> Script[None]:
     """Let the arm's weight tell how far the servos yield, unless this arm has been felt before."""
     springs = context.springs
     end = context.time + context.parameters.weighing_timeout
-    while not springs.is_felt and context.time < end and not (yield from context.read()):
-        pass
+    while not springs.is_felt and context.time < end:
+        yield from context.read()
     if springs.is_felt:
         values = {"felt_Nm_per_rad": springs.stiffness, "told_Nm_per_rad": context.parameters.servo_stiffness}
         context.decide("stiffness", "as stiff as the servos are felt to be", **values)

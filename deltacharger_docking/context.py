@@ -31,7 +31,7 @@ from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_kinematics.trajectory_feed import Piece, TrajectoryFeed, between
 
 _READING = 0.01  # s between two of them, the servos' cycle
-_STILL = 0.003  # rad; two counts of an encoder
+_SLOW = 0.01  # rad within the contact current's window
 _NEARLY = 0.95  # of a servo's current bound
 _REACHES_OUT = (State.APPROACH, State.BACK_OFF, State.CONTACT, State.MEASURE, State.ALIGN)
 
@@ -265,21 +265,17 @@ class Context:
             yield from self.rest()
         return False
 
-    def read(self) -> Script[bool]:
-        """Fill the contact current's window anew, and feel the servos' springs where the arm stood still meanwhile.
-
-        Returns:
-            Whether it did.
-        """
-        before = self.observation.angles
+    def read(self) -> Script[None]:
+        """Fill the contact current's window anew, and feel the servos' springs where the arm hardly moves meanwhile."""
+        before, began = self.observation.angles, self.time
         self.contact.clear()
         yield from self.wait(self.parameters.contact_window + _READING, reads=True)
-        after = self.observation.angles
-        still = all(abs(now - then) <= _STILL for now, then in zip(after, before, strict=True))
-        if still and math.isfinite(self.goal_angles[0]) and not self._is_bound(self.contact.currents):
-            self.springs.feel(self.goal_angles, after, self.contact.currents)
+        after, span = self.observation.angles, self.time - began
+        slow = all(abs(now - then) <= _SLOW for now, then in zip(after, before, strict=True))
+        if slow and math.isfinite(self.goal_angles[0]) and not self._is_bound(self.contact.currents):
+            a, b, c = ((now - then) / span for now, then in zip(after, before, strict=True))
+            self.springs.feel(self.goal_angles, between(before, after, 0.5), (a, b, c), self.contact.currents)
             self.feed.lag = self.springs.lag
-        return still
 
     def _is_bound(self, currents: Vector) -> bool:
         """Return whether some current (A) is at its bound, so that it no longer tells how far the servo yields."""

@@ -54,7 +54,7 @@ class DockingParameters(Bounded):
     gravity_z: float = number(GRAVITY[2], -20.0, 20.0, "m/s²", "gravity along z of charger_base")
     contact_window: float = number(0.12, 0.02, 0.5, "s", "time over which the contact current is the median")
     free_current: float = number(0.06, 0.005, 0.5, "A", "contact current, either way, that is not free air")
-    weighing_timeout: float = number(2.5, 0.0, 10.0, "s", "limit for the arm to rest under its weight after torque on")
+    weighing_timeout: float = number(0.5, 0.0, 10.0, "s", "limit for the arm to yield to its weight after torque on")
     home_x: float = number(0.0, -0.06, 0.06, "m", "where the arm rests, x")
     home_y: float = number(0.0, -0.06, 0.06, "m", "where the arm rests, y")
     home_z: float = number(0.0, 0.0, 0.11, "m", "where the arm rests, z")

@@ -18,9 +18,9 @@ _FITS = 1.5  # ratio of told and felt stiffness up to which nobody need be told
 class Springs:
     """How far the servos yield under load.
 
-    At rest a servo's torque is k (goal − angle) = Kt I, whatever friction holds besides. So every reading at rest tells
-    the compliance Kt/k, by least squares through zero over what was read lately; what play adds counts as compliance.
-    It is kept from docking to docking: the arm stays the same.
+    While its goal stands a servo's torque is k (goal − angle) − d ω = Kt I, whatever friction holds besides. So every
+    such reading tells the compliance Kt/k, by least squares through zero over what was read lately; what play adds counts
+    as compliance. It is kept from docking to docking: the arm stays the same.
 
     Attributes:
         compliance: how far a servo yields for each ampere, rad/A.
@@ -63,19 +63,21 @@ class Springs:
             "measure it with `deltacharger calibrate servos`"
         )
 
-    def feel(self, goals: Vector, angles: Vector, currents: Vector) -> None:
-        """Take a reading at rest: goal and arm angles (rad) and currents (A).
+    def feel(self, goals: Vector, angles: Vector, rates: Vector, currents: Vector) -> None:
+        """Take a reading under standing goals (rad): arm angles (rad) and rates (rad/s), and currents (A).
 
         One under a light load tells nothing, nor one that no common spring within the parameter's bounds explains, as
         of servos that are held or not heard.
         """
         lags = tuple(goal - angle for goal, angle in zip(goals, angles, strict=True))
-        size, squares = math.hypot(*lags), sum(current * current for current in currents)
+        braked = self._damping / self._constant
+        loads = tuple(current + braked * rate for current, rate in zip(currents, rates, strict=True))
+        size, squares = math.hypot(*lags), sum(load * load for load in loads)
         if not (squares >= _LEAST_LOAD * _LEAST_LOAD and size >= _LEAST_YIELD):
             return
-        yields = sum(lag * current for lag, current in zip(lags, currents, strict=True))
+        yields = sum(lag * load for lag, load in zip(lags, loads, strict=True))
         here = yields / squares
-        left = math.hypot(*(lag - here * current for lag, current in zip(lags, currents, strict=True)))
+        left = math.hypot(*(lag - here * load for lag, load in zip(lags, loads, strict=True)))
         if not (self._least <= here <= self._most and left <= _UNEXPLAINED * size):
             return
         share = min(_REMEMBERED / squares, 1.0)
