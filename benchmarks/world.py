@@ -238,7 +238,7 @@ def measure() -> dict[str, Any]:
     return {
         "cost_us": {str(step): cost(step) for step in (0.001, 0.005, 0.020)},
         "twenty_newtons_A": twenty_newtons(),
-        "statics": {str(k): statics(k) for k in (2.5, 5.0, 10.0, 15.0, 20.0)},
+        "statics": {str(k): statics(k) for k in (2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0)},
         "magnets": {str(k): magnets(k) for k in (5.0, 10.0, 15.0, 20.0)},
         "magnets_without_friction": magnets(15.0, 0.0),
         "settled": {f"{k:.0e}": {str(step): settled(k, step) for step in STEPS} for k in STIFFNESSES},

@@ -223,8 +223,8 @@ REMEDIES: dict[Code, str] = {
     Code.DETECTION_STALE: "check the camera's rate and clocks",
     Code.UNREACHABLE: "move the robot to `suggested_base_pose`",
     Code.NO_CONTACT: "the target is not where it was said to be, or it moved",
-    Code.OVERCURRENT: "the target moved toward the charger, or `servo_stiffness` is wrong; charge current: have the "
-    "limiter of the power stage looked at",
+    Code.OVERCURRENT: "the target moved toward the charger, or `servo_stiffness` does not fit, as the message says; "
+    "charge current: have the limiter of the power stage looked at",
     Code.SERVO_FAULT: "see the message; `reboot_servos` clears latched errors",
     Code.STUCK: "the magnets hold: free the target by hand",
     Code.NO_TACTILE_CONTACT: "the pads missed the target's ridges",

@@ -19,8 +19,8 @@ class Springs:
     """How far the servos yield under load.
 
     While its goal stands a servo's torque is k (goal − angle) − d ω = Kt I, whatever friction holds besides. So every
-    such reading tells the compliance Kt/k, by least squares through zero over what was read lately; what play adds counts
-    as compliance. It is kept from docking to docking: the arm stays the same.
+    such reading tells the compliance Kt/k, by least squares through zero over what was read lately; play counts as
+    compliance. It is kept from docking to docking: the arm stays the same.
 
     Attributes:
         compliance: how far a servo yields for each ampere, rad/A.

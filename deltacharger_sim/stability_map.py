@@ -11,7 +11,7 @@ from __future__ import annotations
 PROVEN = "+"
 STEPS = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)  # s
 CONTACT_STIFFNESSES = (1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9)  # N/m
-SERVO_STIFFNESSES = (2.5, 5.0, 10.0, 15.0, 20.0)  # N·m/rad
+SERVO_STIFFNESSES = (2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0)  # N·m/rad
 # For each servo stiffness, for each contact stiffness: a character for each step.
 CELLS = (
     ("+++++++ppp", "+++++++ppp", "+++++++ppp", "+++++++ppp", "+++++++ppp", "+++++++ppp", "+++++++ppp"),
@@ -19,4 +19,6 @@ CELLS = (
     ("+++++++ppp", "++++++++pp", "++++++++pp", "++++++++pp", "++++++++pp", "++++++++pp", "++++++++pp"),
     ("++++++++pp", "++++++++pp", "++++++++pp", "++++++++pp", "++++++++pp", "++++++++pp", "++++++++pp"),
     ("+++++++ppp", "++++++++pp", "++++++++pp", "++++++++pp", "++++++++pp", "++++++++pp", "++++++++pp"),
+    ("++++++++pp", "++++++++pp", "++++++++pp", "+++++++spp", "+++++++spp", "+++++++spp", "+++++++spp"),
+    ("++++++++pp", "+++++++spp", "++++++++pp", "++++++++pp", "+++++++spp", "+++++++spp", "+++++++spp"),
 )

@@ -294,9 +294,12 @@ class Puppet:
     def __init__(self, answer: Callable[[Packet], bytes]) -> None:
         self._answer = answer
         self._decoder = PacketDecoder()
+        self.heard: list[int] = []
 
     def receive(self, data: bytes, now: float) -> bytes:
-        return b"".join(self._answer(packet) for packet in self._decoder.feed(data))
+        packets = self._decoder.feed(data)
+        self.heard += [packet.type for packet in packets]
+        return b"".join(self._answer(packet) for packet in packets)
 
     def poll(self, now: float) -> bytes:
         return b""
@@ -332,8 +335,11 @@ class Puppet:
 def test_a_board_that_is_none_is_refused_with_the_reason(
     answer: Callable[[Packet], bytes], error: type[Exception], words: str
 ) -> None:
-    with PseudoTerminal(Puppet(answer)) as cable, pytest.raises(error, match=words):
+    puppet = Puppet(answer)
+    with PseudoTerminal(puppet) as cable, pytest.raises(error, match=words):
         BoardLink(cable.path).open()
+    assert set(puppet.heard) == {PacketType.HELLO}, "nothing else is sent to a board that is not understood"
+    assert len(puppet.heard) <= 3
 
 
 def test_unknown_types_and_bad_payloads_are_counted_and_dropped(link: BoardLink) -> None:

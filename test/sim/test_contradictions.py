@@ -93,4 +93,4 @@ def test_the_map_is_whole_and_nothing_on_it_diverged() -> None:
         assert len(rows) == len(stability_map.CONTACT_STIFFNESSES)
         for row in rows:
             assert len(row) == len(stability_map.STEPS)
-            assert set(row) <= {"+", "p"}
+            assert set(row) <= {"+", "p", "s"}

@@ -43,7 +43,7 @@ class SimulationPlan:
     map_contacts: tuple[float, ...] = (1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9)
     map_servos: tuple[float, ...] = (2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0)
     strike_contacts: tuple[float, ...] = (1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9)
-    strike_servos: tuple[float, ...] = (2.0, 15.0, 40.0)
+    strike_servos: tuple[float, ...] = (2.0, 2.5, 15.0, 40.0)
     strike_steps: tuple[float, ...] = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2)
     tiny_steps: tuple[float, ...] = (2e-4, 1e-4, 5e-5, 2.5e-5)
     repeats: int = 5

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What docking believes of its servos' stiffness: what it was told, until the arm has felt it."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+
+from deltacharger_core.machine import SERVO_DAMPING, TORQUE_CONSTANT
+from deltacharger_docking.codes import Code
+from deltacharger_docking.observation import Decision, Observation
+from deltacharger_docking.parameters import DockingParameters
+from deltacharger_docking.springs import Springs
+from deltacharger_driver.servos.mx64 import TICK
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_lab.campaigns.virtual_charger import VirtualCharger
+from deltacharger_sim.parameters import MagnetParameters, ServoParameters
+
+from .dockings import assert_safe_at_home, charger
+
+STILL: Vector = (0.0, 0.0, 0.0)
+PRESSED: Vector = (0.45, 0.6, 0.35)
+"""A of the servos in the band, with the arm's weight on the second."""
+
+
+def feel(springs: Springs, stiffness: float, currents: Vector = PRESSED, rates: Vector = STILL) -> None:
+    """Let springs of `stiffness` (N·m/rad) be read under currents (A) at rates (rad/s)."""
+    goals = tuple(
+        (TORQUE_CONSTANT * current + SERVO_DAMPING * rate) / stiffness
+        for current, rate in zip(currents, rates, strict=True)
+    )
+    springs.feel((goals[0], goals[1], goals[2]), STILL, rates, currents)
+
+
+def told(stiffness: float) -> Springs:
+    return Springs(DockingParameters(servo_stiffness=stiffness))
+
+
+def decisions(run: VirtualCharger) -> list[Decision]:
+    """Every decision from now on."""
+    found: list[Decision] = []
+    step = run.machine.step
+
+    def watched(observation: Observation):  # type: ignore[no-untyped-def]
+        command = step(observation)
+        found.extend(command.decisions)
+        return command
+
+    run.machine.step = watched  # type: ignore[method-assign]
+    return found
+
+
+@pytest.mark.parametrize("true", [2.0, 15.0, 40.0])
+@pytest.mark.parametrize("factor", [0.25, 4.0])
+def test_what_is_felt_overrides_what_was_told(true: float, factor: float) -> None:
+    springs = told(factor * true)
+    feel(springs, true)
+    assert springs.is_felt
+    assert springs.stiffness == pytest.approx(true)
+    assert springs.compliance == pytest.approx(TORQUE_CONSTANT / true)
+    assert springs.lag == pytest.approx(SERVO_DAMPING / true)
+
+
+def test_an_arm_that_still_yields_is_felt_as_well_as_one_at_rest() -> None:
+    springs = told(40.0)
+    feel(springs, 4.0, rates=(-0.05, -0.08, 0.02))
+    assert springs.stiffness == pytest.approx(4.0)
+
+
+def test_encoders_that_round_cost_little() -> None:
+    source = random.Random(1)
+    worst = 0.0
+    for _ in range(200):
+        springs = told(20.0)
+        noise = [source.uniform(-0.5, 0.5) * TICK + source.uniform(-0.5, 0.5) * TICK for _ in range(3)]
+        goals = [TORQUE_CONSTANT * current / 40.0 + each for current, each in zip(PRESSED, noise, strict=True)]
+        springs.feel((goals[0], goals[1], goals[2]), STILL, STILL, PRESSED)
+        worst = max(worst, abs(springs.stiffness / 40.0 - 1.0))
+    assert worst < 0.08
+
+
+SILENT: dict[str, tuple[Vector, Vector]] = {
+    "no load": ((0.02, 0.02, 0.02), (0.01, 0.0, -0.01)),
+    "less than encoders tell": ((0.001, 0.001, 0.001), PRESSED),
+    "driven the wrong way": ((-0.04, -0.06, -0.03), PRESSED),
+    "no common spring": ((0.3, -0.2, 0.25), PRESSED),
+    "softer than the parameter may be": ((9.0, 9.0, 9.0), PRESSED),
+    "no angle": ((math.nan, 0.06, 0.03), PRESSED),
+    "no current": ((0.04, 0.06, 0.03), (math.nan, math.nan, math.nan)),
+}
+"""Lags (rad) and currents (A) that tell nothing of a spring."""
+
+
+@pytest.mark.parametrize(("lags", "currents"), SILENT.values(), ids=SILENT)
+def test_readings_that_no_spring_explains_tell_nothing(lags: Vector, currents: Vector) -> None:
+    springs = told(15.0)
+    springs.feel(lags, STILL, STILL, currents)
+    assert not springs.is_felt
+    assert springs.stiffness == pytest.approx(15.0)
+    feel(springs, 5.0)
+    springs.feel(lags, STILL, STILL, currents)
+    assert springs.stiffness == pytest.approx(5.0), "what was felt stays"
+
+
+def test_new_readings_soon_count_for_more_than_old_ones() -> None:
+    springs = told(15.0)
+    for _ in range(20):
+        feel(springs, 30.0)
+    for _ in range(3):
+        feel(springs, 10.0)  # servo_node was started with other gains
+    assert springs.stiffness == pytest.approx(10.0, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("given", "felt", "named"), [(15.0, 15.0, False), (15.0, 11.0, False), (15.0, 4.0, True), (15.0, 40.0, True)]
+)
+def test_a_stiffness_that_does_not_fit_is_named_with_the_command_that_measures_it(
+    given: float, felt: float, named: bool
+) -> None:
+    springs = told(given)
+    assert springs.contradiction == ""
+    feel(springs, felt)
+    assert ("calibrate servos" in springs.contradiction) is named
+    if named:
+        assert f"{felt:.1f} N·m/rad where servo_stiffness says {given:g}" in springs.contradiction
+
+
+@pytest.mark.parametrize(("true", "given"), [(2.0, 8.0), (3.0, 0.75), (15.0, 60.0), (40.0, 10.0)])
+def test_an_arm_that_nobody_measured_docks_in_its_band(true: float, given: float) -> None:
+    run = charger(parameters={"servo_stiffness": given}, servo=ServoParameters(stiffness=true))
+    found = decisions(run)
+    outcome = run.dock()
+    assert outcome.success, outcome.message
+    assert 0.4 <= outcome.contact_current <= 0.5
+    assert run.machine._context.springs.stiffness == pytest.approx(true, rel=0.02)
+    weighed = [dict(each.values)["felt_Nm_per_rad"] for each in found if each.kind == "stiffness"]
+    # Its weight bends a stiff arm too little; the contact tells.
+    assert weighed == ([] if true == 40.0 else [pytest.approx(true, rel=0.2)])
+
+
+def test_what_was_felt_is_kept_for_the_next_docking() -> None:
+    run = charger(parameters={"servo_stiffness": 40.0}, servo=ServoParameters(stiffness=10.0))
+    first = run.dock()
+    assert first.success, first.message
+    assert run.undock().success
+    assert_safe_at_home(run)
+    before, found = run.machine._context.springs.stiffness, decisions(run)
+    second = run.dock()
+    assert second.success, second.message
+    weighed = next(each for each in found if each.kind == "stiffness")
+    assert dict(weighed.values)["felt_Nm_per_rad"] == before, "nothing was weighed anew"
+
+
+@pytest.mark.parametrize(("given", "named"), [(15.0, False), (50.0, True)])
+def test_a_stuck_arm_says_where_its_stiffness_does_not_fit(given: float, named: bool) -> None:
+    run = charger(0.0, 0.0, parameters={"servo_stiffness": given}, magnets=MagnetParameters(force=200.0))
+    run.dock()
+    outcome = run.undock()
+    assert outcome.code is Code.STUCK
+    assert ("calibrate servos" in outcome.message) is named
