@@ -71,11 +71,12 @@ PARTS = (
     CampaignPart("published", "random", 2_000, "the paper's algorithm as printed, with its classes", "published"),
     CampaignPart("published_clearance", "published_clearance", 2_000, "the same with our clearance rule", "published"),
     CampaignPart(
-        "told_stiffness", "told_stiffness", 2_000, "`default`, servo stiffness told ¼ to 4 times the true one"
+        "told_stiffness", "told_stiffness", 2_000, "`default`, servos of 2–40 N·m/rad, told ¼ to 4 times as much"
     ),
     CampaignPart(
-        "told_torque_constant", "told_torque_constant", 1_000, "`default`, torque constant told wrongly by 20 %"
+        "told_torque_constant", "told_torque_constant", 2_000, "`default`, torque constant told wrongly by 20 %"
     ),
+    CampaignPart("calibrated", "calibrated", 2_000, "the same arms after `deltacharger calibrate servos`"),
     CampaignPart(
         "told_gravity", "told_gravity", 1_000, "`default`, on slopes of up to 10° of which docking is not told"
     ),
@@ -99,6 +100,7 @@ PARTS = (
     CampaignPart("second_upright", "second_upright", 500, "`upright`, pads and bars of the second contact physics"),
     CampaignPart("lean2_exact", "lean2", 500, "`lean2`, every tick and frame computed", exact=True),
     CampaignPart("lean5_exact", "lean5", 500, "`lean5`, every tick and frame computed", exact=True),
+    CampaignPart("told_stiffness_exact", "told_stiffness", 500, "`told_stiffness`, every tick and frame", exact=True),
     CampaignPart("rigid_exact", "rigid", 500, "`rigid`, every tick and frame computed", exact=True),
     CampaignPart("exact", "random", 1_000, "`random`, every tick and frame computed as the nodes do", exact=True),
     CampaignPart("strike", "default", 2_000, "`default`, every tick and frame computed", exact=True),

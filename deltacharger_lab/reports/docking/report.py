@@ -15,7 +15,7 @@ from deltacharger_lab.campaigns.runner import run_missing
 from deltacharger_lab.campaigns.scene import load_campaign_scene
 from deltacharger_lab.campaigns.settings import CampaignSettings, scene_of, versions
 from deltacharger_lab.campaigns.store import Store, read_results, read_settings
-from deltacharger_lab.reports.docking import grounds, lean, summary
+from deltacharger_lab.reports.docking import arms, grounds, lean, summary
 from deltacharger_lab.reports.docking.pictures import FORMS, PICTURES, without
 from deltacharger_lab.reports.docking.plan import CampaignPart, DockingPlan
 from deltacharger_lab.reports.report import Progress, Report
@@ -27,7 +27,7 @@ _PAIRS = (
     ("random", "published_clearance"),
     ("exact", "random"),
     ("strike", "default"),
-    *((f"{name}_exact", name) for name in ("rigid", "lean2", "lean5")),
+    *((f"{name}_exact", name) for name in ("told_stiffness", "rigid", "lean2", "lean5")),
 )
 _UNCHARGED_MOST = 60  # rows told one by one
 
@@ -111,12 +111,17 @@ def build(plan: DockingPlan, directory: Path, command: str, progress: Progress) 
         "drawn": summary.by_drawn(upright) if upright is not None else [],
         "nudges": summary.nudges(rows["nudged"]) if "nudged" in rows else {},
         "tilts": summary.by_tilt(rows["tilted"]) if "tilted" in rows else [],
+        "arms": {name: arms.figures(rows[name]) for name in arms.SCENES if name in rows},
         "lean": {name: lean.figures(rows[name]) for name in lean.SCENES if name in rows},
         "lean_map": {name: lean.by_lean(rows[name]) for name in lean.MAP if name in rows},
         "near_zero": summary.near_zero(near) if near is not None else {},
         "pairs": _pairs(folders),
     }
-    results["targets"] = [*summary.targets(results["parts"], results["upright"]), *lean.targets(results["lean"])]
+    results["targets"] = [
+        *summary.targets(results["parts"], results["upright"]),
+        *arms.targets(results["arms"]),
+        *lean.targets(results["lean"]),
+    ]
     progress("pictures")
     report.draw(PICTURES, directory, without(rows), rows=rows)
     exact = {part.name: part.exact for part in plan.parts}
