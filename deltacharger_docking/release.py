@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from deltacharger_core.machine import SERVO_STIFFNESS
 from deltacharger_core.script import NEXT, Script
 from deltacharger_docking.codes import DockingError, Stuck
 from deltacharger_docking.context import Context
@@ -26,7 +27,8 @@ def take_off(context: Context, z: float) -> Script[None]:
     """
     parameters = context.parameters
     lacks = max((1.0 - parameters.came_share) * (context.measured()[2] - z), parameters.came_lack)
-    for travel in (parameters.release_travel, *[parameters.spring_travel] * (parameters.release_pulls_max - 1)):
+    first = min(_softness(context) * parameters.release_travel, parameters.spring_travel)
+    for travel in (first, *[parameters.spring_travel] * (parameters.release_pulls_max - 1)):
         yield from release(context, travel)
         x, y, _ = context.position
         yield from context.move((x, y, z), parameters.travel_speed, settle=False)
@@ -82,7 +84,7 @@ def release(context: Context, travel: float) -> Script[None]:
     )
     try:
         free = context.measured()
-        context.commanded = (x, y, free[2] - parameters.release_behind)
+        context.commanded = (x, y, free[2] - _softness(context) * parameters.release_behind)
         line = context.planner.line(free, context.commanded, parameters.travel_speed)
     except DockingError:
         context.hold()  # nothing goes on pulling
@@ -91,6 +93,11 @@ def release(context: Context, travel: float) -> Script[None]:
     if context.is_blind:
         context.tell_piece((replace(line[-1], time=0.0),))  # here neither
     yield NEXT
+
+
+def _softness(context: Context) -> float:
+    """Return how many times softer than usual the servos are, at least 1: magnets draw a soft arm back from farther."""
+    return max(SERVO_STIFFNESS / context.springs.stiffness, 1.0)
 
 
 def _is_off(context: Context, z: float) -> bool:

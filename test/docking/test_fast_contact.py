@@ -16,7 +16,7 @@ from deltacharger_sim.parameters import ContactParameters, ServoParameters
 
 from .dockings import MILLIMETRE, assert_safe_at_home, charger
 
-STRIKE_MOST = 110.0  # N besides the magnets on electrodes of 1e5 N/m, impact included; the magnets' snap takes 40 to 60
+STRIKE_MOST = 115.0  # N besides the magnets on electrodes of 1e5 N/m, impact included; the magnets' snap takes 40 to 60
 
 
 def move_target(run: VirtualCharger, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> None:

@@ -117,6 +117,7 @@ WORLDS = (
     OtherWorld("second_sensitive", "that physics, sheets that tell forces from 0.25 N on"),
     OtherWorld("random_second", "`random` on that physics"),
     OtherWorld("told_stiffness", "servo stiffness told wrongly by up to a factor of 4"),
+    OtherWorld("told_stiffness_exact", "the same, every tick and frame computed"),
     OtherWorld("told_torque_constant", "torque constant told wrongly by 20 %"),
     OtherWorld("told_gravity", "gravity told wrongly by up to 10°"),
     OtherWorld("told_geometry", "the arm's geometry told wrongly"),
