@@ -214,7 +214,10 @@ class DockingMachine:
                 "reboot_servos"
             )
         if context.contact.value > parameters.hard_current:
-            return Overcurrent(f"contact current is {context.contact.value:.2f} A, above {parameters.hard_current} A")
+            return Overcurrent(
+                f"contact current is {context.contact.value:.2f} A, above {parameters.hard_current} A"
+                f"{context.springs.contradiction}"
+            )
         touches = context.status.state in _NEEDS_TOUCH
         if touches and self._is_missing(observation.tactile_age, parameters.tactile_age_max):
             return TactileStale("tactile frames stopped; check the board's cable and tactile_node")

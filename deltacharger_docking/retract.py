@@ -46,7 +46,10 @@ def retract(context: Context, wanted: bool = False) -> Script[None]:
         away = math.dist(context.position, parameters.home)
         context.decide("retracted", "the arm is home" if away <= parameters.lift else "the arm stayed", away_m=away)
         if away > parameters.lift:
-            raise Stuck(f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand")
+            raise Stuck(
+                f"the arm stayed {1000 * away:.0f} mm from home; free it from the target by hand"
+                f"{context.springs.contradiction}"
+            )
     context.status.docked = False
     reply = yield from context.ask(Service.TORQUE_OFF, ServoFailure, parameters.service_timeout)
     if not reply.success:
