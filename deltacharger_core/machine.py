@@ -7,6 +7,8 @@ parameter; where its default is the machine's, it refers to here.
 
 from __future__ import annotations
 
+import math
+
 JOINTS = ("limb_0_arm_joint", "limb_1_arm_joint", "limb_2_arm_joint")
 """Names of the driven joints in the order of the limbs; those of the URDF and of every message."""
 SERVO_IDS = (1, 2, 3)
@@ -21,7 +23,15 @@ STALL_TORQUE, STALL_CURRENT, NOMINAL_VOLTAGE = 6.0, 4.1, 12.0
 TORQUE_CONSTANT = STALL_TORQUE / STALL_CURRENT
 """N·m/A; ±5 %, and friction is extra."""
 SERVO_STIFFNESS, SERVO_DAMPING = 15.0, 0.91
-"""N·m/rad and N·m·s/rad of a servo in position mode with the vendor's gains (assumed; nobody measured them here)."""
+"""N·m/rad of a servo whose position P gain is `POSITION_P_GAIN`, and N·m·s/rad: stall torque over no-load speed, 63 rpm
+(both by the vendor's figures; `deltacharger calibrate servos` measures the first)."""
+STIFFNESS_PER_GAIN = STALL_TORQUE / 885 / 128 * TICKS_PER_TURN / (2.0 * math.pi)
+"""N·m/rad per count of the position P gain at 12 V: the vendor's e-manual divides the register by 128 and by that turns
+ticks of error into PWM, of which 885 is all of the supply and gives the stall torque."""
+POSITION_P_GAIN = round(SERVO_STIFFNESS / STIFFNESS_PER_GAIN)
+"""Value of the position P gain that makes a servo as stiff as `SERVO_STIFFNESS`; the vendor's default is 850."""
+GAIN_MAX = 16383
+"""Largest value of a servo's gain registers (vendor's e-manual)."""
 CURRENT_BOUND = 0.83
 """A of a servo where a trajectory sets no bound."""
 GRAVITY_STRENGTH = 9.81

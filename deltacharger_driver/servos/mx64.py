@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from deltacharger_core.machine import EXTENDED_TICKS, TICKS_PER_TURN
+from deltacharger_core.machine import EXTENDED_TICKS, GAIN_MAX, TICKS_PER_TURN
 from deltacharger_driver.errors import RangeError
 
 MODEL = 311
@@ -128,13 +128,13 @@ REGISTERS: dict[str, Register] = {
     "status_return_level": _ram(68, 1, 2, 0, 2),
     "registered": _fixed(69, 1, 0),
     "hardware_error": _fixed(70, 1, 0),
-    "velocity_i_gain": _ram(76, 2, 1920, 0, 16383),
-    "velocity_p_gain": _ram(78, 2, 100, 0, 16383),
-    "position_d_gain": _ram(80, 2, 0, 0, 16383),
-    "position_i_gain": _ram(82, 2, 0, 0, 16383),
-    "position_p_gain": _ram(84, 2, 850, 0, 16383),
-    "feedforward_2_gain": _ram(88, 2, 0, 0, 16383),
-    "feedforward_1_gain": _ram(90, 2, 0, 0, 16383),
+    "velocity_i_gain": _ram(76, 2, 1920, 0, GAIN_MAX),
+    "velocity_p_gain": _ram(78, 2, 100, 0, GAIN_MAX),
+    "position_d_gain": _ram(80, 2, 0, 0, GAIN_MAX),
+    "position_i_gain": _ram(82, 2, 0, 0, GAIN_MAX),
+    "position_p_gain": _ram(84, 2, 850, 0, GAIN_MAX),
+    "feedforward_2_gain": _ram(88, 2, 0, 0, GAIN_MAX),
+    "feedforward_1_gain": _ram(90, 2, 0, 0, GAIN_MAX),
     "bus_watchdog": _ram(98, 1, 0, 0, 127),
     "goal_pwm": _ram(100, 2, 885, -885, 885, True),
     "goal_current": _ram(102, 2, 1941, -1941, 1941, True),

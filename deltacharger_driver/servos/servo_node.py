@@ -4,8 +4,8 @@
 Publishes: servo_state (reliable, depth 1, at `rate`), joint_states, /diagnostics (1 Hz and at every refusal).
 Subscribes: joint_trajectory and charger_power (reliable, depth 64; the newest that counts is followed).
 Serves: set_torque, reboot_servos. Calls: set_contactor, where somebody serves it.
-Parameters: port, baud_rate, ids, rate, zero_ticks, direction, torque_constant, current_bound, current_max, joint_min,
-joint_max, reply_margin.
+Parameters: port, baud_rate, ids, rate, zero_ticks, direction, torque_constant, current_bound, current_max,
+position_p_gain, position_i_gain, position_d_gain, joint_min, joint_max, reply_margin.
 
 Safe at start: torque is off, and only set_torque switches it on, holding the present position. A missing servo, a
 latched hardware error or a lost port stops all: goal := present position, contactor open, torque off after 0.5 s. By
@@ -110,6 +110,7 @@ class ServoNode(Node):
                 given.direction,
                 reply_margin=given.reply_margin,
                 current_max=given.current_max,
+                gains=(given.position_p_gain, given.position_i_gain, given.position_d_gain),
             )
         except DriverError as error:
             raise node_support.StartupError(f"servo_node: {error}") from error

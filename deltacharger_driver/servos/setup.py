@@ -26,6 +26,7 @@ from deltacharger_driver.servos.mx64 import (
     indirect_address,
 )
 from deltacharger_driver.servos.snapshot import (
+    GAINS,
     READ_ADDRESS,
     READ_BLOCK,
     READ_LENGTH,
@@ -134,14 +135,14 @@ def _locate(link: ServoLink, servo: int) -> str:
 def configure(link: ServoLink, servo: int, settings: BusSettings) -> None:
     """Switch a servo's torque off and set it up for the cycle, verifying each register by reading it back.
 
-    Written: status return level, torque enable, return delay, operating mode, indirect addresses, profile, bus
-    watchdog. Checked and never written: drive mode, homing offset, secondary id, shutdown, and the limits of
-    temperature, voltage, PWM and current. Neither: id, baud rate.
+    Written: status return level, torque enable, return delay, operating mode, gains of the position loop, indirect
+    addresses, profile, bus watchdog. Checked and never written: drive mode, homing offset, secondary id, shutdown, and
+    the limits of temperature, voltage, PWM and current. Neither: id, baud rate.
 
     Args:
         link: an open link.
         servo: its id.
-        settings: for the watchdog and the largest current.
+        settings: for the watchdog, the gains and the largest current.
 
     Raises:
         HandshakeError: with everything that did not come out as it should.
@@ -197,7 +198,7 @@ def _configure(link: ServoLink, servo: int, settings: BusSettings) -> list[str]:
         _set(link, servo, "torque_enable", 0, faults)
         faults += check_registers(link, servo, settings.current_max)
         if not faults:
-            _prepare(link, servo, settings.watchdog, faults)
+            _prepare(link, servo, settings, faults)
     except PortGone:
         raise
     except DriverError as error:
@@ -216,11 +217,13 @@ def _let_it_answer(link: ServoLink, servo: int, faults: list[str]) -> None:
         _verify(link, servo, "status_return_level", 2, faults)
 
 
-def _prepare(link: ServoLink, servo: int, watchdog: int, faults: list[str]) -> None:
+def _prepare(link: ServoLink, servo: int, settings: BusSettings, faults: list[str]) -> None:
     """Write what the cycle needs, the watchdog last, and try the block that it reads."""
     for name, value in _PREPARED.items():
         if link.read(servo, name) != value:
             _set(link, servo, name, value, faults)
+    for name, gain in zip(GAINS, settings.gains, strict=True):
+        _set(link, servo, name, gain, faults)
     _set(link, servo, "profile_acceleration", 0, faults)
     _set(link, servo, "profile_velocity", 0, faults)
     _attempt(lambda: _map_blocks(link, servo, faults), faults)
@@ -231,7 +234,7 @@ def _prepare(link: ServoLink, servo: int, watchdog: int, faults: list[str]) -> N
     except RangeError as error:
         faults.append(f"servo {servo}: {error}; restart it, and look for another program on its bus")
     else:
-        _set(link, servo, "bus_watchdog", watchdog, faults)
+        _set(link, servo, "bus_watchdog", settings.watchdog, faults)
 
 
 def restart_watchdog(link: ServoLink, servo: int, watchdog: int = WATCHDOG) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from deltacharger_core.machine import BAUD_RATE, SERVO_IDS, STALL_CURRENT
+from deltacharger_core.machine import BAUD_RATE, POSITION_P_GAIN, SERVO_IDS, STALL_CURRENT
 from deltacharger_driver.errors import DriverError, RangeError
 from deltacharger_driver.parameters import REPLY_MARGIN
 from deltacharger_driver.servos.mx64 import (
@@ -38,6 +38,8 @@ READ_BLOCK = (
     *CONSTANT_BLOCK,
 )
 """What one cycle reads, made contiguous by indirect addresses: 64, 70, 126, 128, 132, 144, 146, 98, 68, 69."""
+GAINS = ("position_p_gain", "position_i_gain", "position_d_gain")
+"""Registers of the position loop, written at every set-up."""
 WRITE_BLOCK = ("goal_current", "goal_position")
 """What one cycle writes, behind the read block, so that bound and goal always change together."""
 
@@ -70,6 +72,7 @@ class BusSettings:
         reply_margin: s, see `parameters.REPLY_MARGIN`.
         current_max: largest current bound that will be asked for, A. A servo whose current limit is lower ignores the
             whole goal, so it is refused at the set-up.
+        gains: of the position loop, P, I and D, as the registers hold them. All are RAM and lost with a restart.
     """
 
     port: str
@@ -80,6 +83,7 @@ class BusSettings:
     watchdog: int = WATCHDOG
     reply_margin: float = REPLY_MARGIN
     current_max: float = STALL_CURRENT
+    gains: tuple[int, int, int] = (POSITION_P_GAIN, 0, 0)
 
     def __post_init__(self) -> None:
         count = len(self.ids)
@@ -94,6 +98,10 @@ class BusSettings:
             raise RangeError("watchdog", self.watchdog, 1, WATCHDOG, " × 20 ms")
         if not 0.0 <= self.current_max <= LARGEST_CURRENT:
             raise RangeError("current_max", self.current_max, 0.0, LARGEST_CURRENT, " A")
+        for name, gain in zip(GAINS, self.gains, strict=True):
+            register = REGISTERS[name]
+            if not register.low <= gain <= register.high:
+                raise RangeError(name, gain, register.low, register.high)
 
 
 class Reading(NamedTuple):

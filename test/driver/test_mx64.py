@@ -5,6 +5,7 @@ import math
 
 import pytest
 
+from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS, STIFFNESS_PER_GAIN
 from deltacharger_driver.errors import DriverError, RangeError
 from deltacharger_driver.servos.mx64 import (
     CURRENT_UNIT,
@@ -38,6 +39,9 @@ def test_no_two_registers_overlap():
         ("homing_offset", 20, 4),
         ("torque_enable", 64, 1),
         ("hardware_error", 70, 1),
+        ("position_d_gain", 80, 2),
+        ("position_i_gain", 82, 2),
+        ("position_p_gain", 84, 2),
         ("bus_watchdog", 98, 1),
         ("goal_current", 102, 2),
         ("goal_position", 116, 4),
@@ -50,6 +54,12 @@ def test_no_two_registers_overlap():
 )
 def test_addresses_of_the_e_manual(name, address, size):
     assert (REGISTERS[name].address, REGISTERS[name].size) == (address, size)
+
+
+def test_the_vendor_s_figures_make_a_servo_as_stiff_as_assumed():
+    assert POSITION_P_GAIN == 434
+    assert pytest.approx(SERVO_STIFFNESS, rel=2e-3) == POSITION_P_GAIN * STIFFNESS_PER_GAIN
+    assert pytest.approx(29.3, abs=0.1) == REGISTERS["position_p_gain"].default * STIFFNESS_PER_GAIN
 
 
 @pytest.mark.parametrize("direction", [1, -1])

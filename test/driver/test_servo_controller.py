@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from deltacharger_core.machine import TORQUE_CONSTANT
+from deltacharger_core.machine import POSITION_P_GAIN, TORQUE_CONSTANT
 from deltacharger_driver.errors import PortMissing, TrajectoryRefused
 from deltacharger_driver.servos.controller import OPENING_TIME, STOP_TIME, ServoController
 from deltacharger_driver.servos.mx64 import TICK
@@ -129,6 +129,7 @@ def test_a_servo_that_restarts_by_itself_is_set_up_again_without_torque(rig: Rig
     rig.until(lambda report: not report.valid[2])
     rig.until(lambda report: all(report.valid))
     assert rig.emulator.servo(3).table.get("bus_watchdog") == 6
+    assert rig.emulator.servo(3).table.get("position_p_gain") == POSITION_P_GAIN
     assert rig.arm.torque_enabled() == [False] * 3
     assert any("had restarted" in sentence for _, sentence in rig.events)
 

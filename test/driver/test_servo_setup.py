@@ -12,7 +12,8 @@ from deltacharger_driver.emulators.pseudo_terminal import PseudoTerminal
 from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
 from deltacharger_driver.errors import DriverError, HandshakeError
 from deltacharger_driver.servos.bus import ServoBus
-from deltacharger_driver.servos.control_table import ControlTable
+from deltacharger_driver.servos.control_table import OK, ControlTable
+from deltacharger_driver.servos.mx64 import REGISTERS
 from deltacharger_driver.servos.snapshot import BusSettings
 
 pytestmark = pytest.mark.realtime
@@ -137,15 +138,52 @@ def test_one_refusal_does_not_hide_the_next(
     write = ControlTable.write
 
     def refuse(table: ControlTable, address: int, data: bytes) -> Any:
-        if table is emulator.servo(2).table and address in (9, 108):
+        if table is emulator.servo(2).table and address in (9, 84, 108):
             return 6, {}
         return write(table, address, data)
 
     monkeypatch.setattr(ControlTable, "write", refuse)
     with pytest.raises(HandshakeError) as caught:
         closed.open()
-    assert ["return_delay" in fault for fault in caught.value.faults] == [True, False]
-    assert "profile_acceleration" in caught.value.faults[1]
+    names = ("return_delay", "position_p_gain", "profile_acceleration")
+    assert [name in fault for name, fault in zip(names, caught.value.faults, strict=True)] == [True, True, True]
+
+
+@pytest.mark.parametrize("name", ["position_p_gain", "position_i_gain", "position_d_gain"])
+def test_a_gain_that_a_servo_does_not_take_is_named(
+    terminal: PseudoTerminal, emulator: ServoBusEmulator, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    write, stubborn = ControlTable.write, emulator.servo(2).table
+    stubborn.set(name, 17)
+
+    def forget(table: ControlTable, address: int, data: bytes) -> Any:
+        if table is stubborn and address == REGISTERS[name].address:
+            return OK, {}
+        return write(table, address, data)
+
+    monkeypatch.setattr(ControlTable, "write", forget)
+    bus = ServoBus(BusSettings(terminal.path, gains=(500, 20, 3)))
+    with pytest.raises(HandshakeError, match=rf"servo 2: {name.replace('_', ' ')} reads 17 after \d+ was written"):
+        bus.open()
+
+
+def test_gains_are_written_to_every_servo_and_again_after_its_restart(
+    terminal: PseudoTerminal, emulator: ServoBusEmulator
+) -> None:
+    bus = ServoBus(BusSettings(terminal.path, gains=(500, 20, 3)))
+
+    def gains(servo: int) -> list[int]:
+        return [emulator.servo(servo).table.get(f"position_{letter}_gain") for letter in "pid"]
+
+    try:
+        bus.open()
+        assert [gains(servo) for servo in (1, 2, 3)] == [[500, 20, 3]] * 3
+        emulator.servo(3).reboot(0.0)  # long over
+        assert gains(3) == [850, 0, 0]
+        bus.configure(2)
+        assert gains(3) == [500, 20, 3]
+    finally:
+        bus.close()
 
 
 def test_a_waiting_registered_write_is_found_at_the_set_up(closed: ServoBus, emulator: ServoBusEmulator) -> None:
@@ -169,7 +207,16 @@ def test_a_servo_told_to_keep_quiet_is_told_to_answer(closed: ServoBus, emulator
 
 
 @pytest.mark.parametrize(
-    "settings", [{"ids": (1, 1, 2)}, {"ids": (1, 2)}, {"direction": (1, 0, 1)}, {"watchdog": 7}, {"watchdog": 0}]
+    "settings",
+    [
+        {"ids": (1, 1, 2)},
+        {"ids": (1, 2)},
+        {"direction": (1, 0, 1)},
+        {"watchdog": 7},
+        {"watchdog": 0},
+        {"gains": (-1, 0, 0)},
+        {"gains": (434, 0, 16384)},
+    ],
 )
 def test_impossible_settings_are_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(DriverError):

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import pytest
 
+from deltacharger_core.machine import POSITION_P_GAIN
 from deltacharger_driver.errors import DriverError, ServoFault
 from deltacharger_driver.port_identity import identify
 from deltacharger_driver.servos.bus import ServoBus
@@ -52,6 +53,9 @@ SET_UP = {
     "operating_mode": MODE_CURRENT_POSITION,
     "secondary_id": 255,
     "homing_offset": 0,
+    "position_p_gain": POSITION_P_GAIN,
+    "position_i_gain": 0,
+    "position_d_gain": 0,
     "profile_acceleration": 0,
     "profile_velocity": 0,
     "hardware_error": 0,
@@ -199,6 +203,7 @@ def test_a_restart_loses_the_set_up_and_keeps_what_is_in_eeprom(
     assert has_restarted(link.read_bytes(servo, READ_ADDRESS, READ_LENGTH))
     assert (link.read(servo, "torque_enable"), link.read(servo, "bus_watchdog")) == (0, 0)
     assert link.read(servo, "operating_mode") == MODE_CURRENT_POSITION
+    assert link.read(servo, "position_p_gain") == REGISTERS["position_p_gain"].default
     configure(link, servo, settings)
     assert {name: link.read(servo, name) for name in SET_UP} == SET_UP
 
