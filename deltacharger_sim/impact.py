@@ -37,9 +37,9 @@ _LEAD_STEPS = 2.0  # steps at the approach speed before contact, when sub-steppi
 _LONGEST_MOVE = 0.005  # m that a step of the light model moves the platform at most
 _SEPARATED, _ON_SPRINGS, _ON_STOP = 0, 1, 2
 
-Drive = tuple[float, float, float]
+Drive = tuple[float, float, float, float]
 """Of a powered servo: θ′ along z (rad/m), torque of its spring at the step's start, less what the lateral motion takes
-of it on average (N·m), torque limit (N·m)."""
+of it on average (N·m), torque limit (N·m), its stiffness as a share of the parameter."""
 
 
 class StepForces(NamedTuple):
@@ -142,14 +142,17 @@ class Impact:
         """Advance by `dt` s in sub-steps, or until the contact has settled or they are spent."""
         low, high, push, gain = _linear(forces.drives)
         k, d, mass, most = self._stiffness, self._damping, forces.mass, forces.friction
-        pull = self._pull
+        pull, uneven = self._pull, any(drive[3] != 1.0 for drive in forces.drives)
         bristle, remaining = forces.gears, _MOST_IN_STEP
         while dt > 0.0:
             gap, speed = self._gap, self._speed
             demand = k * (at - gap) + d * speed
-            force, held = push - gain * demand, gain
-            if not low <= demand <= high:
+            force, held, sprung = push - gain * demand, gain, gain
+            if uneven:
+                force, held, sprung = _each(forces.drives, k * (at - gap), d * speed)
+            elif not low <= demand <= high:
                 force, held = _saturated(forces.drives, demand)
+                sprung = held
             magnet, softer = pull, 0.0
             if gap > 0.0:
                 ratio = 1.0 + gap / self._range
@@ -160,7 +163,7 @@ class Impact:
             h = min(longest, dt)
             gear = min(max(self._gear - 0.5 * bristle * h * speed, -most), most)
             force += d * held * speed + gear + forces.carried + magnet - normal
-            h, end_speed = self._move(h, force, mass, 0.5 * d * held, 0.25 * (k * held + stiff - softer))
+            h, end_speed = self._move(h, force, mass, 0.5 * d * held, 0.25 * (k * sprung + stiff - softer))
             self._gear = min(max(self._gear - bristle * (gap - self._gap), -most), most)
             dt, remaining = dt - h, remaining - 1
             self._left -= self._touched and longest < _LONGEST
@@ -289,7 +292,7 @@ def _trapezoid(h: float, speed: float, force: float, mass: float, damping: float
 def _linear(drives: list[Drive]) -> tuple[float, float, float, float]:
     """Return the range of k Δz + d v (N·m/m) where no servo saturates, and there Σ θ′ torque (N) and Σ θ′² (1/m²)."""
     low, high, push, gain = -math.inf, math.inf, 0.0, 0.0
-    for slope, lead, limit in drives:
+    for slope, lead, limit, _ in drives:
         push += slope * lead
         gain += slope * slope
         if slope != 0.0:
@@ -301,9 +304,21 @@ def _linear(drives: list[Drive]) -> tuple[float, float, float, float]:
 def _saturated(drives: list[Drive], demand: float) -> tuple[float, float]:
     """Return the servos' force (N) along z, and Σ θ′² (1/m²) of those that do not saturate."""
     force = held = 0.0
-    for slope, lead, limit in drives:
+    for slope, lead, limit, _ in drives:
         drive = lead - slope * demand
         if -limit <= drive <= limit:
             held += slope * slope
         force += slope * min(max(drive, -limit), limit)
     return force, held
+
+
+def _each(drives: list[Drive], spring: float, damper: float) -> tuple[float, float, float]:
+    """Return force (N), Σ θ′² (1/m²) and Σ share · θ′² of those that do not saturate, k Δz and d v given (N·m/m)."""
+    force = held = sprung = 0.0
+    for slope, lead, limit, share in drives:
+        drive = lead - slope * (share * spring + damper)
+        if -limit <= drive <= limit:
+            held += slope * slope
+            sprung += share * slope * slope
+        force += slope * min(max(drive, -limit), limit)
+    return force, held, sprung

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from deltacharger_sim.parameters import ServoParameters
 
-Command = tuple[int, bool, float, float]
+Command = tuple[int, bool, float, float, float]
 State = tuple[float, float, float, float, float]
 
 _ROUNDING = 1e-9  # s; sums of steps differ from their product by less
@@ -28,9 +28,9 @@ class Latency:
         self._commands: deque[tuple[float, Command]] = deque()
         self._states: deque[tuple[float, list[State]]] = deque()
 
-    def command(self, now: float, index: int, enabled: bool, reference: float, limit: float) -> None:
+    def command(self, now: float, command: Command) -> None:
         """Send a command off at `now` s."""
-        self._commands.append((now + self._servo.command_latency, (index, enabled, reference, limit)))
+        self._commands.append((now + self._servo.command_latency, command))
 
     def due(self, now: float) -> Iterator[Command]:
         """Yield the commands that have arrived, in their order."""

@@ -82,7 +82,6 @@ class Mechanics(Motion):
         # holds all of d²θ/dt² = (dθ/dp) a + (d/dt dθ/dp) v; with the exact rates half of the second term would miss.
         self._spin: Vector = (0.0, 0.0, 0.0)
         self._velocity_before: Vector = (0.0, 0.0, 0.0)
-        self._inputs: tuple[object, ...] = ()
         self._aside = (math.inf, math.inf)
         self._servos: tuple[tuple[float, float, float, float, float], ...] = ()
         self._found: tuple[list[float], list[float], float, float, float, float] = ([], [], 0.0, 0.0, 0.0, 0.0)
@@ -115,17 +114,17 @@ class Mechanics(Motion):
 
     def _strike(self, joints: list[_Joint], gap: float, dx: float, dy: float, dt: float) -> float:
         """Return the largest force (N) of a strike within a step from `gap` (m) on that goes dx, dy (m) sideways."""
-        k, momentum = self._parameters.servo.stiffness, self._inertia * dt
-        yields = 0.5 * k + self._parameters.servo.damping / dt
+        damper, momentum = self._parameters.servo.damping / dt, self._inertia * dt
         drives, squares, friction, gear, carried = [], 0.0, 0.0, 0.0, self._mass * self._gravity[2]
-        for joint, spin in zip(joints, self._spin, strict=True):
+        for joint, spin, share, servo in zip(joints, self._spin, self.gains, self._servos, strict=True):
             gx, gy, gz, lead, slope, limit, bristle, rubs, _, _, weight = joint
             squares += gz * gz
             friction += abs(gz) * rubs
             gear += gz * bristle
             carried += gz * (weight - momentum * spin)
             if slope > 0.0:
-                drives.append((gz, lead - yields * (gx * dx + gy * dy), limit))
+                yields = 0.5 * servo[0] + damper
+                drives.append((gz, lead - yields * (gx * dx + gy * dy), limit, share))
         mass = self._mass + self._parameters.servo.inertia * squares
         x, y = self._aside
         forces = StepForces(drives, GEAR_BRISTLE * squares, friction, carried, mass, x, y)
@@ -172,11 +171,12 @@ class Mechanics(Motion):
             return
         self._inertia = servo.inertia / (dt * dt)
         self._mass_rate = self._mass / (dt * dt)
+        damper, constant, k = servo.damping / dt, servo.torque_constant, servo.stiffness
         self._servos = tuple(
-            (servo.stiffness, servo.stiffness + servo.damping / dt, bound * servo.torque_constant, servo.friction, goal)
+            (k * gain, k * gain + damper, bound * constant, servo.friction, goal)
             if on
             else (0.0, 0.0, 0.0, servo.unpowered_friction, 0.0)
-            for on, goal, bound in zip(enabled, reference, limit, strict=True)
+            for on, goal, bound, gain in zip(enabled, reference, limit, self.gains, strict=True)
         )
 
     def _joints(self, dt: float) -> list[_Joint]:
@@ -248,11 +248,12 @@ class Mechanics(Motion):
         fz = mass * (vz * dt - dz) + self._mass * gravity_z
         xx = yy = zz = mass
         xy = xz = yz = 0.0
-        motors, gears = [], []
+        motors: list[float] = []
+        gears: list[float] = []
         for gx, gy, gz, lead, slope, limit, gear, friction, low, high, carried in joints:
             turn = gx * dx + gy * dy + gz * dz
             if play:
-                lead, slope = self._through_play(lead, slope, turn)
+                lead, slope = self._through_play(lead, slope, turn, self._servos[len(motors)][0])
             drive = lead - slope * turn
             stiffness = inertia
             if drive > limit:
@@ -296,9 +297,8 @@ class Mechanics(Motion):
         self._found = motors, gears, magnet, normal, rx, ry
         return fx, fy, fz, xx + side, xy, xz, yy + side, yz, zz
 
-    def _through_play(self, lead: float, slope: float, turn: float) -> tuple[float, float]:
+    def _through_play(self, lead: float, slope: float, turn: float, stiffness: float) -> tuple[float, float]:
         """Return spring torque and slope with play: within it the arm feels the damper alone."""
-        stiffness = self._parameters.servo.stiffness
         if slope == 0.0:
             return lead, slope
         error, play = lead - stiffness * turn, stiffness * self._play

@@ -36,6 +36,7 @@ class Motion(ABC):
         contact_force: normal force on the electrodes together, N.
         peak_force: the largest within the last step, N; of MuJoCo that at its end.
         magnet_force: pull of the magnets, N.
+        gains: what each servo's stiffness is of the parameter, as its gain register says; 1 = what servo_node writes.
         imbalance: what the last step's solution left unbalanced, N; small unless the step is long and friction slips.
         still: whether the last step moved nothing, so that the next one with the same inputs will not either.
     """
@@ -45,11 +46,18 @@ class Motion(ABC):
         self._target_z = parameters.target.z if parameters.target.present else math.inf
         self.position = start
         self.velocity = self.angles = self.rates = self.torques = self.slack = _NONE
+        self.gains: Vector = (1.0, 1.0, 1.0)
+        self._inputs: tuple[object, ...] = ()  # of the last step, as the model keeps them
         self.tilt = (0.0, 0.0)
         self._leans = tilts(parameters)
         self._bars = _UNTOUCHED
         self.contact_force = self.peak_force = self.magnet_force = self.imbalance = 0.0
         self.still = False
+
+    def set_gains(self, gains: Vector) -> None:
+        """Take over another stiffness of each servo, as a share of the parameter."""
+        self.gains = gains
+        self._inputs = ()
 
     @property
     def gap(self) -> float:

@@ -61,7 +61,6 @@ class MujocoMechanics(Motion):
         names = [f"arm{index}" for index in range(LIMB_COUNT)]
         self._arms = [int(self.model.joint(name).qposadr[0]) for name in names]
         self._axes = [int(self.model.joint(axis).qposadr[0]) for axis in "xyz"]
-        self._inputs: tuple[object, ...] = ()
         self._leaning = MujocoLean(self.model, parameters) if tilts(parameters) and parameters.target.present else None
         self._begin(geometry, start)
         self._read()
@@ -102,11 +101,12 @@ class MujocoMechanics(Motion):
 
     def _command(self, enabled: tuple[bool, bool, bool], reference: Vector, limit: Vector) -> None:
         servo, model = self._parameters.servo, self.model
-        for index, (on, goal, bound) in enumerate(zip(enabled, reference, limit, strict=True)):
+        for index, (on, goal, bound, gain) in enumerate(zip(enabled, reference, limit, self.gains, strict=True)):
+            k = servo.stiffness * gain
             most = min(bound * servo.torque_constant, servo.stall_torque) if on else 0.0
             model.actuator_forcerange[index] = (-max(most, _DEAD), max(most, _DEAD))
-            model.actuator_gainprm[index, 0] = servo.stiffness if on else 0.0
-            model.actuator_biasprm[index, 1:3] = (-servo.stiffness, -servo.damping) if on else (0.0, 0.0)
+            model.actuator_gainprm[index, 0] = k if on else 0.0
+            model.actuator_biasprm[index, 1:3] = (-k, -servo.damping) if on else (0.0, 0.0)
             model.dof_frictionloss[self._arms[index]] = servo.friction if on else servo.unpowered_friction
             self.data.ctrl[index] = goal
 

@@ -38,10 +38,12 @@ class SharedWorld:
             self._at += step
         return self.world
 
-    def command_servo(self, index: int, torque_enabled: bool, reference: float, current_limit: float) -> None:
-        """Set torque, goal angle (rad) and current bound (A) of a servo."""
+    def command_servo(
+        self, index: int, torque_enabled: bool, reference: float, current_limit: float, gain: float = 1.0
+    ) -> None:
+        """Set torque, goal angle (rad), current bound (A) and gain (of the world's stiffness) of a servo."""
         with self._lock:
-            self._advance().command(index, torque_enabled, reference, current_limit)
+            self._advance().command(index, torque_enabled, reference, current_limit, gain)
 
     def read_servo(self, index: int) -> tuple[float, float, float, float, float]:
         """Return angle (rad), rate (rad/s), current (A), voltage (V) and temperature (°C) of a servo."""

@@ -92,14 +92,14 @@ class World:
         for warning in doubts(parameters):
             warnings.warn(warning, UnprovenWarning, stacklevel=2)
 
-    def command(self, index: int, enabled: bool, reference: float, current_limit: float) -> None:
-        """Set what servo `index` does: torque on, goal angle (rad), current bound (A)."""
+    def command(self, index: int, enabled: bool, reference: float, current_limit: float, gain: float = 1.0) -> None:
+        """Set what servo `index` does: torque on, goal angle (rad), current bound (A), gain by which it is stiffer."""
         if self._late is not None:
-            self._late.command(self.time, index, enabled, reference, current_limit)
+            self._late.command(self.time, (index, enabled, reference, current_limit, gain))
             return
-        self._obey(index, enabled, reference, current_limit)
+        self._obey(index, enabled, reference, current_limit, gain)
 
-    def _obey(self, index: int, enabled: bool, reference: float, current_limit: float) -> None:
+    def _obey(self, index: int, enabled: bool, reference: float, current_limit: float, gain: float) -> None:
         bound = current_limit if math.isfinite(current_limit) else 0.0
         if enabled != self._enabled[index]:
             self._enabled = _with(self._enabled, index, enabled)
@@ -107,14 +107,16 @@ class World:
             self._reference = _with(self._reference, index, reference)
         if bound != self._limit[index]:
             self._limit = _with(self._limit, index, bound)
+        if gain != self.mechanics.gains[index] and 0.0 <= gain < math.inf:
+            self.mechanics.set_gains(_with(self.mechanics.gains, index, gain))
 
     def step(self, dt: float | None = None) -> None:
         """Advance by `dt` s (default: the parameter `step`)."""
         dt = self.parameters.step if dt is None else dt
         mechanics = self.mechanics
         if self._late is not None:
-            for index, enabled, reference, limit in self._late.due(self.time):
-                self._obey(index, enabled, reference, limit)
+            for command in self._late.due(self.time):
+                self._obey(*command)
         moved = self._moving is not None
         if moved:
             self._move(dt)

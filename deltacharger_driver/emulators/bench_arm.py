@@ -20,16 +20,16 @@ _LONGEST = 1.0  # s; a longer pause is not caught up
 
 
 class BenchArm:
-    """A `ServoPlant` of servos that follow d · ω = clip(k (reference − angle), ± Kt · limit) + load; thread-safe.
+    """A `ServoPlant` of servos that follow d · ω = clip(gain · k (reference − angle), ± Kt · limit) + load.
 
-    Without torque a servo stays where it is, held by its gear.
+    Thread-safe. Without torque a servo stays where it is, held by its gear.
 
     Attributes:
         load: N·m on each servo, toward +angle.
         voltage: V of the supply of each servo when no current is drawn.
         supply_resistance: Ω of regulator and cable, common to all servos.
         temperature: °C of each servo.
-        commands: last (torque enabled, reference rad, current limit A) of each servo; None before the first.
+        commands: last (torque enabled, reference rad, current limit A, gain) of each servo; None before the first.
 
     Args:
         angles: where the servos stand at first, rad.
@@ -43,7 +43,7 @@ class BenchArm:
         self.voltage = [NOMINAL_VOLTAGE] * len(angles)
         self.supply_resistance = 0.0
         self.temperature = [30.0] * len(angles)
-        self.commands: list[tuple[bool, float, float] | None] = [None] * len(angles)
+        self.commands: list[tuple[bool, float, float, float] | None] = [None] * len(angles)
         self._angle = list(angles)
         self._velocity = [0.0] * len(angles)
         self._current = [0.0] * len(angles)
@@ -63,11 +63,13 @@ class BenchArm:
         with self._lock:
             return [command is not None and command[0] for command in self.commands]
 
-    def command_servo(self, index: int, torque_enabled: bool, reference: float, current_limit: float) -> None:
-        """Let servo `index` hold `reference` (rad) with at most `current_limit` (A)."""
+    def command_servo(
+        self, index: int, torque_enabled: bool, reference: float, current_limit: float, gain: float = 1.0
+    ) -> None:
+        """Let servo `index` hold `reference` (rad) with at most `current_limit` (A), `gain` times as stiff as usual."""
         with self._lock:
             self._advance()
-            self.commands[index] = (torque_enabled, reference, current_limit)
+            self.commands[index] = (torque_enabled, reference, current_limit, gain)
 
     def read_servo(self, index: int) -> tuple[float, float, float, float, float]:
         """Return angle (rad), velocity (rad/s), current (A), voltage (V) and temperature (°C) of servo `index`."""
@@ -94,13 +96,11 @@ class BenchArm:
         if command is None or not command[0]:
             self._velocity[index] = self._current[index] = 0.0
             return
-        _, reference, current_limit = command
-        limit = TORQUE_CONSTANT * current_limit
+        _, reference, current_limit, gain = command
+        limit, stiffness = TORQUE_CONSTANT * current_limit, SERVO_STIFFNESS * gain
         # Implicit in the angle, so that no stiffness makes it unstable; where that is clipped, the torque is known.
-        change = (SERVO_STIFFNESS * (reference - self._angle[index]) + self.load[index]) / (
-            SERVO_DAMPING / _STEP + SERVO_STIFFNESS
-        )
-        torque = SERVO_STIFFNESS * (reference - self._angle[index] - change)
+        change = (stiffness * (reference - self._angle[index]) + self.load[index]) / (SERVO_DAMPING / _STEP + stiffness)
+        torque = stiffness * (reference - self._angle[index] - change)
         if abs(torque) > limit:
             torque = math.copysign(limit, torque)
             change = (torque + self.load[index]) * _STEP / SERVO_DAMPING

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
+from deltacharger_core.machine import POSITION_P_GAIN
 from deltacharger_driver.servos.control_table import ACCESS, OK, RESULT_FAIL, ControlTable
 from deltacharger_driver.servos.mx64 import (
     ACCELERATION_UNIT,
@@ -37,8 +38,13 @@ _POSITION_MODES = (MODE_POSITION, MODE_EXTENDED, MODE_CURRENT_POSITION)
 class ServoPlant(Protocol):
     """The physics behind emulated servos: motor, gear, load and supply. It keeps its own clock."""
 
-    def command_servo(self, index: int, torque_enabled: bool, reference: float, current_limit: float) -> None:
-        """Let the position loop of servo `index` hold `reference` (rad) with at most `current_limit` (A)."""
+    def command_servo(
+        self, index: int, torque_enabled: bool, reference: float, current_limit: float, gain: float = 1.0
+    ) -> None:
+        """Let the position loop of servo `index` hold `reference` (rad) with at most `current_limit` (A).
+
+        `gain` is its position P gain over what servo_node writes, by which the plant's stiffness is multiplied.
+        """
 
     def read_servo(self, index: int) -> tuple[float, float, float, float, float]:
         """Return angle (rad), velocity (rad/s), current (A, signed), voltage (V) and temperature (°C) now."""
@@ -71,7 +77,7 @@ class ServoFirmware:
         self._moving = False
         self._shape = 0
         self._goal = 0.0
-        self._commanded: tuple[bool, float, float] | None = None
+        self._commanded: tuple[bool, float, float, float] | None = None
         self._start(-math.inf)
 
     @property
@@ -284,7 +290,8 @@ class ServoFirmware:
         limit = table.get("current_limit")
         if mode == MODE_CURRENT_POSITION:
             limit = min(limit, abs(table.get("goal_current")))
-        command = (on, self._profile.position, limit * CURRENT_UNIT)
+        gain = table.get("position_p_gain") / POSITION_P_GAIN
+        command = (on, self._profile.position, limit * CURRENT_UNIT, gain)
         if command != self._commanded:
             self._commanded = command
             self._plant.command_servo(self._index, *command)

@@ -82,7 +82,7 @@ def test_the_watchdog_stops_the_servo_and_locks_its_goals(host: Host) -> None:
     host.advance(0.115)
     assert host.arm.commands[0][1] == 0.0
     host.advance(0.01)
-    on, reference, _ = host.arm.commands[0]
+    on, reference, *_ = host.arm.commands[0]
     assert on
     assert reference == pytest.approx(host.arm.angles[0], abs=0.05)
     assert reference < -0.1

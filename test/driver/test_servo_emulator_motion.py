@@ -7,6 +7,7 @@ import itertools
 
 import pytest
 
+from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS
 from deltacharger_driver.servos.control_table import LIMIT, OK
 from deltacharger_driver.servos.mx64 import CURRENT_UNIT, TICK, VELOCITY_UNIT
 
@@ -29,7 +30,7 @@ def test_torque_is_held_where_the_goal_is_and_the_goal_current_bounds_it(host: H
     assert host.arm.commands[1] is None or not host.arm.commands[1][0]
     host.write(2, "goal_current", 100)
     host.write(2, "torque_enable", 1)
-    on, reference, limit = host.arm.commands[1]
+    on, reference, limit, _ = host.arm.commands[1]
     assert on
     assert reference == pytest.approx(-0.7, abs=TICK)
     assert limit == pytest.approx(100 * CURRENT_UNIT)
@@ -53,6 +54,24 @@ def test_nothing_is_commanded_twice(host: Host) -> None:
         host.read(1, "present_position")
     references = [call[2] for call in calls if call[1]]
     assert references.count(52 * TICK) == 1
+
+
+def test_the_position_p_gain_is_the_stiffness(host: Host) -> None:
+    goal = host.read(1, "present_position")
+    host.write(1, "operating_mode", 5)
+    host.write(1, "goal_position", goal)
+    host.write(1, "torque_enable", 1)
+    host.arm.load[0] = -0.6
+
+    def yielded(gain: int) -> float:
+        host.write(1, "position_p_gain", gain)
+        host.advance(3.0)
+        return (goal - 2048) * TICK - host.arm.angles[0]
+
+    usual = yielded(POSITION_P_GAIN)
+    assert usual == pytest.approx(0.6 / SERVO_STIFFNESS, rel=1e-3)
+    assert yielded(POSITION_P_GAIN // 2) == pytest.approx(2.0 * usual, rel=1e-3)
+    assert yielded(2 * POSITION_P_GAIN) == pytest.approx(0.5 * usual, rel=1e-3)
 
 
 def test_profile_velocity_and_acceleration_shape_the_reference(host: Host) -> None:

@@ -228,11 +228,11 @@ class LiveArm(BenchArm):
         self.plant = plant
         self.live_when_let_go = []
 
-    def command_servo(self, index, torque_enabled, reference, current_limit):
+    def command_servo(self, index, torque_enabled, reference, current_limit, gain=1.0):
         command = self.commands[index]
         if command is not None and command[0] and not torque_enabled:
             self.live_when_let_go.append(self.plant.read_power()[3])
-        super().command_servo(index, torque_enabled, reference, current_limit)
+        super().command_servo(index, torque_enabled, reference, current_limit, gain)
 
 
 class Charging:

@@ -42,7 +42,7 @@ def test_a_trip_lets_the_goal_go_to_where_the_shaft_is(host: Host, offset: int) 
     host.advance(0.119)
     assert host.arm.commands[0][1] == pytest.approx(0.0, abs=TICK)
     host.advance(0.002)
-    (_, reference, _), angle = host.arm.commands[0], host.arm.angles[0]
+    (_, reference, *_), angle = host.arm.commands[0], host.arm.angles[0]
     assert reference < -0.1
     host.advance(1.0)
     assert host.arm.commands[0][1] == reference

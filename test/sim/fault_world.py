@@ -50,13 +50,13 @@ class RecordedWorld(World):
         """Which servos have torque now."""
         return tuple(self._enabled)
 
-    def command(self, index: int, enabled: bool, reference: float, current_limit: float) -> None:
+    def command(self, index: int, enabled: bool, reference: float, current_limit: float, gain: float = 1.0) -> None:
         if enabled != self._enabled[index]:
             self.events.append(Event(self.time, index + 1, enabled, self.circuit.closed))
         if reference != self._reference[index]:
             self.stood = max(self.stood, self.time - self.turned[index])
             self.turned[index] = self.time
-        super().command(index, enabled, reference, current_limit)
+        super().command(index, enabled, reference, current_limit, gain)
 
     def step(self, dt: float | None = None) -> None:
         super().step(dt)

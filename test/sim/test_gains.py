@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A servo's gain register: the world's stiffness is that of gain 1, and any other multiplies it, servo by servo."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import pytest
+
+from deltacharger_driver.emulators.servo_bus import ServoBusEmulator
+from deltacharger_driver.servos.control_table import OK
+from deltacharger_driver.servos.mx64 import REGISTERS
+from deltacharger_kinematics.geometry import Vector
+from deltacharger_kinematics.scalar import ScalarDelta
+from deltacharger_sim.parameters import ServoParameters, TargetParameters, WorldParameters
+from deltacharger_sim.shared_world import SharedWorld
+from deltacharger_sim.world import World
+
+DELTA = ScalarDelta()
+ALONE = TargetParameters(present=False)
+QUIET = ServoParameters(current_noise=0.0, friction=0.0)
+
+
+def settled(world: World, gains: Vector = (1.0, 1.0, 1.0), seconds: float = 3.0) -> World:
+    for index, (goal, gain) in enumerate(zip((0.1, 0.2, 0.15), gains, strict=True)):
+        world.command(index, True, goal, 4.1, gain)
+    for _ in range(round(seconds / 0.005)):
+        world.step(0.005)
+    return world
+
+
+def torques_over(world: World, goals: Vector = (0.1, 0.2, 0.15)) -> list[float]:
+    """Return N·m/rad of each servo."""
+    mechanics = world.mechanics
+    return [
+        torque / (goal - angle) for torque, goal, angle in zip(mechanics.torques, goals, mechanics.angles, strict=True)
+    ]
+
+
+def docked(stiffness: float, gains: Vector, **servo: Any) -> tuple[Any, ...]:
+    """Strike the target and press on it; return all that tells."""
+    world = World(WorldParameters(servo=ServoParameters(stiffness=stiffness, current_noise=0.0, **servo)))
+    for z, seconds in ((0.070, 0.5), (0.088, 0.5), (0.060, 0.5)):
+        for index, (angle, gain) in enumerate(zip(DELTA.inverse(0.0, 0.002, z), gains, strict=True)):
+            world.command(index, True, angle, 4.1, gain)
+        for _ in range(round(seconds / 0.005)):
+            world.step(0.005)
+    record = world.record
+    return world.mechanics.position, world.mechanics.torques, (record.peak_force, record.peak_push, record.contacts)
+
+
+@pytest.mark.parametrize("servo", [{}, {"backlash": 0.008}, {"command_latency": 0.02}], ids=str)
+def test_a_gain_of_all_servos_is_another_stiffness(servo: dict[str, float]) -> None:
+    for found, expected in zip(
+        docked(10.0, (1.5, 1.5, 1.5), **servo), docked(15.0, (1.0, 1.0, 1.0), **servo), strict=True
+    ):
+        assert found == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
+def test_each_servo_has_its_own() -> None:
+    world = settled(World(WorldParameters(servo=QUIET, target=ALONE)), (1.0, 0.5, 2.0))
+    assert torques_over(world) == pytest.approx([15.0, 7.5, 30.0], rel=1e-6)
+
+
+def test_a_gain_that_changes_at_rest_moves_the_arm() -> None:
+    world = settled(World(WorldParameters(servo=QUIET, target=ALONE)))
+    before = [goal - angle for goal, angle in zip((0.1, 0.2, 0.15), world.mechanics.angles, strict=True)]
+    settled(world, (0.5, 0.5, 0.5))
+    after = [goal - angle for goal, angle in zip((0.1, 0.2, 0.15), world.mechanics.angles, strict=True)]
+    assert after[1:] == pytest.approx([2.0 * value for value in before[1:]], rel=0.05)  # the load turns with the arm
+
+
+def test_the_register_reaches_the_world() -> None:
+    now = 0.0
+    world = World(WorldParameters(servo=QUIET, target=ALONE))
+    plant = SharedWorld(world, lambda: now)
+    bus = ServoBusEmulator(plant)
+    register = REGISTERS["position_p_gain"]
+    for servo in (1, 2, 3):
+        assert bus.servo(servo).write(register.address, register.to_bytes(217 * servo), now) == OK
+    assert world.mechanics.gains == (0.5, 1.0, 1.5)
+    bus.servo(3).reboot(now)
+    assert world.mechanics.gains[2] == pytest.approx(850 / 434)
+
+
+def test_mujoco_has_the_same_gains() -> None:
+    pytest.importorskip("mujoco")
+    from deltacharger_sim.mujoco_world import mujoco_world
+
+    parameters = WorldParameters(servo=dataclasses.replace(QUIET, friction=0.001), target=ALONE)
+    world = settled(mujoco_world(parameters), (1.0, 0.5, 2.0))
+    assert torques_over(world) == pytest.approx([15.0, 7.5, 30.0], rel=1e-3)
