@@ -27,7 +27,7 @@ SERVO_STIFFNESS, SERVO_DAMPING = 15.0, 0.91
 (both by the vendor's figures; `deltacharger calibrate servos` measures the first)."""
 STIFFNESS_PER_GAIN = STALL_TORQUE / 885 / 128 * TICKS_PER_TURN / (2.0 * math.pi)
 """N·m/rad per count of the position P gain at 12 V: the vendor's e-manual divides the register by 128 and by that turns
-ticks of error into PWM, of which 885 is all of the supply and gives the stall torque."""
+ticks of error into PWM, of which 885 is all of the supply and gives the stall torque. For mode 5 it gives no unit."""
 POSITION_P_GAIN = round(SERVO_STIFFNESS / STIFFNESS_PER_GAIN)
 """Value of the position P gain that makes a servo as stiff as `SERVO_STIFFNESS`; the vendor's default is 850."""
 GAIN_MAX = 16383
