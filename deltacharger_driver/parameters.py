@@ -24,6 +24,10 @@ REPLY_MARGIN = 0.02
 this costs nothing until something fails, and it rides over the scheduling hiccups of an ordinary kernel."""
 
 
+SERVOS_FOLLOW = {name: name for name in ("torque_constant", "position_p_gain", "position_i_gain", "position_d_gain")}
+"""Parameters of servo_node that a file of measured servos decides, and what they are called there."""
+
+
 @dataclass(frozen=True)
 class ServoNodeParameters(Bounded):
     """What servo_node drives and how far it may go.

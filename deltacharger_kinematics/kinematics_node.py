@@ -7,7 +7,7 @@ weight removed), one of each per servo_state while somebody listens and with its
 measurement; nothing while a servo is not valid, and no wrench while a torque is off.
 Serves: solve_inverse_kinematics, solve_forward_kinematics, with a status per point; an incomplete last point is
 INVALID_INPUT. A request for more than POINTS_MAX gets an empty answer.
-Parameters: geometry_file or the arm's single dimensions, gravity, torque_constant.
+Parameters: geometry_file or the arm's single dimensions, gravity, servos_file or torque_constant.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 from deltacharger_kinematics import Delta
-from deltacharger_kinematics.parameters import KinematicsNodeParameters
+from deltacharger_kinematics.parameters import SERVOS_FOLLOW, KinematicsNodeParameters
 from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
-from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.parameters import reject_unknown
 from deltacharger_ros.qos import SERVICE
+from deltacharger_ros.servos_file import declare_with_servos
 
 _DEFAULT_DEPTH = 10
 POINTS_MAX = 1_000_000
@@ -47,7 +48,7 @@ class KinematicsNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("kinematics_node", **kwargs)
         geometry = declare_geometry(self)
-        given = declare_all(self, KinematicsNodeParameters)
+        given = declare_with_servos(self, KinematicsNodeParameters, SERVOS_FOLLOW)
         reject_unknown(self)
         self._gravity, self._torque_constant = given.gravity, given.torque_constant
         self._delta = Delta(geometry)

@@ -35,6 +35,10 @@ class GeometryParameters(Bounded):
     rod_mass: float = like(DeltaGeometry, "rod_mass", high=10.0)
 
 
+SERVOS_FOLLOW = {"torque_constant": "torque_constant"}
+"""Parameters of kinematics_node that a file of measured servos decides, and what they are called there."""
+
+
 @dataclass(frozen=True)
 class KinematicsNodeParameters(Bounded):
     """What the force on the end effector is computed with."""

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from deltacharger_core.bounded_file import brief
+from deltacharger_core.machine import POSITION_P_GAIN
 from deltacharger_sim.parameters import WorldParameters
 
 _GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
@@ -24,9 +25,24 @@ _FOLLOWS: dict[str, dict[str, tuple[str, ...]]] = {
 """Of each node, its parameters with the keys of the world that they follow."""
 
 
-def followed(node: str, world: WorldParameters) -> dict[str, Any]:
-    """Return the parameters of a node that follow from the world."""
-    return {name: _value(world, keys) for name, keys in _FOLLOWS.get(node, {}).items()}
+def followed(node: str, world: WorldParameters, parameters: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the parameters of a node that follow from the world.
+
+    A node with a `servos_file` takes its servos from there. A position gain that the scene gives to servo_node makes
+    them as much stiffer as it is larger.
+
+    Args:
+        node: its executable's name.
+        world: the scene's own.
+        parameters: of each node, as the scene gives them.
+    """
+    found = {name: _value(world, keys) for name, keys in _FOLLOWS.get(node, {}).items()}
+    if parameters.get(node, {}).get("servos_file"):
+        return {name: value for name, value in found.items() if not _FOLLOWS[node][name][0].startswith("servo.")}
+    gain = parameters.get("servo_node", {}).get("position_p_gain", POSITION_P_GAIN)
+    if "servo_stiffness" in found and isinstance(gain, int):
+        found["servo_stiffness"] *= gain / POSITION_P_GAIN
+    return found
 
 
 def contradictions(parameters: Mapping[str, Mapping[str, Any]], world: WorldParameters) -> Iterator[tuple[str, str]]:
@@ -37,7 +53,7 @@ def contradictions(parameters: Mapping[str, Mapping[str, Any]], world: WorldPara
         world: the scene's own.
     """
     for node, values in parameters.items():
-        for name, true in followed(node, world).items():
+        for name, true in followed(node, world, parameters).items():
             if name in values and values[name] != true:
                 keys = ", ".join(f"simulation.world.{key}" for key in _FOLLOWS[node][name])
                 yield (

@@ -61,10 +61,12 @@ _GEOMETRY = (
     "deltacharger_kinematics.parameters.GeometryParameters",
 )
 
+_SERVOS = "deltacharger_core.servos_file.ServosFileParameters"
+
 NODES: dict[str, NodeSpec] = {
     "servo_node": NodeSpec(
         "deltacharger_driver.servos.servo_node.ServoNode",
-        parameters=("deltacharger_driver.parameters.ServoNodeParameters",),
+        parameters=("deltacharger_driver.parameters.ServoNodeParameters", _SERVOS),
         port="servo",
         lacks="no arm moves",
         needs=("dynamixel_sdk", "serial"),
@@ -88,7 +90,7 @@ NODES: dict[str, NodeSpec] = {
     ),
     "kinematics_node": NodeSpec(
         "deltacharger_kinematics.kinematics_node.KinematicsNode",
-        parameters=("deltacharger_kinematics.parameters.KinematicsNodeParameters", *_GEOMETRY),
+        parameters=("deltacharger_kinematics.parameters.KinematicsNodeParameters", *_GEOMETRY, _SERVOS),
         may_restart=True,
         lacks="no end_effector_pose, no contact_wrench, no kinematics services",
     ),
@@ -160,6 +162,7 @@ NODES: dict[str, NodeSpec] = {
             "deltacharger_docking.parameters.DockingParameters",
             "deltacharger_docking.parameters.DockingNodeParameters",
             *_GEOMETRY,
+            _SERVOS,
         ),
         lacks="no actions dock and undock",
     ),

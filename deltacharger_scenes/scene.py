@@ -119,7 +119,7 @@ class Scene(SceneContent):
         """
         parameters = dict(self.parameters.get(name, {}))
         if self.simulation is not None:
-            parameters = followed(name, self.simulation.world) | parameters
+            parameters = followed(name, self.simulation.world, self.parameters) | parameters
         if NODES[name].sees_target and self.simulation is not None:
             target = self.simulation.world.target
             parameters = {f"target_{item.name}": getattr(target, item.name) for item in fields(target)} | parameters

@@ -33,7 +33,9 @@ from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.servos_file import declare_with_servos
 
+_SERVOS_FOLLOW = {"servo_stiffness": "stiffness", "torque_constant": "torque_constant"}  # there, in servos_file
 _TICK = 0.02  # s; pace where servo_state does not come
 _LOOK, _LOOK_AT_REST = 0.5, 1.0  # s between looks for second sources, each 0.1 ms
 _OPEN_TIMEOUT = 0.6  # s to see the contactor open when the node closes
@@ -54,7 +56,7 @@ class DockingNode(Node):
     def __init__(self, held: bool = False, **kwargs: Any) -> None:
         self._closed = True  # nothing to make safe before the node is complete and released
         super().__init__("docking_node", **kwargs)
-        self._settings = declare_all(self, DockingParameters, form="{text}, {unit}")
+        self._settings = declare_with_servos(self, DockingParameters, _SERVOS_FOLLOW, form="{text}, {unit}")
         geometry = declare_geometry(self)
         mount = declare_all(self, DockingNodeParameters)
         reject_unknown(self)

@@ -4,8 +4,8 @@
 Publishes: servo_state (reliable, depth 1, at `rate`), joint_states, /diagnostics (1 Hz and at every refusal).
 Subscribes: joint_trajectory and charger_power (reliable, depth 64; the newest that counts is followed).
 Serves: set_torque, reboot_servos. Calls: set_contactor, where somebody serves it.
-Parameters: port, baud_rate, ids, rate, zero_ticks, direction, torque_constant, current_bound, current_max,
-position_p_gain, position_i_gain, position_d_gain, joint_min, joint_max, reply_margin.
+Parameters: port, baud_rate, ids, rate, zero_ticks, direction, current_bound, current_max, joint_min, joint_max,
+reply_margin; servos_file or torque_constant, position_p_gain, position_i_gain, position_d_gain.
 
 Safe at start: torque is off, and only set_torque switches it on, holding the present position. A missing servo, a
 latched hardware error or a lost port stops all: goal := present position, contactor open, torque off after 0.5 s. By
@@ -33,7 +33,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from deltacharger_core.machine import JOINTS
 from deltacharger_driver.errors import DriverError
-from deltacharger_driver.parameters import ServoNodeParameters
+from deltacharger_driver.parameters import SERVOS_FOLLOW, ServoNodeParameters
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.diagnostics import RefusedTrajectories, bus_entry, servo_entry
@@ -46,8 +46,9 @@ from deltacharger_driver.servos.trajectory_node_io import TrajectoryInbox
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import Diagnostics
 from deltacharger_ros.duplicates import publishers
-from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.parameters import reject_unknown
 from deltacharger_ros.qos import LATEST, SERVICE
+from deltacharger_ros.servos_file import declare_with_servos
 
 _DIAGNOSTICS_PERIOD = 1.0  # s
 _REFUSAL_PERIOD = 0.2  # s between two diagnostics where trajectories are refused
@@ -99,7 +100,7 @@ class ServoNode(Node):
 
     def _configure(self) -> tuple[ServoController, JointLimits]:
         """Declare the parameters and build the controller."""
-        given = declare_all(self, ServoNodeParameters)
+        given = declare_with_servos(self, ServoNodeParameters, SERVOS_FOLLOW)
         reject_unknown(self)
         try:
             settings = BusSettings(

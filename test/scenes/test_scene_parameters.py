@@ -84,6 +84,17 @@ def test_nodes_follow_the_world_unless_the_scene_says_otherwise() -> None:
     assert scene.node_parameters("kinematics_node", {}) == {"gravity": [0.0, -9.0, 3.0], "torque_constant": 1.2}
 
 
+def test_nodes_follow_a_position_gain_and_take_measured_servos_from_their_file() -> None:
+    content = {
+        "simulation": {"world": {"servo": {"stiffness": 6.0, "torque_constant": 1.2}}},
+        "parameters": {"servo_node": {"position_p_gain": 868}, "kinematics_node": {"servos_file": "servos.yaml"}},
+    }
+    scene = parse_scene(content, "mine")
+    assert scene.node_parameters("docking_node", {})["servo_stiffness"] == pytest.approx(12.0)
+    assert "torque_constant" not in scene.node_parameters("kinematics_node", {})
+    assert scene.node_parameters("kinematics_node", {})["gravity"] == [0.0, -9.81, 0.0]
+
+
 def test_check_names_a_contradiction_and_a_wrong_parameter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("{simulation: {}, parameters: {docking_node: {servo_stiffness: 6.0}}}", encoding="utf-8")

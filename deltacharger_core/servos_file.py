@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured servos as YAML: what `deltacharger calibrate servos` writes and every node reads that reckons with them."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from deltacharger_core.machine import GAIN_MAX, POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
+from deltacharger_core.parameters import Bounded, ParameterError, from_mapping, number, words
+from deltacharger_core.yaml_file import read_yaml, write_yaml
+
+STIFFNESS_MIN, STIFFNESS_MAX = 0.5, 160.0
+"""N·m/rad that docking takes."""
+
+
+@dataclass(frozen=True)
+class ServosFileParameters(Bounded):
+    """Where the measured servos stand."""
+
+    servos_file: str = words("", "YAML file of `deltacharger calibrate servos`, which alone decides what it says")
+
+
+@dataclass(frozen=True)
+class MeasuredServo(Bounded):
+    """One servo, or the mean of all: numbers and their standard errors; None = not told."""
+
+    stiffness: float = number(SERVO_STIFFNESS, STIFFNESS_MIN, STIFFNESS_MAX, "N·m/rad", "of the position loop")
+    stiffness_error: float | None = number(None, 0.0, STIFFNESS_MAX, "N·m/rad", "its standard error")
+    torque_constant: float = number(TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current")
+    torque_constant_error: float | None = number(None, 0.0, 10.0, "N·m/A", "its standard error")
+    friction: float | None = number(None, 0.0, 3.0, "N·m", "of the powered gear")
+    friction_error: float | None = number(None, 0.0, 3.0, "N·m", "its standard error")
+    backlash: float | None = number(None, 0.0, 0.1, "rad", "play between encoder and arm, from stop to stop")
+    backlash_error: float | None = number(None, 0.0, 0.1, "rad", "its standard error")
+
+
+@dataclass(frozen=True)
+class MeasuredServos(MeasuredServo):
+    """The servos of an arm: what nodes reckon with, the gains with which it holds, and the single servos beside it.
+
+    Raises:
+        ParameterError: a value lies outside its bounds, or there are not three servos.
+    """
+
+    position_p_gain: int = number(POSITION_P_GAIN, 1, GAIN_MAX, "", "gains with which the servos were measured")
+    position_i_gain: int = number(0, 0, GAIN_MAX, "", "likewise")
+    position_d_gain: int = number(0, 0, GAIN_MAX, "", "likewise")
+    servos: tuple[MeasuredServo, MeasuredServo, MeasuredServo] = field(
+        default_factory=lambda: (MeasuredServo(), MeasuredServo(), MeasuredServo())
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.servos) != 3:
+            raise ParameterError("servos", self.servos, f"has {len(self.servos)} servos; give three or none")
+
+
+def load_servos(path: str | Path) -> MeasuredServos:
+    """Read a file of measured servos; keys that it leaves out keep their defaults.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: names the file and the key; not YAML, an unknown key or an impossible value.
+    """
+    content = read_yaml(path)
+    try:
+        return from_mapping({} if content is None else content, MeasuredServos)
+    except ParameterError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def save_servos(servos: MeasuredServos, path: str | Path, comment: str = "") -> None:
+    """Write measured servos whole or not at all, `comment` above them.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    write_yaml(path, servos_to_mapping(servos), comment)
+
+
+def servos_to_mapping(servos: MeasuredServos) -> dict[str, Any]:
+    """Return measured servos as plain numbers, lists and mappings; what is not told is left out."""
+    told = dataclasses.asdict(servos)
+    return {
+        **{name: value for name, value in told.items() if name != "servos" and value is not None},
+        "servos": [{name: value for name, value in each.items() if value is not None} for each in told["servos"]],
+    }
