@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kinematic calibration: from measured poses to the dimensions of one arm."""
+"""Calibration of one arm: its dimensions from measured poses, its servos by the weight that they hold."""

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether measured servos can be believed and used, what differs between them, and what goes into their file."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deltacharger_core.arrays import Array
+from deltacharger_core.machine import POSITION_P_GAIN, SERVO_STIFFNESS, TORQUE_CONSTANT
+from deltacharger_core.servos_file import MeasuredServo, MeasuredServos
+from deltacharger_kinematics.calibration.servo_arm import ServoTask
+from deltacharger_kinematics.calibration.servo_fit import CONSTANT, FRICTION, STIFFNESS, loads_at
+from deltacharger_kinematics.calibration.servo_procedure import MeasuredArm
+from deltacharger_kinematics.geometry import LIMB_COUNT
+
+NAMES = ("stiffness", "torque constant", "friction")
+UNITS = ("N·m/rad", "N·m/A", "N·m")
+SOFTEST, STIFFEST = 2.0, 40.0
+"""N·m/rad with which docking was tried."""
+UNEXPLAINED = 2.0
+"""Scatter from which on the weight does not explain what the servos bore."""
+FAR_CONSTANT = 0.3
+"""Share by which a torque constant may differ from the vendor's."""
+_DIFFERS, _NOTICED = 4.0, 0.08  # standard errors, and share, from which on a servo differs from the others
+_UNSURE = 0.15  # standard error of a stiffness, as a share, above which it is not told
+_TURNED = math.radians(8.0)  # of gravity, from which on it is said
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Of the position loop, as the servos held them while they were measured."""
+
+    p: int = POSITION_P_GAIN
+    i: int = 0
+    d: int = 0
+
+
+def doubts(measured: MeasuredArm, task: ServoTask, gains: Gains) -> list[str]:
+    """Return why what was measured should not be used; empty where it should."""
+    found = [*_of_the_weight(measured, task), *_of_the_numbers(measured, gains)]
+    if not found:  # else that explains it
+        found = [
+            f"servo {servo + 1} does not turn back as play and friction explain: look for a rod or a horn that is loose"
+            for servo in measured.play.strange
+        ]
+    return found
+
+
+def _of_the_weight(measured: MeasuredArm, task: ServoTask) -> list[str]:
+    fit, found = measured.fit, []
+    if fit.scatter > UNEXPLAINED:
+        turned = gravity_felt(measured, task)
+        angle = math.acos(float(np.clip(turned @ np.array(task.gravity) / np.linalg.norm(task.gravity), -1.0, 1.0)))
+        hint = ", ".join(f"{9.81 * value:.1f}" for value in turned)
+        found.append(
+            f"the servos did not bear the weight that they should: what they told scatters {fit.scatter:.1f} times as "
+            "much as noise and ticks explain; "
+            + (
+                f"they look like gravity ({hint}) m/s², {math.degrees(angle):.0f}° from what docking_node is told: "
+                "correct gravity_x, gravity_y, gravity_z"
+                if angle > _TURNED
+                else "look for a platform, rod or horn that is loose, for a cable that pulls, and at the geometry"
+            )
+        )
+    mean = fit.common(CONSTANT)[0]
+    if abs(mean / TORQUE_CONSTANT - 1.0) > FAR_CONSTANT:
+        share = TORQUE_CONSTANT / mean
+        found.append(
+            f"a torque constant of {mean:.2f} N·m/A is far from the vendor's {TORQUE_CONSTANT:.2f}: rather the arm "
+            f"weighs {share:.2f} times what platform_mass and rod_mass say; weigh the end effector, or screw it on"
+        )
+    return found
+
+
+def _of_the_numbers(measured: MeasuredArm, gains: Gains) -> list[str]:
+    fit, found = measured.fit, []
+    for servo, value in enumerate(fit.stiffness):
+        if not SOFTEST <= value <= STIFFEST:
+            better = max(1, round(gains.p * SERVO_STIFFNESS / value))
+            found.append(
+                f"servo {servo + 1} has {value:.1f} N·m/rad, outside of {SOFTEST:g} to {STIFFEST:g} with which docking "
+                f"was tried: set position_p_gain of servo_node to about {better}, and measure again"
+            )
+    for servo, (value, error) in enumerate(zip(fit.stiffness, fit.error(STIFFNESS), strict=True)):
+        if error > _UNSURE * value:
+            found.append(
+                f"the stiffness of servo {servo + 1} is told to {100 * error / value:.0f} % only: give more --seconds, "
+                "or lower position_p_gain"
+            )
+    for servo, value in enumerate(fit.friction):
+        if value <= 0.0:
+            found.append(
+                f"servo {servo + 1} seems to be pushed by its own friction ({value:.3f} N·m): something follows the "
+                "arm, such as a cable or a hand"
+            )
+    return found
+
+
+def gravity_felt(measured: MeasuredArm, task: ServoTask) -> Array:
+    """Return the direction (3,) of gravity that explains the currents best, were the weight's own unknown."""
+    angles = np.array([reading.angles for reading in measured.readings])
+    currents = np.array([reading.currents for reading in measured.readings])
+    signs = np.array([reading.directions for reading in measured.readings], dtype=float)
+    parts = np.stack(
+        [loads_at(angles, ServoTask(task.geometry, (float(x), float(y), float(z)))) for x, y, z in np.eye(3)], axis=-1
+    )
+    rows = np.zeros((*signs.shape, 3 + LIMB_COUNT))
+    rows[..., :3] = parts
+    for servo in range(LIMB_COUNT):
+        rows[:, servo, 3 + servo] = signs[:, servo]
+    used = signs != 0.0
+    found, *_ = np.linalg.lstsq(rows[used], currents[used], rcond=None)
+    return np.asarray(found[:3] / max(float(np.linalg.norm(found[:3])), 1e-12))
+
+
+def differing(measured: MeasuredArm) -> list[str]:
+    """Return which servo differs from the other two by more than errors explain, in what, and by how much."""
+    fit, found = measured.fit, []
+    for what, values in ((STIFFNESS, fit.stiffness), (CONSTANT, fit.torque_constant), (FRICTION, fit.friction)):
+        errors = fit.own_error(what)
+        for servo in range(LIMB_COUNT):
+            others = [other for other in range(LIMB_COUNT) if other != servo]
+            mean, spread = float(values[others].mean()), float(np.hypot(*errors[others])) / 2.0
+            alike = abs(values[others[0]] - values[others[1]]) <= 0.5 * abs(values[servo] - mean)
+            sigmas = abs(values[servo] - mean) / math.hypot(errors[servo], spread)
+            if alike and sigmas > _DIFFERS and abs(values[servo] / mean - 1.0) > _NOTICED:
+                found.append(
+                    f"the {NAMES[what]} of servo {servo + 1} differs from that of the others: {values[servo]:.3g} "
+                    f"against {mean:.3g} {UNITS[what]}"
+                )
+    return found
+
+
+def to_file(measured: MeasuredArm, gains: Gains) -> MeasuredServos:
+    """Return what the file of these servos says.
+
+    Raises:
+        ParameterError: a value lies outside of what nodes can take.
+    """
+    fit, play = measured.fit, measured.play
+    told = [
+        MeasuredServo(
+            **_numbers(
+                (fit.stiffness[servo], fit.error(STIFFNESS)[servo]),
+                (fit.torque_constant[servo], fit.error(CONSTANT)[servo]),
+                (fit.friction[servo], fit.error(FRICTION)[servo]),
+                (play.width[servo], play.error[servo]),
+            )
+        )
+        for servo in range(LIMB_COUNT)
+    ]
+    seen = np.isfinite(play.width)
+    common_play = (math.nan, math.nan)
+    if seen.any():
+        common_play = (float(play.width[seen].mean()), float(np.hypot.reduce(play.error[seen]) / seen.sum()))
+    common = _numbers(fit.common(STIFFNESS), fit.common(CONSTANT), fit.common(FRICTION), common_play)
+    first, second, third = told
+    return MeasuredServos(
+        **common,
+        position_p_gain=gains.p,
+        position_i_gain=gains.i,
+        position_d_gain=gains.d,
+        servos=(first, second, third),
+    )
+
+
+def _numbers(*pairs: tuple[float, float]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, (value, error) in zip(("stiffness", "torque_constant", "friction", "backlash"), pairs, strict=True):
+        known = math.isfinite(value)
+        found[name] = float(f"{value:.6g}") if known else None
+        found[f"{name}_error"] = float(f"{error:.3g}") if known else None
+    return found

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stiffness, torque constant and friction of each servo by one least squares over all places of rest.
+
+At rest, servo i came to its place turning in direction s and holds T = w L + s f: its share L of the weight of platform
+and rods, known by pose up to a common factor w near 1, and its friction f. The motor gives that torque, which shows
+twice: current = T / Kt, and goal − angle = T / k. Unknown are k, Kt and f of each servo, and w, about which only the
+weight's tolerance is known; it is what k, Kt and f share, so that it enters the standard errors of all. Unknown, too,
+is by how much each arm stands beside its encoder: by play, on one side of which it hangs, and by what a calibration of
+the geometry leaves. Where k turns a load into few ticks of the encoder, these are counted (`servo_ticks`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deltacharger_core.arrays import Array
+from deltacharger_kinematics.calibration.servo_arm import TICK, ServoTask, ServoTrouble, StaticReading
+from deltacharger_kinematics.calibration.servo_ticks import stiffness_by_ticks
+from deltacharger_kinematics.delta import Delta
+from deltacharger_kinematics.geometry import LIMB_COUNT
+
+ANGLE_ERROR = TICK / math.sqrt(12.0)
+"""rad; goals are whole ticks, readings are rounded to them."""
+OFFSET_ERROR = 0.003
+"""rad, standard deviation of an arm beside its encoder: half of the play that the vendor states, 20 arcminutes."""
+_MANY_TICKS = 8.0  # rms of goal − angle, from which on rounding averages out by itself
+_CREEP = 1e-4  # rad that an arm may still be short of rest
+_ROUNDS = 12
+_TURNED = 1e-4  # rad, for slopes of the loads
+_WEIGHT = 3 * LIMB_COUNT  # place of the weight's factor among the numbers; behind it stand the three offsets
+_TOO_FEW = "too few readings of servo {} to tell anything: give it more --seconds"
+_FEWEST = 6  # readings of a servo, of each direction 2
+
+STIFFNESS, CONSTANT, FRICTION = range(3)
+"""Place of a servo's numbers among its three."""
+
+
+@dataclass(frozen=True)
+class ServoFit:
+    """What was found of all servos.
+
+    Attributes:
+        stiffness: N·m/rad, (3,).
+        torque_constant: N·m/A, (3,).
+        friction: N·m, (3,).
+        weight: factor of the weight, 1 unless the data say otherwise.
+        covariance: of 3 × (stiffness, torque_constant, friction) and weight, (10, 10), in their units.
+        current_residuals: of each reading and servo in standard deviations, (n, 3); NaN where a servo did not count.
+        angle_residuals: the same of goal − angle.
+        loads: the weight's share of each servo at each reading, N·m, (n, 3).
+    """
+
+    stiffness: Array
+    torque_constant: Array
+    friction: Array
+    weight: float
+    covariance: Array
+    current_residuals: Array
+    angle_residuals: Array
+    loads: Array
+
+    @property
+    def scatter(self) -> float:
+        """Root mean square of all residuals; about 1 where what is known of the errors is right."""
+        both = np.concatenate([self.current_residuals, self.angle_residuals])
+        return float(np.sqrt(np.nanmean(both**2)))
+
+    def error(self, what: int) -> Array:
+        """Return the standard errors (3,) of STIFFNESS, CONSTANT or FRICTION, in its unit."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)[what : 3 * LIMB_COUNT : 3]))
+
+    def common(self, what: int) -> tuple[float, float]:
+        """Return the mean of STIFFNESS, CONSTANT or FRICTION over the servos, and its standard error.
+
+        A servo that was measured worse counts less, unless the servos differ by more than their errors.
+        """
+        rows = slice(what, 3 * LIMB_COUNT, 3)
+        values = (self.stiffness, self.torque_constant, self.friction)[what]
+        own = self.own_error(what) ** 2
+        between = max(0.0, float(np.var(values, ddof=1) - own.mean()))
+        weights = 1.0 / (own + between)
+        weights /= weights.sum()
+        return float(weights @ values), float(np.sqrt(weights @ self.covariance[rows, rows] @ weights))
+
+    def own_error(self, what: int) -> Array:
+        """Return the standard errors (3,) were the weight known exactly: what tells one servo from another."""
+        rows = slice(what, 3 * LIMB_COUNT, 3)
+        shared = self.covariance[rows, -1] ** 2 / self.covariance[-1, -1]
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance)[rows] - shared, 1e-18)))
+
+
+@dataclass(frozen=True)
+class _Table:
+    """The readings as arrays (n, 3)."""
+
+    loads: Array
+    signs: Array
+    currents: Array
+    current_errors: Array
+    errors: Array
+    turning: Array  # (n, 3, 3): by how much each servo's load changes with the angle of each arm, N·m/rad
+
+
+def loads(readings: Sequence[StaticReading], task: ServoTask) -> Array:
+    """Return each servo's share of the weight (n, 3) N·m, NaN where the angles have no position."""
+    return loads_at(np.array([reading.angles for reading in readings]), task)
+
+
+def loads_at(angles: Array, task: ServoTask) -> Array:
+    """Return the same for arm angles (n, 3) rad."""
+    delta = Delta(task.geometry)
+    return delta.holding_torque(delta.forward(angles).position, task.gravity)
+
+
+def fit_servos(readings: Sequence[StaticReading], task: ServoTask, play: Array | None = None) -> ServoFit:
+    """Fit all servos at once.
+
+    Args:
+        readings: at rest.
+        task: what is known of the arm.
+        play: between encoder and arm of each servo, rad (3,); 0 where it is not known.
+
+    Raises:
+        ServoTrouble: there are too few readings, or the currents do not follow the weight at all.
+    """
+    if len(readings) < _FEWEST:
+        raise ServoTrouble(_TOO_FEW.format(1))
+    table = _table(readings, task, np.zeros(LIMB_COUNT) if play is None else play)
+    numbers = _first_guess(table)
+    for _ in range(_ROUNDS):
+        residuals, slopes = _linearise(numbers, table, task.weight_tolerance)
+        step, *_ = np.linalg.lstsq(slopes, -residuals, rcond=None)
+        numbers = numbers + np.clip(step, -0.7, 0.7)
+        if np.abs(step).max() < 1e-10:
+            break
+    return _result(numbers, table, task)
+
+
+def _table(readings: Sequence[StaticReading], task: ServoTask, play: Array) -> _Table:
+    currents = np.array([reading.currents for reading in readings])
+    encoders = np.array([reading.angles for reading in readings])
+    arms = encoders - 0.5 * play * np.sign(currents)
+    turning = []
+    for arm in np.eye(LIMB_COUNT) * _TURNED:
+        turning.append((loads_at(arms + arm, task) - loads_at(arms - arm, task)) / (2.0 * _TURNED))
+    return _Table(
+        loads_at(arms, task),
+        np.array([reading.directions for reading in readings], dtype=float),
+        currents,
+        np.array([reading.current_errors for reading in readings]),
+        np.array([reading.goals for reading in readings]) - encoders,
+        np.stack(turning, axis=-1),
+    )
+
+
+def _first_guess(table: _Table) -> Array:
+    """Return ln k, ln Kt, f of each servo and the weight's factor by lines through the single servos' readings."""
+    numbers = [1.0] * (_WEIGHT + 1) + [0.0] * LIMB_COUNT
+    for servo in range(LIMB_COUNT):
+        used = table.signs[:, servo] != 0.0
+        signs = table.signs[used, servo]
+        if used.sum() < _FEWEST or min((signs > 0).sum(), (signs < 0).sum()) < 2:
+            raise ServoTrouble(_TOO_FEW.format(servo + 1))
+        rows = np.stack([table.loads[used, servo], signs], axis=-1)
+        (per_torque, rubbing), *_ = np.linalg.lstsq(rows, table.currents[used, servo], rcond=None)
+        (softness, _), *_ = np.linalg.lstsq(rows, table.errors[used, servo], rcond=None)
+        if per_torque <= 0.0 or softness <= 0.0:
+            raise ServoTrouble(
+                f"the current of servo {servo + 1} does not grow with the weight it should carry: gravity_x, "
+                "gravity_y, gravity_z of docking_node point another way than gravity does, `direction` of servo_node "
+                "is wrong, or the platform hangs loose"
+            )
+        numbers[3 * servo : 3 * servo + 3] = -math.log(softness), -math.log(per_torque), rubbing / per_torque
+    return np.array(numbers)
+
+
+def _linearise(numbers: Array, table: _Table, tolerance: float) -> tuple[Array, Array]:
+    """Return residuals (rows) in standard deviations and their slopes (rows, 13), what is known beforehand last."""
+    residuals, slopes = [], []
+    weight, offsets = numbers[_WEIGHT], numbers[_WEIGHT + 1 :]
+    angle_error = math.hypot(ANGLE_ERROR, _CREEP)
+    for servo in range(LIMB_COUNT):
+        used = table.signs[:, servo] != 0.0
+        turning, sign = table.turning[used, servo], table.signs[used, servo]
+        load = table.loads[used, servo] + turning @ offsets
+        ln_k, ln_constant, friction = numbers[3 * servo : 3 * servo + 3]
+        torque = weight * load + sign * friction
+        measured = (
+            (ln_k, STIFFNESS, table.errors[used, servo], np.full(load.shape, angle_error)),
+            (ln_constant, CONSTANT, table.currents[used, servo], table.current_errors[used, servo]),
+        )
+        for logarithm, what, values, errors in measured:
+            per_torque = math.exp(-logarithm) / errors
+            rows = np.zeros((len(load), len(numbers)))
+            rows[:, 3 * servo + what] = -torque * per_torque
+            rows[:, 3 * servo + FRICTION] = sign * per_torque
+            rows[:, _WEIGHT] = load * per_torque
+            rows[:, _WEIGHT + 1 :] = weight * turning * per_torque[:, None]
+            residuals.append(torque * per_torque - values / errors)
+            slopes.append(rows)
+    beforehand = np.zeros((LIMB_COUNT + 1, len(numbers)))
+    beforehand[:, _WEIGHT:] = np.diag([1.0 / tolerance] + [1.0 / OFFSET_ERROR] * LIMB_COUNT)
+    residuals.append(beforehand @ (numbers - np.eye(len(numbers))[_WEIGHT]))
+    return np.concatenate(residuals), np.concatenate([*slopes, beforehand])
+
+
+def _count_ticks(numbers: Array, covariance: Array, table: _Table, servo: int, scatter: float) -> None:
+    """Replace a stiffness that few ticks tell, and the part of its variance that is theirs, in place."""
+    used = table.signs[:, servo] != 0.0
+    errors = table.errors[used, servo]
+    if float(np.sqrt(np.mean(errors**2))) > _MANY_TICKS * TICK:
+        return
+    load = table.loads[used, servo] + table.turning[used, servo] @ numbers[_WEIGHT + 1 :]
+    torques = numbers[_WEIGHT] * load + table.signs[used, servo] * numbers[3 * servo + FRICTION]
+    place = 3 * servo + STIFFNESS
+    squares = float(np.sum((torques * math.exp(-numbers[place])) ** 2))
+    rounded = scatter * (ANGLE_ERROR**2 + _CREEP**2) / squares
+    numbers[place], deviation = stiffness_by_ticks(torques, errors, math.exp(numbers[place]))
+    covariance[place, place] += deviation**2 - min(rounded, 0.999 * covariance[place, place])
+
+
+def _result(numbers: Array, table: _Table, task: ServoTask) -> ServoFit:
+    residuals, slopes = _linearise(numbers, table, task.weight_tolerance)
+    logarithms = numbers[:_WEIGHT].reshape(LIMB_COUNT, 3)
+    told = np.full((2, *table.signs.shape), math.nan)
+    start = 0
+    for servo in range(LIMB_COUNT):
+        used = table.signs[:, servo] != 0.0
+        for kind in range(2):
+            told[kind, used, servo] = residuals[start : start + used.sum()]
+            start += int(used.sum())
+    rows = len(residuals) - LIMB_COUNT - 1
+    scatter = float(np.sum(residuals[:rows] ** 2) / max(1, rows - _WEIGHT))
+    information = slopes[:rows].T @ slopes[:rows] / max(1.0, scatter) + slopes[rows:].T @ slopes[rows:]
+    covariance: Array = np.asarray(np.linalg.inv(information)[: _WEIGHT + 1, : _WEIGHT + 1], dtype=float)
+    for servo in range(LIMB_COUNT):
+        _count_ticks(numbers, covariance, table, servo, max(1.0, scatter))
+    stiffness, constant = np.exp(logarithms[:, STIFFNESS]), np.exp(logarithms[:, CONSTANT])
+    units = np.append(np.stack([stiffness, constant, np.ones(LIMB_COUNT)], axis=-1).ravel(), 1.0)
+    covariance *= np.outer(units, units)
+    return ServoFit(
+        np.asarray(stiffness),
+        np.asarray(constant),
+        logarithms[:, FRICTION],
+        float(numbers[_WEIGHT]),
+        np.asarray(covariance),
+        told[1],
+        told[0],
+        table.loads,
+    )

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Play between a servo's encoder and its arm, where friction alone can hold the arm.
+
+A servo that bears a load never shows its play: the encoder stands on one side of it, and goal − angle is torque over
+stiffness all the same. Where its share of the weight is smaller than its friction, the goal can be led from one side to
+the other under an arm that stands still. Its torque then falls from L + f to 0, stays there while the goal passes the
+play, and falls on to L − f: the width of that step is the play. Both ways are gone, at several places, in whole ticks;
+what the ticks leave open is left open in the answer, which is the mean and spread of the plays that explain the
+readings.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from deltacharger_core.arrays import Array
+from deltacharger_kinematics.calibration.servo_arm import TICK
+from deltacharger_kinematics.calibration.servo_fit import CONSTANT, FRICTION, OFFSET_ERROR, ServoFit
+from deltacharger_kinematics.calibration.servo_plan import PosePlanner
+from deltacharger_kinematics.calibration.servo_walk import ArmWalk
+from deltacharger_kinematics.geometry import Vector
+
+WIDEST = 0.05
+"""rad of play that is looked for."""
+_LIGHT = 0.6  # of a servo's friction; a share of the weight below it lets the arm stand by itself
+_SWEEPS = 12  # there and back, at most
+_WAIT, _READ = 0.06, 0.12  # s at each goal
+_FINE = 0.2  # of the friction; change of torque from goal to goal
+_ENOUGH = 0.6  # of the friction on the other side, where a sweep ends
+_GRID = np.arange(0.0, WIDEST, 5e-5)
+_DRAWS = 400  # of what is not known exactly
+_GIVE = 0.0025  # rad/(N·m) by which a gear yields before it slips, and how well that is known
+_VAGUE = 0.005  # rad of standard deviation, from which on a play is not told
+_MODEL_ERROR = 1e-3  # N·m
+
+
+class Sweep(NamedTuple):
+    """Goals of one servo led back from where it had slipped.
+
+    Attributes:
+        direction: in which the servo had turned before, +1 or −1.
+        load: the weight's share there, N·m.
+        back: how far the goal was led back, rad, (n,).
+        currents: A, (n,).
+        current_errors: A, (n,).
+    """
+
+    direction: int
+    load: float
+    back: Array
+    currents: Array
+    current_errors: Array
+
+
+class Play(NamedTuple):
+    """Play between encoder and arm.
+
+    Attributes:
+        width: of each servo, rad (3,); NaN where it is not told, since the arm's weight hides it.
+        error: its standard deviation, rad (3,).
+        strange: servos that turned back as no play explains.
+    """
+
+    width: Array
+    error: Array
+    strange: tuple[int, ...] = ()
+
+
+def untold() -> Play:
+    """Return what is known of play without any sweep."""
+    return Play(np.full(3, math.nan), np.full(3, math.nan))
+
+
+def sweep_play(walk: ArmWalk, planner: PosePlanner, fit: ServoFit, seconds: float) -> Play:
+    """Look for the play of every servo that can stand by its friction somewhere in the workspace.
+
+    Args:
+        walk: the arm.
+        planner: knows the places.
+        fit: what was found at rest.
+        seconds: for all servos together.
+
+    Raises:
+        ServoTrouble: as `ArmWalk` does.
+    """
+    found, strange = untold(), []
+    light = [servo for servo in range(3) if planner.lightest(servo) < _LIGHT * max(fit.friction[servo], 0.0)]
+    for servo in light:
+        sweeps = _sweeps(walk, planner, fit, servo, seconds / len(light))
+        if sweeps:
+            width, error = play_of(sweeps, fit, servo)
+            if math.isnan(width):
+                strange.append(servo)
+            elif error < _VAGUE:
+                found.width[servo], found.error[servo] = width, error
+    return found._replace(strange=tuple(strange))
+
+
+def _sweeps(walk: ArmWalk, planner: PosePlanner, fit: ServoFit, servo: int, seconds: float) -> list[Sweep]:
+    """Go to places where a servo bears little and sweep there in both directions."""
+    end, sweeps = walk.spent + seconds, list[Sweep]()
+    stiffness, friction = float(fit.stiffness[servo]), float(fit.friction[servo])
+    turn = 3.0 * friction / stiffness + 0.02
+    for place in planner.light_places(servo, _LIGHT * friction, _SWEEPS // 2):
+        goals = planner.goals_at(place, walk.model)
+        walk.lead(_moved(goals, servo, -turn), place)
+        walk.rest()
+        for direction in (1, -1):
+            if walk.spent > end:
+                return sweeps
+            walk.lead(_moved(goals, servo, 0.0), place)
+            start = walk.rest()
+            load = float(walk.loads(np.array(start.angles))[servo])
+            sweeps.append(_sweep(walk, servo, direction, load, fit))
+            walk.lead(_moved(goals, servo, direction * turn), place)
+            walk.rest()
+    return sweeps
+
+
+def _moved(goals: Vector, servo: int, by: float) -> Vector:
+    first, second, third = (
+        goal + (round(by / TICK) * TICK if index == servo else 0.0) for index, goal in enumerate(goals)
+    )
+    return first, second, third
+
+
+def _sweep(walk: ArmWalk, servo: int, direction: int, load: float, fit: ServoFit) -> Sweep:
+    """Lead one servo's goal back, tick by tick where its torque is small, until it pulls the other way."""
+    friction, stiffness, constant = (
+        float(values[servo]) for values in (fit.friction, fit.stiffness, fit.torque_constant)
+    )
+    start, fine = walk.arm.goals(), max(1, round(_FINE * friction / stiffness / TICK))
+    # The first step leaves a part of the friction; smaller ones cross the rest.
+    ticks = max(1, round((direction * load + (1.0 - 2.0 * _FINE) * friction) / stiffness / TICK))
+    rows = []
+    while ticks * TICK < WIDEST + 3.0 * friction / stiffness:
+        reading = walk.step(_moved(start, servo, -direction * ticks * TICK), _WAIT, _READ)
+        rows.append((ticks * TICK, reading.currents[servo], reading.current_errors[servo]))
+        if direction * constant * rows[-1][1] < direction * load - _ENOUGH * friction and rows[-1][1] * direction < 0.0:
+            break
+        ticks += fine
+    told = np.array(rows)
+    return Sweep(direction, load, told[:, 0], told[:, 1], told[:, 2])
+
+
+def play_of(sweeps: list[Sweep], fit: ServoFit, servo: int) -> tuple[float, float]:
+    """Return mean and standard deviation (rad) of the plays that explain the sweeps of a servo.
+
+    Every play of a grid is tried with draws of load, friction, stiffness and give of the gear within their errors. NaN
+    where none explains them.
+    """
+    random = np.random.default_rng(0)
+    friction = fit.friction[servo] + fit.own_error(FRICTION)[servo] * random.normal(size=_DRAWS)
+    give = np.abs(_GIVE * (1.0 + random.normal(size=_DRAWS)))
+    shift = 0.3 * OFFSET_ERROR * random.normal(size=_DRAWS)
+    constant = fit.torque_constant[servo] * (
+        1.0 + fit.own_error(CONSTANT)[servo] / fit.torque_constant[servo] * random.normal(size=_DRAWS)
+    )
+    yields = fit.stiffness[servo] / (1.0 + fit.stiffness[servo] * give)
+    misfit = np.zeros((_DRAWS, len(_GRID)))
+    for sweep in sweeps:
+        load = sweep.direction * sweep.load + shift
+        for back, current, error in zip(
+            sweep.back, sweep.direction * sweep.currents, sweep.current_errors, strict=True
+        ):
+            torque = torque_swept(back, _GRID, (load + friction)[:, None], (load - friction)[:, None], yields[:, None])
+            spread = np.hypot(error * constant, _MODEL_ERROR)[:, None]
+            misfit += ((torque - current * constant[:, None]) / spread) ** 2
+    likelihood = np.exp(-0.5 * (misfit - misfit.min())).sum(axis=0)
+    likelihood /= likelihood.sum()
+    mean = float(likelihood @ _GRID)
+    if misfit.min() > 25.0 * sum(len(sweep.back) for sweep in sweeps):
+        return math.nan, math.nan
+    return mean, float(np.sqrt(likelihood @ (_GRID - mean) ** 2))
+
+
+def torque_swept(back: float, play: Array, first: Array, last: Array, stiffness: Array) -> Array:
+    """Return the torque (N·m) where a goal was led back by `back` (rad) from where the torque was `first`.
+
+    It falls by `stiffness`, rests at 0 over the width of the play, and falls on down to `last`, where the arm slips.
+    """
+    at_zero = np.maximum(first, 0.0) / stiffness
+    before = first - stiffness * back
+    after = -stiffness * (back - at_zero - play)
+    return np.maximum(np.where(before > 0.0, before, np.minimum(after, 0.0)), last)
