@@ -47,6 +47,7 @@ COMMANDS = {
     "fault": "let something go wrong with the emulated hardware of a charger that runs",
     "doctor": "say what is wrong with this computer, its ports and what is plugged in, and how to mend it",
     "calibrate kinematics": "plan and measure poses of the arm, and fit its geometry to them",
+    "calibrate servos": "measure stiffness, torque constant, friction and play of the running charger's servos",
     "calibrate tactile": "find gains, dead taxels and constant errors of one rig's pads from dockings at known poses",
     "calibrate camera": "find where the camera sits from images of a board on the platform",
     "report kinematics": (
@@ -81,6 +82,7 @@ COMMANDS = {
 _ELSEWHERE = {
     "scene list": "scene.list_scenes",
     "calibrate kinematics": "calibrate_kinematics.kinematics",
+    "calibrate servos": "calibrate_servos.servos",
     "calibrate tactile": "calibrate_tactile.tactile",
     "calibrate camera": "calibrate_camera.camera",
     "tactile record": "tactile_record.record",

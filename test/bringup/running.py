@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A charger of mocks in a process of its own, for commands that move its arm."""
+"""A charger in a process of its own, for commands that move its arm."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ class Charger:
 
     def __init__(self, namespace: str, node: Node) -> None:
         self.namespace = namespace
+        self.node = node
         self.state: Any = None
         node.create_subscription(ServoState, f"/{namespace}/servo_state", self._on_state, qos.LATEST)
 

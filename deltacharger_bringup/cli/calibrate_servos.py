@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`deltacharger calibrate servos`: let the arm of the running charger measure its own servos."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from deltacharger_bringup.cli.calibration import conclude, geometry_of
+from deltacharger_bringup.cli.charger import DISCOVERY, prepare, ros_context
+from deltacharger_bringup.cli.files import file_to_write
+from deltacharger_bringup.cli.output import FAILED, INTERRUPTED, CommandError, Interrupts, say
+from deltacharger_bringup.cli.parser import namespace_option
+from deltacharger_bringup.cli.types import SEED, between
+from deltacharger_core.parameters import ParameterError
+from deltacharger_core.servos_file import MeasuredServos, save_servos, servos_to_mapping
+from deltacharger_kinematics.calibration.servo_arm import ServoTask, ServoTrouble
+from deltacharger_kinematics.calibration.servo_checks import Gains, differing, doubts, to_file
+from deltacharger_kinematics.calibration.servo_fit import CONSTANT, FRICTION, STIFFNESS
+from deltacharger_kinematics.calibration.servo_procedure import MeasuredArm, measure_servos
+
+_SHARE = 0.1  # of the time between two words on how far it is
+_HEADS = ("servo 1", "servo 2", "servo 3", "arm")
+
+
+def add_servos(parser: argparse.ArgumentParser) -> None:
+    """Add the options of `calibrate servos`."""
+    usual = ServoTask()
+    parser.add_argument("--out", metavar="FILE", help="write what was measured, for the parameter servos_file")
+    parser.add_argument("--geometry", metavar="FILE", help="the arm's geometry (default: what docking_node has)")
+    parser.add_argument("--force", action="store_true", help="overwrite the file, and write doubtful numbers")
+    parser.add_argument(
+        "--weight-percent",
+        type=between(0.1, 20.0),
+        default=100.0 * usual.weight_tolerance,
+        metavar="P",
+        help="standard deviation of what platform and rods weigh (2)",
+    )
+    parser.add_argument(
+        "--seconds", type=between(60.0, 1800.0), default=usual.seconds, metavar="S", help="how long to measure (150)"
+    )
+    parser.add_argument("--seed", type=SEED, default=0, metavar="N", help="of the order of the poses (0)")
+    namespace_option(parser)
+
+
+def servos(options: argparse.Namespace) -> int:
+    """Measure the servos of the running charger, tell them, and write them."""
+    if options.out is not None:
+        file_to_write("--out", options.out, overwrite=options.force)
+    if options.geometry is not None:
+        geometry_of(options.geometry)  # refused before anything moves
+    prepare(options, look_around=True)
+    task, gains, measured = _measured(options)
+    remarks = differing(measured)
+    problems = doubts(measured, task, gains)
+    try:
+        found: MeasuredServos | None = to_file(measured, gains)
+    except ParameterError as error:
+        found, problems = None, problems or [str(error)]
+
+    def save(path: str) -> None:
+        if found is None:
+            raise CommandError(f"{problems[0]}; such numbers cannot be written", FAILED)
+        save_servos(found, path, _header(task, measured, problems))
+
+    value = {**({} if found is None else {"servos": servos_to_mapping(found)}), **_about(measured), "doubts": problems}
+    return conclude(options, bool(problems), save, _as_text(measured), value, [*problems, *remarks])
+
+
+def _measured(options: argparse.Namespace) -> tuple[ServoTask, Gains, MeasuredArm]:
+    """Have the arm measured; its torque is off afterwards, however it ended."""
+    begun = False
+    with Interrupts() as interrupts, ros_context() as context:
+        from deltacharger_records.datasets.arm_guest import ArmError
+        from deltacharger_records.datasets.measuring_arm import MeasuringArm
+
+        try:
+            geometry = geometry_of(options.geometry)
+            with MeasuringArm(context, geometry, options.namespace, interrupts.event) as arm:
+                arm.wait_until_ready(DISCOVERY)
+                task, gains = _task(options, arm.told("docking_node"), arm.told("servo_node"))
+                arm.start()
+                begun = True
+                say(f"the arm moves for {math.ceil((task.seconds + 15.0) / 60.0)} minutes at most; Ctrl-C ends it")
+                measured = measure_servos(arm, task, _progress())
+                arm.retire(measured.fit.common(STIFFNESS)[0])
+        except (ArmError, ServoTrouble) as error:
+            code = INTERRUPTED if interrupts.event.is_set() else FAILED
+            ended = ", and the torque is off" if begun else ""
+            raise CommandError(f"{error}; nothing was written{ended}", code) from error
+    return task, gains, measured
+
+
+def _task(options: argparse.Namespace, docking: dict[str, Any], servo: dict[str, Any]) -> tuple[ServoTask, Gains]:
+    """Return what the nodes say of arm and gravity."""
+    from deltacharger_records.node_parameters import docking_settings
+
+    if not docking:
+        say("docking_node does not tell geometry and gravity; taking the usual ones")
+    if options.geometry is not None:
+        docking = {name: value for name, value in docking.items() if name.startswith("gravity_")}
+    try:
+        settings, geometry = docking_settings(docking)
+    except OSError as error:
+        raise CommandError(
+            f"docking_node's geometry_file cannot be read here ({error}): give the same with --geometry", FAILED
+        ) from error
+    usual, gains = ServoTask(), Gains()
+    task = ServoTask(
+        geometry if options.geometry is None else geometry_of(options.geometry),
+        settings.gravity,
+        float(servo.get("torque_constant", usual.torque_constant)),
+        options.weight_percent / 100.0,
+        options.seconds,
+        options.seed,
+    )
+    told = [int(servo.get(f"position_{name}_gain", getattr(gains, name))) for name in ("p", "i", "d")]
+    return task, Gains(*told)
+
+
+def _progress() -> Callable[[float], None]:
+    told = 0.0
+
+    def show(share: float) -> None:
+        nonlocal told
+        if share >= told + _SHARE:
+            told = share
+            say(f"{100.0 * share:.0f} %")
+
+    return show
+
+
+def _header(task: ServoTask, measured: MeasuredArm, problems: list[str]) -> str:
+    """Return the comment that says what a file was made from."""
+    gravity = ", ".join(f"{value:g}" for value in task.gravity)
+    return "\n".join(
+        [
+            "Servos of one arm, measured by `deltacharger calibrate servos`.",
+            f"date: {datetime.datetime.now(datetime.timezone.utc):%Y-%m-%d %H:%M} UTC",
+            f"{len(measured.readings)} places in {measured.seconds:.0f} s; scatter {measured.fit.scatter:.2f}",
+            f"weight: platform {task.geometry.platform_mass:g} kg, each rod pair {task.geometry.rod_mass:g} kg, "
+            f"known to {100.0 * task.weight_tolerance:g} %; gravity ({gravity}) m/s²",
+            "stiffness holds with the gains below alone; the first lines are what nodes take, `servos` the single ones",
+            *(f"doubtful: {problem}" for problem in problems),
+        ]
+    )
+
+
+def _about(measured: MeasuredArm) -> dict[str, Any]:
+    return {"places": len(measured.readings), "seconds": measured.seconds, "scatter": measured.fit.scatter}
+
+
+def _as_text(measured: MeasuredArm) -> str:
+    fit, play = measured.fit, measured.play
+    rows = [f"{'':<24}" + "".join(f"{head:>18}" for head in _HEADS)]
+    for name, unit, what, values in (
+        ("stiffness", "N·m/rad", STIFFNESS, fit.stiffness),
+        ("torque constant", "N·m/A", CONSTANT, fit.torque_constant),
+        ("friction", "N·m", FRICTION, fit.friction),
+    ):
+        cells = [*zip(values, fit.error(what), strict=True), fit.common(what)]
+        rows.append(f"{name:<16}{unit:<8}" + "".join(f"{_cell(*cell):>18}" for cell in cells))
+    cells = [(1e3 * width, 1e3 * error) for width, error in zip(play.width, play.error, strict=True)]
+    told = "".join(f"{_cell(*cell) if math.isfinite(cell[0]) else 'not told':>18}" for cell in cells)
+    rows.append(f"{'play':<16}{'mrad':<8}{told}")
+    rows += ["", f"{len(measured.readings)} places in {measured.seconds:.0f} s"]
+    rows.append(f"scatter {fit.scatter:.2f} of what noise and ticks explain")
+    if np.isnan(play.width).any():
+        rows.append(
+            "play is told only of a servo that bears next to nothing somewhere; the weight hides that of the others"
+        )
+    return "\n".join(rows)
+
+
+def _cell(value: float, error: float) -> str:
+    digits = max(0, 1 - math.floor(math.log10(error))) if error > 0.0 else 3
+    return f"{value:.{digits}f} ± {error:.{digits}f}"
