@@ -22,6 +22,7 @@ from deltacharger_core.machine import (
     TORQUE_CONSTANT,
 )
 from deltacharger_core.parameters import Bounded, ParameterError, choice, flag, number, numbers, words
+from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
 from deltacharger_kinematics.geometry import Vector
 
 APPROACHES = ("guarded", "paper", "published")
@@ -46,7 +47,9 @@ class DockingParameters(Bounded):
     )
     published_clearance_rule: bool = flag(False, "whether published, too, needs clearance before current may flow")
     current_signal: str = choice("contact", SIGNALS, "what counts as current: contact, or the raw maximum or sum")
-    servo_stiffness: float = number(SERVO_STIFFNESS, 0.5, 160.0, "N·m/rad", "servo stiffness, until it is felt")
+    servo_stiffness: float = number(
+        SERVO_STIFFNESS, STIFFNESS_MIN, STIFFNESS_MAX, "N·m/rad", "servo stiffness, until it is felt"
+    )
     servo_damping: float = number(SERVO_DAMPING, 0.0, 10.0, "N·m·s/rad", "servo damping")
     torque_constant: float = number(TORQUE_CONSTANT, 0.1, 10.0, "N·m/A", "torque per current, as servo_node's")
     gravity_x: float = number(GRAVITY[0], -20.0, 20.0, "m/s²", "gravity along x of charger_base")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from deltacharger_core.parameters import declared
+from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 
@@ -31,8 +31,6 @@ class Springs:
         self._told = parameters.servo_stiffness
         self._constant = parameters.torque_constant
         self._damping = parameters.servo_damping
-        bounds = {key.name: key for key in declared(DockingParameters)}["servo_stiffness"]
-        self._least, self._most = self._constant / bounds.high, self._constant / bounds.low
         self._yields = self._squares = 0.0  # rad·A and A²
         self.compliance = self._constant / self._told
         self.is_felt = False
@@ -78,7 +76,7 @@ class Springs:
         yields = sum(lag * load for lag, load in zip(lags, loads, strict=True))
         here = yields / squares
         left = math.hypot(*(lag - here * load for lag, load in zip(lags, loads, strict=True)))
-        if not (self._least <= here <= self._most and left <= _UNEXPLAINED * size):
+        if not (STIFFNESS_MIN * here <= self._constant <= STIFFNESS_MAX * here and left <= _UNEXPLAINED * size):
             return
         share = min(_REMEMBERED / squares, 1.0)
         kept = min((_REMEMBERED - share * squares) / self._squares, 1.0) if self._squares else 0.0
