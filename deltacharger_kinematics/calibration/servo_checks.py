@@ -63,7 +63,8 @@ def _of_the_weight(measured: MeasuredArm, task: ServoTask) -> list[str]:
                 f"they look like gravity ({hint}) m/s², {math.degrees(angle):.0f}° from what docking_node is told: "
                 "correct gravity_x, gravity_y, gravity_z"
                 if angle > _TURNED
-                else "look for a platform, rod or horn that is loose, for a cable that pulls, and at the geometry"
+                else "take the target away; look for a platform, rod or horn that is loose, for a cable that pulls, "
+                "and at the geometry"
             )
         )
     mean = fit.common(CONSTANT)[0]
