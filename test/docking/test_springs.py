@@ -9,7 +9,9 @@ import random
 import pytest
 
 from deltacharger_core.machine import SERVO_DAMPING, TORQUE_CONSTANT
+from deltacharger_core.script import Script
 from deltacharger_docking.codes import Code
+from deltacharger_docking.context import Context
 from deltacharger_docking.observation import Decision, Observation
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_docking.springs import Springs
@@ -134,7 +136,9 @@ def test_an_arm_that_nobody_measured_docks_in_its_band(true: float, given: float
     outcome = run.dock()
     assert outcome.success, outcome.message
     assert 0.4 <= outcome.contact_current <= 0.5
-    assert run.machine._context.springs.stiffness == pytest.approx(true, rel=0.02)
+    context = run.machine._context
+    assert context.springs.stiffness == pytest.approx(true, rel=0.02)
+    assert context.feed.lag == context.springs.lag, "lines are led by what was felt"
     weighed = [dict(each.values)["felt_Nm_per_rad"] for each in found if each.kind == "stiffness"]
     # Its weight bends a stiff arm too little; the contact tells.
     assert weighed == ([] if true == 40.0 else [pytest.approx(true, rel=0.2)])
@@ -151,6 +155,49 @@ def test_what_was_felt_is_kept_for_the_next_docking() -> None:
     assert second.success, second.message
     weighed = next(each for each in found if each.kind == "stiffness")
     assert dict(weighed.values)["felt_Nm_per_rad"] == before, "nothing was weighed anew"
+
+
+def test_an_arm_under_way_tells_nothing() -> None:
+    run, found = charger(), []
+
+    def script(context: Context) -> Script[str]:
+        yield from context.torque_on()
+        context.follow(context.planner.line(context.measured(), (0.0, 0.0, 0.05), 0.25))
+        while context.feed.is_under_way(context.time):
+            yield from context.read()
+            found.append(context.springs.stiffness)
+        return ""
+
+    run.start(script)
+    run.finish(10.0)
+    assert len(found) > 2
+    assert found == [15.0] * len(found)
+
+
+def test_servos_at_their_current_bound_tell_nothing() -> None:
+    """The goal lies ever farther behind the target while the currents stay what they are allowed."""
+    run, pushed = charger(0.0, 0.0, 0.0), []
+
+    def script(context: Context) -> Script[str]:
+        yield from context.torque_on()
+        context.commanded = context.position
+        for z in (0.090, 0.100, 0.108):
+            yield from context.move((0.0, 0.0, z), 0.02)
+            pushed.append(min(context.contact.currents))
+        return ""
+
+    run.start(script)
+    run.finish(60.0)
+    assert min(pushed[1:]) > 0.5
+    assert run.machine._context.springs.stiffness == pytest.approx(15.0, rel=0.05)
+
+
+def test_a_soft_arm_goes_so_far_off_the_magnets_that_they_do_not_draw_it_back() -> None:
+    run = charger(-8.0, -8.0, 8.0, 5, parameters={"servo_stiffness": 2.0}, servo=ServoParameters(stiffness=2.0))
+    assert run.dock().success
+    outcome = run.undock()
+    assert outcome.success, outcome.message
+    assert_safe_at_home(run)
 
 
 @pytest.mark.parametrize(("given", "named"), [(15.0, False), (50.0, True)])
