@@ -73,35 +73,53 @@ def servos(options: argparse.Namespace) -> int:
 
 
 def _measured(options: argparse.Namespace) -> tuple[ServoTask, Gains, MeasuredArm]:
-    """Have the arm measured; its torque is off afterwards, however it ended."""
-    begun = False
+    """Have the arm measured; its torque is off afterwards, unless docking_node has taken the arm meanwhile."""
     with Interrupts() as interrupts, ros_context() as context:
         from deltacharger_records.datasets.arm_guest import ArmError
         from deltacharger_records.datasets.measuring_arm import MeasuringArm
 
+        arm = MeasuringArm(context, geometry_of(options.geometry), options.namespace, interrupts.event)
         try:
-            geometry = geometry_of(options.geometry)
-            with MeasuringArm(context, geometry, options.namespace, interrupts.event) as arm:
+            with arm:
                 arm.wait_until_ready(DISCOVERY)
                 task, gains = _task(options, arm.told("docking_node"), arm.told("servo_node"))
                 arm.start()
-                begun = True
                 say(f"the arm moves for {math.ceil((task.seconds + 15.0) / 60.0)} minutes at most; Ctrl-C ends it")
                 measured = measure_servos(arm, task, _progress())
-                arm.retire(measured.fit.common(STIFFNESS)[0])
+                try:
+                    arm.retire(measured.fit.common(STIFFNESS)[0])
+                except ArmError as error:
+                    if interrupts.event.is_set():
+                        raise
+                    say(f"the arm did not go home: {error}")
         except (ArmError, ServoTrouble) as error:
             code = INTERRUPTED if interrupts.event.is_set() else FAILED
-            ended = ", and the torque is off" if begun else ""
+            ended = ", and the torque is off" if arm.is_released else ""
             raise CommandError(f"{error}; nothing was written{ended}", code) from error
     return task, gains, measured
 
 
 def _task(options: argparse.Namespace, docking: dict[str, Any], servo: dict[str, Any]) -> tuple[ServoTask, Gains]:
-    """Return what the nodes say of arm and gravity."""
+    """Return what the nodes say of arm, gravity and gains.
+
+    Raises:
+        CommandError: servo_node does not tell its gains, or has an I gain; docking_node's settings cannot be had here.
+    """
     from deltacharger_records.node_parameters import docking_settings
 
     if not docking:
         say("docking_node does not tell geometry and gravity; taking the usual ones")
+    try:
+        gains = Gains(*(int(servo[f"position_{name}_gain"]) for name in ("p", "i", "d")))
+        constant = float(servo["torque_constant"])
+    except KeyError as error:
+        raise CommandError("servo_node does not tell its gains, for which alone a stiffness holds", FAILED) from error
+    if gains.i:
+        raise CommandError(
+            f"position_i_gain of servo_node is {gains.i}: with it the arm goes on until it reaches its goal, and a "
+            "stiffness cannot be told; start the charger with 0",
+            FAILED,
+        )
     if options.geometry is not None:
         docking = {name: value for name, value in docking.items() if name.startswith("gravity_")}
     try:
@@ -110,17 +128,15 @@ def _task(options: argparse.Namespace, docking: dict[str, Any], servo: dict[str,
         raise CommandError(
             f"docking_node's geometry_file cannot be read here ({error}): give the same with --geometry", FAILED
         ) from error
-    usual, gains = ServoTask(), Gains()
     task = ServoTask(
         geometry if options.geometry is None else geometry_of(options.geometry),
         settings.gravity,
-        float(servo.get("torque_constant", usual.torque_constant)),
+        constant,
         options.weight_percent / 100.0,
         options.seconds,
         options.seed,
     )
-    told = [int(servo.get(f"position_{name}_gain", getattr(gains, name))) for name in ("p", "i", "d")]
-    return task, Gains(*told)
+    return task, gains
 
 
 def _progress() -> Callable[[float], None]:

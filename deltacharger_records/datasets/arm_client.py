@@ -47,6 +47,9 @@ class ArmClient(ArmGuest):
         geometry: by which positions become angles.
         namespace: of the charger.
         stop: ends every wait with ArmError when set.
+
+    Attributes:
+        is_released: whether servo_node has switched off the torque that this program had switched on.
     """
 
     def __init__(
@@ -57,7 +60,7 @@ class ArmClient(ArmGuest):
         self._kinematics = ScalarDelta(geometry)
         self._commanded: Vector | None = None
         self._secret = secrets.token_hex(16)  # by which servo_node knows who leads the arm
-        self._switched_on = False
+        self._switched_on = self.is_released = False
         self._lock = threading.Lock()
         self._state: ServoState | None = None
         self._angles: deque[tuple[float, tuple[float, ...]]] = deque()
@@ -162,7 +165,7 @@ class ArmClient(ArmGuest):
     def _let_go(self) -> None:
         if self._switched_on:
             self._publish(())
-            self._call_torque(False)
+            self.is_released = not self._call_torque(False)
 
     def _check_free(self) -> None:
         if self._stop.is_set():
