@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from deltacharger_core.bounded_file import brief
@@ -60,6 +60,25 @@ def contradictions(parameters: Mapping[str, Mapping[str, Any]], world: WorldPara
                     f"parameters.{node}.{name}",
                     f"is {brief(values[name])}, but {keys} is {true!r}; leave one of them out",
                 )
+
+
+def servos_apart(nodes: Collection[str], parameters: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+    """Yield key and problem of each node that takes its servos from elsewhere than the first that has a `servos_file`.
+
+    Gains, stiffness and torque constant of one file belong together.
+
+    Args:
+        nodes: of the scene.
+        parameters: of each, as the scene gives them.
+    """
+    files = {node: parameters.get(node, {}).get("servos_file", "") for node in _FOLLOWS if node in nodes}
+    first = next((node for node, file in files.items() if file), "")
+    for node, file in files.items():
+        if first and file != files[first]:
+            yield (
+                f"parameters.{node}.servos_file",
+                f"is {brief(file)}, but that of {first} is {brief(files[first])}; give {', '.join(files)} one",
+            )
 
 
 def _value(world: WorldParameters, keys: tuple[str, ...]) -> Any:

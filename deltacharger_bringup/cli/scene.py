@@ -13,7 +13,7 @@ from typing import Any
 from deltacharger_bringup.cli.output import DONE, WRONG_INPUT, CommandError, say, tell, write_json
 from deltacharger_bringup.cli.parser import DEFAULT_SCENE
 from deltacharger_core.parameters import Declaration, declaration
-from deltacharger_scenes.following import contradictions
+from deltacharger_scenes.following import contradictions, servos_apart
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.parameter_check import problems
 from deltacharger_scenes.parts import describe_parts, tell_parts
@@ -96,7 +96,9 @@ def check(options: argparse.Namespace) -> int:
 
 
 def _warnings(scene: Scene) -> Iterator[str]:
-    """Yield what of a simulated world is not proven, and where a node is told otherwise than the world is."""
+    """Yield what of a simulated world is not proven, and where a node is told otherwise than world or others."""
+    for key, problem in servos_apart(scene.nodes, scene.parameters):
+        yield f"{key}: {problem}"
     if scene.simulation is not None:
         yield from (f"simulation.world: {doubt}" for doubt in doubts(scene.simulation.world))
         for key, problem in contradictions(scene.parameters, scene.simulation.world):

@@ -106,3 +106,25 @@ def test_check_names_a_contradiction_and_a_wrong_parameter(tmp_path: Path, capsy
     assert main(["scene", "check", str(path), "--json"]) == 2
     (report,) = json.loads(capsys.readouterr().out)["scenes"]
     assert (report["ok"], report["key"]) == (False, "parameters.docking_node.servo_stifness")
+
+
+@pytest.mark.parametrize("base", ["ports: {servo: /dev/ttyUSB0}, ", "simulation: {}, "])
+def test_check_names_nodes_that_take_their_servos_from_elsewhere(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], base: str
+) -> None:
+    def warnings(**files: str) -> list[str]:
+        given = {node: {"servos_file": file} for node, file in files.items()}
+        nodes = "[servo_node, kinematics_node, docking_node]"
+        path = tmp_path / "mine.yaml"
+        path.write_text(f"{{{base}nodes: {nodes}, parameters: {json.dumps(given)}}}", encoding="utf-8")
+        assert main(["scene", "check", str(path), "--json"]) == 0
+        (report,) = json.loads(capsys.readouterr().out)["scenes"]
+        return [each for each in report["warnings"] if "servos_file" in each]
+
+    assert not warnings()
+    assert not warnings(servo_node="a.yaml", kinematics_node="a.yaml", docking_node="a.yaml")
+    servo, kinematics = warnings(docking_node="a.yaml")
+    assert servo.startswith("parameters.servo_node.servos_file: is ''")
+    assert kinematics.startswith("parameters.kinematics_node.servos_file: is ''")
+    (docking,) = warnings(servo_node="a.yaml", kinematics_node="a.yaml", docking_node="b.yaml")
+    assert "docking_node.servos_file: is 'b.yaml', but that of servo_node is 'a.yaml'" in docking
