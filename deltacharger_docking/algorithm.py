@@ -184,9 +184,10 @@ def prepare(context: Context) -> Script[None]:
 
 
 def weigh(context: Context) -> Script[None]:
-    """Let the arm's weight tell how far the servos yield, unless this arm has been felt before."""
+    """Let the arm's weight tell how far the servos yield, or bear out what was felt in an earlier docking."""
     springs = context.springs
     end = context.time + context.parameters.weighing_timeout
+    yield from context.read()
     while not springs.is_felt and context.time < end:
         yield from context.read()
     if springs.is_felt:

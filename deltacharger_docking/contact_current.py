@@ -124,6 +124,11 @@ class ContactCurrent:
         return a, b, c
 
     @property
+    def stands_still(self) -> bool:
+        """Whether all currents of the window are the same, as those of a servo_state that only repeats itself are."""
+        return all(reading[2] == self._window[0][2] for reading in self._window)
+
+    @property
     def value(self) -> float:
         """Contact current (A per servo); NaN without readings."""
         return self.force * self.per_force

@@ -272,7 +272,8 @@ class Context:
         yield from self.wait(self.parameters.contact_window + _READING, reads=True)
         after, span = self.observation.angles, self.time - began
         slow = all(abs(now - then) <= _SLOW for now, then in zip(after, before, strict=True))
-        if slow and math.isfinite(self.goal_angles[0]) and not self._is_bound(self.contact.currents):
+        live = math.isfinite(self.goal_angles[0]) and not self.contact.stands_still
+        if slow and live and not self._is_bound(self.contact.currents):
             a, b, c = ((now - then) / span for now, then in zip(after, before, strict=True))
             self.springs.feel(self.goal_angles, between(before, after, 0.5), (a, b, c), self.contact.currents)
             self.feed.lag = self.springs.lag

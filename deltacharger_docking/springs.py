@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import math
 
-from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 
 _LEAST_LOAD, _LEAST_YIELD = 0.05, 0.003  # A and rad of all servos, root of the sum of squares: two encoder counts
 _REMEMBERED = 1.0  # A² of readings after which older ones fade: about two with the electrodes in their band
 _UNEXPLAINED = 0.5  # share of the lags that one compliance of all servos may leave: play, and how encoders round
+_SOFTEST, _STIFFEST = 1.5, 60.0  # N·m/rad that are believed: what docking was tried with, 2 to 40, and a margin
 _FITS = 1.5  # ratio of told and felt stiffness up to which nobody need be told
 
 
@@ -64,8 +64,8 @@ class Springs:
     def feel(self, goals: Vector, angles: Vector, rates: Vector, currents: Vector) -> None:
         """Take a reading under standing goals (rad): arm angles (rad) and rates (rad/s), and currents (A).
 
-        One under a light load tells nothing, nor one that no common spring within the parameter's bounds explains, as
-        of servos that are held or not heard.
+        One under a light load tells nothing, nor one that no common spring explains with which docking was tried, as of
+        servos that are held. One that contradicts what was felt before counts alone: other gains, or an error then.
         """
         lags = tuple(goal - angle for goal, angle in zip(goals, angles, strict=True))
         braked = self._damping / self._constant
@@ -76,8 +76,10 @@ class Springs:
         yields = sum(lag * load for lag, load in zip(lags, loads, strict=True))
         here = yields / squares
         left = math.hypot(*(lag - here * load for lag, load in zip(lags, loads, strict=True)))
-        if not (STIFFNESS_MIN * here <= self._constant <= STIFFNESS_MAX * here and left <= _UNEXPLAINED * size):
+        if not (_SOFTEST * here <= self._constant <= _STIFFEST * here and left <= _UNEXPLAINED * size):
             return
+        if not self.compliance / _FITS <= here <= self.compliance * _FITS:
+            self._yields = self._squares = 0.0
         share = min(_REMEMBERED / squares, 1.0)
         kept = min((_REMEMBERED - share * squares) / self._squares, 1.0) if self._squares else 0.0
         self._yields = kept * self._yields + share * yields

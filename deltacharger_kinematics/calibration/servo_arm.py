@@ -14,10 +14,10 @@ from typing import Protocol
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_core.machine import GRAVITY, TICKS_PER_TURN, TORQUE_CONSTANT
+from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
+from deltacharger_kinematics.calibration.data import TICK
 from deltacharger_kinematics.geometry import DeltaGeometry, Vector
 
-TICK = 2.0 * math.pi / TICKS_PER_TURN  # rad
 WEIGHT_TOLERANCE = 0.02
 """Relative standard deviation of what platform and rods weigh, where nobody says otherwise."""
 

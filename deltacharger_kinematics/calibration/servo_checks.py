@@ -79,8 +79,8 @@ def _of_the_weight(measured: MeasuredArm, task: ServoTask) -> list[str]:
 
 def _of_the_numbers(measured: MeasuredArm, gains: Gains) -> list[str]:
     fit, found = measured.fit, []
-    for servo, value in enumerate(fit.stiffness):
-        if not SOFTEST <= value <= STIFFEST:
+    for servo, (value, error) in enumerate(zip(fit.stiffness, fit.error(STIFFNESS), strict=True)):
+        if value + 2.0 * error < SOFTEST or value - 2.0 * error > STIFFEST:
             better = max(1, round(gains.p * SERVO_STIFFNESS / value))
             found.append(
                 f"servo {servo + 1} has {value:.1f} N·m/rad, outside of {SOFTEST:g} to {STIFFEST:g} with which docking "

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_kinematics.calibration.servo_arm import TICK, ServoTask, ServoTrouble, StaticReading
+from deltacharger_kinematics.calibration.data import TICK
+from deltacharger_kinematics.calibration.servo_arm import ServoTask, ServoTrouble, StaticReading
 from deltacharger_kinematics.calibration.servo_ticks import stiffness_by_ticks
 from deltacharger_kinematics.delta import Delta
 from deltacharger_kinematics.geometry import LIMB_COUNT
@@ -105,13 +106,8 @@ class _Table:
     turning: Array  # (n, 3, 3): by how much each servo's load changes with the angle of each arm, N·m/rad
 
 
-def loads(readings: Sequence[StaticReading], task: ServoTask) -> Array:
-    """Return each servo's share of the weight (n, 3) N·m, NaN where the angles have no position."""
-    return loads_at(np.array([reading.angles for reading in readings]), task)
-
-
 def loads_at(angles: Array, task: ServoTask) -> Array:
-    """Return the same for arm angles (n, 3) rad."""
+    """Return each servo's share of the weight (n, 3) N·m at arm angles (n, 3) rad, NaN where these have no position."""
     delta = Delta(task.geometry)
     return delta.holding_torque(delta.forward(angles).position, task.gravity)
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_kinematics.calibration.servo_arm import TICK
+from deltacharger_kinematics.calibration.data import TICK
 from deltacharger_kinematics.calibration.servo_fit import CONSTANT, FRICTION, OFFSET_ERROR, ServoFit
 from deltacharger_kinematics.calibration.servo_plan import PosePlanner
 from deltacharger_kinematics.calibration.servo_walk import ArmWalk

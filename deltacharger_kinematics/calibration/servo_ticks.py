@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from deltacharger_core.arrays import Array
-from deltacharger_kinematics.calibration.servo_arm import TICK
+from deltacharger_kinematics.calibration.data import TICK
 
 _SPAN, _STEPS = 0.35, 1401  # of the logarithm of the stiffness about the first guess, either way
 _BLURS = (0.04, 0.08, 0.15, 0.3, 0.6)

@@ -7,8 +7,8 @@ import numpy as np
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.machine import SERVO_DAMPING, SERVO_STIFFNESS
+from deltacharger_kinematics.calibration.data import TICK
 from deltacharger_kinematics.calibration.servo_arm import (
-    TICK,
     ArmReadings,
     ServoArm,
     ServoTask,

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from deltacharger_core.machine import GRAVITY, TORQUE_CONSTANT
+from deltacharger_kinematics.calibration.data import TICK
 from deltacharger_kinematics.calibration.servo_arm import (
-    TICK,
     ArmReadings,
     ServoTask,
     ServoTrouble,
