@@ -12,7 +12,6 @@ from deltacharger_docking.release import take_off
 from deltacharger_kinematics.geometry import Vector
 from deltacharger_kinematics.trajectory_feed import Waypoint
 
-_FOLLOWED, _ON_THE_WAY = 3.0, 0.3  # lags until the arm has come after its goal, and s of it on the way to contact
 _POINTS = 16  # of the line in joint angles; a receiver goes straight between them, so that more would say no more
 
 
@@ -85,7 +84,6 @@ def press_again(context: Context, depth: float, x: float, y: float) -> Script[No
     yield from take_off(context, place[2])
     context.status.docked = False  # until the electrodes rest again
     yield from context.move(place, parameters.travel_speed, settle=False)
-    yield from context.wait(_FOLLOWED * context.springs.lag - _ON_THE_WAY)
     yield from contact(context, depth)
 
 

@@ -124,16 +124,16 @@ def test_a_reading_that_contradicts_what_was_felt_counts_alone() -> None:
         assert springs.stiffness == pytest.approx(15.0), "even where it is lighter"
 
 
-def test_a_servo_state_that_stood_still_has_taught_nothing() -> None:
+@pytest.mark.parametrize("after", [0.3, 0.6])
+def test_a_servo_state_that_stands_still_teaches_nothing(after: float) -> None:
     up = {"gravity_y": 0.0, "gravity_z": -9.81}  # all three servos bear alike, as under a push
     run = charger(parameters=up, **up)
     run.begin(DockGoal(GOAL))
-    run.until(lambda: run.machine.status.state is State.CONTACT and run.observe().tactile_contact, 30.0)
+    run.until(lambda: run.machine.status.state is State.CONTACT, 30.0)
+    run.run(after)
     held = run.observe()
     run.distort = lambda now: replace(now, angles=held.angles, currents=held.currents)
-    run.run(4.0)
-    run.distort = lambda now: now
-    run.run(4.0)
+    run.run(6.0)
     assert run.machine.planner.springs.stiffness == pytest.approx(15.0, rel=0.1)
 
 
