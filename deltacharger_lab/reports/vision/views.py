@@ -19,6 +19,7 @@ from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.poses import turn
 from deltacharger_vision.projection import project
 from deltacharger_vision.rendering.camera import OAK_D
+from deltacharger_vision.rendering.obstructions import draw_obstruction
 from deltacharger_vision.rendering.parameters import CameraParameters
 from deltacharger_vision.rendering.scene import Box, RenderedScene
 from deltacharger_vision.rendering.scene_drawing import draw_scene
@@ -28,7 +29,7 @@ Random = np.random.Generator
 
 MOUNT_PITCH = math.atan2(0.12, 0.20)
 """Of the default mount, which sees the docked terminal from above, rad."""
-DOCK, APPROACH = (0.15, 0.35), (0.35, 0.8)
+DOCK, APPROACH, EVERYWHERE = (0.15, 0.35), (0.35, 0.8), (0.15, 1.0)
 """Ranges, m."""
 _MARGIN = 6.0  # px between the terminal and the image's border
 _NEAREST = 0.05  # m
@@ -188,3 +189,18 @@ def rows_of_bars(random: Random) -> tuple[Box, ...]:
         pose[:3, 3] = turned @ [random.normal(0.0, 0.002), row * spacing, 0.0] + [0.0, 0.0, random.uniform(0.02, 0.03)]
         found.append(Box(pose, (length, height, 0.006), (0.65, 0.65, 0.65), metal=True))
     return tuple(found)
+
+
+def obstructed(random: Random, kind: str | None) -> DrawnView:
+    """Return a terminal at 0.15–1 m, every other one in a drawn room, with something before it, or nothing."""
+    away = random.uniform(*EVERYWHERE)
+    view = plain(random, away, away)
+    exposure = float(np.exp(random.uniform(math.log(0.3), math.log(2.5))))
+    if random.random() < 0.5:
+        view = dataclasses.replace(view, scene=draw_scene(random, clutter=6, decoys=1))
+    view = view.changed(camera={"exposure": exposure})
+    if kind is None:
+        return view
+    # Never so near to the camera that it sees nothing else.
+    room = min(0.12, 0.4 * away)
+    return view.changed(foreground=draw_obstruction(random, kind, view.scene.terminal, room))
