@@ -22,7 +22,8 @@ from deltacharger_vision.projection import project, rays
 from deltacharger_vision.terminal import Terminal
 
 _TRIALS = 48
-_ROUNDS = 4
+_ROUNDS = 6
+_NEAR = 3.0  # standard deviations within which the scatter is judged
 _BLOCK = 8  # samples on a side, over which correlated noise is judged
 _TUKEY = 4.7
 _HIDDEN, _CROSSED = 0.4, 1.2  # of a step across the plate; steps
@@ -122,16 +123,17 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
     count = len(region.inverse)
     if count < settings.fewest or region.share < settings.known:
         return None
-    coefficients = _consensus(region, settings.tolerance, random)
+    coefficients = _consensus(region, random)
     if coefficients is None:
         return None
     # Where depth is rounded most samples may lie on one step; less than its own scatter would fit that step alone.
     rounded = settings.step / math.sqrt(12.0) * float(np.median(region.inverse)) ** 2
     least = math.hypot(settings.noise, rounded)
     scatter, weight = settings.tolerance, np.ones(count)
-    for _ in range(_ROUNDS):
+    for round_ in range(_ROUNDS):
         residual = region.inverse - region.rays @ coefficients
-        near = np.abs(residual) < settings.tolerance
+        # What hangs before the plate would widen a scatter that it counts in, and be let in by it.
+        near = np.abs(residual) < (settings.tolerance if round_ == 0 else min(settings.tolerance, _NEAR * scatter))
         if np.count_nonzero(near) < max(settings.fewest, settings.inliers * count):
             return None
         scatter = max(least, 1.4826 * float(np.median(np.abs(residual[near]))))
@@ -148,8 +150,8 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
     return Plane(coefficients, np.linalg.inv(covariance), scatter)
 
 
-def _consensus(region: Region, tolerance: float, random: np.random.Generator) -> Array | None:
-    """Return the plane through three samples that most others agree with (RANSAC)."""
+def _consensus(region: Region, random: np.random.Generator) -> Array | None:
+    """Return the plane through three samples that half of the others are nearest to (least median of squares)."""
     picks = random.integers(0, len(region.inverse), size=(_TRIALS, 3))
     triples = region.rays[picks]
     usable = np.abs(np.linalg.det(triples)) > 1e-6
@@ -158,8 +160,8 @@ def _consensus(region: Region, tolerance: float, random: np.random.Generator) ->
     planes = np.linalg.solve(triples[usable], region.inverse[picks[usable]][..., None])[..., 0]
     thin = region.rays[:: max(1, len(region.rays) // 800)]
     inverse = region.inverse[:: max(1, len(region.rays) // 800)]
-    agree = np.abs(inverse[:, None] - thin @ planes.T) < tolerance
-    return np.asarray(planes[np.argmax(agree.sum(axis=0))])
+    off = np.abs(inverse - planes @ thin.T)
+    return np.asarray(planes[np.argmin(np.partition(off, off.shape[1] // 2, axis=1)[:, off.shape[1] // 2])])
 
 
 def _stairs(region: Region, coefficients: Array, step: float) -> Array:
