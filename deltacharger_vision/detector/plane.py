@@ -21,7 +21,7 @@ from deltacharger_vision.poses import TerminalPose
 from deltacharger_vision.projection import project, rays
 from deltacharger_vision.terminal import Terminal
 
-_TRIALS = 48
+_TRIALS, _THIN, _CONCENTRATED = 40, 500, 3  # planes tried, samples that judge them, times they are fitted anew
 _ROUNDS = 6
 _NEAR = 3.0  # standard deviations within which the scatter is judged
 _BLOCK = 8  # samples on a side, over which correlated noise is judged
@@ -151,17 +151,27 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
 
 
 def _consensus(region: Region, random: np.random.Generator) -> Array | None:
-    """Return the plane through three samples that half of the others are nearest to (least median of squares)."""
+    """Return the plane that the nearer half of the samples lies closest to (fast least trimmed squares).
+
+    Rousseeuw, Van Driessen, "Computing LTS regression for large data sets", DMKD 12 (2006): a plane through three
+    samples is fitted anew to the half that is nearest to it, which never makes it worse.
+    """
     picks = random.integers(0, len(region.inverse), size=(_TRIALS, 3))
     triples = region.rays[picks]
     usable = np.abs(np.linalg.det(triples)) > 1e-6
     if not usable.any():
         return None
     planes = np.linalg.solve(triples[usable], region.inverse[picks[usable]][..., None])[..., 0]
-    thin = region.rays[:: max(1, len(region.rays) // 800)]
-    inverse = region.inverse[:: max(1, len(region.rays) // 800)]
-    off = np.abs(inverse - planes @ thin.T)
-    return np.asarray(planes[np.argmin(np.partition(off, off.shape[1] // 2, axis=1)[:, off.shape[1] // 2])])
+    stride = max(1, len(region.rays) // _THIN)
+    thin, inverse = region.rays[::stride], region.inverse[::stride]
+    half = len(thin) // 2
+    for _ in range(_CONCENTRATED):
+        near = np.argpartition(np.abs(inverse - planes @ thin.T), half, axis=1)[:, :half]
+        ray, seen = thin[near], inverse[near]
+        normal = np.swapaxes(ray, 1, 2) @ ray + 1e-9 * np.eye(3)
+        planes = np.linalg.solve(normal, np.swapaxes(ray, 1, 2) @ seen[..., None])[..., 0]
+    off = np.partition(np.abs(inverse - planes @ thin.T), half, axis=1)[:, :half]
+    return np.asarray(planes[np.argmin(np.sum(off**2, axis=1))])
 
 
 def _stairs(region: Region, coefficients: Array, step: float) -> Array:
