@@ -15,8 +15,8 @@ import numpy as np
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.detection import Detection
 from deltacharger_vision.detector.judgement import Candidate, Judge, JudgementSettings
-from deltacharger_vision.detector.pairing import Pair, PairingSettings, find_pairs
-from deltacharger_vision.detector.segmentation import SegmentationSettings, find_blobs
+from deltacharger_vision.detector.pairing import Pair, PairingSettings, find_cut_pairs, find_pairs
+from deltacharger_vision.detector.segmentation import SegmentationSettings, find_blobs, find_pieces
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import LIGHT, Intrinsics, RgbdImage
 from deltacharger_vision.mount import line_angle
@@ -24,6 +24,7 @@ from deltacharger_vision.poses import cross_matrix
 from deltacharger_vision.projection import check_lens, project
 from deltacharger_vision.terminal import Terminal
 
+_APART = 4.0  # standard deviations beyond which two poses are not the same one
 _LINEAR = (255.0 * LIGHT).astype(np.float32)
 
 
@@ -81,7 +82,23 @@ class ElectrodeDetector:
                 best = candidate
                 if best.confidence >= settings.sure:
                     break
+        if best is None:
+            best = self._in_pieces(image, judge)
         return None if best is None else self._detection(best, image.intrinsics)
+
+    def _in_pieces(self, image: RgbdImage, judge: Judge) -> Candidate | None:
+        """Return the terminal of which something hides parts, or None where two poses explain what is seen."""
+        settings, found = self.settings, []
+        pieces = find_pieces(image.color, settings.segmentation)
+        for pair in find_cut_pairs(pieces, self.terminal, settings.pairing):
+            try:
+                found += judge.judge_cut(pair)
+            except CameraInfoError:
+                continue
+        best = max(found, key=lambda each: each.confidence, default=None)
+        if best is None or any(_differ(best, each) for each in found):
+            return None
+        return best
 
     def _covers(self, found: Candidate, pair: Pair, intrinsics: Intrinsics) -> bool:
         """Return whether a pair lies where a terminal was found: no other can be there."""
@@ -109,3 +126,10 @@ class ElectrodeDetector:
             bars=project(pose.points(self.terminal.corners()), intrinsics),
             source="fused" if found.fused else "pnp",
         )
+
+
+def _differ(one: Candidate, other: Candidate) -> bool:
+    """Return whether two poses are farther apart than what both are told to be off by."""
+    apart = one.pose.translation - other.pose.translation
+    spread = one.covariance[:3, :3] + other.covariance[:3, :3]
+    return float(apart @ np.linalg.solve(spread, apart)) > _APART**2

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from deltacharger_core.arrays import Array
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.edges import EdgeSettings, find_edges
+from deltacharger_vision.detector.hiding import Hiding, hiding
 from deltacharger_vision.detector.outlines import visible_lines
 from deltacharger_vision.detector.pairing import Pair
 from deltacharger_vision.detector.plane import Plane, PlaneSettings, Region, fit_plane, plate_region
@@ -25,9 +26,11 @@ from deltacharger_vision.detector.starts import (
     LARGE_LEANS,
     SMALL_LEANS,
     by_corners,
+    by_spacing,
     laid_over,
     leaning,
     mirrored,
+    on_plane,
     tilted,
 )
 from deltacharger_vision.detector.support import SupportSettings, outline_shares, plate_is_dark, supported
@@ -38,6 +41,9 @@ from deltacharger_vision.terminal import Terminal
 _SAME_TILT = 0.03  # rad
 _UNSETTLED, _NOTHING = 5.0, 5.0  # times `clear`
 _HOPELESS = 3.0
+_LONG, _ENDS = (0, 2), (1, 3)
+_LEAST_ENDS = 2  # of four that must be beside the plate
+_EXPECTED_RISE = 3.0  # of the squared error by depth, whose plane has three numbers
 _FOLLOWED = 4  # times that edges are found anew at most
 _ROUGH = 5  # steps of a fit to edges that will be found anew
 _SETTLED = 0.2  # px: edges found anew after so little movement are the same ones
@@ -136,17 +142,67 @@ class Judge:
             return None
         return self._by_image(pair, starts[0])
 
+    def judge_cut(self, pair: Pair) -> list[Candidate]:
+        """Return the poses of bars that are partly hidden, on the plate's plane; none where depth tells no plane."""
+        settings, intrinsics = self._settings, self._image.intrinsics
+        start = by_spacing(pair, self._terminal, intrinsics)
+        if not 0.7 * settings.nearest < start.translation[2] < 1.4 * settings.farthest:
+            return []
+        region = plate_region(self._image.depth, start, self._terminal, intrinsics, settings.plane)
+        plane = fit_plane(region, settings.plane, np.random.default_rng(0))
+        if plane is None or not _agree(plane, start, 3.0 * settings.agreement):
+            return []
+        found = []
+        for pose in on_plane(start, plane.coefficients, pair, self._terminal, intrinsics):
+            for each in self._search(pose, None, plane)[:1]:
+                if (candidate := self._by_parts(each, plane)) is not None:
+                    found.append(candidate)
+        return found
+
+    def _by_parts(self, explained: _Explanation, plane: Plane) -> Candidate | None:
+        """Return the pose by what is no hidden part of the bars, unless the plate is seen where they should be."""
+        settings = self._settings
+        edges, fused = explained.edges, explained.fit
+        shown = self._hiding(edges, fused, plane)
+        shares = outline_shares(edges.points, fused)
+        ends = shown.ends & (shares[:, _ENDS] >= settings.support.end)
+        if shown.empty or int(ends.sum()) < _LEAST_ENDS:
+            return None
+        # An edge that ends what is seen of a bar beside something else than the plate is that thing's own.
+        kept = edges.without_ends(ends)
+        both = kept.fit(fused.pose, plane)
+        alone = None if both is None else kept.fit(both.pose)
+        if both is None or alone is None:
+            return None
+        rise = kept.misfit(both, alone.scatter, plane) - kept.misfit(alone, alone.scatter)
+        if not rise <= settings.support.disagreement or both.scatter > settings.support.scatter:
+            return None
+        shares = outline_shares(kept.points, both)
+        sides = shares[:, _LONG]
+        if sides.min() < settings.support.part or sides.mean() < settings.support.parts:
+            return None
+        covariance = both.covariance * max(1.0, rise / _EXPECTED_RISE)
+        return Candidate(both.pose, covariance, float(shares.mean()), True, True)
+
+    def _hiding(self, edges: Edges, found: PoseFit, plane: Plane) -> Hiding:
+        dark = self._settings.support.around
+        return hiding(
+            self._grey, self._image, found.pose, self._terminal, plane, edges.points.lines, found.used, dark
+        )  # fmt: skip
+
     def _search(
-        self, start: TerminalPose, pair: Pair, plane: Plane | None = None, least: float = math.inf
+        self, start: TerminalPose, pair: Pair | None, plane: Plane | None = None, least: float = math.inf
     ) -> list[_Explanation]:
         """Return edges and poses that fit them, from a start whose tilt is right and whose place is rough.
 
-        Starts that soon fit far worse than `least`, the squared error of another explanation, are given up.
+        It is laid over the pair's blobs before. Starts that soon fit far worse than `least`, the squared error of another explanation, are given up.
         """
         settings = self._settings
         found: list[_Explanation] = []
-        for sides in (True, False):
-            pose = laid_over(start, pair, self._terminal, self._image.intrinsics, sides)
+        for sides in (True, False) if pair is not None else (True,):
+            pose = start
+            if pair is not None:
+                pose = laid_over(start, pair, self._terminal, self._image.intrinsics, sides)
             followed = self._follow(pose, settings.edges.search, plane, _ROUGH)
             settled = False
             for round_ in range(_FOLLOWED + 1):

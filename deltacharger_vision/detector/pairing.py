@@ -30,6 +30,8 @@ class PairingSettings(Bounded):
     whole: float = number(0.93, 0.5, 1.0, "", "least ratio of the lengths of two bars that are both taken as whole")
     shift: float = number(0.15, 0.0, 1.0, "", "largest offset along the bars, in lengths")
     part: float = number(0.2, 0.05, 1.0, "", "least length of a cut bar, in lengths of the whole one")
+    aside: float = number(0.35, 0.0, 2.0, "", "largest offset of a piece from the line of a bar, in widths")
+    pieces: float = number(0.3, 0.1, 1.0, "", "least share of the bars' length from the first piece to the last")
     most: int = number(6, 1, 100, "", "pairs that are looked at, the likeliest first")
 
 
@@ -42,12 +44,14 @@ class Pair:
         along: (2, 2) px, from the centre of each bar to the middle of its end at +x.
         across: (2, 2) px, from the centre of each bar to the middle of its side at +y.
         doubt: how far the pair is from a terminal seen from the front; the least is tried first.
+        cut: whether both outlines end where what was seen of the two bars together ends, be it an end of a bar or not.
     """
 
     centre: Array
     along: Array
     across: Array
     doubt: float
+    cut: bool = False
 
 
 def find_pairs(blobs: Blobs, terminal: Terminal, settings: PairingSettings) -> list[Pair]:
@@ -86,6 +90,60 @@ def find_pairs(blobs: Blobs, terminal: Terminal, settings: PairingSettings) -> l
             if len(pairs) == settings.most:
                 break
     return pairs
+
+
+def find_cut_pairs(pieces: Blobs, terminal: Terminal, settings: PairingSettings) -> list[Pair]:
+    """Return the likeliest pairs of lines on which pieces of two bars lie, from the first to the last of their ends."""
+    if len(pieces) < 2:
+        return []
+    pitch = terminal.bar_height + terminal.gap
+    first, second = np.nonzero(pieces.length[:, None] >= pieces.length)
+    first, second = first[first != second], second[first != second]
+    cosine = np.abs(np.sum(pieces.direction[first] * pieces.direction[second], axis=1))
+    offset, direction = pieces.centre[second] - pieces.centre[first], pieces.direction[first]
+    spacing = np.abs(offset[:, 1] * direction[:, 0] - offset[:, 0] * direction[:, 1])
+    width = np.maximum(pieces.width[first], pieces.width[second])
+    narrow = np.minimum(pieces.width[first], pieces.width[second])
+    by_width = spacing / (0.5 * (width + narrow)) * terminal.bar_height / pitch
+    fits = (cosine >= np.cos(settings.angle)) & (width / narrow <= settings.widths)
+    fits &= (by_width >= settings.near_by_width) & (by_width <= settings.far_by_width)
+    fits &= np.abs(np.sum(offset * direction, axis=1)) < 1.2 * terminal.bar_length / pitch * spacing
+    pairs: list[Pair] = []
+    for row in np.flatnonzero(fits):
+        pair = _cut(pieces, int(first[row]), int(second[row]), terminal, settings)
+        if pair is not None:
+            pairs.append(pair)
+    found: list[Pair] = []
+    for pair in sorted(pairs, key=lambda each: each.doubt):
+        if all(_differs(pair, other) for other in found):
+            found.append(pair)
+    return found[: settings.most]
+
+
+def _cut(pieces: Blobs, first: int, second: int, terminal: Terminal, settings: PairingSettings) -> Pair | None:
+    """Return the pair of lines through two pieces, as long as all pieces on them; None where that is too long."""
+    direction = pieces.direction[first] * pieces.length[first]
+    other = pieces.direction[second] * pieces.length[second]
+    direction = direction + (other if other @ direction > 0.0 else -other)
+    direction = direction / np.hypot(*direction)
+    across = np.array([-direction[1], direction[0]])
+    along, aside = (pieces.centre - pieces.centre[first]) @ direction, (pieces.centre - pieces.centre[first]) @ across
+    spacing, width = aside[second], max(pieces.width[first], pieces.width[second])
+    whole = abs(spacing) * terminal.bar_length / terminal.spacing
+    near = np.minimum(np.abs(aside), np.abs(aside - spacing)) < settings.aside * width
+    near &= (pieces.width < settings.widths * width) & (pieces.width > width / settings.widths)
+    near &= np.abs(pieces.direction @ direction) > np.cos(2.0 * settings.angle)
+    near &= np.abs(along - 0.5 * along[second]) < whole
+    near[[first, second]] = True
+    low, high = (along - 0.5 * pieces.length)[near].min(), (along + 0.5 * pieces.length)[near].max()
+    seen = float(pieces.length[near].sum())
+    if not settings.pieces < (high - low) / whole < 1.0 / settings.near_by_length:
+        return None
+    middle = pieces.centre[first] + 0.5 * (low + high) * direction
+    centre = np.stack([middle, middle + spacing * across])[:: 1 if spacing > 0.0 else -1]
+    half = 0.5 * (high - low) * direction
+    doubt = 1.0 - 0.5 * seen / max(whole, high - low) + abs(np.log((high - low) / whole))
+    return Pair(centre, np.stack([half, half]), np.stack([0.5 * width * across] * 2), float(doubt), cut=True)
 
 
 def _outline(blobs: Blobs, first: int, second: int, whole: bool, doubt: float) -> Pair:

@@ -8,7 +8,7 @@ ray, q·ray with q = n/D.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -95,6 +95,13 @@ class Edges:
         self._independent = points.weight[self._line] / (1.0 + drawn / settings.noise**2)
         _, self._first, self._group = np.unique(self._line, return_index=True, return_inverse=True)
         self._spread = settings.spread + settings.glare * points.saturated
+
+    def without_ends(self, ends: Mask) -> Edges:
+        """Return the edges without those ends (2, 2) of each bar, at +x and at −x, that are False."""
+        lines = self.points.lines
+        hidden = (lines.side == 1) & ~ends[lines.bar, 0] | (lines.side == 3) & ~ends[lines.bar, 1]
+        points = replace(self.points, seen=self.points.seen & ~hidden[:, None])
+        return Edges(points, self._terminal, self._focal, self._settings)
 
     def fit(
         self, start: TerminalPose, plane: Plane | None = None, calibration: float = 0.0, rounds: int = ROUNDS

@@ -14,6 +14,8 @@ from deltacharger_core.parameters import Bounded, number
 
 Image = NDArray[np.uint8]
 
+_LOST = 3.0  # px by which an edge's line, and the pixels beside it that part what it runs between, narrow a piece
+
 
 @dataclass(frozen=True)
 class SegmentationSettings(Bounded):
@@ -21,6 +23,7 @@ class SegmentationSettings(Bounded):
 
     Attributes:
         levels: grey levels (0–255) above which a pixel is bright; one of them suits the light.
+        parting: differences within 3 × 3 px, of 255 in any colour, that part two pieces; one of them suits the light.
 
     Raises:
         ParameterError: a value is out of bounds.
@@ -34,6 +37,8 @@ class SegmentationSettings(Bounded):
     stout: float = number(1.4, 1.0, 10.0, "", "least length over width")
     slender: float = number(14.0, 2.0, 100.0, "", "largest length over width")
     fill: float = number(0.72, 0.3, 1.0, "", "least share of the enclosing rectangle that a blob covers")
+    parting: tuple[int, ...] = (14, 28)
+    stub: float = number(1.1, 1.0, 10.0, "", "least length over width of a piece of a bar")
     most: int = number(60, 2, 1000, "", "blobs that are looked at, the most rectangular first")
 
 
@@ -75,35 +80,57 @@ def find_blobs(grey: Image, settings: SegmentationSettings) -> Blobs:
             rows += _rectangles((smooth > level).view(np.uint8), settings)
     mean = cv2.blur(smooth, (settings.neighbourhood, settings.neighbourhood))
     rows += _rectangles((cv2.subtract(smooth, mean) > settings.excess).view(np.uint8), settings)
+    return _chosen(rows, settings.most)
+
+
+def find_pieces(color: Image, settings: SegmentationSettings) -> Blobs:
+    """Return the even parts of an image (H, W, 3) that may be pieces of bars, whatever lies before or beside them.
+
+    What lies across a bar and is as bright is one blob with it at every level. Its edge still parts the two.
+    """
+    import cv2
+
+    smooth = cv2.GaussianBlur(color, (3, 3), 0)
+    change = cv2.morphologyEx(smooth, cv2.MORPH_GRADIENT, np.ones((3, 3), dtype=np.uint8)).max(axis=2)
+    rows: list[tuple[float, ...]] = []
+    for parting in settings.parting:
+        rows += _rectangles((change < parting).view(np.uint8), settings, _LOST)
+    return _chosen(rows, settings.most)
+
+
+def _chosen(rows: list[tuple[float, ...]], most: int) -> Blobs:
     table = np.array(rows, dtype=float).reshape(-1, 6)
-    order = np.argsort(-table[:, 5])
-    table = table[order]
+    table = table[np.argsort(-table[:, 5])]
     blobs = Blobs(table[:, :2], _direction(table[:, 4]), table[:, 2], table[:, 3], table[:, 5])
-    return blobs.chosen(_distinct(blobs)[: settings.most])
+    return blobs.chosen(_distinct(blobs)[:most])
 
 
-def _rectangles(mask: Image, settings: SegmentationSettings) -> list[tuple[float, ...]]:
-    """Return x, y, length, width, angle of the long side (rad), fill of each blob of a mask that may be a bar."""
+def _rectangles(mask: Image, settings: SegmentationSettings, lost: float = 0.0) -> list[tuple[float, ...]]:
+    """Return x, y, length, width, angle of the long side (rad), fill of each blob of a mask that may be a bar.
+
+    Where a mask shows all too narrow by `lost` px, pieces of bars will do.
+    """
     import cv2
 
     height, width = mask.shape
+    shortest, stout = (settings.shortest, settings.stout) if not lost else (0.5 * settings.shortest, settings.stub)
     contours, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     rows: list[tuple[float, ...]] = []
     for contour in contours:
         if len(contour) < 4:
             continue
         _, _, box_width, box_height = cv2.boundingRect(contour)
-        if max(box_width, box_height) < settings.shortest or (box_width > 0.9 * width and box_height > 0.9 * height):
+        if max(box_width, box_height) + lost < shortest or (box_width > 0.9 * width and box_height > 0.9 * height):
             continue
         (x, y), (first, second), degrees = cv2.minAreaRect(contour)
-        first, second = first + 1.0, second + 1.0  # the contour runs through pixel centres
+        first, second = first + 1.0 + lost, second + 1.0 + lost  # the contour runs through pixel centres
         if first < second:
             first, second, degrees = second, first, degrees + 90.0
-        if first < settings.shortest or second < settings.thinnest:
+        if first < shortest or second < settings.thinnest:
             continue
-        if not settings.stout <= first / second <= settings.slender:
+        if not stout <= first / second <= settings.slender:
             continue
-        area = cv2.contourArea(contour) + 0.5 * cv2.arcLength(contour, True) + 1.0
+        area = cv2.contourArea(contour) + 0.5 * (1.0 + lost) * cv2.arcLength(contour, True) + (1.0 + lost) ** 2
         fill = min(area / (first * second), 1.0)
         if fill >= settings.fill:
             rows.append((x, y, first, second, np.radians(degrees), fill))

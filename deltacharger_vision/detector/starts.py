@@ -22,6 +22,7 @@ SMALL_LEANS: Leans = ((0.0, 0.08), (0.0, -0.08), (0.08, 0.0), (-0.08, 0.0))
 LARGE_LEANS: Leans = ((0.0, 0.0), (0.5, 0.0), (-0.5, 0.0), (0.4, 0.3), (0.4, -0.3), (-0.4, 0.3), (-0.4, -0.3))
 """Tangents of the lean across and along the bars."""
 _ROUNDS = 3
+_SAME, _SAME_PX = 0.05, 3.0  # of the length, px: a pair is as long as the bars
 
 
 def by_corners(pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> list[TerminalPose]:
@@ -103,3 +104,37 @@ def laid_over(pose: TerminalPose, pair: Pair, terminal: Terminal, intrinsics: In
         shift = np.append(rays(middle, intrinsics) - now, 0.0) * pose.translation[2]
         pose = TerminalPose(pose.rotation, np.asarray((pose.translation + shift) * min(max(scale, 0.5), 2.0)))
     return pose
+
+
+def by_spacing(pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> TerminalPose:
+    """Return the pose of a terminal seen from the front whose bars are as far apart as a pair's lines."""
+    middle = pair.centre.mean(axis=0)
+    spacing = float(np.hypot(*(pair.centre[1] - pair.centre[0])))
+    place = np.append(rays(middle, intrinsics), 1.0) * terminal.spacing * intrinsics.fy / max(spacing, 1e-6)
+    return tilted(TerminalPose(np.eye(3), place), place, pair, intrinsics)
+
+
+def on_plane(pose: TerminalPose, coefficients: Array, pair: Pair, terminal: Terminal, intrinsics: Intrinsics) -> list[
+    TerminalPose
+]:  # fmt: skip
+    """Return poses on the plate's plane q·X = 1 whose bars end where a cut pair ends, at one end or the other.
+
+    One pose where it is as long as the bars are there.
+    """
+    turned = tilted(pose, coefficients, pair, intrinsics)
+    along = pair.along[0] / np.hypot(*pair.along[0])
+    half = float(np.hypot(*pair.along[0]))
+    middle = pair.centre.mean(axis=0)
+    face = terminal.corners()
+    whole = np.concatenate([face, face + np.array([0.0, 0.0, terminal.bar_thickness])], axis=1)
+
+    def placed(pixel: Array) -> TerminalPose:
+        ray = np.append(rays(pixel, intrinsics), 1.0)
+        ahead = (1.0 - terminal.bar_thickness * float(np.linalg.norm(coefficients))) / float(coefficients @ ray)
+        return TerminalPose(turned.rotation, ray * ahead)
+
+    ends = (project(placed(middle).points(whole), intrinsics) - middle) @ along
+    low, high = -half - float(ends.min(axis=1).mean()), half - float(ends.max(axis=1).mean())
+    if abs(high - low) <= max(_SAME * 2.0 * half, _SAME_PX):
+        return [placed(middle + 0.5 * (low + high) * along)]
+    return [placed(middle + low * along), placed(middle + high * along)]

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What of a terminal is hidden, and what is not there: whether the places beside edges look like its plate.
+
+An end of a bar is one only beside the plate: beside anything else it is where something hides the bar. And where a
+pose has a bar, the plate must not be seen. The plate is dark and lies behind; what hides a bar is bright, or before it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deltacharger_core.arrays import Array, Mask
+from deltacharger_vision.detector.edges import SAMPLES
+from deltacharger_vision.detector.outlines import Lines
+from deltacharger_vision.detector.plane import Plane
+from deltacharger_vision.images import RgbdImage
+from deltacharger_vision.poses import TerminalPose
+from deltacharger_vision.projection import project
+from deltacharger_vision.terminal import Terminal
+
+_LONG, _ENDS = (0, 2), (1, 3)
+_ROWS = np.array([-0.25, 0.0, 0.25])  # of a bar's height
+_BESIDE = np.array([3.0, 4.5, 6.0])  # px beyond an end: nearer, stereo smears the bar's depth
+_WITHIN = np.array([1.5, 3.0, 4.5])  # px before it
+_BEHIND = 0.5  # of the bars' thickness: less than that before the plate is the plate
+_EMPTY = 3  # places of 2 × SAMPLES at which the plate may be seen by chance
+_CERTAIN = 2.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class Hiding:
+    """What image and depth show beside and on the faces of a terminal at a pose.
+
+    Attributes:
+        ends: (2, 2) whether that end of each bar, at +x and at −x, is beside the plate.
+        empty: whether the plate is seen where the bars should be.
+    """
+
+    ends: Mask
+    empty: bool
+
+
+def hiding(
+    grey: NDArray[Any],
+    image: RgbdImage,
+    pose: TerminalPose,
+    terminal: Terminal,
+    plane: Plane,
+    lines: Lines,
+    used: Mask,
+    dark: float,
+) -> Hiding:
+    """Return what hides a terminal.
+
+    Args:
+        grey: (H, W) light.
+        image: with depth.
+        pose: of the terminal.
+        terminal: its size.
+        plane: the plate's.
+        lines: the lines that the pose shows.
+        used: (L, S) places of these lines at which an edge was seen.
+        dark: light of the plate relative to that of the bars, at most.
+    """
+    view = _View(grey, image, pose, plane)
+    bars = np.array([-0.5, 0.5]) * terminal.spacing
+    y = bars[:, None] + terminal.bar_height * _ROWS
+    x = 0.5 * terminal.bar_length * (2.0 * (np.arange(SAMPLES) + 0.5) / SAMPLES - 1.0)
+    light, raised = view.at(x[None, :, None], y[:, None, :], 0.0)
+    light, raised = np.nanmedian(light, axis=2), view.middle(raised, 2)
+    seen = _beside_edges(lines, used)
+    if not seen.any():
+        return Hiding(np.zeros((2, 2), dtype=bool), True)
+    limit = dark * float(np.nanmedian(light[seen]))
+    behind = _BEHIND * terminal.bar_thickness
+    empty = ~seen & (light < limit) & ~(raised > behind)
+    pixel = pose.translation[2] / image.intrinsics.fx
+    ends = np.zeros((2, 2), dtype=bool)
+    for side, sign in enumerate((1.0, -1.0)):
+        end = 0.5 * sign * terminal.bar_length
+        beyond, before = (
+            view.at(end + sign * pixel * steps[None, :, None], y[:, None, :], depth)
+            for steps, depth in ((_BESIDE, terminal.bar_thickness), (-_WITHIN, 0.0))
+        )
+        height = view.middle(beyond[1].reshape(2, -1), 1)
+        plate = (np.nanmedian(beyond[0].reshape(2, -1), axis=1) < limit) & (height < behind + _CERTAIN * view.noise)
+        ends[:, side] = plate & (np.nanmedian(before[0].reshape(2, -1), axis=1) > limit)
+    return Hiding(ends, int(empty.sum()) > _EMPTY)
+
+
+def _beside_edges(lines: Lines, used: Mask) -> Mask:
+    """Return (2, SAMPLES), from −x to +x, where edges of both long sides of each bar were seen."""
+    seen = np.zeros((2, 2, SAMPLES), dtype=bool)
+    for index in range(len(lines.bar)):
+        side = int(lines.side[index])
+        if side in _LONG:
+            # Corners run around a bar, so its upper side runs from +x to −x.
+            seen[lines.bar[index], _LONG.index(side)] |= used[index] if side == 0 else used[index][::-1]
+    return np.asarray(seen.all(axis=1))
+
+
+class _View:
+    """Light and height above the plate of places in a terminal's frame."""
+
+    def __init__(self, grey: NDArray[Any], image: RgbdImage, pose: TerminalPose, plane: Plane) -> None:
+        self._grey, self._image, self._pose, self._plane = grey, image, pose, plane
+        away = float(pose.translation[2])
+        self.noise = plane.scatter * away**2
+        """m, standard deviation of one height; those of neighbouring places are alike."""
+
+    def at(self, x: Array, y: Array, z: float) -> tuple[Array, Array]:
+        """Return light and height (m, NaN = unknown) at places (m), NaN outside the image."""
+        points = np.stack(np.broadcast_arrays(x, y, np.float64(z)), axis=-1)
+        pixels = np.round(project(self._pose.points(points), self._image.intrinsics)).astype(int)
+        height, width = self._grey.shape
+        inside = np.all((pixels >= 0) & (pixels < [width, height]), axis=-1)
+        column, row = np.moveaxis(np.clip(pixels, 0, [width - 1, height - 1]), -1, 0)
+        light = np.where(inside, self._grey[row, column].astype(float), np.nan)
+        depth = np.where(inside, self._image.depth[row, column].astype(float), np.nan)
+        ray = self._pose.points(points)
+        ray = ray / ray[..., 2:]
+        plate = 1.0 / np.maximum(ray @ self._plane.coefficients, 1e-6)
+        return light, (plate - depth) * float(self._pose.rotation[2, 2])
+
+    @staticmethod
+    def middle(values: Array, axis: int) -> Array:
+        """Return the median of what is known, −inf where nothing is."""
+        known = np.isfinite(values)
+        filled = np.where(known, values, np.inf)
+        order = np.sort(filled, axis=axis)
+        index = np.maximum((known.sum(axis=axis) - 1) // 2, 0)
+        found = np.take_along_axis(order, np.expand_dims(index, axis), axis=axis).squeeze(axis)
+        return np.where(np.isfinite(found), found, -np.inf)
