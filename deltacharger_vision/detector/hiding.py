@@ -28,6 +28,7 @@ _BESIDE = np.array([3.0, 4.5, 6.0])  # px beyond an end: nearer, stereo smears t
 _WITHIN = np.array([1.5, 3.0, 4.5])  # px before it
 _BEHIND = 0.5  # of the bars' thickness: less than that before the plate is the plate
 _EMPTY = 3  # places of 2 × SAMPLES at which the plate may be seen by chance
+_LEAST = 8  # of these places, at which bars must be seen
 _CERTAIN = 2.0  # standard deviations
 
 
@@ -71,12 +72,15 @@ def hiding(
     y = bars[:, None] + terminal.bar_height * _ROWS
     x = 0.5 * terminal.bar_length * (2.0 * (np.arange(SAMPLES) + 0.5) / SAMPLES - 1.0)
     light, raised = view.at(x[None, :, None], y[:, None, :], 0.0)
-    light, raised = np.nanmedian(light, axis=2), view.middle(raised, 2)
+    light, raised = view.middle(light, 2), view.middle(raised, 2)
+    # Seen at a slant, half of what lies between the bars is a side of one of them.
+    between, _ = view.at(x, terminal.spacing * np.array([[-1.0], [0.0], [1.0]]), 0.5 * terminal.bar_thickness)
     seen = _beside_edges(lines, used)
-    if not seen.any():
-        return Hiding(np.zeros((2, 2), dtype=bool), True)
-    limit = dark * float(np.nanmedian(light[seen]))
+    limit = dark * float(np.median(light[seen])) if seen.any() else 0.0
+    seen &= (between[:2] < limit) & (between[1:] < limit) & (light > limit)
     behind = _BEHIND * terminal.bar_thickness
+    if seen.sum() < _LEAST or float(np.median(raised[seen])) > 2.0 * terminal.bar_thickness + _CERTAIN * view.noise:
+        return Hiding(np.zeros((2, 2), dtype=bool), True)
     empty = ~seen & (light < limit) & ~(raised > behind)
     pixel = pose.translation[2] / image.intrinsics.fx
     ends = np.zeros((2, 2), dtype=bool)
@@ -87,8 +91,8 @@ def hiding(
             for steps, depth in ((_BESIDE, terminal.bar_thickness), (-_WITHIN, 0.0))
         )
         height = view.middle(beyond[1].reshape(2, -1), 1)
-        plate = (np.nanmedian(beyond[0].reshape(2, -1), axis=1) < limit) & (height < behind + _CERTAIN * view.noise)
-        ends[:, side] = plate & (np.nanmedian(before[0].reshape(2, -1), axis=1) > limit)
+        plate = (view.middle(beyond[0].reshape(2, -1), 1) < limit) & (height < behind + _CERTAIN * view.noise)
+        ends[:, side] = plate & (view.middle(before[0].reshape(2, -1), 1) > limit)
     return Hiding(ends, int(empty.sum()) > _EMPTY)
 
 
