@@ -38,11 +38,11 @@ class Hiding:
 
     Attributes:
         ends: (2, 2) whether that end of each bar, at +x and at −x, is beside the plate.
-        empty: whether the plate is seen where the bars should be.
+        refuted: whether the plate is seen where the bars should be, or a bar where the plate should be.
     """
 
     ends: Mask
-    empty: bool
+    refuted: bool
 
 
 def hiding(
@@ -74,7 +74,8 @@ def hiding(
     light, raised = view.at(x[None, :, None], y[:, None, :], 0.0)
     light, raised = view.middle(light, 2), view.middle(raised, 2)
     # Seen at a slant, half of what lies between the bars is a side of one of them.
-    between, _ = view.at(x, terminal.spacing * np.array([[-1.0], [0.0], [1.0]]), 0.5 * terminal.bar_thickness)
+    rows = terminal.spacing * np.array([[-1.0], [0.0], [1.0]])
+    between, _ = view.at(x, rows, 0.5 * terminal.bar_thickness)
     seen = _beside_edges(lines, used)
     limit = dark * float(np.median(light[seen])) if seen.any() else 0.0
     seen &= (between[:2] < limit) & (between[1:] < limit) & (light > limit)
@@ -83,17 +84,19 @@ def hiding(
         return Hiding(np.zeros((2, 2), dtype=bool), True)
     empty = ~seen & (light < limit) & ~(raised > behind)
     pixel = pose.translation[2] / image.intrinsics.fx
-    ends = np.zeros((2, 2), dtype=bool)
+    ends, longer = np.zeros((2, 2), dtype=bool), False
     for side, sign in enumerate((1.0, -1.0)):
         end = 0.5 * sign * terminal.bar_length
         beyond, before = (
             view.at(end + sign * pixel * steps[None, :, None], y[:, None, :], depth)
             for steps, depth in ((_BESIDE, terminal.bar_thickness), (-_WITHIN, 0.0))
         )
-        height = view.middle(beyond[1].reshape(2, -1), 1)
-        plate = (view.middle(beyond[0].reshape(2, -1), 1) < limit) & (height < behind + _CERTAIN * view.noise)
+        height, bright = view.middle(beyond[1].reshape(2, -1), 1), view.middle(beyond[0].reshape(2, -1), 1) > limit
+        around = view.middle(view.at(end + sign * pixel * _BESIDE, rows, 0.5 * terminal.bar_thickness)[0], 1) < limit
+        longer |= bool(np.any(bright & around[:2] & around[1:]))
+        plate = ~bright & (height < behind + _CERTAIN * view.noise)
         ends[:, side] = plate & (view.middle(before[0].reshape(2, -1), 1) > limit)
-    return Hiding(ends, int(empty.sum()) > _EMPTY)
+    return Hiding(ends, longer or int(empty.sum()) > _EMPTY)
 
 
 def _beside_edges(lines: Lines, used: Mask) -> Mask:

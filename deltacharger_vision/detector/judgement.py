@@ -166,7 +166,7 @@ class Judge:
         shown = self._hiding(edges, fused, plane)
         shares = outline_shares(edges.points, fused)
         ends = shown.ends & (shares[:, _ENDS] >= settings.support.end)
-        if shown.empty or int(ends.sum()) < _LEAST_ENDS:
+        if shown.refuted or int(ends.sum()) < _LEAST_ENDS:
             return None
         # An edge that ends what is seen of a bar beside something else than the plate is that thing's own.
         kept = edges.without_ends(ends)

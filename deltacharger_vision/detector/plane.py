@@ -25,6 +25,7 @@ _TRIALS, _THIN, _CONCENTRATED = 40, 500, 3  # planes tried, samples that judge t
 _ROUNDS = 6
 _NEAR = 3.0  # standard deviations within which the scatter is judged
 _BLOCK = 8  # samples on a side, over which correlated noise is judged
+_BLOCKS = 12  # whose means have a scatter
 _TUKEY = 4.7
 _HIDDEN, _CROSSED = 0.4, 1.2  # of a step across the plate; steps
 
@@ -137,7 +138,7 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
         if np.count_nonzero(near) < max(settings.fewest, settings.inliers * count):
             return None
         scatter = max(least, 1.4826 * float(np.median(np.abs(residual[near]))))
-        weight = np.maximum(1.0 - (residual / (_TUKEY * scatter)) ** 2, 0.0) ** 2
+        weight = _tukey(residual / scatter) * _in_line(region, residual, near)
         normal = (region.rays * weight[:, None]).T @ region.rays
         coefficients = np.asarray(
             np.linalg.solve(normal + 1e-9 * np.eye(3), region.rays.T @ (weight * region.inverse)), dtype=np.float64
@@ -172,6 +173,24 @@ def _consensus(region: Region, random: np.random.Generator) -> Array | None:
         planes = np.linalg.solve(normal, np.swapaxes(ray, 1, 2) @ seen[..., None])[..., 0]
     off = np.partition(np.abs(inverse - planes @ thin.T), half, axis=1)[:, :half]
     return np.asarray(planes[np.argmin(np.sum(off**2, axis=1))])
+
+
+def _tukey(residual: Array) -> Array:
+    """Return weights of residuals in standard deviations, 0 from _TUKEY on."""
+    return np.asarray(np.maximum(1.0 - (residual / _TUKEY) ** 2, 0.0) ** 2)
+
+
+def _in_line(region: Region, residual: Array, near: Mask) -> Array:
+    """Return the weights of samples by the mean of their block.
+
+    A strap over the plate or a cable on it is within the noise of one sample, and far out of that of a block.
+    """
+    _, block = np.unique(region.block, return_inverse=True)
+    size = np.bincount(block, weights=near)
+    mean = np.bincount(block, weights=residual * near) / np.maximum(size, 1.0)
+    full = size >= 0.5 * size.max()
+    scatter = 1.4826 * float(np.median(np.abs(mean[full])))
+    return _tukey(mean / max(scatter, 1e-9))[block] if full.sum() >= _BLOCKS else np.ones(len(residual))
 
 
 def _stairs(region: Region, coefficients: Array, step: float) -> Array:
