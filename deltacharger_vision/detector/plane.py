@@ -23,10 +23,10 @@ from deltacharger_vision.terminal import Terminal
 
 _TRIALS, _THIN, _CONCENTRATED = 40, 500, 3  # planes tried, samples that judge them, times they are fitted anew
 _ROUNDS = 6
-_NEAR = 3.0  # standard deviations within which the scatter is judged
+_NEAR, _MEDIAN = 2.0, 0.639  # standard deviations within which the scatter is judged, and their median size there
 _BLOCK = 8  # samples on a side, over which correlated noise is judged
 _BLOCKS = 12  # whose means have a scatter
-_TUKEY = 4.7
+_TUKEY = 3.5
 _HIDDEN, _CROSSED = 0.4, 1.2  # of a step across the plate; steps
 
 
@@ -130,21 +130,21 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
     # Where depth is rounded most samples may lie on one step; less than its own scatter would fit that step alone.
     rounded = settings.step / math.sqrt(12.0) * float(np.median(region.inverse)) ** 2
     least = math.hypot(settings.noise, rounded)
-    scatter, weight = settings.tolerance, np.ones(count)
-    for round_ in range(_ROUNDS):
-        residual = region.inverse - region.rays @ coefficients
+    residual = region.inverse - region.rays @ coefficients
+    scatter, weight = max(least, 1.4826 * float(np.median(np.abs(residual)))), np.ones(count)
+    for _ in range(_ROUNDS):
         # What hangs before the plate would widen a scatter that it counts in, and be let in by it.
-        near = np.abs(residual) < (settings.tolerance if round_ == 0 else min(settings.tolerance, _NEAR * scatter))
+        near = np.abs(residual) < min(settings.tolerance, _NEAR * scatter)
         if np.count_nonzero(near) < max(settings.fewest, settings.inliers * count):
             return None
-        scatter = max(least, 1.4826 * float(np.median(np.abs(residual[near]))))
+        scatter = max(least, float(np.median(np.abs(residual[near]))) / _MEDIAN)
         weight = _tukey(residual / scatter) * _in_line(region, residual, near)
         normal = (region.rays * weight[:, None]).T @ region.rays
         coefficients = np.asarray(
             np.linalg.solve(normal + 1e-9 * np.eye(3), region.rays.T @ (weight * region.inverse)), dtype=np.float64
         )
+        residual = region.inverse - region.rays @ coefficients
     normal = (region.rays * weight[:, None]).T @ region.rays
-    residual = region.inverse - region.rays @ coefficients
     covariance = scatter**2 * _correlation(region, residual, weight > 0.0) * np.linalg.inv(normal + 1e-9 * np.eye(3))
     covariance += np.diag([settings.slope_bias, settings.slope_bias, settings.bias]) ** 2
     covariance[:2, :2] += np.diag(_stairs(region, coefficients, math.sqrt(12.0) * rounded)) ** 2
