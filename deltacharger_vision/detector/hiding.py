@@ -83,16 +83,18 @@ def hiding(
     if seen.sum() < _LEAST or float(np.median(raised[seen])) > 2.0 * terminal.bar_thickness + _CERTAIN * view.noise:
         return Hiding(np.zeros((2, 2), dtype=bool), True)
     empty = ~seen & (light < limit) & ~(raised > behind)
-    pixel = pose.translation[2] / image.intrinsics.fx
+    pixel, camera = pose.translation[2] / image.intrinsics.fx, -pose.rotation.T @ pose.translation
     ends, longer = np.zeros((2, 2), dtype=bool), False
     for side, sign in enumerate((1.0, -1.0)):
         end = 0.5 * sign * terminal.bar_length
+        # Where the end's own side shows, the plate begins at its root.
+        root = terminal.bar_thickness if sign * camera[0] > 0.5 * terminal.bar_length else 0.0
         beyond, before = (
             view.at(end + sign * pixel * steps[None, :, None], y[:, None, :], depth)
-            for steps, depth in ((_BESIDE, terminal.bar_thickness), (-_WITHIN, 0.0))
+            for steps, depth in ((_BESIDE, root), (-_WITHIN, 0.0))
         )
         height, bright = view.middle(beyond[1].reshape(2, -1), 1), view.middle(beyond[0].reshape(2, -1), 1) > limit
-        around = view.middle(view.at(end + sign * pixel * _BESIDE, rows, 0.5 * terminal.bar_thickness)[0], 1) < limit
+        around = view.middle(view.at(end + sign * pixel * _BESIDE, rows, 0.5 * root)[0], 1) < limit
         longer |= bool(np.any(bright & around[:2] & around[1:]))
         plate = ~bright & (height < behind + _CERTAIN * view.noise)
         ends[:, side] = plate & (view.middle(before[0].reshape(2, -1), 1) > limit)

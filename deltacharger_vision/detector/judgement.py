@@ -127,9 +127,10 @@ class Judge:
         starts = by_corners(pair, self._terminal, intrinsics)
         if not starts or not 0.7 * settings.nearest < starts[0].translation[2] < 1.4 * settings.farthest:
             return None
-        if not self._dark(starts[0]):
+        limit, dark = self._dark(starts[0])
+        if not dark:
             return None
-        region = plate_region(self._image.depth, starts[0], self._terminal, intrinsics, settings.plane)
+        region = self._region(starts[0], limit)
         if region.share < settings.plane.known:
             # Too little depth for a plane may still tell that nothing is there.
             return None if self._elsewhere(region, starts[0]) else self._by_image(pair, starts[0])
@@ -148,7 +149,7 @@ class Judge:
         start = by_spacing(pair, self._terminal, intrinsics)
         if not 0.7 * settings.nearest < start.translation[2] < 1.4 * settings.farthest:
             return []
-        region = plate_region(self._image.depth, start, self._terminal, intrinsics, settings.plane)
+        region = self._region(start, self._dark(start)[0])
         plane = fit_plane(region, settings.plane, np.random.default_rng(0))
         if plane is None or not _agree(plane, start, 3.0 * settings.agreement):
             return []
@@ -164,12 +165,13 @@ class Judge:
         settings = self._settings
         edges, fused = explained.edges, explained.fit
         shown = self._hiding(edges, fused, plane)
-        shares = outline_shares(edges.points, fused)
-        ends = shown.ends & (shares[:, _ENDS] >= settings.support.end)
+        # A bar whose side is seen ends where the side does: by the face's edge alone it may be the other's.
+        outlines = outline_shares(edges.points, fused, outer=True)
+        ends = shown.ends & (outlines[:, _ENDS] >= settings.support.end)
         if shown.refuted or int(ends.sum()) < _LEAST_ENDS:
             return None
         # An edge that ends what is seen of a bar beside something else than the plate is that thing's own.
-        kept = edges.without_ends(ends)
+        kept = edges.without_ends(shown.ends)
         both = kept.fit(fused.pose, plane)
         alone = None if both is None else kept.fit(both.pose)
         if both is None or alone is None:
@@ -303,12 +305,19 @@ class Judge:
         found = self._search(tilted(start, plane.coefficients, pair, self._image.intrinsics), pair, plane)
         if not found:
             return None
+        shown = self._hiding(found[0].edges, found[0].fit, plane)
+        if shown.refuted:
+            return None
         edges, fused = found[0].edges, found[0].fit
-        alone = edges.fit(fused.pose)
-        if alone is None:
+        if not shown.ends.all():
+            edges = edges.without_ends(shown.ends)
+            fused = edges.fit(fused.pose, plane)
+        alone = None if fused is None else edges.fit(fused.pose)
+        if fused is None or alone is None:
             return None
         rise = edges.misfit(fused, alone.scatter, plane) - edges.misfit(alone, alone.scatter)
-        if rise > settings.exact and settings.calibration:
+        # A bar that is cut looks like a wrong focal length.
+        if rise > settings.exact and settings.calibration and shown.ends.all():
             return self._by_both_rescaled(alone.pose, plane)
         if not rise <= settings.support.disagreement:
             return None
@@ -341,7 +350,7 @@ class Judge:
         confidence = self._share(edges, found)
         if not in_range or confidence <= 0.0 or not np.all(np.isfinite(covariance)):
             return None
-        if not self._dark(pose):
+        if not self._dark(pose)[1]:
             return None
         # Edges that fit worse than their noise explains have something wrong with them (Birge's ratio).
         excess = self._misfit(edges, found, missed=False) / settings.clear
@@ -354,9 +363,13 @@ class Judge:
             return False
         return abs(float(np.median(region.inverse)) * away - 1.0) > 2.0 * settings.agreement
 
-    def _dark(self, pose: TerminalPose) -> bool:
+    def _dark(self, pose: TerminalPose) -> tuple[float, bool]:
         intrinsics, share = self._image.intrinsics, self._settings.support.around
         return plate_is_dark(self._grey, pose, self._terminal, intrinsics, share)
+
+    def _region(self, pose: TerminalPose, limit: float) -> Region:
+        intrinsics, settings = self._image.intrinsics, self._settings.plane
+        return plate_region(self._image.depth, pose, self._terminal, intrinsics, settings, self._grey < limit)
 
     def _share(self, edges: Edges, found: PoseFit) -> float:
         return supported(outline_shares(edges.points, found), found, self._settings.support)

@@ -88,9 +88,14 @@ class Region:
 
 
 def plate_region(
-    depth: NDArray[Any], pose: TerminalPose, terminal: Terminal, intrinsics: Intrinsics, settings: PlaneSettings
+    depth: NDArray[Any],
+    pose: TerminalPose,
+    terminal: Terminal,
+    intrinsics: Intrinsics,
+    settings: PlaneSettings,
+    dark: Mask | None = None,
 ) -> Region:
-    """Return the known depth (H, W) m around the bars of a terminal at `pose`."""
+    """Return the known depth (H, W) m around the bars of a terminal at `pose`, where it is `dark` (H, W) as a plate."""
     half = np.array([0.5 * terminal.bar_length, terminal.bar_height + 0.5 * terminal.gap])
     clear = max(settings.metal, settings.shadow * pose.translation[2] / intrinsics.fx)
     reach = half + clear + [settings.beside, settings.above]
@@ -114,6 +119,8 @@ def plate_region(
     columns, rows, ray = columns[plate], rows[plate], ray[plate]
     values = depth[rows, columns].astype(float)
     known = np.isfinite(values) & (values > 0.0)
+    if dark is not None:
+        known &= dark[rows, columns]
     block = (rows // (stride * _BLOCK)) * 100_000 + columns // (stride * _BLOCK)
     share = float(known.mean()) if len(known) else 0.0
     return Region(ray[known], 1.0 / values[known], block[known].astype(np.int64), share)

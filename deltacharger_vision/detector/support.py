@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,11 +40,17 @@ class SupportSettings(Bounded):
     disagreement: float = number(30.0, 1.0, 1000.0, "", "largest rise of the squared error when depth is added")
 
 
-def outline_shares(points: EdgePoints, fit: PoseFit) -> Array:
-    """Return the share (2, 4) of each side of each bar that was seen where the pose has it; 0 outside the image."""
+def outline_shares(points: EdgePoints, fit: PoseFit, outer: bool = False) -> Array:
+    """Return the share (2, 4) of each side of each bar that was seen where the pose has it; 0 outside the image.
+
+    Args:
+        points: the edge points.
+        fit: the pose.
+        outer: whether the outermost line of each side is asked for alone.
+    """
     shares = np.zeros((2, 4))
     lines = points.lines
-    for index in range(len(lines.bar)):
+    for index in np.flatnonzero(lines.outer) if outer else range(len(lines.bar)):
         share = float(np.mean(fit.used[index]))
         # A side that shows two lines is seen by either.
         bar, side = lines.bar[index], lines.side[index]
@@ -53,8 +60,8 @@ def outline_shares(points: EdgePoints, fit: PoseFit) -> Array:
 
 def plate_is_dark(
     grey: NDArray[Any], pose: TerminalPose, terminal: Terminal, intrinsics: Intrinsics, share: float
-) -> bool:
-    """Return whether there is no third bar: where it would be, light (H, W) is below `share` of that of the bars."""
+) -> tuple[float, bool]:
+    """Return `share` of the light (H, W) of the bars, and whether it is darker where a third bar would be."""
     places = np.linspace(-0.4, 0.4, 9) * terminal.bar_length
     rows = np.array([-1.5, -0.5, 0.5, 1.5]) * terminal.spacing
     points = np.stack(np.broadcast_arrays(places, rows[:, None], 0.0), axis=-1)
@@ -66,9 +73,9 @@ def plate_is_dark(
     light = np.where(inside, grey[pixels[..., 1], pixels[..., 0]].astype(float), np.nan)
     bars = light[1:3][inside[1:3]]
     if not len(bars):
-        return False
+        return math.inf, False
     limit = share * float(np.median(bars))
-    return all(not inside[row].any() or float(np.nanmedian(light[row])) < limit for row in (0, 3))
+    return limit, all(not inside[row].any() or float(np.nanmedian(light[row])) < limit for row in (0, 3))
 
 
 def supported(shares: Array, fit: PoseFit, settings: SupportSettings) -> float:
