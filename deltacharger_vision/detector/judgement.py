@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array
+from deltacharger_core.arrays import Array, Mask
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.edges import EdgeSettings, find_edges
 from deltacharger_vision.detector.hiding import Hiding, hiding
-from deltacharger_vision.detector.outlines import visible_lines
+from deltacharger_vision.detector.outlines import Lines, visible_lines
 from deltacharger_vision.detector.pairing import Pair
 from deltacharger_vision.detector.plane import Plane, PlaneSettings, Region, fit_plane, plate_region
 from deltacharger_vision.detector.refine import ROUNDS, Edges, PoseFit, RefineSettings
@@ -184,7 +184,18 @@ class Judge:
         if sides.min() < settings.support.part or sides.mean() < settings.support.parts:
             return None
         covariance = both.covariance * max(1.0, rise / _EXPECTED_RISE)
+        if not ends.any(axis=0).all():
+            # By one end alone nothing tells whether its face's edge was seen or the root of its side.
+            unsure = self._side_seen(edges.points.lines, ends) * both.pose.translation[2] / self._focal
+            axis = both.pose.rotation[:, 0]
+            covariance[:3, :3] += unsure**2 * np.outer(axis, axis)
         return Candidate(both.pose, covariance, float(shares.mean()), True, True)
+
+    @staticmethod
+    def _side_seen(lines: Lines, ends: Mask) -> float:
+        """Return the width (px) of the sides that show beside those ends (2, 2) that are True."""
+        two = np.isfinite(lines.room) & np.isin(lines.side, np.asarray(_ENDS)[ends.any(axis=0)])
+        return float(lines.room[two].max(initial=0.0))
 
     def _hiding(self, edges: Edges, found: PoseFit, plane: Plane) -> Hiding:
         dark = self._settings.support.around
