@@ -39,7 +39,7 @@ from deltacharger_vision.poses import TerminalPose, facing
 from deltacharger_vision.terminal import Terminal
 
 _SAME_TILT = 0.03  # rad
-_UNSETTLED, _NOTHING = 5.0, 5.0  # times `clear`
+_UNSETTLED, _NOTHING, _MESSY = 5.0, 5.0, 2.0  # times `clear`
 _HOPELESS = 3.0
 _LONG, _ENDS = (0, 2), (1, 3)
 _LEAST_ENDS = 2  # of four that must be beside the plate
@@ -183,7 +183,10 @@ class Judge:
         sides = shares[:, _LONG]
         if sides.min() < settings.support.part or sides.mean() < settings.support.parts:
             return None
-        covariance = both.covariance * max(1.0, rise / _EXPECTED_RISE)
+        excess = self._misfit(kept, both, missed=False) / settings.clear
+        if excess > _MESSY:
+            return None
+        covariance = both.covariance * max(1.0, rise / _EXPECTED_RISE, excess)
         if not ends.any(axis=0).all():
             # By one end alone nothing tells whether its face's edge was seen or the root of its side.
             unsure = self._side_seen(edges.points.lines, ends) * both.pose.translation[2] / self._focal

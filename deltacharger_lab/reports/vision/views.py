@@ -19,7 +19,7 @@ from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.poses import turn
 from deltacharger_vision.projection import project
 from deltacharger_vision.rendering.camera import OAK_D
-from deltacharger_vision.rendering.obstructions import draw_obstruction
+from deltacharger_vision.rendering.obstructions import draw_obstruction, hidden_share
 from deltacharger_vision.rendering.parameters import CameraParameters
 from deltacharger_vision.rendering.scene import Box, RenderedScene
 from deltacharger_vision.rendering.scene_drawing import draw_scene
@@ -31,6 +31,8 @@ MOUNT_PITCH = math.atan2(0.12, 0.20)
 """Of the default mount, which sees the docked terminal from above, rad."""
 DOCK, APPROACH, EVERYWHERE = (0.15, 0.35), (0.35, 0.8), (0.15, 1.0)
 """Ranges, m."""
+MOST_HIDDEN = 0.5
+"""Share of the bars' faces that an obstruction hides at most, unless more is asked for."""
 _MARGIN = 6.0  # px between the terminal and the image's border
 _NEAREST = 0.05  # m
 _TRIES = 1000
@@ -191,16 +193,29 @@ def rows_of_bars(random: Random) -> tuple[Box, ...]:
     return tuple(found)
 
 
-def obstructed(random: Random, kind: str | None) -> DrawnView:
-    """Return a terminal at 0.15–1 m, every other one in a drawn room, with something before it, or nothing."""
-    away = random.uniform(*EVERYWHERE)
-    view = plain(random, away, away)
+def obstructed(random: Random, kind: str, most: float = MOST_HIDDEN, least: float = 0.0) -> DrawnView:
+    """Return the view of `unobstructed` with something before it that hides some of the bars, or lies beside them.
+
+    Args:
+        random: draws it.
+        kind: of the obstruction.
+        most: share of the bars' faces that it hides at most.
+        least: the same at least.
+    """
+    view = unobstructed(random)
+    # Never so near to the camera that it sees nothing else.
+    terminal, room = view.scene.terminal, min(0.12, 0.4 * float(np.linalg.norm(view.pose[:3, 3])))
+    for _ in range(_TRIES):
+        boxes = draw_obstruction(random, kind, terminal, room)
+        if least <= hidden_share(boxes, terminal, view.pose) <= most:
+            return view.changed(foreground=boxes)
+    raise ValueError(f"no {kind} hides {least:g} to {most:g} of the bars")
+
+
+def unobstructed(random: Random) -> DrawnView:
+    """Return a terminal at 0.15–1 m in light and exposure of all kinds, every other one in a drawn room."""
+    view = plain(random, *EVERYWHERE)
     exposure = float(np.exp(random.uniform(math.log(0.3), math.log(2.5))))
     if random.random() < 0.5:
         view = dataclasses.replace(view, scene=draw_scene(random, clutter=6, decoys=1))
-    view = view.changed(camera={"exposure": exposure})
-    if kind is None:
-        return view
-    # Never so near to the camera that it sees nothing else.
-    room = min(0.12, 0.4 * away)
-    return view.changed(foreground=draw_obstruction(random, kind, view.scene.terminal, room))
+    return view.changed(camera={"exposure": exposure})
