@@ -39,7 +39,7 @@ from deltacharger_vision.poses import TerminalPose, facing
 from deltacharger_vision.terminal import Terminal
 
 _SAME_TILT = 0.03  # rad
-_UNSETTLED, _NOTHING, _MESSY = 5.0, 5.0, 2.0  # times `clear`
+_UNSETTLED, _NOTHING, _MESSY = 5.0, 5.0, 1.2  # times `clear`
 _HOPELESS = 3.0
 _LONG, _ENDS = (0, 2), (1, 3)
 _LEAST_ENDS = 2  # of four that must be beside the plate
@@ -166,9 +166,12 @@ class Judge:
         edges, fused = explained.edges, explained.fit
         shown = self._hiding(edges, fused, plane)
         # A bar whose side is seen ends where the side does: by the face's edge alone it may be the other's.
-        outlines = outline_shares(edges.points, fused, outer=True)
-        ends = shown.ends & (outlines[:, _ENDS] >= settings.support.end)
-        if shown.refuted or int(ends.sum()) < _LEAST_ENDS:
+        ends, any_line = (
+            shown.ends & (outline_shares(edges.points, fused, outer)[:, _ENDS] >= settings.support.end)
+            for outer in (True, False)
+        )
+        # Between a bar and the plate there is an edge, or the bar ends elsewhere.
+        if shown.refuted or int(ends.sum()) < _LEAST_ENDS or np.any(shown.ends & ~any_line):
             return None
         # An edge that ends what is seen of a bar beside something else than the plate is that thing's own.
         kept = edges.without_ends(shown.ends)
@@ -332,16 +335,18 @@ class Judge:
         rise = edges.misfit(fused, alone.scatter, plane) - edges.misfit(alone, alone.scatter)
         # A bar that is cut looks like a wrong focal length.
         if rise > settings.exact and settings.calibration and shown.ends.all():
-            return self._by_both_rescaled(alone.pose, plane)
+            return self._by_both_rescaled(alone.pose, fused.pose, plane)
         if not rise <= settings.support.disagreement:
             return None
         return self._candidate(edges, fused, fused.covariance, True, True)
 
-    def _by_both_rescaled(self, alone: TerminalPose, plane: Plane) -> Candidate | None:
+    def _by_both_rescaled(self, alone: TerminalPose, exact: TerminalPose, plane: Plane) -> Candidate | None:
         """Return the pose by edges and plane of a camera whose focal length is a little off, where that explains both.
 
         Args:
             alone: pose by edges alone, where the lines are seen.
+            exact: pose by edges and plane of a camera whose focal length is right; the covariance spans this too, as
+                something that hides a little of the bars makes image and depth differ as well.
             plane: the plate's.
         """
         settings = self._settings
@@ -353,7 +358,9 @@ class Judge:
         rise = edges.misfit(both, start.scatter, plane, calibration=settings.calibration)
         if not rise - edges.misfit(start, start.scatter) <= settings.support.disagreement:
             return None
-        return self._candidate(edges, both, both.covariance, True, True)
+        covariance, step = both.covariance.copy(), exact.translation - both.pose.translation
+        covariance[:3, :3] += np.outer(step, step)
+        return self._candidate(edges, both, covariance, True, True)
 
     def _candidate(
         self, edges: Edges, found: PoseFit, covariance: Array, fused: bool, upright: bool
