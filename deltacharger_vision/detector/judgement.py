@@ -356,9 +356,10 @@ class Judge:
         if start is None or both is None:
             return None
         rise = edges.misfit(both, start.scatter, plane, calibration=settings.calibration)
-        if not rise - edges.misfit(start, start.scatter) <= settings.support.disagreement:
+        rise -= edges.misfit(start, start.scatter)
+        if not rise <= settings.support.disagreement:
             return None
-        covariance, step = both.covariance.copy(), exact.translation - both.pose.translation
+        covariance, step = max(1.0, rise / _EXPECTED_RISE) * both.covariance, exact.translation - both.pose.translation
         covariance[:3, :3] += np.outer(step, step)
         return self._candidate(edges, both, covariance, True, True)
 
@@ -369,7 +370,7 @@ class Judge:
         away = float(np.linalg.norm(pose.translation))
         in_range = settings.nearest <= away <= settings.farthest and facing(pose) >= math.cos(settings.tilt)
         confidence = self._share(edges, found)
-        if not in_range or confidence <= 0.0 or not np.all(np.isfinite(covariance)):
+        if not in_range or confidence <= (0.0 if fused else settings.support.unchecked) or not np.all(np.isfinite(covariance)):
             return None
         if not self._dark(pose)[1]:
             return None

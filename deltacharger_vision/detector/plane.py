@@ -45,7 +45,7 @@ class PlaneSettings(Bounded):
     most: int = number(3000, 100, 100_000, "", "depth samples that are used")
     fewest: int = number(60, 10, 10_000, "", "samples without which there is no plane")
     known: float = number(0.25, 0.0, 1.0, "", "share of the region's depth that must be known")
-    inliers: float = number(0.5, 0.1, 1.0, "", "share of the known depth that must lie on the plane")
+    inliers: float = number(0.65, 0.1, 1.0, "", "share of the known depth that must lie on the plane")
     tolerance: float = number(0.05, 0.001, 1.0, "1/m", "inverse depth that is off by more is not on the plane")
     noise: float = number(0.002, 1e-6, 0.1, "1/m", "least standard deviation of inverse depth that is not rounded")
     step: float = number(0.001, 0.0, 0.1, "m", "steps in which depth comes: millimetres, as 16UC1 carries it")

@@ -31,6 +31,7 @@ class SupportSettings(Bounded):
     """
 
     seen: float = number(0.55, 0.2, 1.0, "", "share of both outlines that must be seen")
+    unchecked: float = number(0.8, 0.0, 1.0, "", "share of both outlines that must be seen where no depth checks the pose")
     whole: float = number(0.75, 0.3, 1.0, "", "share of the clearer bar's outline that must be seen")
     part: float = number(0.15, 0.05, 1.0, "", "share of each long side of the other bar that must be seen")
     parts: float = number(0.4, 0.05, 1.0, "", "share of all long sides that must be seen of bars that are partly hidden")
