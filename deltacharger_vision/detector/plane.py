@@ -25,6 +25,7 @@ _TRIALS, _THIN, _CONCENTRATED = 40, 500, 3  # planes tried, samples that judge t
 _ROUNDS = 6
 _NEAR, _MEDIAN = 2.0, 0.639  # standard deviations within which the scatter is judged, and their median size there
 _BLOCK = 8  # samples on a side, over which correlated noise is judged
+_EVEN = 1.5  # scatter about a plane, in that within blocks, from which on it is none
 _BLOCKS = 12  # whose means have a scatter
 _TUKEY = 3.5
 _HIDDEN, _CROSSED = 0.4, 1.2  # of a step across the plate; steps
@@ -127,7 +128,7 @@ def plate_region(
 
 
 def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generator) -> Plane | None:
-    """Return the plane that most of the region's depth lies on, or None where there is none."""
+    """Return the plane that two thirds of the region's depth lie on, or None where there is none."""
     count = len(region.inverse)
     if count < settings.fewest or region.share < settings.known:
         return None
@@ -151,6 +152,8 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
             np.linalg.solve(normal + 1e-9 * np.eye(3), region.rays.T @ (weight * region.inverse)), dtype=np.float64
         )
         residual = region.inverse - region.rays @ coefficients
+    if scatter > _EVEN * max(least, _within(region, residual, near)):
+        return None
     normal = (region.rays * weight[:, None]).T @ region.rays
     covariance = scatter**2 * _correlation(region, residual, weight > 0.0) * np.linalg.inv(normal + 1e-9 * np.eye(3))
     covariance += np.diag([settings.slope_bias, settings.slope_bias, settings.bias]) ** 2
@@ -198,6 +201,13 @@ def _in_line(region: Region, residual: Array, near: Mask) -> Array:
     full = size >= 0.5 * size.max()
     scatter = 1.4826 * float(np.median(np.abs(mean[full])))
     return _tukey(mean / max(scatter, 1e-9))[block] if full.sum() >= _BLOCKS else np.ones(len(residual))
+
+
+def _within(region: Region, residual: Array, near: Mask) -> float:
+    """Return the scatter of samples about the means of their blocks: that of a plane through two things is larger."""
+    _, block = np.unique(region.block[near], return_inverse=True)
+    mean = np.bincount(block, weights=residual[near]) / np.bincount(block)
+    return 1.4826 * float(np.median(np.abs(residual[near] - mean[block])))
 
 
 def _stairs(region: Region, coefficients: Array, step: float) -> Array:
