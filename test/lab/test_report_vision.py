@@ -32,7 +32,7 @@ from deltacharger_vision.detector.detection import Detection
 
 from .conftest import Quick
 
-NOTHING = [math.nan] * 9
+NOTHING = [*[math.nan] * 10, 1.0]
 
 REPORT = ("vision", "--images", "2")
 MEASURES_WITH = ("cv2", "matplotlib", "scipy")
@@ -141,10 +141,15 @@ def test_wrong_is_what_is_far_off() -> None:
 
 
 def test_only_right_detections_count_as_found() -> None:
-    images = [[0, 1, 0, 1.0, 2.0, 0.1, 3.0, 1.0, 0.3, 0.4, 1.0, -2.0], [1, 1, 1, *NOTHING], [2, 0, 0, *NOTHING]]
+    images = [
+        [0, 1, 0, 1.0, 2.0, 0.1, 3.0, 1.0, 0.3, 0.4, 1.0, -2.0, 2.2, 0.0],
+        [1, 1, 1, *NOTHING],
+        [2, 0, 0, *NOTHING[:-1], 0.0],
+    ]
     found = row(images)
     assert (found["images"], found["found"], found["wrong"]) == (3, 1, 1)
     assert found["xy_mm_p50"] == 1.0
+    assert (found["sure"], found["sure_held"], found["error_mm_p50"]) == (1, 1.0, 2.2)
     assert (found["leans"], found["yaw_rms"], found["pitch_sigma_rms"]) == (1, 0.3, 2.0)
     assert (found["yaw_held"], found["pitch_held"]) == (1.0, 0.0)
     assert worst(images, real=True) == 1

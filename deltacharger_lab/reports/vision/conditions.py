@@ -17,6 +17,7 @@ from deltacharger_lab.reports.vision import views
 from deltacharger_lab.reports.vision.views import APPROACH, DOCK, DrawnView
 from deltacharger_vision.images import Intrinsics
 from deltacharger_vision.rendering.camera import OAK_D
+from deltacharger_vision.rendering.obstructions import KINDS
 
 RANGES = (0.15, 0.17, 0.20, 0.25, 0.30, 0.40, 0.50, 0.60, 0.70, 0.80, 0.90, 1.00)
 """m."""
@@ -27,6 +28,7 @@ ANYWHERE = (0.2, 0.8)
 RAYS, MUJOCO = "ray-caster", "MuJoCo"
 BY_RANGE, DEFECTS, HIDDEN, ALARMS = "range", "defects", "hidden", "alarms"
 INTRINSICS, LENS, SIZE, RENDERERS = "intrinsics", "lens", "size", "renderers"
+OBSTRUCTED, CLEAR, HEAVY = "obstructed", "clear", "heavy"
 HALF_HIDDEN = "50 % of one bar hidden"
 CLUTTER, CLUTTER_FLAT = "clutter, no electrodes", "clutter, no electrodes, no depth"
 ALONE = "no depth at all"
@@ -124,6 +126,27 @@ _FIXED = (
 """Rows of hidden bars and of false alarms."""
 
 
+_SHARES = ((RAYS, 0.7), (MUJOCO, 0.3))
+"""Which part of the images each renderer draws."""
+
+
+def _obstructed() -> list[Condition]:
+    """Return rows of each kind of obstruction, of nothing, and of what hides more than half: 1000, 1000, 200 images."""
+    found = []
+    for renderer, share in _SHARES:
+        for kind in KINDS:
+            draw = partial(views.obstructed, kind=kind)
+            found.append(
+                Condition(f"{kind}, {renderer}", OBSTRUCTED, draw, share * _THOUSAND / len(KINDS), renderer=renderer)
+            )
+        draw = views.unobstructed
+        found.append(Condition(f"nothing, {renderer}", CLEAR, draw, share * _THOUSAND, renderer=renderer))
+    for kind in ("strap", "hand"):
+        draw = partial(views.obstructed, kind=kind, most=1.0, least=views.MOST_HIDDEN)
+        found.append(Condition(f"{kind}, more than half hidden", HEAVY, draw, 0.1 * _THOUSAND))
+    return found
+
+
 def _intrinsics() -> list[Condition]:
     told = {"exact": OAK_D}
     for percent in (-2, -1, 1, 2):
@@ -183,7 +206,7 @@ def key(condition: Condition) -> str:
 
 CONDITIONS: dict[str, Condition] = {
     key(condition): condition
-    for part in (_by_range(), _defects(), _FIXED, _intrinsics(), _lenses(), _sizes(), _renderers())
+    for part in (_by_range(), _defects(), _FIXED, _obstructed(), _intrinsics(), _lenses(), _sizes(), _renderers())
     for condition in part
 }
 """By group and name."""

@@ -9,7 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from deltacharger_lab.reports.vision.conditions import CONDITIONS, MUJOCO, RAYS, RENDERERS
+from deltacharger_lab.reports.vision.conditions import (
+    CONDITIONS,
+    MUJOCO,
+    OBSTRUCTED,
+    RAYS,
+    RENDERERS,
+    key,
+    members,
+)
 from deltacharger_lab.reports.vision.measure import Photographer, Sample, errors
 from deltacharger_records.plotting import BLUE, INK, RED, Axes, picture
 from deltacharger_vision.detector.annotate import annotated
@@ -68,6 +76,22 @@ def hard(results: dict[str, Any], path: Path) -> None:
             axes.axis("off")
         for axes, name in zip(panels.flat, names, strict=False):
             _one(axes, name, photographer.take(CONDITIONS[name], worst(images[name], CONDITIONS[name].real)), detector)
+
+
+def obstructed(results: dict[str, Any], path: Path) -> None:
+    """Write some images of each kind of obstruction, the part around the terminal: the first that were measured."""
+    names = [name for name in (key(each) for each in members(OBSTRUCTED)) if name in results["rows"]]
+    names = [name for name in names if CONDITIONS[name].renderer == RAYS]
+    lines, first = len(names), results["first_seed"]
+    about = "simulated images, the first of each kind; blue: what was detected"
+    title = "Something before the bars"
+    detector, closing = ElectrodeDetector(), contextlib.closing(Photographer())
+    with closing as photographer, picture(path, 12.4, 0.95 + 2.15 * lines, title, about) as figure:
+        panels = figure.subplots(lines, _COLUMNS, squeeze=False)
+        for row, name in zip(panels, names, strict=True):
+            for axes, seed in zip(row, range(first, first + _COLUMNS), strict=True):
+                axes.axis("off")
+                _one(axes, name, photographer.take(CONDITIONS[name], seed), detector)
 
 
 def worst(images: list[list[float]], real: bool) -> int:

@@ -29,10 +29,13 @@ from deltacharger_vision.rendering.scene import RenderedScene
 WRONG_POSITION, WRONG_ROLL = 0.010, math.radians(5.0)
 """A detection that is farther off, m or rad, is wrong."""
 _LEANS = ("yaw_deg", "pitch_deg", "yaw_sigma", "pitch_sigma")
-FIELDS = ("seed", "found", "wrong", "xy_mm", "z_mm", "roll_deg", "nees", "tilt_deg", *_LEANS)
+FIELDS = ("seed", "found", "wrong", "xy_mm", "z_mm", "roll_deg", "nees", "tilt_deg", *_LEANS, "error_mm", "sure")
 """Of one image. found and wrong are 0 or 1. Errors are NaN where nothing right was found, those of tilt and lean also
 where no normal is told. Yaw and pitch are those in charger_base by an exact mount; *_sigma are their errors in units of
-the told standard deviation."""
+the told standard deviation. error_mm is that of the position in all; sure is 1 where the answer is wrong and sure."""
+SURE_ERROR, SURE_SIGMAS, SURE_TILT = 0.003, 6.0, math.radians(15.0)
+"""An answer is wrong and sure that is farther off than SURE_ERROR (m) and than SURE_SIGMAS of its own covariance
+(Mahalanobis), or whose normal is off by more than SURE_TILT (rad)."""
 _WARM_UP = 5
 _RUNS = 3  # of one detection; other work of the machine only ever adds to the least
 
@@ -97,17 +100,19 @@ def judge(name: str, seeds: Sequence[int]) -> tuple[str, list[list[float]]]:
 
 def errors(found: Detection | None, pose: Array, real: bool = True) -> list[float]:
     """Return FIELDS but the seed, of a detection where the terminal is at (4, 4) `pose`, or is none."""
-    nothing = [math.nan] * (len(FIELDS) - 3)
+    nothing = [math.nan] * (len(FIELDS) - 4)
     if found is None:
-        return [0.0, 0.0, *nothing]
+        return [0.0, 0.0, *nothing, 0.0]
     error, roll = _off(found, pose)
-    if not real or np.linalg.norm(error) > WRONG_POSITION or abs(roll) > WRONG_ROLL:
-        return [1.0, 1.0, *nothing]
     told = bool(np.all(np.isfinite(found.normal)))
     tilt = math.acos(min(1.0, float(-found.normal @ pose[:3, 2]))) if told else math.nan
+    off, nees = float(np.linalg.norm(error)), _nees(error, found)
+    sure = float((off > SURE_ERROR and nees > SURE_SIGMAS**2) or tilt > SURE_TILT)
+    if not real or off > WRONG_POSITION or abs(roll) > WRONG_ROLL:
+        return [1.0, 1.0, *nothing, sure]
     across, away, turned = 1e3 * float(np.hypot(*error[:2])), 1e3 * abs(float(error[2])), math.degrees(abs(roll))
     lean = _lean_errors(_EXACT.place(found), _EXACT.pose @ pose)
-    return [1.0, 0.0, across, away, turned, _nees(error, found), math.degrees(tilt), *lean]
+    return [1.0, 0.0, across, away, turned, nees, math.degrees(tilt), *lean, 1e3 * off, sure]
 
 
 def _lean_errors(placed: Placed, target: Array) -> list[float]:

@@ -85,5 +85,6 @@ PICTURES = {
     "vision-found.png": _found,
     "vision-error-time.png": _error_time,
     "vision-renderers.png": gallery.renderers,
+    "vision-obstructed.png": gallery.obstructed,
     "vision-gallery.png": gallery.hard,
 }

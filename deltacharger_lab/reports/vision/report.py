@@ -15,12 +15,13 @@ from deltacharger_lab.campaigns.summary import quantiles, upper_bound
 from deltacharger_lab.reports.pool import work
 from deltacharger_lab.reports.report import Progress, Report, at_least, at_most
 from deltacharger_lab.reports.vision import conditions
-from deltacharger_lab.reports.vision.conditions import ALARMS, BAND, BY_RANGE, HIDDEN, members
+from deltacharger_lab.reports.vision.conditions import ALARMS, BAND, BY_RANGE, CLEAR, HIDDEN, OBSTRUCTED, members
 from deltacharger_lab.reports.vision.measure import FIELDS, MOUNT_FIELDS
 from deltacharger_lab.reports.vision.pictures import PICTURES
 from deltacharger_lab.reports.vision.plan import VisionPlan
 
 _NORMAL_95 = 1.96
+_CHI_SQUARE_95 = 7.815  # of three degrees of freedom
 _LIBRARIES = ("numpy", "opencv-python-headless", "opencv-python", "mujoco", "matplotlib")
 
 
@@ -58,6 +59,9 @@ def _measure(results: dict[str, Any], plan: VisionPlan, progress: Progress) -> N
     images, mounts = gathered(found["images"]), gathered(found["mount"])
     results["rows"] = {name: row(each) for name, each in images.items()}
     results["band"] = row(band(images))
+    for group in (OBSTRUCTED, CLEAR):
+        parts = [images[conditions.key(each)] for each in members(group) if conditions.key(each) in images]
+        results[group] = row([image for part in parts for image in part])
     results["mount"] = {name: row(each, MOUNT_FIELDS) for name, each in mounts.items()}
     results["raw"] = {"fields": FIELDS, "images": images, "mount_fields": MOUNT_FIELDS, "mount": mounts}
 
@@ -79,6 +83,8 @@ def row(images: Sequence[Sequence[float]], fields: Sequence[str] = FIELDS) -> di
     if "wrong" in column:
         right &= column["wrong"] == 0.0
         found["wrong"] = int(column["wrong"].sum())
+        found["sure"] = int(column["sure"].sum())
+        found["sure_held"] = float(np.mean(column["nees"][right] <= _CHI_SQUARE_95)) if right.any() else math.nan
     found["found"] = int(right.sum())
     for name in ("yaw", "pitch"):
         degrees, sigmas = (column[f"{name}_{each}"][right] for each in ("deg", "sigma"))
@@ -114,6 +120,7 @@ def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
     """Return what the detector should reach beside what it does."""
     whole, rows = results["band"], results["rows"]
     half, alarms = rows[f"{HIDDEN}: {conditions.HALF_HIDDEN}"], rows[f"{ALARMS}: {conditions.CLUTTER}"]
+    hidden, clear = results[OBSTRUCTED], results[CLEAR]
     slowest = max(results["times"][name]["median_ms"] for name in _near())
     where = f"{BAND[0]:g}–{BAND[1]:g} m"
     return [
@@ -124,5 +131,10 @@ def targets(results: dict[str, Any]) -> list[dict[str, Any]]:
         at_most(f"{where}, error of roll, 95 %", whole["roll_deg_p95"], 1.0, "°"),
         at_least("half of one bar hidden, found", 100.0 * half["found"] / half["images"], 85.0, "%"),
         at_most("one frame on one core, slowest range, median", slowest, 15.0, "ms"),
+        at_least("something before the bars, found", 100.0 * hidden["found"] / hidden["images"], 60.0, "%"),
+        at_most("something before the bars, wrong and sure", hidden["sure"], 0.0, f"of {hidden['images']}"),
+        at_least("nothing before the bars, 0.15–1 m, found", 100.0 * clear["found"] / clear["images"], 99.0, "%"),
+        at_most("nothing before the bars, wrong and sure", clear["sure"], 0.0, f"of {clear['images']}"),
+        at_most("nothing before the bars, error across, 95 %", clear["xy_mm_p95"], 0.5, "mm"),
         at_most("false alarms in clutter, with depth", alarms["wrong"], 0.0, f"of {alarms['images']}"),
     ]
