@@ -28,6 +28,7 @@ _BESIDE = np.array([3.0, 4.5, 6.0])  # px beyond an end: nearer, stereo smears t
 _WITHIN = np.array([1.5, 3.0, 4.5])  # px before it
 _BEHIND = 0.5  # of the bars' thickness: less than that before the plate is the plate
 _EMPTY = 3  # places of 2 × SAMPLES at which the plate may be seen by chance
+_ALIKE = 4.0  # of these places, that share the noise of depth
 _LEAST = 8  # of these places, at which bars must be seen
 _CERTAIN = 2.0  # standard deviations
 
@@ -39,10 +40,12 @@ class Hiding:
     Attributes:
         ends: (2, 2) whether that end of each bar, at +x and at −x, is beside the plate.
         refuted: whether the plate is seen where the bars should be, or a bar where the plate should be.
+        off: whether what depth is known of the bars' faces lies elsewhere than a bar's thickness before the plate.
     """
 
     ends: Mask
     refuted: bool
+    off: bool
 
 
 def hiding(
@@ -80,8 +83,11 @@ def hiding(
     limit = dark * float(np.median(light[seen])) if seen.any() else 0.0
     seen &= (between[:2] < limit) & (between[1:] < limit) & (light > limit)
     behind = _BEHIND * terminal.bar_thickness
-    if seen.sum() < _LEAST or float(np.median(raised[seen])) > 2.0 * terminal.bar_thickness + _CERTAIN * view.noise:
-        return Hiding(np.zeros((2, 2), dtype=bool), True)
+    if seen.sum() < _LEAST:
+        return Hiding(np.zeros((2, 2), dtype=bool), True, True)
+    known = raised[seen & np.isfinite(raised)]
+    unsure = _BEHIND * terminal.bar_thickness + _CERTAIN * view.noise / np.sqrt(max(1.0, len(known) / _ALIKE))
+    off = len(known) >= _LEAST and abs(float(np.median(known)) - terminal.bar_thickness) > unsure
     empty = ~seen & (light < limit) & ~(raised > behind)
     pixel, camera = pose.translation[2] / image.intrinsics.fx, -pose.rotation.T @ pose.translation
     ends, longer = np.zeros((2, 2), dtype=bool), False
@@ -98,7 +104,7 @@ def hiding(
         longer |= bool(np.any(bright & around[:2] & around[1:]))
         plate = ~bright & (height < behind + _CERTAIN * view.noise)
         ends[:, side] = plate & (view.middle(before[0].reshape(2, -1), 1) > limit)
-    return Hiding(ends, longer or int(empty.sum()) > _EMPTY)
+    return Hiding(ends, longer or int(empty.sum()) > _EMPTY, off)
 
 
 def _beside_edges(lines: Lines, used: Mask) -> Mask:

@@ -171,7 +171,7 @@ class Judge:
             for outer in (True, False)
         )
         # Between a bar and the plate there is an edge, or the bar ends elsewhere.
-        if shown.refuted or int(ends.sum()) < _LEAST_ENDS or np.any(shown.ends & ~any_line):
+        if shown.refuted or shown.off or int(ends.sum()) < _LEAST_ENDS or np.any(shown.ends & ~any_line):
             return None
         # An edge that ends what is seen of a bar beside something else than the plate is that thing's own.
         kept = edges.without_ends(shown.ends)

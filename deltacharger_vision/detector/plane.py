@@ -25,7 +25,7 @@ _TRIALS, _THIN, _CONCENTRATED = 40, 500, 3  # planes tried, samples that judge t
 _ROUNDS = 6
 _NEAR, _MEDIAN = 2.0, 0.639  # standard deviations within which the scatter is judged, and their median size there
 _BLOCK = 8  # samples on a side, over which correlated noise is judged
-_EVEN = 1.5  # scatter about a plane, in that within blocks, from which on it is none
+_USUAL = 0.055  # of the samples within _NEAR standard deviations, that lie within twice as many
 _BLOCKS = 12  # whose means have a scatter
 _TUKEY = 3.5
 _HIDDEN, _CROSSED = 0.4, 1.2  # of a step across the plate; steps
@@ -152,10 +152,9 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
             np.linalg.solve(normal + 1e-9 * np.eye(3), region.rays.T @ (weight * region.inverse)), dtype=np.float64
         )
         residual = region.inverse - region.rays @ coefficients
-    if scatter > _EVEN * max(least, _within(region, residual, near)):
-        return None
     normal = (region.rays * weight[:, None]).T @ region.rays
     covariance = scatter**2 * _correlation(region, residual, weight > 0.0) * np.linalg.inv(normal + 1e-9 * np.eye(3))
+    covariance *= _doubt(residual / scatter)
     covariance += np.diag([settings.slope_bias, settings.slope_bias, settings.bias]) ** 2
     covariance[:2, :2] += np.diag(_stairs(region, coefficients, math.sqrt(12.0) * rounded)) ** 2
     return Plane(coefficients, np.linalg.inv(covariance), scatter)
@@ -203,11 +202,14 @@ def _in_line(region: Region, residual: Array, near: Mask) -> Array:
     return _tukey(mean / max(scatter, 1e-9))[block] if full.sum() >= _BLOCKS else np.ones(len(residual))
 
 
-def _within(region: Region, residual: Array, near: Mask) -> float:
-    """Return the scatter of samples about the means of their blocks: that of a plane through two things is larger."""
-    _, block = np.unique(region.block[near], return_inverse=True)
-    mean = np.bincount(block, weights=residual[near]) / np.bincount(block)
-    return 1.4826 * float(np.median(np.abs(residual[near] - mean[block])))
+def _doubt(residual: Array) -> float:
+    """Return the factor (1 at least) on a plane's covariance, by how many residuals in standard deviations are far out.
+
+    Of a plane through two things, such as a plate and the hand before it, more lies a little off than chance has there.
+    """
+    size = np.abs(residual)
+    beside = np.count_nonzero((size > _NEAR) & (size < 2.0 * _NEAR)) / max(1, np.count_nonzero(size < _NEAR))
+    return max(1.0, beside / _USUAL) ** 2
 
 
 def _stairs(region: Region, coefficients: Array, step: float) -> Array:
