@@ -323,7 +323,7 @@ class Judge:
         if not found:
             return None
         shown = self._hiding(found[0].edges, found[0].fit, plane)
-        if shown.refuted:
+        if shown.refuted or (shown.off and not shown.ends.all()):
             return None
         edges, fused = found[0].edges, found[0].fit
         if not shown.ends.all():
