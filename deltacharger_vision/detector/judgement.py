@@ -325,10 +325,10 @@ class Judge:
         shown = self._hiding(found[0].edges, found[0].fit, plane)
         if shown.refuted or (shown.off and not shown.ends.all()):
             return None
-        edges, fused = found[0].edges, found[0].fit
-        if not shown.ends.all():
+        edges, fused = found[0].edges, found[0].fit if shown.ends.all() else None
+        if fused is None:
             edges = edges.without_ends(shown.ends)
-            fused = edges.fit(fused.pose, plane)
+            fused = edges.fit(found[0].fit.pose, plane)
         alone = None if fused is None else edges.fit(fused.pose)
         if fused is None or alone is None:
             return None
@@ -370,7 +370,11 @@ class Judge:
         away = float(np.linalg.norm(pose.translation))
         in_range = settings.nearest <= away <= settings.farthest and facing(pose) >= math.cos(settings.tilt)
         confidence = self._share(edges, found)
-        if not in_range or confidence <= (0.0 if fused else settings.support.unchecked) or not np.all(np.isfinite(covariance)):
+        if (
+            not in_range
+            or confidence <= (0.0 if fused else settings.support.unchecked)
+            or not np.all(np.isfinite(covariance))
+        ):
             return None
         if not self._dark(pose)[1]:
             return None

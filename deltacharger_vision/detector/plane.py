@@ -138,15 +138,17 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
     # Where depth is rounded most samples may lie on one step; less than its own scatter would fit that step alone.
     rounded = settings.step / math.sqrt(12.0) * float(np.median(region.inverse)) ** 2
     least = math.hypot(settings.noise, rounded)
+    # Nor may the step beside it be left out.
+    narrowest = math.sqrt(12.0) / _NEAR * rounded
     residual = region.inverse - region.rays @ coefficients
     scatter, weight = max(least, 1.4826 * float(np.median(np.abs(residual)))), np.ones(count)
     for _ in range(_ROUNDS):
         # What hangs before the plate would widen a scatter that it counts in, and be let in by it.
-        near = np.abs(residual) < min(settings.tolerance, _NEAR * scatter)
+        near = np.abs(residual) < min(settings.tolerance, _NEAR * max(scatter, 1.1 * narrowest))
         if np.count_nonzero(near) < max(settings.fewest, settings.inliers * count):
             return None
         scatter = max(least, float(np.median(np.abs(residual[near]))) / _MEDIAN)
-        weight = _tukey(residual / scatter) * _in_line(region, residual, near)
+        weight = _tukey(residual / max(scatter, narrowest)) * _in_line(region, residual, near, rounded)
         normal = (region.rays * weight[:, None]).T @ region.rays
         coefficients = np.asarray(
             np.linalg.solve(normal + 1e-9 * np.eye(3), region.rays.T @ (weight * region.inverse)), dtype=np.float64
@@ -154,7 +156,7 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
         residual = region.inverse - region.rays @ coefficients
     normal = (region.rays * weight[:, None]).T @ region.rays
     covariance = scatter**2 * _correlation(region, residual, weight > 0.0) * np.linalg.inv(normal + 1e-9 * np.eye(3))
-    covariance *= _doubt(residual / scatter)
+    covariance *= _doubt(residual / max(scatter, narrowest))
     covariance += np.diag([settings.slope_bias, settings.slope_bias, settings.bias]) ** 2
     covariance[:2, :2] += np.diag(_stairs(region, coefficients, math.sqrt(12.0) * rounded)) ** 2
     return Plane(coefficients, np.linalg.inv(covariance), scatter)
@@ -189,8 +191,8 @@ def _tukey(residual: Array) -> Array:
     return np.asarray(np.maximum(1.0 - (residual / _TUKEY) ** 2, 0.0) ** 2)
 
 
-def _in_line(region: Region, residual: Array, near: Mask) -> Array:
-    """Return the weights of samples by the mean of their block.
+def _in_line(region: Region, residual: Array, near: Mask, least: float) -> Array:
+    """Return the weights of samples by the mean of their block, whose scatter is `least` (1/m) at least.
 
     A strap over the plate or a cable on it is within the noise of one sample, and far out of that of a block.
     """
@@ -198,7 +200,7 @@ def _in_line(region: Region, residual: Array, near: Mask) -> Array:
     size = np.bincount(block, weights=near)
     mean = np.bincount(block, weights=residual * near) / np.maximum(size, 1.0)
     full = size >= 0.5 * size.max()
-    scatter = 1.4826 * float(np.median(np.abs(mean[full])))
+    scatter = max(least, 1.4826 * float(np.median(np.abs(mean[full]))))
     return _tukey(mean / max(scatter, 1e-9))[block] if full.sum() >= _BLOCKS else np.ones(len(residual))
 
 
@@ -208,8 +210,8 @@ def _doubt(residual: Array) -> float:
     Of a plane through two things, such as a plate and the hand before it, more lies a little off than chance has there.
     """
     size = np.abs(residual)
-    beside = np.count_nonzero((size > _NEAR) & (size < 2.0 * _NEAR)) / max(1, np.count_nonzero(size < _NEAR))
-    return max(1.0, beside / _USUAL) ** 2
+    within, twice = (int(np.count_nonzero(size < width)) for width in (_NEAR, 2.0 * _NEAR))
+    return max(1.0, (twice - within) / max(1, within) / _USUAL) ** 2
 
 
 def _stairs(region: Region, coefficients: Array, step: float) -> Array:

@@ -31,10 +31,14 @@ class SupportSettings(Bounded):
     """
 
     seen: float = number(0.55, 0.2, 1.0, "", "share of both outlines that must be seen")
-    unchecked: float = number(0.8, 0.0, 1.0, "", "share of both outlines that must be seen where no depth checks the pose")
+    unchecked: float = number(
+        0.8, 0.0, 1.0, "", "share of both outlines that must be seen where no depth checks the pose"
+    )
     whole: float = number(0.75, 0.3, 1.0, "", "share of the clearer bar's outline that must be seen")
     part: float = number(0.15, 0.05, 1.0, "", "share of each long side of the other bar that must be seen")
-    parts: float = number(0.4, 0.05, 1.0, "", "share of all long sides that must be seen of bars that are partly hidden")
+    parts: float = number(
+        0.4, 0.05, 1.0, "", "share of all long sides that must be seen of bars that are partly hidden"
+    )
     end: float = number(0.5, 0.1, 1.0, "", "share of each end of the clearer bar that must be seen")
     scatter: float = number(1.0, 0.05, 5.0, "px", "largest scatter of the edge points")
     around: float = number(0.45, 0.0, 1.0, "", "largest light above and below the bars, relative to theirs")

@@ -7,6 +7,7 @@ the terminal's (x along the bars, y up, z into the plate, touched faces at z = 0
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 
@@ -66,7 +67,7 @@ def _cable(random: Random, terminal: Terminal, place: Array, room: float) -> lis
     side = width * _ROUND
     return [
         _between(start, end, (side, side), askew, color)
-        for start, end in zip(points[:-1], points[1:], strict=True)
+        for start, end in itertools.pairwise(points)
         for askew in (0.0, math.pi / 4)
     ]
 
@@ -92,7 +93,7 @@ def _label(random: Random, terminal: Terminal, place: Array, room: float) -> lis
         size = (size[0], min(size[1], terminal.bar_height))
         place = np.array([place[0], math.copysign(0.5 * terminal.spacing, place[1])])
     elif kind == 1:  # on the plate beside both
-        place = place + [0.0, math.copysign(terminal.spacing, place[1])]
+        place = place + np.array([0.0, math.copysign(terminal.spacing, place[1])])
     pose = _flat(random, place) if kind else shifted((place[0], place[1], 0.0))
     pose[2, 3] = terminal.bar_thickness - 0.5 * _STICKER if kind == 1 else -0.5 * _STICKER
     return [Box(pose, (*size, _STICKER), _paint(random))]

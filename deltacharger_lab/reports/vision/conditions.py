@@ -135,12 +135,11 @@ def _obstructed() -> list[Condition]:
     found = []
     for renderer, share in _SHARES:
         for kind in KINDS:
-            draw = partial(views.obstructed, kind=kind)
+            draw: Draw = partial(views.obstructed, kind=kind)
             found.append(
                 Condition(f"{kind}, {renderer}", OBSTRUCTED, draw, share * _THOUSAND / len(KINDS), renderer=renderer)
             )
-        draw = views.unobstructed
-        found.append(Condition(f"nothing, {renderer}", CLEAR, draw, share * _THOUSAND, renderer=renderer))
+        found.append(Condition(f"nothing, {renderer}", CLEAR, views.unobstructed, share * _THOUSAND, renderer=renderer))
     for kind in ("strap", "hand"):
         draw = partial(views.obstructed, kind=kind, most=1.0, least=views.MOST_HIDDEN)
         found.append(Condition(f"{kind}, more than half hidden", HEAVY, draw, 0.1 * _THOUSAND))
