@@ -2,6 +2,7 @@
 """From an RGB-D image to the pose of a terminal's two electrodes, or to None.
 
 Blobs → pairs → corners (IPPE) → edges → plane of the plate → one least squares over edges and plane → judgement.
+Where that finds nothing: pieces between edges → pairs of lines → places on the plate's plane → edges → judgement.
 A pose whose outlines were not seen, or that depth contradicts, is not returned.
 """
 
@@ -14,8 +15,9 @@ import numpy as np
 
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.detection import Detection
-from deltacharger_vision.detector.judgement import Candidate, Judge, JudgementSettings
+from deltacharger_vision.detector.judgement import Candidate, JudgementSettings
 from deltacharger_vision.detector.pairing import Pair, PairingSettings, find_cut_pairs, find_pairs
+from deltacharger_vision.detector.parts import PartsJudge
 from deltacharger_vision.detector.segmentation import SegmentationSettings, find_blobs, find_pieces
 from deltacharger_vision.errors import CameraInfoError
 from deltacharger_vision.images import LIGHT, Intrinsics, RgbdImage
@@ -69,7 +71,7 @@ class ElectrodeDetector:
         # An edge lies where the light is half-way, not where its encoding is.
         smooth = cv2.GaussianBlur(cv2.LUT(grey, _LINEAR), (0, 0), settings.smoothing)
         check_lens(image.intrinsics)
-        judge = Judge(smooth, image, self.terminal, settings.judgement)
+        judge = PartsJudge(smooth, image, self.terminal, settings.judgement)
         best: Candidate | None = None
         for pair in find_pairs(find_blobs(grey, settings.segmentation), self.terminal, settings.pairing):
             if best is not None and self._covers(best, pair, image.intrinsics):
@@ -86,7 +88,7 @@ class ElectrodeDetector:
             best = self._in_pieces(image, judge)
         return None if best is None else self._detection(best, image.intrinsics)
 
-    def _in_pieces(self, image: RgbdImage, judge: Judge) -> Candidate | None:
+    def _in_pieces(self, image: RgbdImage, judge: PartsJudge) -> Candidate | None:
         """Return the terminal of which something hides parts, or None where two poses explain what is seen."""
         settings, found = self.settings, []
         pieces = find_pieces(image.color, settings.segmentation)

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from deltacharger_core.arrays import Array, Mask
+from deltacharger_core.arrays import Array
 from deltacharger_core.parameters import Bounded, number
 from deltacharger_vision.detector.edges import EdgeSettings, find_edges
 from deltacharger_vision.detector.hiding import Hiding, hiding
-from deltacharger_vision.detector.outlines import Lines, visible_lines
+from deltacharger_vision.detector.outlines import visible_lines
 from deltacharger_vision.detector.pairing import Pair
 from deltacharger_vision.detector.plane import Plane, PlaneSettings, Region, fit_plane, plate_region
 from deltacharger_vision.detector.refine import ROUNDS, Edges, PoseFit, RefineSettings
@@ -26,11 +26,9 @@ from deltacharger_vision.detector.starts import (
     LARGE_LEANS,
     SMALL_LEANS,
     by_corners,
-    by_spacing,
     laid_over,
     leaning,
     mirrored,
-    on_plane,
     tilted,
 )
 from deltacharger_vision.detector.support import SupportSettings, outline_shares, plate_is_dark, supported
@@ -39,11 +37,9 @@ from deltacharger_vision.poses import TerminalPose, facing
 from deltacharger_vision.terminal import Terminal
 
 _SAME_TILT = 0.03  # rad
-_UNSETTLED, _NOTHING, _MESSY = 5.0, 5.0, 1.2  # times `clear`
+_UNSETTLED, _NOTHING = 5.0, 5.0  # times `clear`
 _HOPELESS = 3.0
-_LONG, _ENDS = (0, 2), (1, 3)
-_LEAST_ENDS = 2  # of four that must be beside the plate
-_EXPECTED_RISE = 3.0  # of the squared error by depth, whose plane has three numbers
+EXPECTED_RISE = 3.0  # of the squared error by depth, whose plane has three numbers
 _FOLLOWED = 4  # times that edges are found anew at most
 _ROUGH = 5  # steps of a fit to edges that will be found anew
 _SETTLED = 0.2  # px: edges found anew after so little movement are the same ones
@@ -97,7 +93,9 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class _Explanation:
+class Explanation:
+    """Edges, the pose that fits them, and its squared error with the plane's."""
+
     edges: Edges
     fit: PoseFit
     misfit: float
@@ -139,69 +137,9 @@ class Judge:
         if both is not None or starts[0].translation[2] >= settings.stereo_range:
             return both
         # Too near for stereo, depth may be noise, or a corner of the plate; another plane is a contradiction.
-        if plane is not None and not _agree(plane, starts[0], settings.agreement):
+        if plane is not None and not agree(plane, starts[0], settings.agreement):
             return None
         return self._by_image(pair, starts[0])
-
-    def judge_cut(self, pair: Pair) -> list[Candidate]:
-        """Return the poses of bars that are partly hidden, on the plate's plane; none where depth tells no plane."""
-        settings, intrinsics = self._settings, self._image.intrinsics
-        start = by_spacing(pair, self._terminal, intrinsics)
-        if not 0.7 * settings.nearest < start.translation[2] < 1.4 * settings.farthest:
-            return []
-        region = self._region(start, self._dark(start)[0])
-        plane = fit_plane(region, settings.plane, np.random.default_rng(0))
-        if plane is None or not _agree(plane, start, 3.0 * settings.agreement):
-            return []
-        found = []
-        for pose in on_plane(start, plane.coefficients, pair, self._terminal, intrinsics):
-            for each in self._search(pose, None, plane)[:1]:
-                if (candidate := self._by_parts(each, plane)) is not None:
-                    found.append(candidate)
-        return found
-
-    def _by_parts(self, explained: _Explanation, plane: Plane) -> Candidate | None:
-        """Return the pose by what is no hidden part of the bars, unless the plate is seen where they should be."""
-        settings = self._settings
-        edges, fused = explained.edges, explained.fit
-        shown = self._hiding(edges, fused, plane)
-        # A bar whose side is seen ends where the side does: by the face's edge alone it may be the other's.
-        ends, any_line = (
-            shown.ends & (outline_shares(edges.points, fused, outer)[:, _ENDS] >= settings.support.end)
-            for outer in (True, False)
-        )
-        # Between a bar and the plate there is an edge, or the bar ends elsewhere.
-        if shown.refuted or shown.off or int(ends.sum()) < _LEAST_ENDS or np.any(shown.ends & ~any_line):
-            return None
-        # An edge that ends what is seen of a bar beside something else than the plate is that thing's own.
-        kept = edges.without_ends(shown.ends)
-        both = kept.fit(fused.pose, plane)
-        alone = None if both is None else kept.fit(both.pose)
-        if both is None or alone is None:
-            return None
-        rise = kept.misfit(both, alone.scatter, plane) - kept.misfit(alone, alone.scatter)
-        if not rise <= settings.support.disagreement or both.scatter > settings.support.scatter:
-            return None
-        shares = outline_shares(kept.points, both)
-        sides = shares[:, _LONG]
-        if sides.min() < settings.support.part or sides.mean() < settings.support.parts:
-            return None
-        excess = self._misfit(kept, both, missed=False) / settings.clear
-        if excess > _MESSY:
-            return None
-        covariance = both.covariance * max(1.0, rise / _EXPECTED_RISE, excess)
-        if not ends.any(axis=0).all():
-            # By one end alone nothing tells whether its face's edge was seen or the root of its side.
-            unsure = self._side_seen(edges.points.lines, ends) * both.pose.translation[2] / self._focal
-            axis = both.pose.rotation[:, 0]
-            covariance[:3, :3] += unsure**2 * np.outer(axis, axis)
-        return Candidate(both.pose, covariance, float(shares.mean()), True, True)
-
-    @staticmethod
-    def _side_seen(lines: Lines, ends: Mask) -> float:
-        """Return the width (px) of the sides that show beside those ends (2, 2) that are True."""
-        two = np.isfinite(lines.room) & np.isin(lines.side, np.asarray(_ENDS)[ends.any(axis=0)])
-        return float(lines.room[two].max(initial=0.0))
 
     def _hiding(self, edges: Edges, found: PoseFit, plane: Plane) -> Hiding:
         dark = self._settings.support.around
@@ -211,13 +149,14 @@ class Judge:
 
     def _search(
         self, start: TerminalPose, pair: Pair | None, plane: Plane | None = None, least: float = math.inf
-    ) -> list[_Explanation]:
+    ) -> list[Explanation]:
         """Return edges and poses that fit them, from a start whose tilt is right and whose place is rough.
 
-        It is laid over the pair's blobs before. Starts that soon fit far worse than `least`, the squared error of another explanation, are given up.
+        It is laid over the pair's blobs before. Starts that soon fit far worse than `least`, the squared error of
+        another explanation, are given up.
         """
         settings = self._settings
-        found: list[_Explanation] = []
+        found: list[Explanation] = []
         for sides in (True, False) if pair is not None else (True,):
             pose = start
             if pair is not None:
@@ -240,7 +179,7 @@ class Judge:
                 if round_ == 0 and math.isfinite(least):  # at this tilt the other silhouette would not fit either
                     break
                 continue
-            found.append(_Explanation(*followed, self._misfit(*followed, plane)))
+            found.append(Explanation(*followed, self._misfit(*followed, plane)))
             least = min(least, found[-1].misfit)
             if self._misfit(*followed, missed=False) < settings.clear and self._share(*followed):
                 break
@@ -289,12 +228,12 @@ class Judge:
                 upright = upright and bool(np.linalg.norm(turned) < _SAME_TILT)
         return self._candidate(best.edges, best.fit, covariance, False, upright)
 
-    def _explained(self, pair: Pair, start: TerminalPose) -> list[_Explanation]:
+    def _explained(self, pair: Pair, start: TerminalPose) -> list[Explanation]:
         """Return poses that fit the edges, more and more tilts being tried as long as none fits well.
 
         Another tilt shows other sides of the bars, so each is fitted to edges of its own.
         """
-        found: list[_Explanation] = []
+        found: list[Explanation] = []
         nearest = math.inf
         for limit, leans in ((0.0, None), (1.2, SMALL_LEANS), (3.0, LARGE_LEANS)):
             best = min(found, key=lambda each: each.misfit, default=None)
@@ -359,7 +298,7 @@ class Judge:
         rise -= edges.misfit(start, start.scatter)
         if not rise <= settings.support.disagreement:
             return None
-        covariance, step = max(1.0, rise / _EXPECTED_RISE) * both.covariance, exact.translation - both.pose.translation
+        covariance, step = max(1.0, rise / EXPECTED_RISE) * both.covariance, exact.translation - both.pose.translation
         covariance[:3, :3] += np.outer(step, step)
         return self._candidate(edges, both, covariance, True, True)
 
@@ -401,7 +340,7 @@ class Judge:
         return supported(outline_shares(edges.points, found), found, self._settings.support)
 
 
-def _agree(plane: Plane, pose: TerminalPose, tolerance: float) -> bool:
+def agree(plane: Plane, pose: TerminalPose, tolerance: float) -> bool:
     """Return whether the plane crosses the line of sight at about the range of a pose."""
     crossing = float(plane.coefficients @ pose.translation)  # 1 where it does so exactly
     return abs(crossing - 1.0) <= tolerance

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses of bars that something hides in part, on the plane of their plate: by all that is seen, and by no more.
+
+A cable or a strap cuts a bar into pieces, and an end of a piece need not be an end of a bar. The plate's plane tells
+how far away the bars are, so that their length in the image is known: each end that is seen beside the plate puts them
+in place. Where the plate is seen where a pose has a bar, where a bar goes on beyond its end, or where two poses explain
+what is seen, there is no answer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deltacharger_core.arrays import Mask
+from deltacharger_vision.detector.judgement import EXPECTED_RISE, Candidate, Explanation, Judge, agree
+from deltacharger_vision.detector.outlines import Lines
+from deltacharger_vision.detector.pairing import Pair
+from deltacharger_vision.detector.plane import Plane, fit_plane
+from deltacharger_vision.detector.starts import by_spacing, on_plane
+from deltacharger_vision.detector.support import outline_shares
+
+_LONG, _ENDS = (0, 2), (1, 3)
+_LEAST_ENDS = 2  # of four that must be beside the plate
+_MESSY = 1.2  # times `clear`: a squared error that pieces do not explain
+
+
+class PartsJudge(Judge):
+    """A judge that also judges pairs of which pieces are seen."""
+
+    def judge_cut(self, pair: Pair) -> list[Candidate]:
+        """Return the poses of bars that are partly hidden, on the plate's plane; none where depth tells no plane."""
+        settings, intrinsics = self._settings, self._image.intrinsics
+        start = by_spacing(pair, self._terminal, intrinsics)
+        if not 0.7 * settings.nearest < start.translation[2] < 1.4 * settings.farthest:
+            return []
+        region = self._region(start, self._dark(start)[0])
+        plane = fit_plane(region, settings.plane, np.random.default_rng(0))
+        if plane is None or not agree(plane, start, 3.0 * settings.agreement):
+            return []
+        found = []
+        for pose in on_plane(start, plane.coefficients, pair, self._terminal, intrinsics):
+            for each in self._search(pose, None, plane)[:1]:
+                if (candidate := self._by_parts(each, plane)) is not None:
+                    found.append(candidate)
+        return found
+
+    def _by_parts(self, explained: Explanation, plane: Plane) -> Candidate | None:
+        """Return the pose by what is no hidden part of the bars, unless the plate is seen where they should be."""
+        settings = self._settings
+        edges, fused = explained.edges, explained.fit
+        shown = self._hiding(edges, fused, plane)
+        # A bar whose side is seen ends where the side does: by the face's edge alone it may be the other's.
+        ends, any_line = (
+            shown.ends & (outline_shares(edges.points, fused, outer)[:, _ENDS] >= settings.support.end)
+            for outer in (True, False)
+        )
+        # Between a bar and the plate there is an edge, or the bar ends elsewhere.
+        if shown.refuted or shown.off or int(ends.sum()) < _LEAST_ENDS or np.any(shown.ends & ~any_line):
+            return None
+        # An edge that ends what is seen of a bar beside something else than the plate is that thing's own.
+        kept = edges.without_ends(shown.ends)
+        both = kept.fit(fused.pose, plane)
+        alone = None if both is None else kept.fit(both.pose)
+        if both is None or alone is None:
+            return None
+        rise = kept.misfit(both, alone.scatter, plane) - kept.misfit(alone, alone.scatter)
+        if not rise <= settings.support.disagreement or both.scatter > settings.support.scatter:
+            return None
+        shares = outline_shares(kept.points, both)
+        sides = shares[:, _LONG]
+        if sides.min() < settings.support.part or sides.mean() < settings.support.parts:
+            return None
+        excess = self._misfit(kept, both, missed=False) / settings.clear
+        if excess > _MESSY:
+            return None
+        covariance = both.covariance * max(1.0, rise / EXPECTED_RISE, excess)
+        if not ends.any(axis=0).all():
+            # By one end alone nothing tells whether its face's edge was seen or the root of its side.
+            unsure = self._side_seen(edges.points.lines, ends) * both.pose.translation[2] / self._focal
+            axis = both.pose.rotation[:, 0]
+            covariance[:3, :3] += unsure**2 * np.outer(axis, axis)
+        return Candidate(both.pose, covariance, float(shares.mean()), True, True)
+
+    @staticmethod
+    def _side_seen(lines: Lines, ends: Mask) -> float:
+        """Return the width (px) of the sides that show beside those ends (2, 2) that are True."""
+        two = np.isfinite(lines.room) & np.isin(lines.side, np.asarray(_ENDS)[ends.any(axis=0)])
+        return float(lines.room[two].max(initial=0.0))
