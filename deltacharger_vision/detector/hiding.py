@@ -87,9 +87,18 @@ def hiding(
         return Hiding(np.zeros((2, 2), dtype=bool), True, True)
     known = raised[seen & np.isfinite(raised)]
     unsure = _BEHIND * terminal.bar_thickness + _CERTAIN * view.noise / np.sqrt(max(1.0, len(known) / _ALIKE))
-    off = len(known) >= _LEAST and abs(float(np.median(known)) - terminal.bar_thickness) > unsure
+    # Where noise hides the difference between bars and plate, depth tells nothing of what lies before them.
+    apart = abs(float(np.median(known)) - terminal.bar_thickness) if len(known) >= _LEAST else 0.0
+    off = bool(view.noise > terminal.bar_thickness or apart > unsure)
     empty = ~seen & (light < limit) & ~(raised > behind)
-    pixel, camera = pose.translation[2] / image.intrinsics.fx, -pose.rotation.T @ pose.translation
+    ends, longer = _ends(view, terminal, image.intrinsics.fx, y, limit)
+    return Hiding(ends, longer or int(empty.sum()) > _EMPTY, off)
+
+
+def _ends(view: _View, terminal: Terminal, focal: float, y: Array, limit: float) -> tuple[Mask, bool]:
+    """Return which ends (2, 2) of bars with rows at y (2, 3) m are beside the plate, and whether a bar goes on."""
+    pose, rows = view.pose, terminal.spacing * np.array([[-1.0], [0.0], [1.0]])
+    pixel, camera = pose.translation[2] / focal, -pose.rotation.T @ pose.translation
     ends, longer = np.zeros((2, 2), dtype=bool), False
     for side, sign in enumerate((1.0, -1.0)):
         end = 0.5 * sign * terminal.bar_length
@@ -99,12 +108,12 @@ def hiding(
             view.at(end + sign * pixel * steps[None, :, None], y[:, None, :], depth)
             for steps, depth in ((_BESIDE, root), (-_WITHIN, 0.0))
         )
-        height, bright = view.middle(beyond[1].reshape(2, -1), 1), view.middle(beyond[0].reshape(2, -1), 1) > limit
+        height, bright = view.middle(beyond[1].reshape(2, -1), 1), np.any(view.middle(beyond[0], 2) > limit, axis=1)
         around = view.middle(view.at(end + sign * pixel * _BESIDE, rows, 0.5 * root)[0], 1) < limit
         longer |= bool(np.any(bright & around[:2] & around[1:]))
-        plate = ~bright & (height < behind + _CERTAIN * view.noise)
+        plate = ~bright & (height < _BEHIND * terminal.bar_thickness + _CERTAIN * view.noise)
         ends[:, side] = plate & (view.middle(before[0].reshape(2, -1), 1) > limit)
-    return Hiding(ends, longer or int(empty.sum()) > _EMPTY, off)
+    return ends, longer
 
 
 def _beside_edges(lines: Lines, used: Mask) -> Mask:
@@ -122,7 +131,7 @@ class _View:
     """Light and height above the plate of places in a terminal's frame."""
 
     def __init__(self, grey: NDArray[Any], image: RgbdImage, pose: TerminalPose, plane: Plane) -> None:
-        self._grey, self._image, self._pose, self._plane = grey, image, pose, plane
+        self._grey, self._image, self.pose, self._plane = grey, image, pose, plane
         away = float(pose.translation[2])
         self.noise = plane.scatter * away**2
         """m, standard deviation of one height; those of neighbouring places are alike."""
@@ -130,16 +139,16 @@ class _View:
     def at(self, x: Array, y: Array, z: float) -> tuple[Array, Array]:
         """Return light and height (m, NaN = unknown) at places (m), NaN outside the image."""
         points = np.stack(np.broadcast_arrays(x, y, np.float64(z)), axis=-1)
-        pixels = np.round(project(self._pose.points(points), self._image.intrinsics)).astype(int)
+        pixels = np.round(project(self.pose.points(points), self._image.intrinsics)).astype(int)
         height, width = self._grey.shape
         inside = np.all((pixels >= 0) & (pixels < [width, height]), axis=-1)
         column, row = np.moveaxis(np.clip(pixels, 0, [width - 1, height - 1]), -1, 0)
         light = np.where(inside, self._grey[row, column].astype(float), np.nan)
         depth = np.where(inside, self._image.depth[row, column].astype(float), np.nan)
-        ray = self._pose.points(points)
+        ray = self.pose.points(points)
         ray = ray / ray[..., 2:]
         plate = 1.0 / np.maximum(ray @ self._plane.coefficients, 1e-6)
-        return light, (plate - depth) * float(self._pose.rotation[2, 2])
+        return light, (plate - depth) * float(self.pose.rotation[2, 2])
 
     @staticmethod
     def middle(values: Array, axis: int) -> Array:

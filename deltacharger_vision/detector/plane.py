@@ -140,6 +140,7 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
     least = math.hypot(settings.noise, rounded)
     # Nor may the step beside it be left out.
     narrowest = math.sqrt(12.0) / _NEAR * rounded
+    block = np.unique(region.block, return_inverse=True)[1]
     residual = region.inverse - region.rays @ coefficients
     scatter, weight = max(least, 1.4826 * float(np.median(np.abs(residual)))), np.ones(count)
     for _ in range(_ROUNDS):
@@ -148,7 +149,7 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
         if np.count_nonzero(near) < max(settings.fewest, settings.inliers * count):
             return None
         scatter = max(least, float(np.median(np.abs(residual[near]))) / _MEDIAN)
-        weight = _tukey(residual / max(scatter, narrowest)) * _in_line(region, residual, near, rounded)
+        weight = _tukey(residual / max(scatter, narrowest)) * _in_line(block, residual, near, rounded)
         normal = (region.rays * weight[:, None]).T @ region.rays
         coefficients = np.asarray(
             np.linalg.solve(normal + 1e-9 * np.eye(3), region.rays.T @ (weight * region.inverse)), dtype=np.float64
@@ -191,12 +192,11 @@ def _tukey(residual: Array) -> Array:
     return np.asarray(np.maximum(1.0 - (residual / _TUKEY) ** 2, 0.0) ** 2)
 
 
-def _in_line(region: Region, residual: Array, near: Mask, least: float) -> Array:
+def _in_line(block: NDArray[np.int64], residual: Array, near: Mask, least: float) -> Array:
     """Return the weights of samples by the mean of their block, whose scatter is `least` (1/m) at least.
 
     A strap over the plate or a cable on it is within the noise of one sample, and far out of that of a block.
     """
-    _, block = np.unique(region.block, return_inverse=True)
     size = np.bincount(block, weights=near)
     mean = np.bincount(block, weights=residual * near) / np.maximum(size, 1.0)
     full = size >= 0.5 * size.max()

@@ -116,9 +116,9 @@ def _rectangles(mask: Image, settings: SegmentationSettings, lost: float = 0.0) 
     shortest, stout = (settings.shortest, settings.stout) if not lost else (0.5 * settings.shortest, settings.stub)
     contours, family = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     rows: list[tuple[float, ...]] = []
-    for number, contour in enumerate(contours):
+    for index, contour in enumerate(contours):
         # A hole between pieces is as large as a bar with the edges around it.
-        if len(contour) < 4 or (lost and family[0, number, 3] >= 0):
+        if len(contour) < 4 or (lost and family[0, index, 3] >= 0):
             continue
         _, _, box_width, box_height = cv2.boundingRect(contour)
         if max(box_width, box_height) + lost < shortest or (box_width > 0.9 * width and box_height > 0.9 * height):
