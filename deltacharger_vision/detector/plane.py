@@ -48,7 +48,7 @@ class PlaneSettings(Bounded):
     known: float = number(0.25, 0.0, 1.0, "", "share of the region's depth that must be known")
     inliers: float = number(0.65, 0.1, 1.0, "", "share of the known depth that must lie on the plane")
     tolerance: float = number(0.05, 0.001, 1.0, "1/m", "inverse depth that is off by more is not on the plane")
-    noise: float = number(0.002, 1e-6, 0.1, "1/m", "least standard deviation of inverse depth that is not rounded")
+    noise: float = number(0.0035, 1e-6, 0.1, "1/m", "least standard deviation of inverse depth: its steps are 1/8 px")
     step: float = number(0.001, 0.0, 0.1, "m", "steps in which depth comes: millimetres, as 16UC1 carries it")
     bias: float = number(0.001, 1e-6, 0.1, "1/m", "standard deviation of what shifts all inverse depths: 0.03 px")
     slope_bias: float = number(
@@ -146,7 +146,7 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
     for _ in range(_ROUNDS):
         # What hangs before the plate would widen a scatter that it counts in, and be let in by it.
         near = np.abs(residual) < min(settings.tolerance, _NEAR * max(scatter, 1.1 * narrowest))
-        if np.count_nonzero(near) < max(settings.fewest, settings.inliers * count):
+        if np.count_nonzero(near) < 0.5 * settings.fewest:
             return None
         scatter = max(least, float(np.median(np.abs(residual[near]))) / _MEDIAN)
         weight = _tukey(residual / max(scatter, narrowest)) * _in_line(block, residual, near, rounded)
@@ -155,6 +155,9 @@ def fit_plane(region: Region, settings: PlaneSettings, random: np.random.Generat
             np.linalg.solve(normal + 1e-9 * np.eye(3), region.rays.T @ (weight * region.inverse)), dtype=np.float64
         )
         residual = region.inverse - region.rays @ coefficients
+    # Asked at last: few samples agree with their nearer half better than with the plane.
+    if np.count_nonzero(near) < max(settings.fewest, settings.inliers * count):
+        return None
     normal = (region.rays * weight[:, None]).T @ region.rays
     covariance = scatter**2 * _correlation(region, residual, weight > 0.0) * np.linalg.inv(normal + 1e-9 * np.eye(3))
     covariance *= _doubt(residual / max(scatter, narrowest))
