@@ -277,7 +277,8 @@ class Judge:
             return self._by_both_rescaled(alone.pose, fused.pose, plane)
         if not rise <= settings.support.disagreement:
             return None
-        return self._candidate(edges, fused, fused.covariance, True, True)
+        doubt = 1.0 if shown.ends.all() else max(1.0, rise / EXPECTED_RISE)
+        return self._candidate(edges, fused, doubt * fused.covariance, True, True)
 
     def _by_both_rescaled(self, alone: TerminalPose, exact: TerminalPose, plane: Plane) -> Candidate | None:
         """Return the pose by edges and plane of a camera whose focal length is a little off, where that explains both.

@@ -14,7 +14,7 @@ from deltacharger_records.plotting import BLUE, FAINT, ORANGE, RED, note, pictur
 
 _ABOUT = "simulated images; "
 _ERRORS = {
-    "xy_mm": ("across the line of sight", "mm", 1.0),
+    "xy_mm": ("across the line of sight", "mm", 0.5),
     "z_mm": ("along the optical axis", "mm", 2.0),
     "roll_deg": ("roll", "°", 1.0),
 }
