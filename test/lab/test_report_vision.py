@@ -20,6 +20,7 @@ from deltacharger_lab.reports.vision.conditions import (
     BY_RANGE,
     CONDITIONS,
     MUJOCO,
+    OBSTRUCTED,
     RENDERERS,
     key,
     members,
@@ -65,7 +66,10 @@ def test_what_is_near_and_plain_is_found_and_right(quick_report: Quick) -> None:
     assert sum(each["found"] for each in plain) >= 0.95 * sum(each["images"] for each in plain)
     assert sum(each["wrong"] for each in plain) == 0
     assert all(each["xy_mm_p95"] < 2.0 for each in plain)
-    assert rows["hidden: 30 % of both bars hidden"]["found"] == 0
+    assert rows["hidden: 30 % of both bars hidden"]["wrong"] == 0
+    before = [rows[key(each)] for each in members(OBSTRUCTED) if key(each) in rows]
+    assert sum(each["found"] for each in before) >= 0.3 * sum(each["images"] for each in before)
+    assert sum(each["sure"] for each in before) == 0
 
 
 def test_the_mount_decides(quick_report: Quick) -> None:
