@@ -8,7 +8,7 @@ import math
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import Vector
 
-_LEAST_LOAD, _LEAST_YIELD = 0.05, 0.003  # A and rad of all servos, root of the sum of squares: two encoder counts
+_LEAST_LOAD, _LEAST_YIELD = 0.02, 0.003  # A and rad of all servos, root of the sum of squares: two encoder counts
 _REMEMBERED = 1.0  # A² of readings after which older ones fade: about two with the electrodes in their band
 _UNEXPLAINED = 0.5  # share of the lags that one compliance of all servos may leave: play, and how encoders round
 _SOFTEST, _STIFFEST = 1.5, 60.0  # N·m/rad that are believed: what docking was tried with, 2 to 40, and a margin
