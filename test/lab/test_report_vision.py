@@ -18,6 +18,7 @@ from deltacharger_lab.reports.vision.conditions import (
     ALARMS,
     BAND,
     BY_RANGE,
+    CLEAR,
     CONDITIONS,
     MUJOCO,
     OBSTRUCTED,
@@ -166,15 +167,17 @@ def test_a_target_that_is_missed_is_said_to_be() -> None:
     bad = row(
         [[0, 0, 0, *NOTHING]] * 2
         + [[0, 1, 1, *NOTHING]]
-        + [[0, 1, 0, 1.1, 2.1, 1.1, 3.0, 1.0, 0.1, 0.1, 1.0, 1.0, 1.1, 0.0]] * 97
+        + [[0, 1, 0, 1.1, 2.1, 1.1, 3.0, 1.0, 0.1, 0.1, 1.0, 1.0, 2.4, 0.0]] * 97
     )
     for whole, time, met in ((good, 14.9, True), (bad, 15.1, False)):
         names = {key(each): {"median_ms": time} for each in members(BY_RANGE)}
         alarms = {"images": 100, "wrong": 0 if met else 1}
         half = {"images": 100, "found": 90 if met else 80}
         rows = {"hidden: 50 % of one bar hidden": half, f"{ALARMS}: clutter, no electrodes": alarms}
-        before = {"images": 100, "found": 99 if met else 59, "sure": 0 if met else 1}
-        found = targets({"band": whole, "rows": rows, "times": names, "obstructed": before, "clear": before})
+        hidden = {"images": 100, "found": 61 if met else 59, "sure": 0 if met else 1}
+        clear = {"images": 100, "found": 99 if met else 98, "sure": 0 if met else 1}
+        results = {"band": whole, "rows": rows, "times": names, OBSTRUCTED: hidden, CLEAR: clear}
+        found = targets(results)
         assert [each["met"] for each in found] == [met] * len(found), found
 
 
@@ -183,6 +186,8 @@ def test_enough_images_for_what_is_claimed() -> None:
     band = sum(plan.count(each.weight) for each in members(BY_RANGE) if BAND[0] <= each.away <= BAND[1])
     assert band >= 1500
     assert {each.name: plan.count(each.weight) for each in members(ALARMS)}["clutter, no electrodes"] == 1000
+    for group in (OBSTRUCTED, CLEAR):
+        assert sum(plan.count(each.weight) for each in members(group)) == 1000
     assert sum(plan.count(each.weight) for each in plan.conditions()) < 16_000
 
 
