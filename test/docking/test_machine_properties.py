@@ -383,8 +383,9 @@ def test_no_observations_close_the_contactor_without_its_conditions_and_every_go
 ) -> None:
     run = Run(*adversary)
     for goal in goals:
+        known = len(run.codes)
         run.goal(goal)
-        if not run.codes or run.machine.busy:
+        if len(run.codes) == known:  # it was not refused at once, as one is while the arm is on its way back
             run.finish(ENOUGH)
         for _ in range(40):
             run.step()
