@@ -1,13 +1,27 @@
 # Everything starts from a bare clone with python3 (venv and headers), g++ and make.
-VENV := .venv
+ROS ?= kilted
+VERSIONS := kilted jazzy
+ifeq ($(filter $(ROS),$(VERSIONS)),)
+  $(error ROS=$(ROS) is not known; this runs on: $(VERSIONS))
+endif
+ifeq ($(ROS),kilted)
+  VENV := .venv
+  BUILD := build
+else
+  VENV := .venv-$(ROS)
+  BUILD := build/$(ROS)
+  PINS := constraints/$(ROS).txt
+  # For every pip below, so that nothing brings the newest ROS along.
+  export PIP_CONSTRAINT := $(CURDIR)/$(PINS)
+endif
 BIN := $(VENV)/bin
 SCENE ?= simulated
 INSTALLED := $(VENV)/.installed
 SOURCES := pyproject.toml setup.py setup.cfg package.xml CMakeLists.txt \
-  $(wildcard deltacharger_*/__init__.py msg/*.msg srv/*.srv action/*.action)
-COLCON := build/colcon
-NAVIGATION := build/nav2_msgs
-WHEEL := build/wheel
+  $(PINS) $(wildcard deltacharger_*/__init__.py msg/*.msg srv/*.srv action/*.action)
+COLCON := $(BUILD)/colcon
+NAVIGATION := $(BUILD)/nav2_msgs
+WHEEL := $(BUILD)/wheel
 
 # Traffic stays on this machine, in a domain of its own.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
@@ -96,12 +110,12 @@ $(INSTALLED): $(SOURCES)
 	python3 -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -c 'from pip._vendor import tomli; print(*tomli.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")' \
-	  > $(VENV)/build-requirements.txt
-	$(BIN)/python -m pip install --quiet -r $(VENV)/build-requirements.txt
+	  $(if $(PINS),| grep -v '^ros-') > $(VENV)/build-requirements.txt
+	$(BIN)/python -m pip install --quiet -r $(VENV)/build-requirements.txt $(if $(PINS),-r $(PINS))
 	@echo 'building deltacharger and its ROS interfaces into $(VENV); about two minutes'
 	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --no-build-isolation -e '.[calibrate,dev,record,report,vision]'
 	$(BIN)/python -c 'from deltacharger.msg import TactileFrame'
 	touch $@
 
 clean:
-	rm -rf $(VENV) build install log *.egg-info dock.png
+	rm -rf .venv $(addprefix .venv-,$(VERSIONS)) build install log *.egg-info dock.png

@@ -21,7 +21,9 @@ from setuptools.command.build import build
 from setuptools.dist import Distribution
 
 ROOT = Path(__file__).resolve().parent
-BUILD = ROOT / "build" / f"pip-{sysconfig.get_platform()}-{sys.implementation.cache_tag}"
+# Of each Python and of each environment, since those may differ in their ROS.
+ENVIRONMENT = Path(sys.prefix).name.lstrip(".")
+BUILD = ROOT / "build" / f"pip-{sysconfig.get_platform()}-{sys.implementation.cache_tag}-{ENVIRONMENT}"
 STAGE = BUILD / "stage"
 
 # So that launch files and `ros2 run` find the executables of a venv under lib/deltacharger, wherever it lies.
