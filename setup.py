@@ -58,9 +58,10 @@ def run_cmake() -> None:
         f"-DCMAKE_INSTALL_PREFIX={STAGE}", "-DCMAKE_BUILD_TYPE=Release", "-DBUILD_TESTING=OFF",
         "-DDELTACHARGER_PYTHON_PACKAGES=OFF", f"-DPython3_EXECUTABLE={sys.executable}", "-Wno-dev",
     ]  # fmt: skip
-    subprocess.run(command, check=True, env=environment, stdout=sys.stderr)
     install = ["cmake", "--build", str(BUILD), "--target", "install"]
-    subprocess.run(install, check=True, env=environment, stdout=sys.stderr)
+    for step in (command, install):
+        if subprocess.run(step, env=environment, stdout=sys.stderr).returncode:
+            sys.exit("deltacharger: CMake cannot build the ROS interfaces; the reason stands above")
 
 
 def executables() -> list[str]:

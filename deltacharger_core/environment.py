@@ -6,9 +6,15 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import NoReturn
+
+from deltacharger_core import streams
 
 SIMULATION_DOMAIN = 87
 """ROS_DOMAIN_ID of simulated scenes where the user has chosen none: no robot on the default domain 0 hears them."""
+
+
+RUNS_ON = "ROS 2 Jazzy with rclpy 7.1.4 or newer, or Kilted"
 
 
 LARGEST_DOMAIN = 232
@@ -23,6 +29,31 @@ _REACHED = {  # rcl takes an unknown word as LOCALHOST
 }
 _PROFILES = ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE")
 _PROFILES_HERE = "DEFAULT_FASTDDS_PROFILES.xml"  # which Fast DDS also reads, where it is in the working directory
+
+
+class UnsupportedRos(SystemExit):
+    """This ROS lacks what the nodes stand on; ends a program with code 2.
+
+    Attributes:
+        reason: what is missing, and which versions run.
+    """
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(2)
+        self.reason = reason
+
+
+def refuse_ros(missing: ImportError) -> NoReturn:
+    """Say in one line which versions of ROS run, and end the program.
+
+    Executables get here while they import, before code of theirs can catch and tell an error.
+
+    Raises:
+        UnsupportedRos: always.
+    """
+    reason = f"this ROS does not run deltacharger ({missing}); use {RUNS_ON}"
+    streams.write(reason, sys.stderr)
+    raise UnsupportedRos(reason) from missing
 
 
 def prepare() -> None:

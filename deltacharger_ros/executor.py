@@ -17,9 +17,15 @@ from typing import Any, TextIO
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
 from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.task import Future, Task
+
+from deltacharger_core.environment import refuse_ros
+
+try:
+    from rclpy.experimental.events_executor import EventsExecutor
+except ImportError as missing:
+    refuse_ros(missing)
 
 _TURN = 3600.0  # s; without an end, `spin` of the PyPI wheels takes a whole core and hangs whoever publishes to it
 _WORKERS = 4  # callbacks of one group at once

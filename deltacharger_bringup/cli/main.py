@@ -21,6 +21,7 @@ from types import FrameType
 from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
 from deltacharger_bringup.cli.parser import Parser, Version, add_command
 from deltacharger_core import streams
+from deltacharger_core.environment import UnsupportedRos
 
 GROUPS = {
     "scene": ("list, check or explain scenes", "Inspect scenes."),
@@ -148,6 +149,10 @@ def _run(words: list[str]) -> int:
         return int(options.run(options))
     except CommandError as error:
         failure = error
+    except UnsupportedRos as error:  # which has said why
+        if options.json:
+            write_json({"success": False, "error": error.reason})
+        return WRONG_INPUT
     except OSError as error:
         failure = _of_system(error)
     except UnicodeError as error:

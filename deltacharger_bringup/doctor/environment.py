@@ -163,9 +163,16 @@ class RosProbe:
                 yield _running(report["chargers"])
 
 
-_STEPS = {"rclpy": "rclpy", "interfaces": "interfaces", "numpy": "numpy and ROS", "middleware": "ros middleware"}
+_STEPS = {
+    "rclpy": "rclpy",
+    "version": "ros version",
+    "interfaces": "interfaces",
+    "numpy": "numpy and ROS",
+    "middleware": "ros middleware",
+}
 _ADVICE = {
     "rclpy": "in a venv: pip install 'ros-rclpy[fastrtps]'; on a ROS installation: source its setup.bash",
+    "version": f"use {environment.RUNS_ON}",
     "interfaces": "build them: pip install ., or colcon build and source install/setup.bash",
     "numpy": "build the interfaces again with the numpy that is installed now: pip install --no-build-isolation .",
     "middleware": "unset RMW_IMPLEMENTATION or install what it names; check ROS_DOMAIN_ID and the network",

@@ -45,6 +45,8 @@ def _probe(report: dict[str, Any]) -> None:
     import rclpy
 
     report["rclpy"] = os.path.dirname(os.path.dirname(str(rclpy.__file__)))
+    _tell(report, "version")
+    importlib.import_module("rclpy.experimental.events_executor")
     _tell(report, "interfaces")
     report["interfaces"] = _load_interfaces()
     _tell(report, "numpy")

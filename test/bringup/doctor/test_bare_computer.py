@@ -17,6 +17,7 @@ from .test_command import by_level
 LACKING = {
     "rclpy": ("rclpy", "raise ImportError(\"No module named 'rclpy'\", name='rclpy')"),
     "rclpy that crashes": ("rclpy", "import os; os._exit(11)"),
+    "what rclpy has since Jazzy": ("sitecustomize", "import sys; sys.modules['rclpy.experimental'] = None"),
     "dynamixel_sdk": ("dynamixel_sdk", "raise ImportError('no SDK', name='dynamixel_sdk')"),
     "serial": ("serial", "raise ImportError('no serial', name='serial')"),
     "yaml": ("yaml", "raise ImportError('no yaml', name='yaml')"),
@@ -80,6 +81,7 @@ def test_one_device_cannot_be_both(doctors: dict[str, subprocess.Popen[str]]) ->
     [
         ("rclpy", "rclpy", "ros-rclpy"),
         ("rclpy that crashes", "rclpy", "one ROS installation"),
+        ("what rclpy has since Jazzy", "ros version", "Jazzy"),
         ("dynamixel_sdk", "dynamixel-sdk", "dynamixel-sdk"),
         ("serial", "pyserial", "pyserial"),
         ("yaml", "PyYAML", "pyyaml"),

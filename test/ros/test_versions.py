@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which versions of ROS it is built and run on, and how it refuses the others: in one line, before anything starts."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from deltacharger_core.environment import RUNS_ON
+
+ROOT = Path(__file__).resolve().parents[2]
+PINS = ROOT / "constraints" / "jazzy.txt"
+OLDER = "import sys; sys.modules['rclpy.experimental'] = None\n"  # which rclpy has since Jazzy
+NODES = ("servo_node", "docking_node", "mock_navigator_node")
+
+needs_cmake = pytest.mark.skipif(shutil.which("cmake") is None, reason="cmake is not on PATH")
+
+
+def on_older_ros(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
+    """Run a program on the ROS of this environment without what an older one lacks."""
+    (folder / "sitecustomize.py").write_text(OLDER)
+    path = os.pathsep.join(filter(None, [str(folder), os.environ.get("PYTHONPATH")]))
+    variables = {**os.environ, "PYTHONPATH": path}
+    return subprocess.run([sys.executable, *command], env=variables, capture_output=True, text=True, timeout=60)
+
+
+def refused(process: subprocess.CompletedProcess[str]) -> str:
+    """Return the only line that it said before it ended with 2."""
+    (line,) = process.stderr.splitlines()
+    assert process.returncode == 2
+    assert RUNS_ON in line
+    return line
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("name", NODES)
+def test_a_node_refuses_an_older_ros(tmp_path: Path, name: str) -> None:
+    """The call is that of the script which pip and colcon write for it."""
+    (entry,) = re.findall(rf"^ +{name} = (\S+):main$", (ROOT / "setup.cfg").read_text(), re.MULTILINE)
+    process = on_older_ros(tmp_path, "-c", f"import sys; from {entry} import main; sys.exit(main())")
+    refused(process)
+    assert not process.stdout
+
+
+@pytest.mark.ros
+def test_a_command_refuses_an_older_ros(tmp_path: Path) -> None:
+    process = on_older_ros(tmp_path, "-m", "deltacharger_bringup.cli", "dock", "--scene", "mocks", "--json")
+    line = refused(process)
+    assert json.loads(process.stdout) == {"success": False, "error": line}
+
+
+def test_a_command_without_nodes_runs_on_any_ros(tmp_path: Path) -> None:
+    process = on_older_ros(tmp_path, "-m", "deltacharger_bringup.cli", "scene", "list")
+    assert process.returncode == 0, process.stderr
+
+
+def configured(folder: Path, version: str) -> str:
+    """Return what CMake says to our project on a ROS that has nothing but a version."""
+    for package, told in (("ament_cmake", "1"), ("ament_cmake_python", "1"), ("rosidl_default_generators", version)):
+        place = folder / "share" / package / "cmake"
+        place.mkdir(parents=True)
+        (place / f"{package}Config.cmake").touch()
+        (place / f"{package}ConfigVersion.cmake").write_text(
+            f'set(PACKAGE_VERSION "{told}")\nset(PACKAGE_VERSION_COMPATIBLE TRUE)\n'
+        )
+    variables = {name: value for name, value in os.environ.items() if name != "AMENT_PREFIX_PATH"}
+    command = ["cmake", "-S", str(ROOT), "-B", str(folder / "build"), f"-DCMAKE_PREFIX_PATH={folder}", "-Wno-dev"]
+    command += [f"-D{package}_DIR={folder}/share/{package}/cmake" for package in ("ament_cmake", "ament_cmake_python")]
+    command.append(f"-Drosidl_default_generators_DIR={folder}/share/rosidl_default_generators/cmake")
+    process = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=100)
+    assert process.returncode != 0
+    return process.stderr
+
+
+@needs_cmake
+@pytest.mark.parametrize("version", ["1.2.0", "1.5.0"])  # Humble's, Iron's
+def test_it_is_not_built_on_an_older_ros(tmp_path: Path, version: str) -> None:
+    said = configured(tmp_path, version)
+    (line,) = [line for line in said.splitlines() if "deltacharger runs on" in line]
+    assert "ROS 2 Jazzy and Kilted" in line
+    assert version in line
+
+
+@needs_cmake
+@pytest.mark.parametrize("version", ["1.6.0", "1.7.1"])  # Jazzy's, Kilted's
+def test_it_is_built_on_those_that_run(tmp_path: Path, version: str) -> None:
+    said = configured(tmp_path, version)
+    assert "deltacharger runs on" not in said
+    assert "action_msgs" in said  # the next that it asks for
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not on PATH")
+def test_make_refuses_a_version_that_it_has_no_packages_of() -> None:
+    process = subprocess.run(["make", "-C", str(ROOT), "-n", "ROS=humble", "test"], capture_output=True, text=True)
+    assert process.returncode == 2
+    (line,) = [line for line in process.stderr.splitlines() if "ROS=humble" in line]
+    assert "kilted jazzy" in line
+
+
+def test_every_ros_package_of_the_build_has_a_version_of_jazzy() -> None:
+    """A package that is left out would come in Kilted's version, or be missed by CMake after a minute."""
+    wanted = set(re.findall(r'^  "(ros-[a-z-]+)', (ROOT / "pyproject.toml").read_text(), re.MULTILINE))
+    pinned = set(re.findall(r"^(ros-[a-z-]+)==[0-9.]+$", PINS.read_text(), re.MULTILINE))
+    assert wanted - pinned == {"ros-ament-cmake-ros-core"}  # Kilted's half of ros-ament-cmake-ros
+    assert "ros-ament-cmake-ros" in pinned
