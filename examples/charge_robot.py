@@ -12,6 +12,7 @@ undocks and returns. Exit code 0 where the robot was charged, else 1.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 import signal
@@ -104,7 +105,9 @@ def main() -> int:
     parser.add_argument("--namespace", default="", help="of the charger")
     options = parser.parse_args()
     action = Action(options.id)
-    with rclpy.init(signal_handler_options=SignalHandlerOptions.NO):  # else Ctrl-C would leave nothing to cancel by
+    with contextlib.ExitStack() as stack:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # else Ctrl-C would leave nothing to cancel by
+        stack.callback(rclpy.try_shutdown)
         node = rclpy.create_node("fleet_adapter", namespace=options.namespace)
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         node.create_subscription(DockingState, "docking_state", action.on_state, latched)

@@ -52,7 +52,8 @@ def main() -> int:
     goal.electrodes.header.frame_id = "charger_base"  # '' would ask the camera
     goal.electrodes.pose.position.z = 0.080  # m
     with contextlib.ExitStack() as stack:
-        stack.enter_context(rclpy.init())
+        rclpy.init()
+        stack.callback(rclpy.try_shutdown)
         node = rclpy.create_node("example_client")
         client = ActionClient(node, Dock, "dock")
         if not client.wait_for_server(4.0):

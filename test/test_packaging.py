@@ -19,7 +19,7 @@ from deltacharger_bringup.cli import main as cli
 ROOT = Path(__file__).resolve().parents[1]
 LICENCE = "SPDX-License-Identifier: Apache-2.0"
 SOURCES = (".py", ".c", ".h", ".cpp", ".ino", ".msg", ".srv", ".action", ".xacro", ".j2")
-NOT_OURS = ("build", "install", "log", ".venv")
+NOT_OURS = ("build", "install", "log")
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
 HARD = {  # distribution: rosdep key
     "numpy": "python3-numpy",
@@ -83,7 +83,7 @@ def keys(*tags: str) -> set[str]:
 
 def sources() -> Iterator[Path]:
     for folder in sorted(ROOT.iterdir()):
-        if folder.is_dir() and folder.name not in NOT_OURS and not folder.name.startswith("report-"):
+        if folder.is_dir() and folder.name not in NOT_OURS and not folder.name.startswith((".venv", "report-")):
             yield from (path for path in sorted(folder.rglob("*")) if path.suffix in SOURCES)
     yield ROOT / "setup.py"
 

@@ -131,7 +131,7 @@ NEEDED = """
 import importlib, json, os, sys
 from deltacharger_core import environment
 environment.prepare()
-import rclpy.node, rclpy.serialization
+import numpy, rclpy.node, rclpy.serialization  # Jazzy's loads numpy with the first message alone
 roots = lambda: {name.split(".")[0] for name in sys.modules}
 before = roots()
 for module in sys.argv[1:]:
