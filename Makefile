@@ -11,6 +11,8 @@ else
   VENV := .venv-$(ROS)
   BUILD := build/$(ROS)
   PINS := constraints/$(ROS).txt
+  # What does not speak ROS knows no version of it.
+  OF_ROS := ros and
   # For every pip below, so that nothing brings the newest ROS along.
   export PIP_CONSTRAINT := $(CURDIR)/$(PINS)
 endif
@@ -39,12 +41,12 @@ dock: $(INSTALLED)  ## dock in simulation and draw the run
 
 # What is judged by real time mostly waits: two such tests take less than a core, so it runs apart from what computes.
 test: $(INSTALLED)  ## what a change needs
-	$(PYTEST) $(SIDE_BY_SIDE) -m 'not slow and not realtime'
-	$(PYTEST) $(SIDE_BY_SIDE) -m 'not slow and realtime'
+	$(PYTEST) $(SIDE_BY_SIDE) -m '$(OF_ROS) not slow and not realtime'
+	$(PYTEST) $(SIDE_BY_SIDE) -m '$(OF_ROS) not slow and realtime'
 
 test-rest: $(INSTALLED)  ## what `make test` leaves out
-	$(PYTEST) $(SIDE_BY_SIDE) -m 'slow and not realtime'
-	$(PYTEST) $(SIDE_BY_SIDE) -m 'slow and realtime'
+	$(PYTEST) $(SIDE_BY_SIDE) -m '$(OF_ROS) slow and not realtime'
+	$(PYTEST) $(SIDE_BY_SIDE) -m '$(OF_ROS) slow and realtime'
 
 test-all: test test-rest  ## every test
 
