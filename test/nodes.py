@@ -6,9 +6,13 @@ from __future__ import annotations
 import threading
 from typing import Any
 
+import rclpy.subscription
 from rclpy.parameter import Parameter
 
 from .waiting import DEADLINE
+
+TELLS_PUBLISHERS = hasattr(rclpy.subscription, "MessageInfo")
+"""Whether rclpy tells with a message who published it: Kilted's does."""
 
 
 def options(context: Any, namespace: str = "", **parameters: Any) -> dict[str, Any]:

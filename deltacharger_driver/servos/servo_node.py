@@ -184,6 +184,8 @@ class ServoNode(Node):
         inbox = self._inbox
         new, self._refused = inbox.refused - self._refused, inbox.refused
         by = publishers(self, inbox.topic, inbox.strangers) if inbox.strangers and self.context.ok() else ""
+        if b"" in inbox.strangers:  # Jazzy's rclpy does not tell who it was
+            by = f"one of {by}"
         inbox.strangers.clear()
         return RefusedTrajectories(new, inbox.refused, inbox.forbidden, inbox.last_refusal, by)
 
