@@ -20,7 +20,8 @@ PINS = ROOT / "constraints" / "jazzy.txt"
 OLDER = "import sys; sys.modules['rclpy.experimental'] = None\n"  # which rclpy has since Jazzy
 NODES = ("servo_node", "docking_node", "mock_navigator_node")
 
-needs_cmake = pytest.mark.skipif(shutil.which("cmake") is None, reason="cmake is not on PATH")
+CMAKE = shutil.which("cmake", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]))
+needs_cmake = pytest.mark.skipif(CMAKE is None, reason="cmake is neither beside this Python nor on PATH")
 
 
 def on_older_ros(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
@@ -71,7 +72,7 @@ def configured(folder: Path, version: str) -> str:
             f'set(PACKAGE_VERSION "{told}")\nset(PACKAGE_VERSION_COMPATIBLE TRUE)\n'
         )
     variables = {name: value for name, value in os.environ.items() if name != "AMENT_PREFIX_PATH"}
-    command = ["cmake", "-S", str(ROOT), "-B", str(folder / "build"), f"-DCMAKE_PREFIX_PATH={folder}", "-Wno-dev"]
+    command = [str(CMAKE), "-S", str(ROOT), "-B", str(folder / "build"), f"-DCMAKE_PREFIX_PATH={folder}", "-Wno-dev"]
     command += [f"-D{package}_DIR={folder}/share/{package}/cmake" for package in ("ament_cmake", "ament_cmake_python")]
     command.append(f"-Drosidl_default_generators_DIR={folder}/share/rosidl_default_generators/cmake")
     process = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=100)
