@@ -73,7 +73,15 @@ class DockingNode(Node):
         observe = self._inputs.observation  # takes no reply that the running goal waits for
         self._owners = None if self._settings.keeps_clearance else PortOwners(self)  # nobody else needs them
         self._goals = Goals(
-            self, self._machine, self._lock, observe, self._begun, self._calls.misalignment, mount, self._look_whose
+            self,
+            self._machine,
+            self._lock,
+            observe,
+            self._begun,
+            self._defect,
+            self._calls.misalignment,
+            mount,
+            self._look_whose,
         )
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)
         if not held:
@@ -180,6 +188,7 @@ class DockingNode(Node):
         return observation.contactor_closed and observation.power_age <= self._settings.power_age_max
 
     def _defect(self, error: Exception) -> None:
+        """Make everything safe and end the goal, after one of our own errors."""
         text = f"docking stopped by a defect: {type(error).__name__}: {error}"
         self.get_logger().error(text, throttle_duration_sec=1.0)
         with self._lock:

@@ -54,6 +54,8 @@ class Goals:
         observe: gives what is known now.
         begun: called with the lock held after the machine has begun a goal; it publishes and hands over an outcome
             that is there at once.
+        defect: called with the lock held when one of our own errors met a goal at its beginning; it makes the charger
+            safe and ends the goal.
         misalignment: gives the message of an estimate.
         mount: of the charger on its robot.
         look: called before a goal that charges begins, without the lock; may wait.
@@ -66,6 +68,7 @@ class Goals:
         lock: threading.RLock,
         observe: Callable[[], Observation],
         begun: Callable[[], None],
+        defect: Callable[[Exception], None],
         misalignment: Callable[[FeltPose | None], Misalignment],
         mount: DockingNodeParameters,
         look: Callable[[], None] = lambda: None,
@@ -75,6 +78,7 @@ class Goals:
         self._lock = lock
         self._observe = observe
         self._begun = begun
+        self._defect = defect
         self._misalignment = misalignment
         self._mount = mount
         self._look = look
@@ -83,16 +87,25 @@ class Goals:
         self._refusal = ""
         self._waiting: list[GoalHandle] | None = []  # goals that came before `release`
         self._servers = [
-            self._serve(Dock, "dock", self._start_dock, self._dock_result),
-            self._serve(Undock, "undock", self._start_undock, lambda outcome: to_result(Undock, outcome)),
+            self._serve(Dock, "dock", self._dock_goal, machine.start_dock, self._dock_result),
+            self._serve(
+                Undock, "undock", _request_id, machine.start_undock, lambda outcome: to_result(Undock, outcome)
+            ),
         ]
 
-    def _serve(self, kind: Any, name: str, start: Callable[[Any, Observation], None], result: Any) -> WorkServer:
+    def _serve(
+        self,
+        kind: Any,
+        name: str,
+        read: Callable[[Any], Any],
+        start: Callable[[Any, Observation], None],
+        result: Callable[[DockingOutcome], Any],
+    ) -> WorkServer:
         return WorkServer(
             self._node,
             kind,
             name,
-            lambda handle: self._begin(ServedGoal(handle, kind.Feedback), start),
+            lambda handle: self._begin(ServedGoal(handle, kind.Feedback), read, start),
             lambda goal: goal is self._goal,
             lambda error: replace(DockingOutcome.refused(error), suggested_base=suggested_base(error)),
             DockingError,
@@ -170,8 +183,10 @@ class Goals:
         """Return whether the goal has not ended: whoever hears an acceptance knows that the arm goes back."""
         return bool(handle.is_active) and handle is not self._ended
 
-    def _begin(self, goal: ServedGoal, start: Callable[[Any, Observation], None]) -> ServedGoal:
-        """Start a goal.
+    def _begin(
+        self, goal: ServedGoal, read: Callable[[Any], Any], start: Callable[[Any, Observation], None]
+    ) -> ServedGoal:
+        """Start a goal: `read` turns its request into what the machine's `start` takes.
 
         Raises:
             DockingError: it is refused.
@@ -182,13 +197,20 @@ class Goals:
         with self._lock:
             if self._refusal:
                 raise Busy(self._refusal)
-            start(request, self._observe())
-            self._goal = goal
-            self._begun()
+            wish, seen = read(request), self._observe()
+            try:
+                start(wish, seen)
+                self._goal = goal
+                self._begun()
+            except DockingError:
+                raise
+            except Exception as error:  # the machine may have begun: nobody would serve or cancel what it does
+                self._defect(error)
+                raise
         return goal
 
-    def _start_dock(self, request: Dock.Goal, seen: Observation) -> None:
-        goal = DockGoal(
+    def _dock_goal(self, request: Dock.Goal) -> DockGoal:
+        return DockGoal(
             electrodes=io.electrodes(request.electrodes, self._mount),
             critical_angle=request.critical_angle,
             start_charging=request.start_charging,
@@ -197,10 +219,6 @@ class Goals:
             stop_after=seconds(request.stop_after),
             request_id=request.request_id,
         )
-        self._machine.start_dock(goal, seen)
-
-    def _start_undock(self, request: Undock.Goal, seen: Observation) -> None:
-        self._machine.start_undock(request.request_id, seen)
 
     def _dock_result(self, outcome: DockingOutcome) -> Dock.Result:
         return to_result(
@@ -211,3 +229,7 @@ class Goals:
             redockings=outcome.redockings,
             **{name: getattr(outcome, name) for name in MEASURED},
         )
+
+
+def _request_id(request: Undock.Goal) -> str:
+    return str(request.request_id)

@@ -201,10 +201,17 @@ class MissionNode(Node):
                     return running
                 raise Busy(f"another mission is under way (request_id '{running.request_id}'): cancel it, or wait")
             goal = io.goal(handle.request, self._electrodes if self._drives else None)
-            self._machine.start(goal, self._others.observe())
+            mission = _Mission(handle)
+            try:
+                self._machine.start(goal, self._others.observe())
+            except DockingError:
+                raise
+            except Exception:  # it may have begun: nobody would serve or cancel what it does
+                self._others.carry_out(self._machine.emergency())
+                raise
             self._others.dock_result = io.unknown_dock()
-            self._mission = _Mission(handle)
-            return self._mission
+            self._mission = mission
+            return mission
 
 
 def _result(outcome: MissionOutcome, dock: Any) -> ChargeRobot.Result:

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An error of our own where a goal begins: the client hears INTERNAL, and nothing goes on that nobody serves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from deltacharger_scenes.scene import Scene
+
+from ..chargers import wait_until
+from .hostile import Hostile
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(scope="module")
+def hostile(quick_scene: Scene, context: Any) -> Iterator[Hostile]:
+    hostile = Hostile(quick_scene, context)
+    yield hostile
+    hostile.close()
+
+
+def fail_once(patch: pytest.MonkeyPatch, owner: Any, name: str) -> None:
+    """Let the next call of a method raise, after it has done its work."""
+    works = getattr(owner, name)
+
+    def fail(*words: Any, **options: Any) -> Any:
+        patch.undo()
+        works(*words, **options)
+        raise RuntimeError("a defect at the beginning")
+
+    patch.setattr(owner, name, fail)
+
+
+@pytest.mark.parametrize(("part", "does"), [("_machine", "_tell_goal"), ("_reports", "show")])
+def test_a_goal_that_meets_a_defect_as_it_begins_is_ended_and_leaves_the_charger_free(
+    hostile: Hostile, part: str, does: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hostile.heal()
+    with monkeypatch.context() as patch:
+        fail_once(patch, getattr(hostile.docking, part), does)
+        outcome = hostile.dock()
+    assert (outcome.success, outcome.error_name) == (False, "INTERNAL"), outcome
+    assert "a defect at the beginning" in outcome.error_message
+    assert not hostile.docking._machine.busy, "the machine works on for nobody"
+    wait_until(lambda: hostile.is_idle() and not hostile.servos.torque_enabled, "an arm at rest")
+    assert not hostile.is_closed
+    hostile.charge()
+
+
+def test_a_defect_at_the_beginning_of_undock_opens_what_was_closed(
+    hostile: Hostile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hostile.heal()
+    hostile.charge()
+    with monkeypatch.context() as patch:
+        fail_once(patch, hostile.docking._reports, "show")
+        outcome = hostile.client.undock(deadline=20.0)
+    assert outcome.error_name == "INTERNAL", outcome
+    assert hostile.opens_after() < 1.0
+    assert not hostile.docking._machine.busy
+    hostile.heal()
