@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException, ParameterException
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from deltacharger_core.parameters import Declaration, ParameterError, declared, did_you_mean
 from deltacharger_ros.node_support import StartupError
@@ -16,10 +17,13 @@ from deltacharger_ros.node_support import StartupError
 T = TypeVar("T")
 
 _OF_EVERY_NODE = {"use_sim_time", "start_type_description_service"}
+_WIDER = {Parameter.Type.INTEGER: Parameter.Type.DOUBLE, Parameter.Type.INTEGER_ARRAY: Parameter.Type.DOUBLE_ARRAY}
 
 
 def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{text} ({unit})") -> T:
     """Declare every parameter of a class as one of the node, and return what was given.
+
+    A whole number is taken for a float: ROS reads `rate:=50` and YAML's `rate: 50` as integers.
 
     Args:
         node: the node that owns them.
@@ -41,7 +45,9 @@ def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{
 
 
 def reject_unknown(node: Node) -> None:
-    """Stop the node where a parameter was given that it does not have.
+    """Stop the node where a parameter was given that it does not have; called when all are declared.
+
+    From now on a whole number that is set for a float is taken too.
 
     Raises:
         StartupError: names the parameter and the nearest known one.
@@ -52,11 +58,21 @@ def reject_unknown(node: Node) -> None:
             hint = did_you_mean(name, sorted(known))
             raise StartupError(f"{node.get_name()}: unknown parameter '{name}'{hint}")
 
+    def widened(given: list[Parameter[Any]]) -> list[Parameter[Any]]:
+        return [
+            _widened(each, node.describe_parameter(each.name).type) if each.name in known else each for each in given
+        ]
+
+    node.add_pre_set_parameters_callback(widened)
+
 
 def _declare(node: Node, each: Declaration, default: Any, description: str) -> Any:
     """Declare one parameter and return its value, several as a tuple."""
     several = isinstance(each.default, tuple)
     usual = [each.kind(item) for item in default] if several else each.kind(default)
+    if each.kind is float and each.name in node._parameter_overrides:
+        wanted = Parameter.Type.DOUBLE_ARRAY if several else Parameter.Type.DOUBLE
+        node._parameter_overrides[each.name] = _widened(node._parameter_overrides[each.name], wanted.value)
     try:
         value = node.declare_parameter(each.name, usual, _descriptor(each, description)).value
     except (InvalidParameterTypeException, InvalidParameterValueException, ParameterException) as error:
@@ -65,6 +81,15 @@ def _declare(node: Node, each: Declaration, default: Any, description: str) -> A
     if problem := each.problem(value):
         raise _refusal(node, each.name, f"{problem}. {description}")
     return value
+
+
+def _widened(given: Parameter[Any], wanted: int) -> Parameter[Any]:
+    """Return a parameter with its whole numbers as floats where its type is `wanted` to be that; else as it is."""
+    wider = _WIDER.get(given.type_)
+    if wider is None or wider.value != wanted:
+        return given
+    value = list(map(float, given.value)) if wider is Parameter.Type.DOUBLE_ARRAY else float(given.value)
+    return Parameter(given.name, wider, value)
 
 
 def _descriptor(each: Declaration, description: str) -> ParameterDescriptor:

@@ -6,8 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from deltacharger_core.bounded_file import brief
-from deltacharger_core.parameters import Declaration, ParameterError, declared, did_you_mean, from_mapping
+from deltacharger_core.parameters import ParameterError, declared, did_you_mean, from_mapping
 from deltacharger_scenes.node_table import NODES, load
 from deltacharger_scenes.scene import Scene
 
@@ -34,12 +33,3 @@ def problems(scene: Scene) -> Iterator[tuple[str, str]]:
                 from_mapping(own, table, f"parameters.{node}")
             except ParameterError as error:
                 yield error.key, error.problem
-            yield from _whole(node, own, known)
-
-
-def _whole(node: str, own: dict[str, Any], known: dict[str, tuple[Declaration, Any]]) -> Iterator[tuple[str, str]]:
-    """Yield the whole numbers where ROS takes only ones with a decimal point."""
-    for name, value in own.items():
-        numbers = value if isinstance(value, list) else [value]
-        if known[name][0].kind is float and any(type(number) is int for number in numbers):
-            yield f"parameters.{node}.{name}", f"is {brief(value)}; write it with a decimal point"

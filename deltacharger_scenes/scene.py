@@ -117,7 +117,7 @@ class Scene(SceneContent):
             name: executable of the node.
             ports: "servo" and "board" of a simulated charger; empty takes the scene's own.
         """
-        parameters = dict(self.parameters.get(name, {}))
+        parameters = {key: _of_one_kind(value) for key, value in self.parameters.get(name, {}).items()}
         if self.simulation is not None:
             parameters = followed(name, self.simulation.world, self.parameters) | parameters
         if NODES[name].sees_target and self.simulation is not None:
@@ -264,7 +264,13 @@ def _parameters(scene: Scene) -> Problems:
 def _is_parameter(value: Any) -> bool:
     items = value if isinstance(value, list) else [value]
     kinds = {type(item) for item in items}
-    return len(kinds) <= 1 and kinds <= {bool, int, float, str}
+    return kinds <= {int, float} or (len(kinds) == 1 and kinds <= {bool, str})
+
+
+def _of_one_kind(value: Any) -> Any:
+    """Return a parameter as ROS takes it: of whole and other numbers in one list all become floats."""
+    mixed = isinstance(value, list) and {type(item) for item in value} == {int, float}
+    return list(map(float, value)) if mixed else value
 
 
 def _ports(scene: Scene) -> Problems:

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
-from deltacharger_core.parameters import Bounded, choice, flag, number, numbers, words
+from deltacharger_core.parameters import Bounded, choice, flag, like, number, numbers, words
 from deltacharger_ros.node_support import StartupError
 from deltacharger_ros.parameters import declare_all, reject_unknown
 
@@ -45,11 +47,81 @@ def test_what_is_declared_is_what_the_node_tells(context: Any, namespace: str) -
     assert [each.read_only for each in told.values()] == [True, True, True, False, True, True]
 
 
+@dataclass(frozen=True)
+class LiveRates(Bounded):
+    rate: float = like(Rates, "rate", live=True)
+    corner: tuple[float, ...] = like(Rates, "corner", live=True)
+    count: int = like(Rates, "count", live=True)
+
+
+def test_whole_numbers_are_taken_for_floats_where_a_node_starts(context: Any, namespace: str) -> None:
+    node = Node("subject", **options(context, namespace, rate=50, corner=[1, -2]))
+    try:
+        given = declare_all(node, Rates)
+        assert given == Rates(rate=50.0, corner=(1.0, -2.0))
+        assert [type(value) for value in (given.rate, *given.corner)] == [float] * 3
+        assert node.get_parameter("rate").type_ is Parameter.Type.DOUBLE
+        assert node.get_parameter("corner").type_ is Parameter.Type.DOUBLE_ARRAY
+    finally:
+        node.destroy_node()
+
+
+def test_whole_numbers_are_taken_for_floats_from_arguments_of_the_command_line(context: Any, namespace: str) -> None:
+    words = ["--ros-args", "-p", "rate:=60", "-p", "corner:=[0, 1]"]
+    node = Node("subject", cli_args=words, **options(context, namespace))
+    try:
+        assert declare_all(node, Rates) == Rates(rate=60.0, corner=(0.0, 1.0))
+        reject_unknown(node)
+    finally:
+        node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "becomes"),
+    [
+        ("rate", 60, 60.0),
+        ("corner", [1, 2], [1.0, 2.0]),
+        ("rate", 900, None),
+        ("rate", True, None),
+        ("rate", "60", None),
+        ("corner", [True, False], None),
+        ("count", 2.0, None),
+        ("nobody", 2, None),
+    ],
+)
+def test_whole_numbers_are_taken_for_floats_while_a_node_runs(
+    context: Any, namespace: str, name: str, value: Any, becomes: Any
+) -> None:
+    node = Node("subject", **options(context, namespace))
+    try:
+        declare_all(node, LiveRates)
+        reject_unknown(node)
+        usual = {each: node.get_parameter(each).value for each in LiveRates.__dataclass_fields__}
+        try:
+            taken = node.set_parameters([Parameter(name, value=value)])[0].successful
+        except ParameterNotDeclaredException:
+            taken = False
+        assert taken == (becomes is not None)
+        after = {each: node.get_parameter(each).value for each in usual}
+        assert {each: list(found) if each == "corner" else found for each, found in after.items()} == {
+            each: list(found) if each == "corner" else found for each, found in usual.items()
+        } | ({name: becomes} if taken else {})
+    finally:
+        node.destroy_node()
+
+
 @pytest.mark.parametrize(
     ("given", "says"),
     [
         ({"rate": 900.0}, "'rate'"),
         ({"rate": "fast"}, "'rate'"),
+        ({"rate": True}, "'rate'"),
+        ({"rate": 900}, "'rate'"),
+        ({"corner": ["1", "2"]}, "'corner'"),
+        ({"corner": [True, False]}, "'corner'"),
+        ({"corner": [1, 9]}, "'corner'"),
+        ({"count": 2.0}, "'count'"),
+        ({"on": 1}, "'on'"),
         ({"rat": 5.0}, "did you mean 'rate'"),
     ],
 )

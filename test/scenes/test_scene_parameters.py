@@ -13,6 +13,7 @@ import pytest
 
 from deltacharger_bringup.cli.main import main
 from deltacharger_core.parameters import declared
+from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.parameter_check import problems, tables
 from deltacharger_scenes.scene import load_scene, packaged_scenes, parse_scene
@@ -40,7 +41,8 @@ def test_packaged_scenes_give_only_what_their_nodes_take() -> None:
     [
         ("servo_node", "rte", 100.0, "did you mean 'rate'"),
         ("servo_node", "rate", 900.0, "outside 20 to 200 Hz"),
-        ("servo_node", "rate", 100, "decimal point"),
+        ("servo_node", "rate", 900, "outside 20 to 200 Hz"),
+        ("servo_node", "rate", True, "not a number"),
         ("servo_node", "ids", [1, 2], "has 2 numbers; give 3"),
         ("servo_node", "current_bound", 3.5, "is not below"),
         ("docking_node", "approach", "fast", "not one of guarded, paper"),
@@ -54,6 +56,15 @@ def test_what_a_node_would_refuse_is_told_without_it(node: str, parameter: str, 
     ((key, told),) = problems_of({node: {parameter: value}})
     assert key == f"parameters.{node}.{parameter}"
     assert problem in told
+
+
+def test_whole_numbers_are_taken_for_floats_by_the_check_and_by_the_nodes(context: Any, namespace: str) -> None:
+    given = {"mock_servo_node": {"rate": 50}, "kinematics_node": {"gravity": [0, -9.81, 0], "arm": 0.1}}
+    scene = parse_scene({"nodes": [*given], "parameters": given}, "mine")
+    assert not list(problems(scene))
+    with Composition(scene, context, namespace) as composition:
+        assert composition.node("mock_servo_node").get_parameter("rate").value == 50.0
+        assert list(composition.node("kinematics_node").get_parameter("gravity").value) == [0.0, -9.81, 0.0]
 
 
 def test_what_every_node_has_is_taken() -> None:
