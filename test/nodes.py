@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import rclpy.subscription
 from rclpy.parameter import Parameter
 
@@ -37,3 +39,13 @@ def answer(future: Any) -> Any:
     future.add_done_callback(lambda _: came.set())
     assert came.wait(DEADLINE), f"waited {DEADLINE:g} s for an answer"
     return future.result()
+
+
+def numbers(message: Any) -> Iterator[float]:
+    """Yield every floating-point number of a message, those of messages in it too."""
+    for name, kind in message.get_fields_and_field_types().items():
+        value = getattr(message, name)
+        if hasattr(value, "get_fields_and_field_types"):
+            yield from numbers(value)
+        elif kind.startswith(("float", "double")):
+            yield from np.atleast_1d(value)

@@ -17,6 +17,7 @@ from builtin_interfaces.msg import Duration
 from deltacharger.action import Dock, Undock
 from deltacharger.msg import DockingState
 from rclpy.action.client import ActionClient
+from rclpy.parameter import Parameter
 
 from deltacharger_core.texts import REQUEST_ID_MAX
 from deltacharger_ros import qos
@@ -27,7 +28,7 @@ from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene
 
 from ..chargers import DEADLINE, dock_at_last, new_namespace, wait_until
-from ..nodes import answer, call
+from ..nodes import answer, call, numbers
 
 pytestmark = pytest.mark.ros
 
@@ -142,6 +143,26 @@ def test_what_cannot_be_served_is_told_before_anything_moves(charger: Charger, g
     assert 0 < len(result.error_message) < 1000, "a person reads it"
     assert charger.servos.position == before
     assert not charger.servos.torque_enabled
+    assert all(map(math.isnan, numbers(result.misalignment)))
+    assert all(map(math.isnan, (result.contact_current, result.contact_force, result.charge_current)))
+    assert result.energy == 0.0, "counted, and none flowed"
+    assert not result.suggested_base_pose.header.frame_id or CODES[result.error_code] == "UNREACHABLE"
+
+
+def test_a_goal_that_fails_before_it_measures_tells_nothing_of_an_earlier_docking(charger: Charger) -> None:
+    docked = dock_at_last(charger.client, PLACE)
+    assert not math.isnan(docked.details["misalignment"]["vertical"])
+    assert charger.client.undock(deadline=DEADLINE).success
+    mock = charger.composition.node("mock_servo_node")
+    mock.set_parameters([Parameter("fault", value="hardware_error")])
+    try:
+        result = charger.result(pose())
+    finally:
+        mock.set_parameters([Parameter("fault", value="none")])
+        mock.reboot()
+    assert CODES[result.error_code] == "SERVO_FAULT"
+    assert all(map(math.isnan, numbers(result.misalignment)))
+    assert result.alignments == result.redockings == 0
 
 
 def random_goal(source: random.Random) -> Any:

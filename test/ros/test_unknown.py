@@ -4,24 +4,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
 import pytest
 from deltacharger.msg import Misalignment
 from deltacharger.srv import DetectElectrodes, PredictMisalignment, Probe
 
 from deltacharger_ros.unknown import unknown, unknown_misalignment
 
-
-def numbers(message: Any) -> Iterator[float]:
-    for name, kind in message.get_fields_and_field_types().items():
-        value = getattr(message, name)
-        if hasattr(value, "get_fields_and_field_types"):
-            yield from numbers(value)
-        elif kind.startswith(("float", "double")):
-            yield from np.atleast_1d(value)
+from ..nodes import numbers
 
 
 @pytest.mark.parametrize(
