@@ -112,7 +112,7 @@ class Context:
         self.doubtful |= bool(observation.duplicate_sources)
         self.status.duplicate_sources = observation.duplicate_sources
         self.status.position = self.position
-        self.status.contact_current = self.contact.value
+        self.status.contact_current, self.status.contact_force = self.contact.value, self.contact.force
 
     def command(self) -> Command:
         """Return and forget what the scripts asked for in this tick."""

@@ -264,3 +264,4 @@ class DockingStatus:
     duplicate_sources: str = ""
     redockings: int = 0
     waiting_for: str = ""
+    contact_force: float = math.nan

@@ -14,6 +14,9 @@ from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, Serv
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 
+from deltacharger_core.texts import titled
+from deltacharger_ros.log import Log
+from deltacharger_ros.messages import to_outcome
 from deltacharger_ros.qos import ACTION
 
 GoalHandle: TypeAlias = "ServerGoalHandle[Any, Any, Any]"  # in words, since Jazzy's class is not generic
@@ -83,6 +86,8 @@ class Work:
 class WorkServer:
     """Serves an action. A goal waits for the end of its work in a worker of the node's `Spinner`.
 
+    It logs how each goal ended, who cancels it, and where nobody is left to hear of it.
+
     Args:
         node: owns it.
         kind: the action.
@@ -109,7 +114,8 @@ class WorkServer:
         may_cancel: Callable[[GoalHandle], bool] = lambda handle: True,
         accepted: Callable[[GoalHandle], None] = lambda handle: handle.execute(),
     ) -> None:
-        self._node = node
+        self._node, self._name, self._log = node, name, Log(node)
+        self._may_cancel = may_cancel
         self._begin, self._is_served = begin, is_served
         self._outcome, self._refusals, self._result = outcome, refusals, result
         self._server: ActionServer[Any, Any, Any] = ActionServer(
@@ -119,7 +125,7 @@ class WorkServer:
             execute_callback=self._execute,
             goal_callback=lambda request: GoalResponse.ACCEPT,
             handle_accepted_callback=accepted,
-            cancel_callback=lambda handle: CancelResponse.ACCEPT if may_cancel(handle) else CancelResponse.REJECT,
+            cancel_callback=self._on_cancel,
             callback_group=ReentrantCallbackGroup(),
             **ACTION,
         )
@@ -128,17 +134,33 @@ class WorkServer:
         """Release the ROS side."""
         self._server.destroy()
 
+    def _title(self, handle: GoalHandle) -> str:
+        return titled(self._name, handle.request.request_id)
+
+    def _on_cancel(self, handle: GoalHandle) -> CancelResponse:
+        allowed = self._may_cancel(handle)
+        self._log.info(f"{self._title(handle)}: cancelled by a client" + ("" if allowed else " too late, it has ended"))
+        return CancelResponse.ACCEPT if allowed else CancelResponse.REJECT
+
     def _execute(self, handle: GoalHandle) -> Any:
         try:
             work = self._begin(handle)
         except Exception as error:  # rclpy would answer with an empty result, which looks like code 0
             if not isinstance(error, self._refusals):
-                self._node.get_logger().error(f"a goal met a defect: {type(error).__name__}: {error}")
+                self._log.error(f"a goal met a defect: {type(error).__name__}: {error}")
             handle.abort()
-            return self._result(self._outcome(error), None)
+            result = self._result(self._outcome(error), None)
+            self._log.info(f"{self._title(handle)}: {to_outcome(self._name, result).ending('refused')}")
+            return result
+        heard = False
         while not work.done.wait(_LOOK):
             if not self._is_served(work) and not work.done.is_set():
                 work.end(self._outcome(LookupError("the goal was lost")))
+            before, heard = heard, self._is_heard()
+            if before and not heard:
+                self._log.info(
+                    f"{self._title(handle)}: its client has gone; the goal goes on until it ends or is cancelled"
+                )
         if work.outcome.success:
             handle.succeed()
         elif work.outcome.canceled and handle.is_cancel_requested:
@@ -146,4 +168,14 @@ class WorkServer:
         else:
             handle.abort()
         work.answered.set()
-        return self._result(work.outcome, work)
+        result = self._result(work.outcome, work)
+        outcome = to_outcome(self._name, result)
+        lasted = "" if outcome.success else f" (after {outcome.elapsed:.1f} s)"
+        self._log.info(
+            "; ".join(filter(None, (f"{self._title(handle)}: {outcome.ending()}{lasted}", outcome.figures())))
+        )
+        return result
+
+    def _is_heard(self) -> bool:
+        """Return whether any client follows goals of this action."""
+        return self._node.count_subscribers(f"{self._node.resolve_topic_name(self._name)}/_action/feedback") > 0

@@ -77,7 +77,7 @@ def to_progress(feedback: Any, elapsed: float) -> Progress:
 
 
 def to_outcome(action: str, result: Any) -> Outcome:
-    """Return a result of the action "dock" or "undock" as plain data."""
+    """Return a result of one of our actions as plain data."""
     return Outcome(
         action=action,
         success=result.success,
@@ -86,7 +86,7 @@ def to_outcome(action: str, result: Any) -> Outcome:
         error_message=result.error_message,
         retriable=result.retriable,
         elapsed=seconds(result.elapsed),
-        details=_dock_details(result) if action == "dock" else {},
+        details=_dock_details(result) if hasattr(result, "misalignment") else {},
     )
 
 
@@ -96,7 +96,7 @@ def _dock_details(result: Any) -> dict[str, Any]:
     return {
         "aligned": result.aligned,
         "alignments": result.alignments,
-        "redockings": result.redockings,
+        "redockings": getattr(result, "redockings", 0),
         "misalignment": {name: getattr(result.misalignment, name) for name in (*felt, "sure", "in_range")},
         **{name: getattr(result, name) for name in told},
         "suggested_base_pose": _base(result.suggested_base_pose),

@@ -7,6 +7,13 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from deltacharger_core.texts import figure
+
+
+def place(x: float, y: float, z: float, roll: float) -> str:
+    """Return in words where electrodes are: position (m) and roll (rad)."""
+    return f"({1e3 * x:.1f}, {1e3 * y:.1f}, {1e3 * z:.1f}) mm, roll {math.degrees(roll):.1f}°"
+
 
 @dataclass(frozen=True)
 class Pose:
@@ -98,6 +105,27 @@ class Outcome:
         details = plain.pop("details")
         flat: dict[str, Any] = json_ready({**plain, **details})
         return flat
+
+    def ending(self, failed: str = "failed") -> str:
+        """Return in words how it ended; `failed` is the word for an end without success."""
+        if self.success:
+            return f"done in {self.elapsed:.1f} s"
+        retry = "; the same goal may succeed if sent again" if self.retriable else ""
+        return f"{failed}, {self.error_code} {self.error_name}: {self.error_message}{retry}"
+
+    def figures(self) -> str:
+        """Return the figures of a docking in words, '' of what is none; – = not measured."""
+        told = self.details
+        if not told:
+            return ""
+        felt = told["misalignment"]
+        x, y = (figure(1e3 * felt[axis], "", 1) for axis in ("horizontal", "vertical"))
+        angle = figure(math.degrees(felt["angle"]), "", 1)
+        return (
+            f"charge {figure(told['charge_current'], 'A', 2)}, {told['energy']:.0f} J; "
+            f"contact {figure(told['contact_current'], 'A', 3)}, {figure(told['contact_force'], 'N', 1)}; "
+            f"{told['alignments']} alignments, {told['redockings']} redockings, rest ({x}, {y}) mm and {angle}°"
+        )
 
 
 def json_ready(value: Any) -> Any:

@@ -24,7 +24,7 @@ from deltacharger_bringup.cli.parser import namespace_option, record_option, sce
 from deltacharger_bringup.cli.phases import PhasePrinter, report
 from deltacharger_bringup.cli.types import DEGREES, MILLIMETRES, POSITIVE, deadline
 from deltacharger_core import environment
-from deltacharger_ros.outcomes import DockRequest, Outcome, Pose
+from deltacharger_ros.outcomes import DockRequest, Outcome, Pose, place
 
 if TYPE_CHECKING:
     from deltacharger_records.replay.recorder import Recorder
@@ -80,6 +80,7 @@ def dock(options: argparse.Namespace) -> int:
                 raise CommandError(f"the charger in ROS domain {environment.domain()} no longer answers")
             say(f"no charger answers in ROS domain {environment.domain()}; starting that of scene '{scene.name}'")
             stack.enter_context(only_charger(options.namespace))
+            _log_warnings_only()
             composition = stack.enter_context(start(with_recorder(scene, options.record), context, options.namespace))
             wait_for_actions(composition, client, interrupts)
         if interrupts.event.is_set():
@@ -90,6 +91,14 @@ def dock(options: argparse.Namespace) -> int:
             stack.enter_context(start(recorder_alone(scene, options.record), context, options.namespace))
         recorder = stack.enter_context(Recorder(context, options.namespace))
         return _Run(options, scene, request, client, recorder, composition, interrupts).carry_out()
+
+
+def _log_warnings_only() -> None:
+    """Let the nodes of this process log nothing less: the command itself prints the goal, its phases and its end."""
+    from rclpy.impl.logging_severity import LoggingSeverity
+    from rclpy.logging import set_logger_level
+
+    set_logger_level("", LoggingSeverity.WARN)
 
 
 def dock_request(options: argparse.Namespace, scene: Scene) -> DockRequest:
@@ -169,7 +178,7 @@ class _Run:
         if cure:
             say(cure)
         if not self.options.json and outcome.success:
-            say(_summary(outcome))
+            say(outcome.figures())
         if unsafe:
             say(unsafe)
         if self.interrupts.event.is_set():
@@ -180,10 +189,7 @@ class _Run:
         pose = self.request.electrodes
         if pose is None:
             return "goal: electrodes where the camera finds them"
-        return (
-            f"goal: electrodes at ({1e3 * pose.x:.1f}, {1e3 * pose.y:.1f}, {1e3 * pose.z:.1f}) mm, "
-            f"roll {math.degrees(pose.roll):.1f}°"
-        )
+        return f"goal: electrodes at {place(pose.x, pose.y, pose.z, pose.roll)}"
 
     def _dock(self, printer: PhasePrinter) -> Outcome:
         from deltacharger_ros.client import ClientError
@@ -218,7 +224,7 @@ class _Run:
             say(str(error))
             return {"success": False, "error_message": str(error)}
         if not outcome.success:
-            say(f"undock: failed, {outcome.error_code} {outcome.error_name}: {outcome.error_message}")
+            say(f"undock: {outcome.ending()}")
         return outcome.as_dict()
 
     def _draw(self) -> str | None:
@@ -245,15 +251,3 @@ class _Run:
         if record.get("energised_shorts") or record.get("energised_unsafe"):
             return "the simulated world saw a short or a lost clearance while energised: this docking has failed"
         return ""
-
-
-def _summary(outcome: Outcome) -> str:
-    """Return the figures of a docking that worked, in one line."""
-    details = outcome.details
-    felt = details["misalignment"]
-    where = f"({1e3 * felt['horizontal']:.1f}, {1e3 * felt['vertical']:.1f}) mm and {math.degrees(felt['angle']):.1f}°"
-    return (
-        f"charge {details['charge_current']:.2f} A, {details['energy']:.0f} J; "
-        f"contact {details['contact_current']:.3f} A, {details['contact_force']:.1f} N; "
-        f"{details['alignments']} alignments, {details['redockings']} redockings, rest {where}"
-    )

@@ -7,6 +7,7 @@ import math
 from typing import Any
 
 from deltacharger_bringup.cli.output import say, tell, write_json
+from deltacharger_core.texts import figure
 from deltacharger_ros.outcomes import Outcome, Progress
 
 
@@ -15,16 +16,12 @@ def report(outcome: Outcome, as_json: bool, more: dict[str, Any]) -> None:
     if as_json:
         write_json({**outcome.as_dict(), **more})
         return
-    if outcome.success:
-        tell(f"{outcome.action}: done in {outcome.elapsed:.1f} s")
-    else:
-        retry = "; the same goal may succeed if sent again" if outcome.retriable else ""
-        tell(f"{outcome.action}: failed, {outcome.error_code} {outcome.error_name}: {outcome.error_message}{retry}")
-        suggested = outcome.details.get("suggested_base_pose")
-        if suggested:
-            place = ", ".join(f"{1e3 * value:.1f}" for value in suggested["position"])
-            turn = f", turned by {math.degrees(suggested['yaw']):+.1f}° about its y" if suggested["yaw"] else ""
-            tell(f"  it could with charger_base at ({place}) mm of {suggested['frame_id']}{turn}")
+    tell(f"{outcome.action}: {outcome.ending()}")
+    suggested = None if outcome.success else outcome.details.get("suggested_base_pose")
+    if suggested:
+        place = ", ".join(f"{1e3 * value:.1f}" for value in suggested["position"])
+        turn = f", turned by {math.degrees(suggested['yaw']):+.1f}° about its y" if suggested["yaw"] else ""
+        tell(f"  it could with charger_base at ({place}) mm of {suggested['frame_id']}{turn}")
 
 
 class PhasePrinter:
@@ -56,18 +53,13 @@ class PhasePrinter:
                 "alignments": progress.alignments,
             }
         )
-        columns = [f"{progress.time:7.2f} s", f"{progress.phase:<9}", _number("z", 1e3 * progress.z, "mm", 1)]
+        columns = [f"{progress.time:7.2f} s", f"{progress.phase:<9}", f"z {figure(1e3 * progress.z, 'mm', 1, 7)}"]
         if progress.charge_current == progress.charge_current:
-            columns.append(_number("charge", progress.charge_current, "A", 2))
+            columns.append(f"charge {figure(progress.charge_current, 'A', 2, 7)}")
         else:
-            columns.append(_number("I_c", progress.contact_current, "A", 3))
+            columns.append(f"I_c {figure(progress.contact_current, 'A', 3, 7)}")
         if self._force is not None:
-            columns.append(_number("force", force, "N", 1))
+            columns.append(f"force {figure(force, 'N', 1, 7)}")
         if progress.waiting_for:
             columns.append(f"waits for {progress.waiting_for}")
         say("  ".join(columns))
-
-
-def _number(name: str, value: float, unit: str, digits: int) -> str:
-    text = "–" if value != value else f"{value:.{digits}f}"
-    return f"{name} {text:>7} {unit}"

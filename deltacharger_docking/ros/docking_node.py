@@ -20,6 +20,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
+from deltacharger_core.version import package_version
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import Command, DockingOutcome, Observation, Request, Service
@@ -32,6 +33,7 @@ from deltacharger_docking.ros.reports import Reports
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_ros import node_support, qos
+from deltacharger_ros.log import Log
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.servos_file import declare_with_servos
 
@@ -62,6 +64,7 @@ class DockingNode(Node):
         reject_unknown(self)
         self._machine = DockingMachine(self._settings, geometry)
         self._lock = threading.RLock()
+        self._log = Log(self)
         self._stopping = threading.Event()
         self._torque_off_at = math.inf
         self._slowest_tick = 0.0
@@ -69,7 +72,7 @@ class DockingNode(Node):
         self._calls = Services(self)
         self._secret = secrets.token_hex(16)  # shows servo_node that trajectories come from this process
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
-        self._reports = Reports(self, self._settings.servo_age_max)
+        self._reports = Reports(self, self._log, self._settings.servo_age_max)
         observe = self._inputs.observation  # takes no reply that the running goal waits for
         self._owners = None if self._settings.keeps_clearance else PortOwners(self)  # nobody else needs them
         self._goals = Goals(
@@ -95,6 +98,7 @@ class DockingNode(Node):
     def release(self) -> None:
         """Begin to work, with the goals that wait."""
         self._closed = False
+        self._log.info(f"takes goals, approach {self._settings.approach}, version {package_version()}")
         self._thread.start()
         self._goals.release()
 
@@ -118,10 +122,11 @@ class DockingNode(Node):
             self._calls.contactor(False, True)
             time.sleep(0.02)
         if self._is_live(self._observe()):
-            self.get_logger().error("the contactor does not open; the torque stays on so that no arc is drawn")
+            self._log.error("the contactor does not open; the torque stays on so that no arc is drawn")
         else:
             self._see_torque_off()
         self._reports.show(self._machine.status, force=True)
+        self._reports.log(self._machine.status, (), self._observe())
         self._goals.close(DockingOutcome(code=Code.CANCELED, message=_SHUTTING_DOWN, retriable=True))
 
     def _see_torque_off(self) -> None:
@@ -190,7 +195,7 @@ class DockingNode(Node):
     def _defect(self, error: Exception) -> None:
         """Make everything safe and end the goal, after one of our own errors."""
         text = f"docking stopped by a defect: {type(error).__name__}: {error}"
-        self.get_logger().error(text, throttle_duration_sec=1.0)
+        self._log.error(text, throttle_duration_sec=1.0)
         with self._lock:
             try:
                 observation = self._observe()
@@ -216,14 +221,16 @@ class DockingNode(Node):
         status = self._machine.status
         self._reports.decided(command.decisions, status.request_id)
         self._reports.show(status, command.states)
+        self._reports.log(status, command.states, observation)
         self._goals.feed_back(command.states, observation.charge_current)
         self._hand_over()
         if self._reports.diagnose(status, observation, self._slowest_tick, self._inputs.refused):
             self._slowest_tick = 0.0
 
-    def _begun(self) -> None:
+    def _begun(self, title: str, wish: str) -> None:
         """Tell the goal that the machine has just begun; one that needs nothing to be done has ended already."""
         self._torque_off_at = math.inf
+        self._reports.begin(title, wish)
         self._reports.show(self._machine.status)
         self._hand_over()
 

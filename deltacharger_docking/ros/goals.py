@@ -12,16 +12,18 @@ from deltacharger.action import Dock, Undock
 from deltacharger.msg import Misalignment
 from rclpy.node import Node
 
+from deltacharger_core.texts import titled
 from deltacharger_docking.clearance import FeltPose
 from deltacharger_docking.codes import Busy, DockingError, State
 from deltacharger_docking.goals import suggested_base
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, DockingOutcome, Observation
 from deltacharger_docking.parameters import DockingNodeParameters
+from deltacharger_docking.phase_log import changes
 from deltacharger_docking.ros import messages as io
-from deltacharger_docking.ros.reports import changes
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
 from deltacharger_ros.messages import duration, seconds, to_result
+from deltacharger_ros.outcomes import place
 
 _ANSWER = 1.0  # s to see a goal's callback end when the node closes
 _FEEDBACK = 0.2  # s between feedbacks without a change
@@ -34,12 +36,14 @@ class ServedGoal(Work):
 
     Args:
         handle: of the goal.
+        name: of the action.
         feedback: class of its message.
     """
 
-    def __init__(self, handle: GoalHandle, feedback: Any) -> None:
+    def __init__(self, handle: GoalHandle, name: str, feedback: Any) -> None:
         super().__init__(handle)
         self.handle = handle
+        self.name = name
         self.feedback = feedback
         self.state = State.IDLE
 
@@ -52,8 +56,8 @@ class Goals:
         machine: carries goals out; stepped by the node.
         lock: held by whoever speaks to the machine.
         observe: gives what is known now.
-        begun: called with the lock held after the machine has begun a goal; it publishes and hands over an outcome
-            that is there at once.
+        begun: called with the lock held after the machine has begun a goal, with the goal's title and wish in words; it
+            publishes and hands over an outcome that is there at once.
         defect: called with the lock held when one of our own errors met a goal at its beginning; it makes the charger
             safe and ends the goal.
         misalignment: gives the message of an estimate.
@@ -67,7 +71,7 @@ class Goals:
         machine: DockingMachine,
         lock: threading.RLock,
         observe: Callable[[], Observation],
-        begun: Callable[[], None],
+        begun: Callable[[str, str], None],
         defect: Callable[[Exception], None],
         misalignment: Callable[[FeltPose | None], Misalignment],
         mount: DockingNodeParameters,
@@ -105,7 +109,7 @@ class Goals:
             self._node,
             kind,
             name,
-            lambda handle: self._begin(ServedGoal(handle, kind.Feedback), read, start),
+            lambda handle: self._begin(ServedGoal(handle, name, kind.Feedback), read, start),
             lambda goal: goal is self._goal,
             lambda error: replace(DockingOutcome.refused(error), suggested_base=suggested_base(error)),
             DockingError,
@@ -201,7 +205,7 @@ class Goals:
             try:
                 start(wish, seen)
                 self._goal = goal
-                self._begun()
+                self._begun(titled(goal.name, request.request_id), _in_words(wish))
             except DockingError:
                 raise
             except Exception as error:  # the machine may have begun: nobody would serve or cancel what it does
@@ -233,3 +237,16 @@ class Goals:
 
 def _request_id(request: Undock.Goal) -> str:
     return str(request.request_id)
+
+
+def _in_words(wish: DockGoal | str) -> str:
+    """Return what a goal wants; '' for an undocking."""
+    if isinstance(wish, str):
+        return ""
+    at = "electrodes where the camera finds them"
+    if wish.electrodes is not None:
+        at = f"electrodes at {place(*wish.electrodes.position, wish.electrodes.roll)}"
+    stops = [f"{wish.stop_energy:g} J" if wish.stop_energy else "", f"{wish.stop_after:g} s" if wish.stop_after else ""]
+    until = " or ".join(filter(None, stops))
+    charge = "charges" if wish.start_charging else "does not charge"
+    return f"{at}, {charge}{until and f' until {until}'}{', holds the goal' if wish.hold else ''}"

@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 from deltacharger.msg import DockingDecision, DockingState
 from rclpy.duration import Duration
@@ -16,27 +15,25 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_docking.codes import State
 from deltacharger_docking.observation import Decision, DockingStatus, Observation
+from deltacharger_docking.phase_log import PhaseLog, changes
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_ros.log import Log
 from deltacharger_ros.refusals import Refusals
 
 _DECISIONS = 50  # depth: none of a docking's decisions is lost while a reader is busy
 _DIAGNOSTICS = 1.0  # s
 
 
-def changes(before: State, passed: Sequence[State], now: State) -> list[State]:
-    """Return the states to tell after `before`: those passed through within one tick, then the present one."""
-    return [state for last, state in pairwise((before, *passed, now)) if state is not last]
-
-
 class Reports:
-    """Publishes docking_state, docking_decision and /diagnostics.
+    """Publishes docking_state, docking_decision and /diagnostics, and logs.
 
     Args:
         node: publishes.
+        log: of the node.
         servo_age_max: age of servo_state (s) from which the diagnostics say ERROR.
     """
 
-    def __init__(self, node: Node, servo_age_max: float) -> None:
+    def __init__(self, node: Node, log: Log, servo_age_max: float) -> None:
         self._node = node
         self._servo_age_max = servo_age_max
         self._shown: DockingStatus | None = None
@@ -45,6 +42,17 @@ class Reports:
         self._state = node.create_publisher(DockingState, "docking_state", latched)
         self._decision = node.create_publisher(DockingDecision, "docking_decision", QoSProfile(depth=_DECISIONS))
         self._diagnostics = Diagnostics(node)
+        self._log, self._phases = log, PhaseLog()
+
+    def begin(self, title: str, wish: str) -> None:
+        """Log that a goal was taken, and what it wants."""
+        self._phases.begin(title)
+        self._log.info(f"{title}: accepted{wish and f', {wish}'}")
+
+    def log(self, status: DockingStatus, passed: Sequence[State], observation: Observation) -> None:
+        """Log what is new: phases, failures, the contactor."""
+        for line in self._phases.lines(status, passed, observation):
+            self._log.info(line)
 
     def show(self, status: DockingStatus, passed: Sequence[State] = (), force: bool = False) -> None:
         """Publish docking_state where it changed, once for each state passed through since the last call."""

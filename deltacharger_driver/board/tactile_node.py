@@ -36,6 +36,7 @@ from deltacharger_driver.parameters import TactileNodeParameters
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import LATEST, SERVICE
@@ -60,6 +61,7 @@ class TactileNode(Node):
             BoardPort(given.port, given.baud_rate).close()
         except DriverError as error:
             raise node_support.StartupError(f"tactile_node: {error}") from error
+        self._lines = Log(self)
         self._frame: TactileSample | None = None
         self._power: PowerSample | None = None
         self._frame_rate, self._power_rate = RateMeter(time.monotonic), RateMeter(time.monotonic)
@@ -105,9 +107,9 @@ class TactileNode(Node):
 
     def _report(self, problem: str) -> None:
         if problem:
-            self.get_logger().error(problem)
+            self._lines.error(problem)
         else:
-            self.get_logger().info(f"board connected at {self._keeper.link.port}")
+            self._lines.info(f"board connected at {self._keeper.link.port}")
 
     def _served(self, response: Any, action: Callable[[], str]) -> Any:
         """Fill `success` and `message` from an action that returns the message or raises why not."""

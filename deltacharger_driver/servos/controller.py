@@ -142,12 +142,12 @@ class ServoController:
         """Ask for "torque_on", "torque_off" or "reboot"; the servos' thread carries it out and finishes the request."""
         return self._requests.put(action)
 
-    def stop(self, reason: str) -> None:
+    def stop(self, reason: str, severity: str = "error") -> None:
         """Goal := present position and contactor open now, torque off after `STOP_TIME`; in the servos' thread only."""
         if self._phase is ServoPhase.ON:
             self._begin_stop(reason, STOP_TIME)
             self.unasked_stop = reason
-            self._notify("error", f"stopping all servos: {reason}")
+            self._notify(severity, f"stopping all servos: {reason}")
 
     def _begin_stop(self, reason: str, seconds: float) -> None:
         """Hold the present position, ask for the contactor to be opened, and let torque go off after `seconds`."""

@@ -46,6 +46,7 @@ from deltacharger_driver.servos.trajectory_node_io import TrajectoryInbox
 from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import Diagnostics
 from deltacharger_ros.duplicates import publishers
+from deltacharger_ros.log import Log
 from deltacharger_ros.parameters import reject_unknown
 from deltacharger_ros.qos import LATEST, SERVICE
 from deltacharger_ros.servos_file import declare_with_servos
@@ -68,6 +69,7 @@ class ServoNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("servo_node", **kwargs)
+        self._lines = Log(self)
         self._contactor = ContactorClient(self)
         self._controller, self._limits = self._configure()
         self._states = StatePublishers(self, LATEST, self._torque_constant)
@@ -86,6 +88,8 @@ class ServoNode(Node):
             self._thread.join()
             self.destroy_node()
             raise node_support.StartupError(f"servo_node: {self._start_error}") from self._start_error
+        settings = self._controller.bus.settings
+        self._lines.info(f"servos {settings.ids} at {settings.port}, {settings.baud_rate} baud")
         # Only now, so that nobody is heard before the servos are known.
         self._inbox = TrajectoryInbox(self, self._limits)
         self._listening.set()
@@ -149,7 +153,7 @@ class ServoNode(Node):
         due = diagnosed = time.monotonic()
         while True:
             if self._stop.is_set():
-                controller.stop("the driver is closing")
+                controller.stop("the driver is closing", "info")
                 if controller.phase in (ServoPhase.OFF, ServoPhase.DISCONNECTED):
                     return
             now = time.monotonic()
@@ -202,7 +206,9 @@ class ServoNode(Node):
         if state is ContactorState.CLOSED:
             controller.freeze()
         if inbox.refused > before:
-            self.get_logger().warning(inbox.last_refusal, throttle_duration_sec=1.0)
+            if self._stop.is_set():  # docking_node holds the arm while it closes, too
+                return
+            self._lines.warning(inbox.last_refusal, throttle_duration_sec=1.0)
 
     def _on_set_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         return self._ask("torque_on" if request.data else "torque_off", response)
@@ -223,13 +229,8 @@ class ServoNode(Node):
         return response
 
     def _log(self, severity: str, sentence: str) -> None:
-        logger = self.get_logger()
-        if severity == "error":
-            logger.error(sentence)
-        elif severity == "warning":
-            logger.warning(sentence)
-        else:
-            logger.info(sentence)
+        says = {"error": self._lines.error, "warning": self._lines.warning}
+        says.get(severity, self._lines.info)(sentence)
 
 
 def main(args: Sequence[str] | None = None) -> int:

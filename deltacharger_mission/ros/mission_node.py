@@ -17,6 +17,7 @@ from typing import Any
 from deltacharger.action import ChargeRobot
 from rclpy.node import Node
 
+from deltacharger_core.texts import titled
 from deltacharger_docking.codes import Busy, Code, DockingError, Rejected
 from deltacharger_docking.ros.goals import MEASURED
 from deltacharger_mission.dialogue import MissionOutcome
@@ -25,9 +26,11 @@ from deltacharger_mission.parameters import MissionNodeParameters, MissionParame
 from deltacharger_mission.places import BaseMount, Place
 from deltacharger_mission.ros import messages as io
 from deltacharger_mission.ros.others import Others
+from deltacharger_mission.stage_log import StageLog
 from deltacharger_ros import node_support
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
 from deltacharger_ros.diagnostics import OK, WARN, Diagnostics
+from deltacharger_ros.log import Log
 from deltacharger_ros.messages import duration, to_result
 from deltacharger_ros.parameters import declare_all, reject_unknown
 
@@ -88,6 +91,7 @@ class MissionNode(Node):
         trees = given.behavior_tree, given.precise_behavior_tree
         self._others = Others(self, navigate_to_pose, trees, settings.lost_timeout)
         self._diagnostics = Diagnostics(self)
+        self._log, self._stages = Log(self), StageLog()
         self._lock = threading.RLock()
         self._mission: _Mission | None = None
         self._diagnosed = -math.inf
@@ -139,7 +143,7 @@ class MissionNode(Node):
                     self._others.carry_out(self._machine.step(self._others.observe()))
                     self._report()
             except Exception as error:  # a defect must call everything off and end the goal, not the thread
-                self.get_logger().error(f"the mission met a defect: {type(error).__name__}: {error}")
+                self._log.error(f"the mission met a defect: {type(error).__name__}: {error}")
                 outcome = MissionOutcome(message=f"internal error: {error}; the robot stands where it is, see the log")
                 with self._lock:
                     self._others.carry_out(self._machine.emergency())
@@ -155,6 +159,8 @@ class MissionNode(Node):
                 self._machine.cancel()
             if mission.is_due((status.stage, len(mission.handles)), _FEEDBACK):  # who has joined is told at once
                 mission.feed_back(ChargeRobot.Feedback(stage=int(status.stage), elapsed=duration(status.elapsed)))
+            for line in self._stages.lines(status):
+                self._log.info(line)
         outcome, self._machine.outcome = self._machine.outcome, None
         if outcome is not None:
             self._end(outcome)
@@ -211,6 +217,8 @@ class MissionNode(Node):
                 raise
             self._others.dock_result = io.unknown_dock()
             self._mission = mission
+            self._stages.begin(title := titled("charge_robot", mission.request_id))
+            self._log.info(f"{title}: accepted")
             return mission
 
 

@@ -100,6 +100,9 @@ class MockTactileNode(Node):
         self._thread.join(2.0)
         with self._lock:
             self._power.open()
+            power = self._power_sample(time.monotonic())
+        if self.context.ok():
+            self._samples.power(*power)  # whoever waits to see it open sees it, also where all nodes end at once
 
     @property
     def contactor_closed(self) -> bool:

@@ -18,7 +18,7 @@ from rclpy.action.client import ActionClient
 from rclpy.qos import QoSProfile
 
 from deltacharger_docking.codes import State
-from deltacharger_docking.ros.reports import changes
+from deltacharger_docking.phase_log import changes
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.messages import fill_pose
 from deltacharger_ros.outcomes import DockRequest, Outcome, Pose

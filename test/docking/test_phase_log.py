@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What docking logs: every phase once and in order, every failure with its code, the contactor, and no line else."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deltacharger_docking.codes import Code, State
+from deltacharger_docking.observation import Command, DockGoal, DockingStatus, Observation
+from deltacharger_docking.phase_log import PhaseLog
+from deltacharger_lab.campaigns.virtual_charger import GOAL, VirtualCharger
+
+from .dockings import quick_charger
+
+PASSAGE = re.compile(r"^dock order-1: (\w+) → (\w+)( after \d+\.\d s)?(, |$)")
+states = st.sampled_from(list(State))
+
+
+def passages(lines: list[str]) -> list[tuple[str, str]]:
+    return [(found[1], found[2]) for line in lines if (found := PASSAGE.match(line))]
+
+
+@pytest.fixture
+def told(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What the log of every virtual charger says, each stepped as docking_node steps its own."""
+    lines: list[str] = []
+    log, follow = PhaseLog(), VirtualCharger._follow
+    log.begin("dock order-1")
+
+    def followed(run: Any, command: Command) -> None:
+        follow(run, command)
+        lines.extend(log.lines(run.machine.status, command.states, run.observe()))
+
+    monkeypatch.setattr(VirtualCharger, "_follow", followed)
+    return lines
+
+
+def test_a_docking_is_told_phase_by_phase_with_its_contactor(told: list[str]) -> None:
+    run = quick_charger(1.0, -1.0, 1.0)
+    assert run.dock().success
+    run.run(1.0)
+    assert run.undock().success
+    run.run(0.1)
+    found = passages(told)
+    assert found[0] == ("idle", "approach")
+    assert all(left[1] == right[0] for left, right in itertools.pairwise(found)), found
+    assert found[-1][1] == "idle"
+    assert {"contact", "measure", "energise", "charging", "retract"} <= {after for _, after in found}
+    closed, opened = (line for line in told if "contactor" in line)
+    assert closed.startswith("dock order-1: contactor closed, target ")
+    assert re.match(r"dock order-1: contactor open after \d+\.\d s$", opened)
+    assert len(told) == len(found) + 2, "a line for each change, and none for a tick"
+    (measured, *_) = [line for line in told if "contact → measure" in line]
+    assert re.search(r"z \d+\.\d mm, contact current 0\.\d{3} A, force \d+\.\d N$", measured)
+    (charging,) = [line for line in told if "→ charging" in line]
+    assert re.search(r"charge current \d+\.\d\d A$", charging)
+    assert "nan" not in "".join(told)
+
+
+def test_a_failure_is_told_once_where_the_way_back_begins(told: list[str]) -> None:
+    run = quick_charger(1.0, -1.0, 1.0, parameters={"restarts_max": 0})
+    run.begin(DockGoal(GOAL))
+    run.until(lambda: run.machine.status.state is State.CONTACT, 60.0)
+    run.machine.cancel()
+    assert run.finish(60.0).code is Code.CANCELED
+    (failed,) = [line for line in told if "102 CANCELED: cancelled by the client" in line]
+    assert "contact → retract after" in failed
+
+
+def status(state: State, code: Code = Code.NONE, message: str = "") -> DockingStatus:
+    return DockingStatus(state=state, code=code, message=message)
+
+
+def test_docking_again_is_told_and_its_failure_too() -> None:
+    log = PhaseLog()
+    log.begin("dock order-1")
+    log.lines(status(State.CONTACT), (State.APPROACH, State.CONTACT), Observation(1.0))
+    (failed,) = log.lines(status(State.RETRACT, Code.NO_CONTACT, "met nothing"), (State.RETRACT,), Observation(3.0))
+    assert failed == "dock order-1: contact → retract after 2.0 s, 302 NO_CONTACT: met nothing"
+    (again,) = log.lines(status(State.APPROACH), (State.APPROACH,), Observation(4.5))
+    assert again == "dock order-1: retract → approach after 1.5 s, docking again"
+
+
+def test_a_failure_without_another_phase_is_told_too() -> None:
+    log = PhaseLog()
+    (line,) = log.lines(status(State.IDLE, Code.SERVO_FAULT, "limp"), (), Observation(0.0))
+    assert line == "docking: idle, 304 SERVO_FAULT: limp"
+    assert log.lines(status(State.IDLE, Code.SERVO_FAULT, "limp"), (), Observation(0.1)) == []
+
+
+@given(st.lists(st.tuples(st.lists(states), states, st.booleans(), st.sampled_from(list(Code))), max_size=20))
+def test_lines_follow_the_states_whatever_comes(steps: list[tuple[list[State], State, bool, Code]]) -> None:
+    log = PhaseLog()
+    log.begin("dock order-1")
+    told, entered, now = [], [State.IDLE], itertools.count()
+    for passed, state, closed, code in steps:
+        seen = Observation(float(next(now)), contactor_closed=closed, charge_current=math.nan)
+        told += log.lines(status(state, code, "why"), passed, seen)
+        entered += [*passed, state]
+        assert log.lines(status(state, code, "why"), (), seen) == [], "nothing is told twice"
+    wanted = [state.name.lower() for state, _ in itertools.groupby(entered)]
+    assert ["idle", *(after for _, after in passages(told))] == wanted

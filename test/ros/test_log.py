@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node's log: one line each, whatever is in it, and a process that goes on where nobody reads its standard error."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+from rclpy.node import Node
+
+from deltacharger_ros.log import Log
+
+from ..chargers import DEADLINE
+from ..nodes import options
+
+pytestmark = pytest.mark.ros
+
+_BLOCKED = """
+import os, sys
+from deltacharger_core import environment
+environment.prepare()
+import rclpy
+from rclpy.node import Node
+from deltacharger_ros.log import Log
+rclpy.init(args=[])
+node = Node("subject")
+log = Log(node)
+reader, writer = os.pipe()
+os.dup2(writer, 2)
+os.set_blocking(writer, False)
+try:
+    while True:
+        os.write(writer, bytes(4096))
+except BlockingIOError:
+    os.set_blocking(writer, True)
+log.info("lost")
+log.warning("lost too")
+os.set_blocking(reader, False)
+try:
+    while os.read(reader, 65536):
+        pass
+except BlockingIOError:
+    os.set_blocking(reader, True)
+log.info("heard again")
+sys.stdout.write(os.read(reader, 65536).decode())
+"""
+
+
+def test_what_would_control_a_terminal_is_spelt_out_on_one_line(
+    context: Any, namespace: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    node = Node("subject", **options(context, namespace))
+    log = Log(node)
+    log.info("dock \x1b[31mred\r\n[ERROR] forged\x00: accepted")
+    log.warning("x" * 5000)
+    node.destroy_node()
+    first, second = capfd.readouterr().err.splitlines()
+    assert "dock \\u001b[31mred\\u000d\\u000a[ERROR] forged\\u0000: accepted" in first
+    assert first.startswith("[INFO]")
+    assert len(second) < 1200
+
+
+def test_lines_that_standard_error_does_not_take_are_left_out_and_counted() -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", _BLOCKED], capture_output=True, text=True, timeout=DEADLINE, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    told = [line.split(": ", 1)[1] for line in ended.stdout.splitlines()]
+    assert told == ["2 lines of this log are missing here: standard error took none", "heard again"]
