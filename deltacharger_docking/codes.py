@@ -93,6 +93,10 @@ class Canceled(DockingError, code=Code.CANCELED, retriable=True):
     """The client took its wish back."""
 
 
+class NoTime(Rejected, retriable=True):
+    """The clock that stamps messages has no time yet. Example: use_sim_time is set before anything publishes /clock."""
+
+
 class PhaseTimeout(DockingError, TimeoutError, code=Code.TIMEOUT, retriable=True):
     """A phase or the whole docking took longer than its limit."""
 

@@ -273,6 +273,9 @@ class DockingMachine:
         status.code, status.message = blamed.code, str(blamed)
         if first is not None:
             status.message = f"{first}; then, docking again: {last}"
+        problem = self._context.observation.clock_problem
+        if problem and not isinstance(blamed, Canceled):  # where ages cannot be judged, data seem stale
+            status.message = f"{status.message}; {problem}"
         self._context.decide("interrupted", f"{last.code.name}: {last}", code=last.code)
         return blamed
 

@@ -131,7 +131,8 @@ class Observation:
 
     `duplicate_sources` names who publishes or serves beside another what docking works with; '' = nobody. `earlier` are
     readings of the servos made since the last observation, where there were more than this one. `simulated` only where
-    servos and board are known to be a simulated charger's.
+    servos and board are known to be a simulated charger's. `clock_problem` says what is wrong with the clock by which
+    ages are judged; '' = nothing.
     """
 
     time: float
@@ -155,6 +156,7 @@ class Observation:
     replies: tuple[Reply, ...] = ()
     earlier: tuple[Reading, ...] = ()
     simulated: bool = False
+    clock_problem: str = ""
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from deltacharger_kinematics.parameters import SERVOS_FOLLOW, KinematicsNodePara
 from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
+from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.parameters import reject_unknown
 from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.servos_file import declare_with_servos
@@ -56,7 +57,7 @@ class KinematicsNode(Node):
         self._pose = self.create_publisher(PoseStamped, "end_effector_pose", _DEFAULT_DEPTH)
         self._wrench = self.create_publisher(WrenchStamped, "contact_wrench", _DEFAULT_DEPTH)
         self._servo_state: Subscription[ServoState] | None = None  # only while somebody wants what is made of it
-        self.create_timer(_LOOK, self._listen_while_wanted)
+        steady_timer(self, _LOOK, self._listen_while_wanted)
         group = ReentrantCallbackGroup()
         self.create_service(
             SolveInverseKinematics,

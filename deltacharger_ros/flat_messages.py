@@ -24,22 +24,25 @@ class Stamps:
     """Translates instants from the monotonic clock to a node's clock; used by one thread.
 
     The difference is measured ten times a second and not for every message: reading ROS time costs as much as filling
-    a message, and meanwhile the two drift apart by 50 ns at most where the system's clock is being slewed.
+    a message, and meanwhile the two drift apart by 50 ns at most where the system's clock is being slewed. A clock that
+    follows /clock runs at any rate, so there it is measured each time.
 
     Args:
         clock: of the node.
     """
 
     def __init__(self, clock: Clock) -> None:
-        self._clock = clock
+        self._clock: Any = clock  # a ROS clock: every node's is
+        self._follows = False
         self._offset = 0  # ns
         self._due = -1.0
 
     def convert(self, instant: float) -> tuple[int, int]:
         """Return `instant` (s, monotonic) as the s and ns of a stamp."""
         now = time.monotonic()
-        if now >= self._due:
+        if self._follows or now >= self._due:
             self._due = now + _LOOK
+            self._follows = self._clock.ros_time_is_active
             self._offset = min(self._look() for _ in range(_LOOKS))[1]
         return divmod(max(int(instant * 1e9) + self._offset, 0), 1_000_000_000)
 

@@ -16,7 +16,6 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy.duration import Duration
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
@@ -33,6 +32,7 @@ from deltacharger_docking.ros.reports import Reports
 from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_ros import node_support, qos
+from deltacharger_ros.clock import before_now
 from deltacharger_ros.log import Log
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.servos_file import declare_with_servos
@@ -211,8 +211,8 @@ class DockingNode(Node):
         self._calls.contactor(command.energise, observation.contactor_closed)
         if command.trajectory is not None:
             # Not the instant of sending: planning a line takes milliseconds, and times count from the observation.
-            now = self.get_clock().now() - Duration(seconds=time.monotonic() - observation.time)
-            self._trajectory.publish(io.trajectory(command.trajectory, now.to_msg(), self._secret))
+            stamp = before_now(self.get_clock(), time.monotonic() - observation.time)
+            self._trajectory.publish(io.trajectory(command.trajectory, stamp, self._secret))
         for request in command.requests:
             self._calls.call(request)
 

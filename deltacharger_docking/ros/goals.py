@@ -14,7 +14,7 @@ from rclpy.node import Node
 
 from deltacharger_core.texts import titled
 from deltacharger_docking.clearance import FeltPose
-from deltacharger_docking.codes import Busy, DockingError, State
+from deltacharger_docking.codes import Busy, DockingError, NoTime, State
 from deltacharger_docking.goals import suggested_base
 from deltacharger_docking.machine import DockingMachine
 from deltacharger_docking.observation import DockGoal, DockingOutcome, Observation
@@ -22,6 +22,7 @@ from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_docking.phase_log import changes
 from deltacharger_docking.ros import messages as io
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
+from deltacharger_ros.clock import NO_TIME_YET, ClockWatch
 from deltacharger_ros.messages import duration, seconds, to_result
 from deltacharger_ros.outcomes import place
 
@@ -77,7 +78,7 @@ class Goals:
         mount: DockingNodeParameters,
         look: Callable[[], None] = lambda: None,
     ) -> None:
-        self._node = node
+        self._node, self._clock = node, ClockWatch(node.get_clock())
         self._machine = machine
         self._lock = lock
         self._observe = observe
@@ -201,6 +202,8 @@ class Goals:
         with self._lock:
             if self._refusal:
                 raise Busy(self._refusal)
+            if self._clock.has_no_time:
+                raise NoTime(NO_TIME_YET)
             wish, seen = read(request), self._observe()
             try:
                 start(wish, seen)

@@ -17,11 +17,13 @@ from rclpy.serialization import deserialize_message
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, JOINTS, ROWS
 from deltacharger_docking.observation import Observation, Reply
 from deltacharger_docking.ros.witness import Witness
+from deltacharger_ros.clock import ClockWatch
 from deltacharger_ros.duplicates import Duplicates
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.on_demand import LatestMessage, PolledTopic
 from deltacharger_ros.refusals import AHEAD, MessageRefused, Refusals, check_ahead, stamp_and_sequence, stamp_seconds
 
+_ANOTHER_CLOCK = 1e6  # s; no message is so old, nor so far ahead, by the clock that stamped it
 _SPELL = 64  # tactile frames, half a second: what comes while docking's thread is held up is still heard
 _FRAME_MAX = 16_384  # bytes of a tactile frame; one has 900
 _PER_SERVO = ("position", "current", "hardware_error", "torque_enabled", "valid")
@@ -41,12 +43,14 @@ class Inputs:
     Attributes:
         refused: messages that were not taken.
         simulated: whether servos and board are known to be a simulated charger's; what it tells as its observation's.
+        clock: by which ages are judged. While /clock stands still nothing counts as measured anew.
     """
 
     def __init__(self, node: Node) -> None:
         self.refused = Refusals()
         self.simulated = False
         self._clock, self._logger = node.get_clock(), node.get_logger()
+        self.clock = ClockWatch(self._clock)
         self._lock = threading.Lock()
         self._servo = LatestMessage(node, ServoState, "servo_state", QoSProfile(depth=1))
         self._power = LatestMessage(node, ChargerPower, "charger_power", QoSProfile(depth=1))
@@ -56,6 +60,7 @@ class Inputs:
         self._duplicates = Duplicates(node, SOURCES, (*SERVERS, *_GOALS))
         self._double, self._looked = "", -math.inf
         self._heard: dict[type[Any], Any] = {}  # the latest of each
+        self._ahead: dict[type[Any], float] = {}  # of this node's clock, s, by the stamp of what came last
         self._measured = dict.fromkeys((ServoState, TactileFrame, ChargerPower), -math.inf)  # and when, s
 
     def wait(self, timeout: float) -> None:
@@ -116,6 +121,7 @@ class Inputs:
         instant, now = self._instant()
         try:
             stamp = stamp_seconds(message.header.stamp)
+            self._ahead[kind] = stamp - now
             check_ahead(stamp - now)
             if known is not None and stamp < (before := stamp_seconds(known.header.stamp)) <= now + AHEAD:
                 raise MessageRefused(f"its stamp is {before - stamp:.3f} s older than one before")
@@ -138,8 +144,9 @@ class Inputs:
 
     def _compose(self, replies: tuple[Reply, ...], contactor_refusal: str) -> Observation:
         now = time.monotonic()
+        self.clock.look(now)
         servo, tactile, power = (self._heard.get(kind) for kind in self._measured)
-        ages = (now - measured for measured in self._measured.values())
+        ages = (now - min(measured, self.clock.stepped) for measured in self._measured.values())
         values: dict[str, Any] = dict(zip(("servo_age", "tactile_age", "power_age"), ages, strict=True))
         if servo is not None:
             values.update(
@@ -165,8 +172,16 @@ class Inputs:
             contactor_refusal=contactor_refusal,
             duplicate_sources=self._double,
             simulated=self.simulated,
+            clock_problem=self.clock.problem(now) or self._other_clock(now),
             **values,
         )
+
+    def _other_clock(self, now: float) -> str:
+        """Return whose stamps are not of this node's clock at all, '' = nobody's."""
+        for kind, measured in self._measured.items():
+            if _ANOTHER_CLOCK < now - measured < math.inf or self._ahead.get(kind, 0.0) > _ANOTHER_CLOCK:
+                return f"{_NAMES[kind]} is stamped by another clock: set use_sim_time for all nodes or for none"
+        return ""
 
 
 def _in_order(message: ServoState) -> ServoState:

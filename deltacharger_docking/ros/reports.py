@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from deltacharger.msg import DockingDecision, DockingState
-from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from deltacharger_docking.codes import State
 from deltacharger_docking.observation import Decision, DockingStatus, Observation
 from deltacharger_docking.phase_log import PhaseLog, changes
+from deltacharger_ros.clock import before_now
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.log import Log
 from deltacharger_ros.refusals import Refusals
@@ -87,8 +87,7 @@ class Reports:
                 names=[name for name, _ in decision.values],
                 values=[float(value) for _, value in decision.values],
             )
-            age = Duration(seconds=time.monotonic() - decision.time)
-            message.header.stamp = (self._node.get_clock().now() - age).to_msg()
+            message.header.stamp = before_now(self._node.get_clock(), time.monotonic() - decision.time)
             message.header.frame_id = "charger_base"
             self._decision.publish(message)
 

@@ -35,6 +35,7 @@ from deltacharger_driver.errors import DriverError
 from deltacharger_driver.parameters import TactileNodeParameters
 from deltacharger_driver.rate_meter import RateMeter
 from deltacharger_ros import node_support
+from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import seconds
@@ -83,7 +84,7 @@ class TactileNode(Node):
             callback_group=ReentrantCallbackGroup(),
             qos_profile=SERVICE,
         )
-        self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose)
+        steady_timer(self, _DIAGNOSTICS_PERIOD, self._diagnose)
         self._keeper = BoardKeeper(
             given.port, given.baud_rate, given.rate, self._publish_frame, self._publish_power, self._report
         )

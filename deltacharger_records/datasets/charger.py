@@ -15,7 +15,6 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.context import Context
-from rclpy.duration import Duration
 from std_srvs.srv import Trigger
 
 from deltacharger_docking.machine import DockingMachine
@@ -29,6 +28,7 @@ from deltacharger_records.datasets.arm_guest import ArmError, ArmGuest
 from deltacharger_records.datasets.keeper import TOPICS, Tape
 from deltacharger_records.datasets.session import TouchSession
 from deltacharger_records.node_parameters import docking_settings
+from deltacharger_ros.clock import before_now
 from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.raw_topics import listen
 
@@ -200,8 +200,8 @@ class RecordingCharger(ArmGuest):
     def _carry_out(self, command: Command, observation: Observation) -> None:
         if command.trajectory is not None:
             # Not the instant of sending: planning a line takes milliseconds, and times count from the observation.
-            now = self.node.get_clock().now() - Duration(seconds=time.monotonic() - observation.time)
-            self._publisher.publish(io.trajectory(command.trajectory, now.to_msg()))
+            stamp = before_now(self.node.get_clock(), time.monotonic() - observation.time)
+            self._publisher.publish(io.trajectory(command.trajectory, stamp))
         for request in command.requests:
             self.is_driving = self.is_driving or request.service is Service.TORQUE_ON
             self._calls.call(request)

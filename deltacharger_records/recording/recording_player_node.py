@@ -28,6 +28,7 @@ from deltacharger_records.parameters import RecordingPlayerNodeParameters
 from deltacharger_records.recording.docking_topics import STATE, TOPICS
 from deltacharger_records.replay.file import Recording
 from deltacharger_ros import node_support, qos
+from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.raw_topics import Topic
@@ -67,7 +68,7 @@ class RecordingPlayerNode(Node):
         self._say_what_is_there()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recording player", daemon=True)
-        self.create_timer(_DIAGNOSTICS, self._diagnose)
+        steady_timer(self, _DIAGNOSTICS, self._diagnose)
         self._thread.start()
 
     def close(self) -> None:

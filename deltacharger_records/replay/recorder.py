@@ -17,6 +17,7 @@ from deltacharger_records.node_parameters import ParameterReader, known_settings
 from deltacharger_records.replay.run_builder import RunBuilder
 from deltacharger_records.replay.run_record import Run
 from deltacharger_ros import qos
+from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.guest import Guest
 from deltacharger_ros.outcomes import Outcome, Progress
 
@@ -54,7 +55,7 @@ class Recorder(Guest):
         node.create_subscription(ChargerPower, "charger_power", self._taker(build.power), qos.LATEST)
         node.create_subscription(Image, "electrode_detection/image", self._on_image, qos.SENSOR)
         self._parameters = ParameterReader(node, "docking_node")
-        self._asking = node.create_timer(_ASK, self._ask)
+        self._asking = steady_timer(node, _ASK, self._ask)
         self.serve()
 
     def force(self) -> float:

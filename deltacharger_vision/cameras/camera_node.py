@@ -27,6 +27,7 @@ from rclpy.utilities import remove_ros_args
 
 from deltacharger_core.mcap_file import RecordingError
 from deltacharger_ros import node_support
+from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, Diagnostics
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_vision.cameras.keeper import CameraKeeper, ImageSource, OpenCamera
@@ -131,7 +132,7 @@ class CameraNode(Node):
         self._source: CameraKeeper | RecordingPlayer = (
             self._replay(Path(self._given.replay)) if self._given.replay else self._keeper(open_camera)
         )
-        self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose)
+        steady_timer(self, _DIAGNOSTICS_PERIOD, self._diagnose)
         self._source.start()
 
     def close(self) -> None:

@@ -26,6 +26,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 
 from deltacharger_ros import node_support
+from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
@@ -78,7 +79,7 @@ class ElectrodeDetectorNode(Node):
         self.create_service(
             DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=group, qos_profile=SERVICE
         )
-        self.create_timer(1.0, self._diagnose)
+        steady_timer(self, 1.0, self._diagnose)
         self._thread: threading.Thread | None = None
         if rate > 0.0:
             self._thread = threading.Thread(target=self._watch, args=(1.0 / rate,), name="detector", daemon=True)
