@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -58,9 +59,13 @@ def reject_unknown(node: Node) -> None:
             hint = did_you_mean(name, sorted(known))
             raise StartupError(f"{node.get_name()}: unknown parameter '{name}'{hint}")
 
+    described = weakref.WeakMethod(node.describe_parameter)  # a node that fails to start must go at once
+
     def widened(given: list[Parameter[Any]]) -> list[Parameter[Any]]:
+        describe = described()
         return [
-            _widened(each, node.describe_parameter(each.name).type) if each.name in known else each for each in given
+            each if describe is None or each.name not in known else _widened(each, describe(each.name).type)
+            for each in given
         ]
 
     node.add_pre_set_parameters_callback(widened)

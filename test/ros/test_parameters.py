@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import dataclass
 from typing import Any
 
@@ -136,3 +137,13 @@ def test_a_wrong_parameter_stops_the_node_with_its_name(
 
     with pytest.raises(StartupError, match=says):
         Subject()
+
+
+def test_a_node_that_fails_after_its_parameters_is_gone_at_once(context: Any, namespace: str) -> None:
+    """What is left of it would be closed with the context, though it was never complete."""
+    node = Node("subject", **options(context, namespace))
+    declare_all(node, Rates)
+    reject_unknown(node)
+    left = weakref.ref(node)
+    del node
+    assert left() is None
