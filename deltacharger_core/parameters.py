@@ -55,7 +55,7 @@ class Declaration:
         unit: of value and bounds, '' for none.
         low, high: bounds, inclusive; infinite = whatever is finite.
         choices: the allowed texts; empty = any.
-        live: whether it may be set while its node runs.
+        live: whether it may be set while its node runs; where the node serves goals, between them.
     """
 
     name: str
@@ -112,15 +112,21 @@ def number(default: float | None, low: float, high: float, unit: str, text: str)
     return _declared(int if whole else float, default, text, unit=unit, low=low, high=high)
 
 
+def tunable(default: float, low: float, high: float, unit: str, text: str) -> Any:
+    """Declare a field as `number` does, which may be set while its node runs."""
+    item = number(default, low, high, unit, text)
+    return field(default=default, metadata={_KEY: replace(item.metadata[_KEY], live=True)})
+
+
 def numbers(default: tuple[float, ...], low: float, high: float, unit: str, text: str) -> Any:
     """Declare a field of several numbers, each within the bounds; whole ones where those of the default are."""
     whole = all(isinstance(item, int) for item in default)
     return _declared(int if whole else float, default, text, unit=unit, low=low, high=high)
 
 
-def flag(default: bool, text: str) -> Any:
+def flag(default: bool, text: str, live: bool = False) -> Any:
     """Declare a field that is true or false."""
-    return _declared(bool, default, text)
+    return _declared(bool, default, text, live=live)
 
 
 def words(default: str | tuple[str, ...], text: str, live: bool = False) -> Any:

@@ -85,6 +85,10 @@ class Context:
         self._requests: list[Request] = []
         self._decisions: list[Decision] = []
 
+    def decide_by(self, parameters: DockingParameters) -> None:
+        """Go by other parameters, which differ from the present ones in none that describes the machine."""
+        self.parameters = self.planner.parameters = parameters
+
     @property
     def position(self) -> Vector:
         """Measured platform position (m, charger_base)."""

@@ -57,13 +57,17 @@ class DockingMachine:
         planner: Planner | None = None,
         feed: TrajectoryFeed | None = None,
     ) -> None:
-        self.parameters = parameters
         self._context = Context(parameters, geometry or DeltaGeometry(), planner, feed)
         self._desk = GoalDesk(self._context)
         self._runner = Runner()
         self._interruptible = False
         self._docking: TargetVisit | None = None
         self._refusal: DockingError | None = None  # what a further goal brings to an end
+
+    @property
+    def parameters(self) -> DockingParameters:
+        """What it decides by."""
+        return self._context.parameters
 
     @property
     def status(self) -> DockingStatus:
@@ -125,6 +129,15 @@ class DockingMachine:
             raise Busy(self._what_goes_on())
         check_id(request_id)
         self._begin(_undock, observation, request_id)
+
+    def tune(self, parameters: DockingParameters) -> str:
+        """Decide by other values of the live parameters from the next goal on; return why not where that is refused."""
+        if self._is_supervising and not self._desk.is_open:
+            return "the electrodes rest on the target, watched over; undock first"
+        if self._desk.is_open or self._runner.is_running:
+            return f"a goal is running: {self._what_goes_on()}"
+        self._context.decide_by(parameters)
+        return ""
 
     def start(self, script: Callable[[Context], Script[str]], observation: Observation) -> None:
         """Begin a script of somebody else's, however long it takes; the text that it returns tells its success.

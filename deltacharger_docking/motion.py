@@ -20,11 +20,12 @@ class Planner:
     """Plans lines in ``charger_base`` (m) under speed limits, with the weight of the arm fed forward.
 
     Attributes:
+        parameters: which may be replaced where only what is not of the machine differs.
         springs: what the servos yield by.
     """
 
     def __init__(self, parameters: DockingParameters, geometry: DeltaGeometry) -> None:
-        self._parameters = parameters
+        self.parameters = parameters
         self._delta = Delta(geometry)
         self.springs = Springs(parameters)
 
@@ -52,10 +53,10 @@ class Planner:
                     f"the arm stands where it cannot be moved from: {error}; push it back by hand, with its torque off"
                 ) from error
             raise Unreachable(f"the arm cannot go that way: {error}; move the robot closer to the target") from error
-        held = self._delta.holding_torque(line.positions, self._parameters.gravity)
+        held = self._delta.holding_torque(line.positions, self.parameters.gravity)
         angles, velocities = self._command(line, held / self.springs.stiffness)
-        allowed = self._parameters.push_current if push is None else push
-        bound = np.abs(held) + allowed * self._parameters.torque_constant
+        allowed = self.parameters.push_current if push is None else push
+        bound = np.abs(held) + allowed * self.parameters.torque_constant
         return tuple(
             Waypoint(time, _vector(row), _vector(torque), _vector(rate))
             for time, row, torque, rate in list(zip(line.times.tolist(), angles, bound, velocities, strict=True))[1:]

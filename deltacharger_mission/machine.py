@@ -44,7 +44,6 @@ class MissionMachine:
     """
 
     def __init__(self, parameters: MissionParameters, mount: BaseMount, home: Place | None) -> None:
-        self.parameters = parameters
         self._mount = mount
         self._home = home
         self._context = MissionContext(parameters)
@@ -52,6 +51,11 @@ class MissionMachine:
         self._cancel = self._interruptible = self._returns = False
         self._started = 0.0
         self.outcome: MissionOutcome | None = None
+
+    @property
+    def parameters(self) -> MissionParameters:
+        """What it decides by."""
+        return self._context.parameters
 
     @property
     def status(self) -> MissionStatus:
@@ -80,6 +84,13 @@ class MissionMachine:
         self._cancel = False
         self.outcome = None
         self._runner.start(self._mission(goal))
+
+    def tune(self, parameters: MissionParameters, home: Place | None) -> str:
+        """Decide by other parameters from the next goal on; return why not where that is refused."""
+        if self.busy:
+            return "a goal is running: another mission is under way; cancel it or wait for its result"
+        self._context.parameters, self._home = parameters, home
+        return ""
 
     def cancel(self) -> None:
         """Let the goal end with CANCELED: undocked and returned; on the way back already, where the robot stands."""

@@ -6,50 +6,52 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from deltacharger_core.parameters import Bounded, choice, like, number, words
+from deltacharger_core.parameters import Bounded, choice, like, number, tunable, words
 from deltacharger_docking.parameters import DockingNodeParameters
 
 
 @dataclass(frozen=True)
 class MissionParameters(Bounded):
-    """Parameters of the mission state machine; reasons in docs/mission.md.
+    """Parameters of the mission state machine, which may be set between goals; reasons in docs/mission.md.
 
     Raises:
         ParameterError: a value lies outside its bounds.
     """
 
-    home_x: float = number(0.0, -1e5, 1e5, "m", "where the base returns to, x in map_frame")
-    home_y: float = number(0.0, -1e5, 1e5, "m", "where the base returns to, y in map_frame")
-    home_yaw: float = number(0.0, -math.pi, math.pi, "rad", "heading there")
-    electrodes_x: float = number(0.0, -5.0, 5.0, "m", "electrodes on the robot to be charged, x in the goal's target")
-    electrodes_y: float = number(0.0, -5.0, 5.0, "m", "electrodes on the robot to be charged, y in the goal's target")
-    electrodes_yaw: float = number(0.0, -math.pi, math.pi, "rad", "which way they face, from the target's x to its y")
-    view_distance: float = number(0.20, 0.08, 2.0, "m", "distance of the electrodes at which the search begins")
-    search_turn: float = number(0.2, 0.02, 1.0, "rad", "turn between two views")
-    search_turns: int = number(2, 0, 8, "", "turns to either side at each distance")
-    search_step: float = number(0.15, 0.01, 1.0, "m", "step back between two rows of views")
-    search_steps: int = number(1, 0, 5, "", "steps back")
-    look_timeout: float = number(3.0, 0.2, 60.0, "s", "how long the camera looks for the electrodes from one place")
-    stand_tolerance: float = number(0.03, 0.005, 0.5, "m", "distance from the right place that docking starts from")
-    stand_turn_tolerance: float = number(0.05, 0.01, 1.0, "rad", "turn from the right heading that docking starts from")
-    facing_stddev_max: float = number(
+    home_x: float = tunable(0.0, -1e5, 1e5, "m", "where the base returns to, x in map_frame")
+    home_y: float = tunable(0.0, -1e5, 1e5, "m", "where the base returns to, y in map_frame")
+    home_yaw: float = tunable(0.0, -math.pi, math.pi, "rad", "heading there")
+    electrodes_x: float = tunable(0.0, -5.0, 5.0, "m", "electrodes on the robot to be charged, x in the goal's target")
+    electrodes_y: float = tunable(0.0, -5.0, 5.0, "m", "electrodes on the robot to be charged, y in the goal's target")
+    electrodes_yaw: float = tunable(0.0, -math.pi, math.pi, "rad", "which way they face, from the target's x to its y")
+    view_distance: float = tunable(0.20, 0.08, 2.0, "m", "distance of the electrodes at which the search begins")
+    search_turn: float = tunable(0.2, 0.02, 1.0, "rad", "turn between two views")
+    search_turns: int = tunable(2, 0, 8, "", "turns to either side at each distance")
+    search_step: float = tunable(0.15, 0.01, 1.0, "m", "step back between two rows of views")
+    search_steps: int = tunable(1, 0, 5, "", "steps back")
+    look_timeout: float = tunable(3.0, 0.2, 60.0, "s", "how long the camera looks for the electrodes from one place")
+    stand_tolerance: float = tunable(0.03, 0.005, 0.5, "m", "distance from the right place that docking starts from")
+    stand_turn_tolerance: float = tunable(
+        0.05, 0.01, 1.0, "rad", "turn from the right heading that docking starts from"
+    )
+    facing_stddev_max: float = tunable(
         math.radians(2.0), 0.0, 0.5, "rad", "standard deviation of a seen yaw beyond which the told facing is believed"
     )
-    gain_min: float = number(0.005, 0.0, 0.5, "m", "least distance to stand again where docking says so")
-    gain_turn_min: float = number(0.02, 0.0, 1.0, "rad", "least turn to stand again where docking says so")
-    arrival_distance_max: float = number(0.5, 0.01, 10.0, "m", "distance from the goal beyond which a place is stale")
-    stands_max: int = number(3, 0, 10, "", "how often the robot stands again before it gives up")
-    undock_attempts: int = number(2, 1, 5, "", "how often undocking is tried before the robot stays where it is")
-    wait_timeout: float = number(10.0, 0.5, 600.0, "s", "limit for WAIT, until all that a mission needs answers")
-    drive_timeout: float = number(300.0, 1.0, 86400.0, "s", "limit for DRIVE")
-    search_timeout: float = number(180.0, 1.0, 3600.0, "s", "limit for SEARCH")
-    dock_timeout: float = number(360.0, 5.0, 7200.0, "s", "limit for DOCK until current flows; above docking's own")
-    charge_timeout: float = number(14400.0, 1.0, 86400.0, "s", "limit for CHARGE")
-    undock_timeout: float = number(60.0, 1.0, 600.0, "s", "limit for one attempt of UNDOCK")
-    return_timeout: float = number(300.0, 1.0, 86400.0, "s", "limit for RETURN")
-    cancel_timeout: float = number(30.0, 0.5, 300.0, "s", "how long the end of something called off is waited for")
+    gain_min: float = tunable(0.005, 0.0, 0.5, "m", "least distance to stand again where docking says so")
+    gain_turn_min: float = tunable(0.02, 0.0, 1.0, "rad", "least turn to stand again where docking says so")
+    arrival_distance_max: float = tunable(0.5, 0.01, 10.0, "m", "distance from the goal beyond which a place is stale")
+    stands_max: int = tunable(3, 0, 10, "", "how often the robot stands again before it gives up")
+    undock_attempts: int = tunable(2, 1, 5, "", "how often undocking is tried before the robot stays where it is")
+    wait_timeout: float = tunable(10.0, 0.5, 600.0, "s", "limit for WAIT, until all that a mission needs answers")
+    drive_timeout: float = tunable(300.0, 1.0, 86400.0, "s", "limit for DRIVE")
+    search_timeout: float = tunable(180.0, 1.0, 3600.0, "s", "limit for SEARCH")
+    dock_timeout: float = tunable(360.0, 5.0, 7200.0, "s", "limit for DOCK until current flows; above docking's own")
+    charge_timeout: float = tunable(14400.0, 1.0, 86400.0, "s", "limit for CHARGE")
+    undock_timeout: float = tunable(60.0, 1.0, 600.0, "s", "limit for one attempt of UNDOCK")
+    return_timeout: float = tunable(300.0, 1.0, 86400.0, "s", "limit for RETURN")
+    cancel_timeout: float = tunable(30.0, 0.5, 300.0, "s", "how long the end of something called off is waited for")
     lost_timeout: float = number(5.0, 0.1, 600.0, "s", "how long an action may have no server before its goal is lost")
-    mission_timeout: float = number(18000.0, 5.0, 172800.0, "s", "limit for all of it until the way out begins")
+    mission_timeout: float = tunable(18000.0, 5.0, 172800.0, "s", "limit for all of it until the way out begins")
 
 
 @dataclass(frozen=True)

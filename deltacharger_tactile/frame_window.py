@@ -69,13 +69,6 @@ class FrameWindow:
             self._closed = True
             self._arrived.notify_all()
 
-    def pause(self, until: float) -> bool:
-        """Wait until time.monotonic() reaches `until` s; return whether the window is still open."""
-        with self._arrived:
-            while not self._closed and (left := until - time.monotonic()) > 0.0:
-                self._arrived.wait(left)
-            return not self._closed
-
     def newest(self, count: int) -> list[Frame]:
         """Return at most `count` frames, oldest first."""
         with self._arrived:

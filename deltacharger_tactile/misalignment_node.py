@@ -4,7 +4,7 @@
 Topics: subscribes `tactile_frame`, read while a request waits or with `rate` > 0; publishes `misalignment` (only with
 `rate` > 0).
 Services: `predict_misalignment` averages frames that are sampled after the request.
-Parameters: model, calibration and classifiers, which may be set while the node runs; frames, rate, max_age, timeout.
+Parameters: model, calibration, classifiers, frames, rate and timeout, which may be set while the node runs; max_age.
 It drives nothing; uncommanded it only listens.
 """
 
@@ -18,10 +18,8 @@ from typing import Any
 import numpy as np
 from deltacharger.msg import Misalignment, TactileFrame
 from deltacharger.srv import PredictMisalignment
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
 from deltacharger_core.machine import COLUMNS, ROWS
@@ -29,14 +27,14 @@ from deltacharger_ros import node_support
 from deltacharger_ros.on_demand import OnDemandSubscription
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
+from deltacharger_ros.regularly import Regularly
+from deltacharger_ros.tuning import Tuning
 from deltacharger_ros.unknown import unknown_misalignment
 from deltacharger_tactile.errors import FrameError
 from deltacharger_tactile.estimate import Estimate
 from deltacharger_tactile.frame_window import Frame, FrameWindow, Refused
 from deltacharger_tactile.parameters import FRAMES_MAX, MisalignmentNodeParameters
 from deltacharger_tactile.perception import Perception, PerceptionError
-
-_FILES = ("model", "calibration", "classifiers")
 
 
 def to_frame(message: TactileFrame) -> Frame:
@@ -81,16 +79,12 @@ class MisalignmentNode(Node):
         super().__init__("misalignment_node", **kwargs)
         given = declare_all(self, MisalignmentNodeParameters, form="{text}, {unit}.")
         reject_unknown(self)
-        self._default_frames, self._max_age, self._timeout = given.frames, given.max_age, given.timeout
-        rate = given.rate
+        self._given = given
         try:
             self._perception = Perception.load(given.model, given.calibration, given.classifiers)
         except PerceptionError as error:
             raise node_support.StartupError(f"{self.get_name()}: {error}") from error
-        self._prepared: Perception | None = None
         self._tell_doubt()
-        self.add_on_set_parameters_callback(self._prepare)
-        self.add_post_set_parameters_callback(self._swap)
         self._window = FrameWindow(self._now)
         self._publisher = self.create_publisher(Misalignment, "misalignment", QoSProfile(depth=1))
         self._frames = OnDemandSubscription(self, TactileFrame, "tactile_frame", self._receive, qos_profile_sensor_data)
@@ -101,39 +95,32 @@ class MisalignmentNode(Node):
             callback_group=ReentrantCallbackGroup(),
             qos_profile=SERVICE,
         )
-        self._thread: threading.Thread | None = None
-        if rate > 0.0:
-            self._thread = threading.Thread(target=self._publish, args=(1.0 / rate,), name="misalignment", daemon=True)
-            self._thread.start()
+        self._regularly = Regularly(self._publish, "misalignment")
+        self._regularly.start(given.rate)
+        Tuning(self, given, self._take)
 
     def close(self) -> None:
         """Release waiting requests and join the publisher."""
         self._window.close()
-        if self._thread is not None:
-            self._thread.join(2.0)
-            self._thread = None
+        self._regularly.stop()
 
     def _now(self) -> float:
         return float(self.get_clock().now().nanoseconds) * 1e-9
 
-    def _prepare(self, parameters: Sequence[Parameter[Any]]) -> SetParametersResult:
-        """Load what is about to be set; frames are served by what is there meanwhile, and after a refusal."""
-        changed = {parameter.name: parameter.value for parameter in parameters if parameter.name in _FILES}
-        if not changed:
-            return SetParametersResult(successful=True)
-        files = {name: changed.get(name, self.get_parameter(name).value) for name in _FILES}
-        try:
-            self._prepared = Perception.load(**files)
-        except PerceptionError as error:
-            return SetParametersResult(successful=False, reason=f"{error}; {self._perception.name} stays in use")
-        return SetParametersResult(successful=True)
-
-    def _swap(self, parameters: Sequence[Parameter[Any]]) -> None:
-        prepared, self._prepared = self._prepared, None
-        if prepared is not None:
-            self._perception = prepared
-            self.get_logger().info(f"estimates with {prepared.name} from now on")
+    def _take(self, given: MisalignmentNodeParameters) -> str:
+        """Work with other parameters; requests under way go on with what they began with, as all do after a refusal."""
+        before, files = self._given, (given.model, given.calibration, given.classifiers)
+        if files != (before.model, before.calibration, before.classifiers):
+            try:
+                self._perception = Perception.load(*files)
+            except PerceptionError as error:
+                return f"{error}; {self._perception.name} stays in use"
+            self.get_logger().info(f"estimates with {self._perception.name} from now on")
             self._tell_doubt()
+        self._given = given
+        if given.rate != before.rate:
+            self._regularly.start(given.rate)
+        return ""
 
     def _tell_doubt(self) -> None:
         if self._perception.doubt:
@@ -152,7 +139,8 @@ class MisalignmentNode(Node):
     def _predict(
         self, request: PredictMisalignment.Request, response: PredictMisalignment.Response
     ) -> PredictMisalignment.Response:
-        wanted = request.frames or self._default_frames
+        given = self._given
+        wanted = request.frames or given.frames
         response.misalignment = unknown_misalignment()
         if wanted > FRAMES_MAX:
             kept = FRAMES_MAX
@@ -161,8 +149,8 @@ class MisalignmentNode(Node):
         try:
             perception = self._perception.answering(request.model)
             with self._frames.listening():
-                frames = self._window.fresh(wanted, self._timeout)
-                response.misalignment = self._estimate(frames, perception)
+                frames = self._window.fresh(wanted, given.timeout)
+                response.misalignment = self._estimate(frames, perception, given.max_age)
                 response.sequences = [frame.sequence for frame in frames]
         except (PerceptionError, Refused) as error:
             response.message = str(error)
@@ -170,25 +158,26 @@ class MisalignmentNode(Node):
         response.success = True
         return response
 
-    def _estimate(self, frames: Sequence[Frame], perception: Perception) -> Misalignment:
+    def _estimate(self, frames: Sequence[Frame], perception: Perception, max_age: float) -> Misalignment:
         """Average the frames and estimate.
 
         Raises:
             Refused: the frames are stale or not tared.
         """
-        left, right = self._window.average(frames, self._max_age)
+        left, right = self._window.average(frames, max_age)
         return to_message(perception.predict(left, right), perception.name, frames[-1].stamp)
 
-    def _publish(self, period: float) -> None:
+    def _publish(self, period: float, stopping: threading.Event) -> None:
         following = time.monotonic() + period
         with self._frames.listening():
-            while self._window.pause(following):
+            while not stopping.wait(max(following - time.monotonic(), 0.0)):
                 following = max(following + period, time.monotonic())
-                frames = self._window.newest(self._default_frames)
+                given = self._given
+                frames = self._window.newest(given.frames)
                 if not frames:
                     continue
                 try:
-                    message = self._estimate(frames, self._perception)
+                    message = self._estimate(frames, self._perception, given.max_age)
                 except Refused:
                     continue  # a stale or untared estimate is not published: subscribers watch its age
                 self._publisher.publish(message)

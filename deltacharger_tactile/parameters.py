@@ -23,7 +23,7 @@ from deltacharger_core.machine import (
     PADS,
     ROWS,
 )
-from deltacharger_core.parameters import Bounded, number, words
+from deltacharger_core.parameters import Bounded, number, tunable, words
 
 SHAPE = (PADS, ROWS, COLUMNS)
 """Of both pads' readings."""
@@ -112,22 +112,19 @@ class TactileParameters:
         return hashlib.sha256(self.to_json().encode()).hexdigest()[:16]
 
 
-_LIVE = "May be set while the node runs."
-
-
 @dataclass(frozen=True)
 class MisalignmentNodeParameters(Bounded):
-    """What misalignment_node estimates with, and how old the frames may be."""
+    """What misalignment_node estimates with, and how old the frames may be, which alone is fixed while it runs."""
 
-    model: str = words("", f"Pose model (npz); empty = the packaged one. {_LIVE}", live=True)
-    calibration: str = words("", f"Calibration of this rig's pads (YAML); empty = none. {_LIVE}", live=True)
+    model: str = words("", "Pose model (npz); empty = the packaged one.", live=True)
+    calibration: str = words("", "Calibration of this rig's pads (YAML); empty = none.", live=True)
     classifiers: tuple[str, ...] = words(
         ("",),
         "Whose class probabilities replace the pose model's: the name of a packaged model, or files (npz), one per "
-        f"target at most; [''] = none. {_LIVE}",
+        "target at most; [''] = none.",
         live=True,
     )
-    frames: int = number(12, 1, FRAMES_MAX, "", "Frames averaged where a request says 0.")
-    rate: float = number(0.0, 0.0, 120.0, "Hz", "Rate of the topic misalignment, {unit}; 0 = off.")
+    frames: int = tunable(12, 1, FRAMES_MAX, "", "Frames averaged where a request says 0.")
+    rate: float = tunable(0.0, 0.0, 120.0, "Hz", "Rate of the topic misalignment, {unit}; 0 = off.")
     max_age: float = number(0.1, 0.01, 10.0, "s", "Oldest sampling of the newest frame that still counts")
-    timeout: float = number(1.0, 0.05, 30.0, "s", "Longest wait for frames beyond the time that they take at 120 Hz")
+    timeout: float = tunable(1.0, 0.05, 30.0, "s", "Longest wait for frames beyond the time that they take at 120 Hz")

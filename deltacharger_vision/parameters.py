@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from deltacharger_core.parameters import Bounded, flag, number, numbers, words
+from deltacharger_core.parameters import Bounded, flag, number, numbers, tunable, words
 from deltacharger_vision.mount import POSITION_STDDEV, ROTATION_STDDEV, Mount, pose_numbers
 
 COLOR, DEPTH, CAMERA_INFO = "color/image_raw", "depth/image_raw", "color/camera_info"
@@ -24,9 +24,9 @@ class ReplayParameters(Bounded):
 class DetectorNodeParameters(Bounded):
     """How electrode_detector_node looks, and from where."""
 
-    rate: float = number(0.0, 0, 60, "Hz", "images looked at while somebody subscribes ({unit}); 0 = none")
-    timeout: float = number(2.0, 0.1, 60.0, "s", "how long a request without its own timeout looks")
-    image_age_max: float = number(0.5, 0.02, 10.0, "s", "oldest image that still counts")
+    rate: float = tunable(0.0, 0, 60, "Hz", "images looked at while somebody subscribes ({unit}); 0 = none")
+    timeout: float = tunable(2.0, 0.1, 60.0, "s", "how long a request without its own timeout looks")
+    image_age_max: float = tunable(0.5, 0.02, 10.0, "s", "oldest image that still counts")
     stamp_tolerance: float = number(0.015, 0.0, 1.0, "s", "largest difference between the stamps of colour and depth")
     color_topic: str = words(COLOR, "topic of the colour images")
     depth_topic: str = words(DEPTH, "topic of the depth images, aligned to colour")

@@ -36,6 +36,7 @@ from deltacharger_ros.clock import before_now
 from deltacharger_ros.log import Log
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.servos_file import declare_with_servos
+from deltacharger_ros.tuning import Tuning
 
 _SERVOS_FOLLOW = {"servo_stiffness": "stiffness", "torque_constant": "torque_constant"}  # there, in servos_file
 _TICK = 0.02  # s; pace where servo_state does not come
@@ -86,6 +87,7 @@ class DockingNode(Node):
             mount,
             self._look_whose,
         )
+        Tuning(self, self._settings, self._tune)
         self._thread = threading.Thread(target=self._loop, name="docking loop", daemon=True)
         if not held:
             self.release()
@@ -94,6 +96,11 @@ class DockingNode(Node):
         """Find out whose ports docking works with, where that decides what it may do."""
         if self._owners is not None:
             self._inputs.simulated = self._owners.is_simulated()
+
+    def _tune(self, settings: DockingParameters) -> str:
+        """Let the next goal be decided by these; what this node itself goes by is not among the live ones."""
+        with self._lock:
+            return self._machine.tune(settings)
 
     def release(self) -> None:
         """Begin to work, with the goals that wait."""

@@ -89,7 +89,7 @@ class QuickPlanner(Planner):
         duration: float,
         push: float | None,
     ) -> Iterator[Waypoint]:
-        parameters, geometry = self._parameters, self._scalar.geometry
+        parameters, geometry = self.parameters, self._scalar.geometry
         held = [
             self._scalar.holding_torque(*point, parameters.gravity)
             for point in (start, between(start, goal, 0.5), goal)

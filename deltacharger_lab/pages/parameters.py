@@ -23,8 +23,10 @@ _PER_SCENE = ("port", "file")
 _PORT = "set per scene"
 _HEAD = """# Parameters
 
-Every parameter of every node, from their declarations. All are fixed once a node runs, unless said otherwise. A value
-outside its bounds and an unknown name stop the node at start with exit code 2 and the parameter's name.
+Every parameter of every node, from their declarations. A value outside its bounds and an unknown name stop the node at
+start with exit code 2 and the parameter's name.
+
+Those with * can be set while the node runs ([tuning](bringup.md#tuning)); all others are fixed then.
 """
 
 
@@ -36,7 +38,8 @@ def table(node: Node) -> str:
             continue
         descriptor = node.describe_parameter(name)
         default = _PORT if name in _PER_SCENE else _text(node.get_parameter(name).value)
-        lines.append(f"| {name} | {default} | {_allowed(descriptor)} | {descriptor.description} |")
+        live = "" if descriptor.read_only else " *"
+        lines.append(f"| {name}{live} | {default} | {_allowed(descriptor)} | {descriptor.description} |")
     return "\n".join([*lines, ""])
 
 

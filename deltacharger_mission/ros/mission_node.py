@@ -33,6 +33,7 @@ from deltacharger_ros.diagnostics import OK, WARN, Diagnostics
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import duration, to_result
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.tuning import Tuning
 
 _TICK = 0.05  # s
 _FEEDBACK = 1.0  # s between feedbacks without a change
@@ -84,10 +85,9 @@ class MissionNode(Node):
         except ValueError as error:
             raise node_support.StartupError(f"mission_node: parameter 'base_pose': {error}") from error
         navigate_to_pose = load_navigation(given.navigation)
-        self._electrodes = (settings.electrodes_x, settings.electrodes_y, settings.electrodes_yaw)
         self._drives = navigate_to_pose is not None
-        home = Place(settings.home_x, settings.home_y, settings.home_yaw, given.map_frame) if self._drives else None
-        self._machine = MissionMachine(settings, mount, home)
+        self._map_frame = given.map_frame
+        self._machine = MissionMachine(settings, mount, self._home(settings))
         trees = given.behavior_tree, given.precise_behavior_tree
         self._others = Others(self, navigate_to_pose, trees, settings.lost_timeout)
         self._diagnostics = Diagnostics(self)
@@ -106,9 +106,19 @@ class MissionNode(Node):
             DockingError,
             lambda outcome, mission: _result(outcome, io.unknown_dock() if mission is None else mission.docked),
         )
+        Tuning(self, settings, self._tune)
         self._closed = False
         self._thread = threading.Thread(target=self._loop, name="mission loop", daemon=True)
         self._thread.start()
+
+    def _home(self, settings: MissionParameters) -> Place | None:
+        """Return where the base returns to, where it drives."""
+        place = Place(settings.home_x, settings.home_y, settings.home_yaw, self._map_frame)
+        return place if self._drives else None
+
+    def _tune(self, settings: MissionParameters) -> str:
+        with self._lock:
+            return self._machine.tune(settings, self._home(settings))
 
     def close(self) -> None:
         """Call docking and driving off, see charging end, and end the goal. Safe to call twice.
@@ -206,7 +216,9 @@ class MissionNode(Node):
                     running.handles.append(handle)
                     return running
                 raise Busy(f"another mission is under way (request_id '{running.request_id}'): cancel it, or wait")
-            goal = io.goal(handle.request, self._electrodes if self._drives else None)
+            settings = self._machine.parameters
+            electrodes = (settings.electrodes_x, settings.electrodes_y, settings.electrodes_yaw)
+            goal = io.goal(handle.request, electrodes if self._drives else None)
             mission = _Mission(handle)
             try:
                 self._machine.start(goal, self._others.observe())

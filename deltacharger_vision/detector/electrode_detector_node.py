@@ -5,8 +5,8 @@ Subscribes, only while it looks: color/image_raw, depth/image_raw (aligned to co
 Publishes: electrode_detection when it found something, electrode_detection/image (what it saw, annotated, while
 somebody listens), /diagnostics (1 Hz).
 Serves: detect_electrodes, which looks at fresh images until the electrodes are found or its time is over.
-Parameters: rate (0 = on demand only), timeout, image_age_max, stamp_tolerance, the topics, the mount, the terminal's
-lengths.
+Parameters: rate (0 = on demand only), timeout and image_age_max, which may be set while the node runs;
+stamp_tolerance, the topics, the mount, the terminal's lengths.
 It drives nothing. With a rate it looks while somebody subscribes to electrode_detection.
 """
 
@@ -31,6 +31,8 @@ from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
+from deltacharger_ros.regularly import Regularly
+from deltacharger_ros.tuning import Tuning
 from deltacharger_ros.unknown import unknown
 from deltacharger_vision.detector.annotate import annotated
 from deltacharger_vision.detector.detector import ElectrodeDetector
@@ -64,14 +66,13 @@ class ElectrodeDetectorNode(Node):
         given = declare_all(self, DetectorNodeParameters)
         terminal = declare_all(self, Terminal)
         reject_unknown(self)
-        self._timeout, self._image_age_max, rate = given.timeout, given.image_age_max, given.rate
+        self._given = given
         topics = [given.color_topic, given.depth_topic, given.camera_info_topic]
         self._mount = _mount(self, given)
         self._detector = _detector(terminal)
         self._camera = Camera(self, given.stamp_tolerance, topics)
         self._tally = _Tally()
         self._looking = threading.Lock()
-        self._stopping = threading.Event()
         self._detections = self.create_publisher(ElectrodeDetection, "electrode_detection", 10)
         self._pictures = self.create_publisher(Image, "electrode_detection/image", qos_profile_sensor_data)
         self._diagnostics = Diagnostics(self)
@@ -80,28 +81,31 @@ class ElectrodeDetectorNode(Node):
             DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=group, qos_profile=SERVICE
         )
         steady_timer(self, 1.0, self._diagnose)
-        self._thread: threading.Thread | None = None
-        if rate > 0.0:
-            self._thread = threading.Thread(target=self._watch, args=(1.0 / rate,), name="detector", daemon=True)
-            self._thread.start()
+        self._regularly = Regularly(self._watch, "detector")
+        self._regularly.start(given.rate)
+        Tuning(self, given, self._take)
 
     def close(self) -> None:
         """Release waiting requests and end the thread."""
-        self._stopping.set()
         self._camera.close()
-        if self._thread is not None:
-            self._thread.join(2.0)
-            self._thread = None
+        self._regularly.stop()
+
+    def _take(self, given: DetectorNodeParameters) -> str:
+        """Look with other parameters; requests under way go on with the timeout that they began with."""
+        before, self._given = self._given, given
+        if given.rate != before.rate:
+            self._regularly.start(given.rate)
+        return ""
 
     def _on_detect(
         self, request: DetectElectrodes.Request, response: DetectElectrodes.Response
     ) -> DetectElectrodes.Response:
         unknown(response)
-        limit = seconds(request.timeout)
+        limit, usual = seconds(request.timeout), self._given.timeout
         if limit < 0.0:
-            response.message = f"timeout is {limit:g} s; give 0 for the default of {self._timeout:g} s, or more"
+            response.message = f"timeout is {limit:g} s; give 0 for the default of {usual:g} s, or more"
             return response
-        deadline = time.monotonic() + (limit or self._timeout)
+        deadline = time.monotonic() + (limit or usual)
         refusal, late, images, old, number = "", "", 0, 0, self._camera.shots
         with self._camera.watching():
             while (shot := self._camera.after(number, deadline)) is not None:
@@ -116,17 +120,18 @@ class ElectrodeDetectorNode(Node):
             # What a fresh image shows says more than that another one came late.
             refusal = refusal or late or self._camera.problem()
             refusal = refusal or "no image came in time; allow more than one image's time"
-        response.message = f"{refusal} ({images} images in {limit or self._timeout:.1f} s, {old} of them too old)"
+        response.message = f"{refusal} ({images} images in {limit or usual:.1f} s, {old} of them too old)"
         return response
 
     def _age_problem(self, shot: Shot) -> str:
         """Return why an image is of another time than now; empty = it is not."""
         age = 1e-9 * (self.get_clock().now().nanoseconds - shot.stamp)
-        if -_FUTURE <= age <= self._image_age_max:
+        oldest = self._given.image_age_max
+        if -_FUTURE <= age <= oldest:
             return ""
         self._tally.stale += 1
         when = f"{age:.2f} s old" if age > 0.0 else f"stamped {-age:.2f} s in the future"
-        return f"the image is {when} (image_age_max {self._image_age_max} s): check load, driver and clocks"
+        return f"the image is {when} (image_age_max {oldest} s): check load, driver and clocks"
 
     def _look(self, shot: Shot) -> tuple[ElectrodeDetection | None, str]:
         """Return what one image shows, published, or why it shows nothing."""
@@ -153,21 +158,21 @@ class ElectrodeDetectorNode(Node):
             header = shot.color.header
             self._pictures.publish(color_message(annotated(image, found), header.stamp, header.frame_id))
 
-    def _watch(self, period: float) -> None:
+    def _watch(self, period: float, stopping: threading.Event) -> None:
         """Look at `rate` while somebody wants to know."""
-        while not self._stopping.wait(period):
+        while not stopping.wait(period):
             if not self._wanted():
                 continue
             number = self._camera.shots
             with self._camera.watching():
-                while self._wanted() and not self._stopping.is_set():
+                while self._wanted() and not stopping.is_set():
                     started = time.monotonic()
                     shot = self._camera.after(number, started + 0.5)
                     if shot is not None:
                         number = shot.number
                         if refusal := self._age_problem(shot) or self._look(shot)[1]:
                             self.get_logger().warning(refusal, throttle_duration_sec=5.0)
-                    self._stopping.wait(max(0.0, started + period - time.monotonic()))
+                    stopping.wait(max(0.0, started + period - time.monotonic()))
 
     def _wanted(self) -> bool:
         return bool(self._detections.get_subscription_count() or self._pictures.get_subscription_count())

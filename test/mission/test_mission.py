@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -17,7 +18,7 @@ from deltacharger_mission.dialogue import DockingReport, End, MissionGoal, Stage
 from deltacharger_mission.parameters import MissionParameters
 from deltacharger_mission.places import BaseMount, Place, views, wrapped
 
-from .missions import FORWARD, HOME, TARGET, Answer, Truth, World, drive, ends, fails, silent, squarely
+from .missions import FORWARD, HOME, TARGET, Answer, Truth, World, detect, drive, ends, fails, silent, squarely
 
 QUICK = MissionParameters(
     home_x=HOME.x,
@@ -91,6 +92,24 @@ def test_it_docks_wherever_the_arm_is_mounted_and_the_target_faces(
     assert (x, y) == pytest.approx((0.0, 0.0), abs=0.04)
     assert z == pytest.approx(DOCK_DISTANCE, abs=0.04)
     assert world.machine.status.stands <= QUICK.stands_max
+
+
+def test_parameters_are_changed_between_missions_and_never_in_one() -> None:
+    world = quick()
+    elsewhere, wanted = Place(1.0, -2.0, 0.3), replace(QUICK, charge_timeout=100.0)
+
+    def look(world: World, request: TaskRequest) -> tuple[float, TaskReply] | None:
+        assert world.machine.tune(wanted, elsewhere).startswith("a goal is running")
+        assert world.machine.parameters is QUICK
+        return detect(world, request)
+
+    world.answers[Task.DETECT] = look
+    assert world.run(MissionGoal(TARGET, stop_energy=1000.0)).success
+    assert world.base.distance(HOME) < 1e-9
+    world.answers[Task.DETECT] = detect
+    assert world.machine.tune(wanted, elsewhere) == ""
+    assert world.run(MissionGoal(TARGET, stop_energy=1000.0)).success
+    assert world.base.distance(elsewhere) < 1e-9
 
 
 def test_the_electrodes_are_where_their_robot_carries_them() -> None:

@@ -7,6 +7,7 @@ import math
 import os
 import shutil
 import threading
+import time
 import zipfile
 from array import array
 from pathlib import Path
@@ -317,16 +318,38 @@ def test_unusable_files_are_refused_with_a_reason_and_change_nothing(pads: Pads,
     assert pads.set(calibration=str(tmp_path / "pads.yaml")).successful
 
 
-def test_what_is_fixed_while_running_says_so(pads: Pads, tmp_path: Path) -> None:
-    for name, value in (("rate", 5.0), ("frames", 3), ("max_age", 1.0), ("timeout", 2.0)):
-        told = pads.set(**{name: value})
-        assert not told.successful
-        assert "read-only" in told.reason
-        assert name in told.reason
+def test_what_is_set_with_something_wrong_changes_nothing(pads: Pads, tmp_path: Path) -> None:
     TactileCalibration(rig=8).save(tmp_path / "pads.yaml")
     pads.streaming = True
-    assert not pads.set_together(calibration=str(tmp_path / "pads.yaml"), rate=5.0).successful
-    assert not pads.ask().misalignment.model.endswith("+rig8")
+    told = pads.set_together(calibration=str(tmp_path / "pads.yaml"), rate=500.0)
+    assert not told.successful
+    assert "rate" in told.reason
+    told = pads.set_together(frames=3, calibration=str(tmp_path / "none.yaml"))
+    assert not told.successful
+    assert "none.yaml" in told.reason
+    answer = pads.ask()
+    assert not answer.misalignment.model.endswith("+rig8")
+    assert len(answer.sequences) == 12
+
+
+def test_rate_and_limits_change_while_the_node_runs(pads: Pads) -> None:
+    pads.streaming = True
+    wait_until(lambda: pads.heard, "an estimate at the rate of the start")
+    assert pads.set_together(rate=0.0, frames=3).successful
+    assert len(pads.ask().sequences) == 3
+    pads.heard.clear()
+    assert pads.ask(60).success
+    assert not pads.heard, "ten would have come meanwhile"
+    assert pads.set(rate=50.0).successful
+    wait_until(lambda: len(pads.heard) > 3, "estimates at another rate")
+    pads.streaming = False
+    assert pads.set(timeout=1.0).successful
+    began = time.monotonic()
+    assert not pads.ask().success
+    assert time.monotonic() - began > 1.0, "longer than the 0.4 s of the start"
+    told = pads.set(max_age=1.0)
+    assert not told.successful
+    assert "read-only parameter: max_age" in told.reason
 
 
 def bad(kind: str, pad: Any) -> Any:

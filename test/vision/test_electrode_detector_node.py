@@ -15,6 +15,7 @@ from builtin_interfaces.msg import Duration
 from deltacharger.msg import ElectrodeDetection
 from deltacharger.srv import DetectElectrodes
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -170,6 +171,29 @@ def test_at_a_rate_it_looks_only_while_somebody_subscribes(
     wait_until(lambda: heard, "a detection")
     driver.destroy_subscription(subscription)
     wait_until(lambda: driver.listeners == 0, "the detector to stop listening")
+
+
+def test_rate_and_limits_change_while_the_node_runs(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver
+) -> None:
+    node, heard = detector(), []
+    driver.create_subscription(ElectrodeDetection, "electrode_detection", heard.append, 10)
+
+    def put(**values: float) -> bool:
+        given = [Parameter(name, value=value) for name, value in values.items()]
+        return bool(node.set_parameters_atomically(given).successful)
+
+    assert put(rate=20.0)
+    wait_until(lambda: len(heard) > 1, "detections at a rate")
+    assert put(rate=0.0)
+    wait_until(lambda: driver.listeners == 0, "the detector to stop listening")
+    driver.age = 3.0
+    assert put(timeout=0.3)
+    assert "in 0.3 s" in driver.ask(0.0).message
+    assert put(image_age_max=10.0)
+    assert driver.ask(5.0).success
+    assert not put(image_age_max=5.0, stamp_tolerance=0.5), "the camera keeps what it was made with"
+    assert node.get_parameter("image_age_max").value == 10.0
 
 
 def test_what_it_saw_is_shown_annotated_to_who_wants_it(
