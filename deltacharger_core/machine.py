@@ -34,6 +34,8 @@ GAIN_MAX = 16383
 """Largest value of a servo's gain registers (vendor's e-manual)."""
 CURRENT_BOUND = 0.83
 """A of a servo where a trajectory sets no bound."""
+ZERO_CURRENT = 0.5
+"""A between charger and target below which none is said to flow."""
 GRAVITY_STRENGTH = 9.81
 """m/s²."""
 GRAVITY = (0.0, -GRAVITY_STRENGTH, 0.0)

@@ -20,6 +20,7 @@ from deltacharger_core.machine import (
     SERVO_STIFFNESS,
     STALL_CURRENT,
     TORQUE_CONSTANT,
+    ZERO_CURRENT,
 )
 from deltacharger_core.parameters import Bounded, ParameterError, choice, flag, number, numbers, tunable, words
 from deltacharger_core.servos_file import STIFFNESS_MAX, STIFFNESS_MIN
@@ -186,12 +187,14 @@ class DockingParameters(Bounded):
     )
     restarts_max: int = tunable(0, 0, 10, "", "how often docking begins again by itself; 0 = never")
     estimate_frames: int = tunable(24, 1, 240, "", "tactile frames averaged in one estimate")
-    charge_current_min: float = tunable(0.5, 0.05, 18.0, "A", "charge current that counts as charging")
+    charge_current_min: float = tunable(ZERO_CURRENT, 0.05, 18.0, "A", "charge current that counts as charging")
     charge_stable_time: float = tunable(
         1.0, 0.1, 10.0, "s", "how long charge current must stay before docking succeeds"
     )
     charge_current_max: float = number(18.5, 1.0, 30.0, "A", "charge current that opens the contactor")
-    zero_current: float = number(0.5, 0.05, 2.0, "A", "charge current below which the contactor counts as open")
+    zero_current: float = number(
+        ZERO_CURRENT, 0.05, 2.0, "A", "charge current below which the contactor counts as open"
+    )
     open_timeout: float = number(1.0, 0.1, 10.0, "s", "limit for current to be gone after an opening")
     opening_time: float = number(0.1, 0.0, 1.0, "s", "time that an order to open is under way")
     target_voltage_min: float = number(10.0, 0.0, 60.0, "V", "lowest voltage of a target that may be charged")

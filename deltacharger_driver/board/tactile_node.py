@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """tactile_node: the tactile arrays and the power stage on ROS.
 
-Publishes: tactile_frame (sensor data, at `rate`), charger_power (reliable, depth 1, 20 Hz), /diagnostics (1 Hz).
+Publishes: tactile_frame (sensor data, at `rate`), charger_power (reliable, depth 1, 20 Hz), battery, target_battery and
+/diagnostics (1 Hz).
 Serves: tare, set_contactor, probe.
 Parameters: port, baud_rate, rate, pitch.
 
@@ -24,6 +25,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from deltacharger_driver.board.battery_node_io import PERIOD, BatteryPublishers
 from deltacharger_driver.board.contactor_guard import STALE_FRAME, STALE_POWER
 from deltacharger_driver.board.keeper import BoardKeeper
 from deltacharger_driver.board.port import BoardPort
@@ -68,6 +70,7 @@ class TactileNode(Node):
         self._frame_rate, self._power_rate = RateMeter(time.monotonic), RateMeter(time.monotonic)
         self._period = 1.0 / given.rate
         self._samples = SamplePublishers(self, LATEST, given.pitch)
+        self._batteries = BatteryPublishers(self)
         self._diagnostics = Diagnostics(self)
         self._tare = SharedCall(lambda: self._keeper.link.tare(), _TARE_SHARED)
         # Each with workers of its own: whoever calls one without end keeps nobody from the others.
@@ -85,6 +88,7 @@ class TactileNode(Node):
             qos_profile=SERVICE,
         )
         steady_timer(self, _DIAGNOSTICS_PERIOD, self._diagnose)
+        steady_timer(self, PERIOD, self._tell_batteries)
         self._keeper = BoardKeeper(
             given.port, given.baud_rate, given.rate, self._publish_frame, self._publish_power, self._report
         )
@@ -105,6 +109,15 @@ class TactileNode(Node):
         self._power_rate.count()
         if self.context.ok():
             self._samples.power(sample, *self._keeper.guard.probe_record())
+
+    def _fresh_power(self) -> PowerSample | None:
+        """Return the newest sample of the power stage, None where it is silent."""
+        sample = self._power
+        return None if sample is None or time.monotonic() - sample.time > STALE_POWER else sample
+
+    def _tell_batteries(self) -> None:
+        if self.context.ok():
+            self._batteries.publish(self._fresh_power())
 
     def _report(self, problem: str) -> None:
         if problem:
@@ -182,9 +195,9 @@ class TactileNode(Node):
         return self._status("tactile arrays", "", warning, {**values, "tared": frame.tared, "dead_taxels": dead})
 
     def _power_status(self) -> DiagnosticStatus:
-        sample = self._power
+        sample = self._fresh_power()
         values = {"rate": f"{self._power_rate.rate():.1f} Hz", **self._keeper.guard.lease_record()}
-        if sample is None or time.monotonic() - sample.time > STALE_POWER:
+        if sample is None:
             return self._status("power stage", "silent", "", values)
         power = sample.power
         problem = f"latched fault: {fault_name(power.fault)}; open the contactor to clear it" if power.fault else ""

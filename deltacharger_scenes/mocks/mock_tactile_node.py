@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """mock_tactile_node: tactile_node without a board, for tests of everything above it.
 
-Subscribes: servo_state (where the end effector is and how hard it presses). Publishes: tactile_frame, charger_power.
+Subscribes: servo_state (where the end effector is and how hard it presses). Publishes: tactile_frame, charger_power,
+battery, target_battery.
 Serves: tare, set_contactor, probe, with the lease rules of the real node (it uses the same code).
 The frames come from the contact model of deltacharger_tactile, so that misalignment_node works on them.
 Parameters: rate, rig_seed, seed, where the target is (the same as mock_servo_node's), and `fault`, which may be set
@@ -10,7 +11,7 @@ while it runs:
 silence             tactile_frame stops
 zero_frames         all taxels read 0, as without contact
 unsure              the ridges seem to stand upright, which training never saw
-power_silence       charger_power stops
+power_silence       charger_power stops, and both batteries are unknown
 tare_refusal        the tare is refused
 short, open_circuit, reverse_polarity    what the probe finds
 contactor_refusal   a close is refused
@@ -34,12 +35,14 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, GRAVITY, PADS, ROWS, TORQUE_CONSTANT
+from deltacharger_driver.board.battery_node_io import PERIOD, BatteryPublishers
 from deltacharger_driver.board.contactor_lease import LeaseRefused
 from deltacharger_driver.board.payloads import Power
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_driver.board.tactile_node_io import SamplePublishers
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support, qos
+from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
@@ -79,6 +82,8 @@ class MockTactileNode(Node):
         self._sequence = 0
         self._began = time.monotonic()
         self._samples = SamplePublishers(self, qos.LATEST, self._model.contact.pad_side / COLUMNS)
+        self._batteries = BatteryPublishers(self)
+        steady_timer(self, PERIOD, self._tell_batteries)
         group = ReentrantCallbackGroup()
         self.create_subscription(ServoState, "servo_state", self._on_servo_state, qos.LATEST)
         self.create_service(Trigger, "tare", self._on_tare, callback_group=group, qos_profile=SERVICE)
@@ -131,6 +136,12 @@ class MockTactileNode(Node):
                 if power is not None and fault != "power_silence":
                     self._samples.power(*power)
             due = max(due + period, now - period)
+
+    def _tell_batteries(self) -> None:
+        silent = self._fault.active() == "power_silence"
+        with self._lock:
+            sample, _, _ = self._power_sample(time.monotonic())
+        self._batteries.publish(None if silent else sample)
 
     def _touching(self) -> bool:
         return self._position[2] > self._target.z

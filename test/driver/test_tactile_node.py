@@ -21,6 +21,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import BatteryState
 from std_srvs.srv import Trigger
 
 from deltacharger_driver.board.protocol import BoardFault, PacketType
@@ -48,6 +49,7 @@ class Client(Node):
         self.frames: list[TactileFrame] = []
         self.powers: list[ChargerPower] = []
         self.diagnostics: list[DiagnosticArray] = []
+        self.batteries: dict[str, list[BatteryState]] = {"battery": [], "target_battery": []}
         group = ReentrantCallbackGroup()
         self.create_subscription(
             TactileFrame, "tactile_frame", self.frames.append, qos_profile_sensor_data, callback_group=group
@@ -56,6 +58,8 @@ class Client(Node):
             ChargerPower, "charger_power", self.powers.append, QoSProfile(depth=1), callback_group=group
         )
         self.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10, callback_group=group)
+        for topic, heard in self.batteries.items():
+            self.create_subscription(BatteryState, topic, heard.append, 10, callback_group=group)
         self._tare = self.create_client(Trigger, "tare", callback_group=group)
         self._probe = self.create_client(Probe, "probe", callback_group=group)
         self._contactor = self.create_client(SetContactor, "set_contactor", callback_group=group)
@@ -117,6 +121,14 @@ class Rig:
         wait_until(lambda: len(self.client.powers) > 1)
         return self.client.powers[-1]
 
+    def batteries(self) -> tuple[BatteryState, BatteryState]:
+        """Return what is told next of the charger's battery and of the target's."""
+        for heard in self.client.batteries.values():
+            heard.clear()
+        own, target = self.client.batteries.values()
+        wait_until(lambda: own and target, "both batteries")
+        return own[-1], target[-1]
+
     def dock(self) -> None:
         """Tare, touch, probe: ready to close."""
         assert self.client.tare().success
@@ -153,6 +165,31 @@ def shared(tmp_path_factory: pytest.TempPathFactory, context: Any) -> Iterator[R
 def rig(shared: Rig) -> Rig:
     shared.reset()
     return shared
+
+
+def test_both_batteries_are_told_as_the_power_stage_measures_them(rig: Rig) -> None:
+    rig.plant.resistance = math.inf
+    rig.power()
+    own, target = rig.batteries()
+    assert own.voltage == pytest.approx(rig.power().battery_voltage, abs=0.1)
+    assert own.present
+    assert not target.present
+    rig.plant.resistance = 2.0
+    rig.dock()
+    rig.charge(2.0)
+    own_ones, target_ones = rig.client.batteries.values()
+    target = next(each for each in target_ones if each.power_supply_status == each.POWER_SUPPLY_STATUS_CHARGING)
+    assert target.voltage == pytest.approx(24.0, abs=2.0)
+    assert target.current == pytest.approx((own.voltage - 24.0) / 2.0, abs=0.2)
+    assert any(each.power_supply_status == each.POWER_SUPPLY_STATUS_DISCHARGING for each in own_ones)
+    now = rig.client.get_clock().now().nanoseconds * 1e-9
+    assert -0.1 < now - (target.header.stamp.sec + 1e-9 * target.header.stamp.nanosec) < 10.0
+    rig.client.contactor(False)
+    rig.cable.unplug()
+    wait_until(lambda: not rig.batteries()[0].present, "the board's silence")
+    for battery in rig.batteries():
+        assert math.isnan(battery.voltage)
+        assert battery.power_supply_status == BatteryState.POWER_SUPPLY_STATUS_UNKNOWN
 
 
 def test_frames_are_complete_and_stamped_with_the_sampling_instant(rig: Rig) -> None:
