@@ -13,8 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from catkin_pkg.package import parse_package_string
 
 from deltacharger_bringup.cli import main as cli
+from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.scene import load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 LICENCE = "SPDX-License-Identifier: Apache-2.0"
@@ -55,6 +58,8 @@ RELEASED = {
     "rviz2",
     "xacro",
 }
+VIEW = {"robot_state_publisher", "rviz2", "xacro"}
+REPORT = {"python3-jinja2", "python3-matplotlib", "python3-psutil", "python3-scipy"}
 OF_THE_SYSTEM = {
     "python3-hypothesis",
     "python3-jinja2",
@@ -81,6 +86,13 @@ def keys(*tags: str) -> set[str]:
     return {each.text or "" for each in MANIFEST if each.tag in tags}
 
 
+def asked_for(extras: str = "") -> set[str]:
+    """Return what rosdep installs to run the package, with this value of DELTACHARGER_EXTRAS; it and colcon read so."""
+    package = parse_package_string((ROOT / "package.xml").read_text(encoding="utf-8"))
+    package.evaluate_conditions({"DELTACHARGER_EXTRAS": extras} if extras else {})
+    return {each.name for each in package.exec_depends if each.evaluated_condition}
+
+
 def sources() -> Iterator[Path]:
     for folder in sorted(ROOT.iterdir()):
         if folder.is_dir() and folder.name not in NOT_OURS and not folder.name.startswith((".venv", "report-")):
@@ -91,6 +103,20 @@ def sources() -> Iterator[Path]:
 def test_hard_libraries_are_those_that_every_charger_needs_and_ros_gets_them_too() -> None:
     assert {distribution(each) for each in project()["dependencies"]} == set(HARD)
     assert set(HARD.values()) <= keys("depend", "exec_depend")
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:catkin_pkg")
+def test_who_asks_for_no_extra_gets_what_a_charger_needs_that_is_told_where_its_target_is() -> None:
+    extras = {"python3-opencv", *VIEW, *REPORT}
+    assert asked_for() & extras == set()
+    assert set(HARD.values()) <= asked_for()
+    assert asked_for("vision") - asked_for() == {"python3-opencv"}
+    assert asked_for("all") - asked_for() == extras
+    needed = {library for name in load_scene("bench").nodes for library in NODES[name].needs}
+    modules = {"serial": "python3-serial"}  # whose key is named otherwise
+    assert {modules.get(library, library) for library in needed} <= asked_for()
+    used = {library for name in load_scene("rgbd").nodes for library in NODES[name].needs_when_used}
+    assert used == {"cv2"}, "what DELTACHARGER_EXTRAS=vision brings"
 
 
 def test_every_extra_has_its_reason() -> None:
@@ -160,6 +186,8 @@ def test_the_manifest_says_who_where_and_under_which_licence() -> None:
     assert re.fullmatch(r"\d+\.\d+\.\d+", MANIFEST.findtext("version") or "")
     assert MANIFEST.findtext("license") == project()["license"] == "Apache-2.0"
     assert MANIFEST.find("maintainer") is not None
+    assert [each.text for each in MANIFEST.findall("author")] == [MANIFEST.findtext("maintainer")]
+    assert not MANIFEST.findall("url"), "no place is known where all can find it; name it here once there is one"
     assert MANIFEST.findtext("export/build_type") == "ament_cmake"
     assert "rosidl_interface_packages" in keys("member_of_group")
 

@@ -89,4 +89,5 @@ def install(module: str) -> str:
     package = _PACKAGES.get(top, top)
     if not package:
         return "install the charger again: pip install ."
-    return f"pip install '{package}', or on a ROS installation: rosdep install --from-paths src"
+    rosdep = "DELTACHARGER_EXTRAS=all rosdep install --from-paths src --ignore-src"
+    return f"pip install '{package}', or on a ROS installation: {rosdep}"
