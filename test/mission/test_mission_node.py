@@ -211,6 +211,23 @@ def test_it_drives_docks_charges_and_comes_home(real: Robot) -> None:
     assert not real.live
 
 
+def test_home_is_moved_between_missions(robot: Robot) -> None:
+    def home(x: float) -> str:
+        both = [Parameter("home_x", value=x), Parameter("stands_max", value=STANDS)]
+        return str(robot.node("mission_node").set_parameters_atomically(both).reason)
+
+    errand = robot.send(stop_after=1.0)
+    errand.reach(Stage.DRIVE)
+    assert home(HOME.x + 0.5).startswith("home_x, stands_max not set: a goal is running")
+    assert errand.end().success
+    assert robot.place == HOME
+    assert home(HOME.x + 0.5) == ""
+    result, _ = robot.run()
+    assert result.success, result
+    assert robot.place.x == pytest.approx(HOME.x + 0.5)
+    assert home(HOME.x) == ""
+
+
 def test_out_of_reach_it_stands_again_and_docks(real: Robot) -> None:
     real.set("mock_detector_node", "beyond_reach")
     real.node("mock_navigator_node").arrived.clear()
