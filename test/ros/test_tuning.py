@@ -103,6 +103,14 @@ def test_what_is_set_is_taken_and_told(setter: Setter) -> None:
     assert len(setter.subject.taken) == 3, "nothing to take"
 
 
+def test_a_whole_number_is_a_number(setter: Setter) -> None:
+    assert setter.each(high=1) == [""], "so does `ros2 param set` send it"
+    assert setter.told()["high"] == 1.0
+    assert setter.subject.taken == [Band(high=1.0)]
+    assert "high" in setter.each(high=3)[0]
+    assert "Wrong parameter type" in setter.each(high=True)[0]
+
+
 def test_two_that_contradict_each_other_can_only_be_moved_together(setter: Setter) -> None:
     assert "low must not lie above high" in setter.each(low=0.7)[0]
     assert setter.told()["low"] == 0.4
