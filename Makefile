@@ -32,6 +32,10 @@ export ROS_DOMAIN_ID ?= 87
 # Tests start hundreds of processes; none shall compile what another has.
 unexport PYTHONDONTWRITEBYTECODE
 
+IN_VENV := PATH="$(CURDIR)/$(BIN):$$PATH" AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" CMAKE_PREFIX_PATH="$(CURDIR)/$(VENV)"
+COLCON_HERE := $(IN_VENV) $(BIN)/colcon --log-base $(COLCON)/log
+BUILD_BY_COLCON := $(COLCON_HERE) build --base-paths . --build-base $(COLCON)/build
+CMAKE_ARGS := -DPython3_EXECUTABLE="$(CURDIR)/$(BIN)/python"
 PYTEST := $(BIN)/python -m pytest
 SIDE_BY_SIDE := -n 2 --dist loadfile
 
@@ -60,13 +64,17 @@ lint: $(INSTALLED)
 types: $(INSTALLED)
 	$(BIN)/mypy
 
-colcon: $(INSTALLED)  ## build as a ROS workspace package and load an interface from the result
-	PATH="$(CURDIR)/$(BIN):$$PATH" AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" CMAKE_PREFIX_PATH="$(CURDIR)/$(VENV)" \
-	  $(BIN)/colcon --log-base $(COLCON)/log build --base-paths . --build-base $(COLCON)/build \
-	  --install-base $(COLCON)/install --cmake-args -DBUILD_TESTING=OFF -DPython3_EXECUTABLE="$(CURDIR)/$(BIN)/python"
+# The second build finds everything compiled by the first. Of the tests one folder shows that colcon runs them.
+colcon: $(INSTALLED)  ## build as a ROS workspace package, the interfaces alone first; use what comes out, run a test by it
+	$(BUILD_BY_COLCON) --install-base $(COLCON)/interfaces --cmake-args $(CMAKE_ARGS) -DDELTACHARGER_PYTHON_PACKAGES=OFF
+	.ci/interfaces-alone $(COLCON)/interfaces $(BIN)/python
+	$(BUILD_BY_COLCON) --install-base $(COLCON)/install --cmake-args $(CMAKE_ARGS) -DDELTACHARGER_PYTHON_PACKAGES=ON
 	. $(COLCON)/install/local_setup.sh && $(BIN)/python -c 'import deltacharger.action as a; print(a.__file__)' \
 	  | grep -q $(COLCON)/install
 	test -x $(COLCON)/install/deltacharger/lib/deltacharger/docking_node
+	$(COLCON_HERE) test --base-paths . --build-base $(COLCON)/build --install-base $(COLCON)/install \
+	  --ctest-args -R '^core$$'
+	$(COLCON_HERE) test-result --test-result-base $(COLCON)/build | grep -E '^Summary: [1-9][0-9]* tests, 0 errors, 0 failures'
 
 # The interfaces are those that $(INSTALLED) has built, so this takes seconds and what pip downloads again.
 wheel: $(INSTALLED)  ## build a wheel, and dock with what it installs into a bare venv
@@ -83,7 +91,7 @@ trainers: $(INSTALLED)  ## what training the classifiers needs, else their tests
 # Nav2's messages are not on PyPI. Nothing is built where they are installed.
 navigation: $(INSTALLED)  ## a stand-in for nav2_msgs with NavigateToPose alone, else tests of driving are skipped
 	@$(BIN)/python -c 'import nav2_msgs.action' 2>/dev/null || { \
-	  export PATH="$(CURDIR)/$(BIN):$$PATH" AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" CMAKE_PREFIX_PATH="$(CURDIR)/$(VENV)"; \
+	  export $(IN_VENV); \
 	  cmake -S test/nav2_msgs -B $(NAVIGATION) -G Ninja -DCMAKE_INSTALL_PREFIX="$(CURDIR)/$(VENV)" -Wno-dev \
 	    -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF -DPython3_EXECUTABLE="$(CURDIR)/$(BIN)/python" && \
 	  cmake --build $(NAVIGATION) --target install; } > $(VENV)/navigation.log 2>&1 || { cat $(VENV)/navigation.log; exit 1; }

@@ -46,6 +46,7 @@ MODULES = {"yaml", "serial", "rcl_interfaces"} | {name for name in HARD if "-" n
 # rosdep/python.yaml. A key that is added here was looked up there.
 RELEASED = {
     "ament_cmake",
+    "ament_cmake_pytest",
     "ament_cmake_python",
     "rosidl_default_generators",
     "rosidl_default_runtime",
@@ -204,6 +205,16 @@ def test_interfaces_are_built_from_what_the_manifest_depends_on() -> None:
     found = re.search(r"set\(interface_dependencies\s+([^)]*)\)", text)
     assert found is not None
     assert set(found[1].split()) == keys("depend")
+
+
+def test_colcon_runs_every_folder_that_has_tests_without_ros() -> None:
+    text = (ROOT / "test" / "suite.cmake").read_text(encoding="utf-8")
+    found = re.search(r"set\(tests\s+([^)]*)\)", text)
+    assert found is not None
+    told = set(found[1].split())
+    found_there = {path.relative_to(ROOT / "test").parts[0] for path in ROOT.glob("test/**/test_*.py")}
+    files = {path.name for path in ROOT.glob("test/test_*.py") if "\npytestmark = " in path.read_text(encoding="utf-8")}
+    assert told == found_there - files, "without those that speak ROS as a whole"
 
 
 def test_every_executable_is_there() -> None:
