@@ -3,17 +3,15 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from types import FrameType
 
 import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from deltacharger_core import environment, streams
+from deltacharger_core import environment, signals, streams
 from deltacharger_ros.executor import Spinner
 
 
@@ -34,6 +32,9 @@ def ros_problem(error: Exception) -> str:
 def run(factory: Callable[[], Node], args: Sequence[str] | None = None) -> int:
     """Run one node until SIGINT, SIGTERM or SIGHUP, then close it; the main of every executable.
 
+    Further signals are ignored until the process has ended. Where its starter asks for that, the end of the starter
+    counts as SIGTERM (deltacharger_core.signals).
+
     Args:
         factory: builds the node (its class).
         args: command line, default sys.argv.
@@ -42,14 +43,14 @@ def run(factory: Callable[[], Node], args: Sequence[str] | None = None) -> int:
         Exit code: 0 after a signal, 2 where the node cannot start as configured.
     """
     streams.secure()
-    stop = threading.Event()
+    stop = signals.listen()
+    try:
+        return 0 if stop.is_set() else _run(factory, args, stop)
+    finally:
+        signals.ignore()
 
-    def request_stop(number: int, frame: FrameType | None) -> None:
-        stop.set()
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # ignored = started by nohup
-            signal.signal(number, request_stop)
+def _run(factory: Callable[[], Node], args: Sequence[str] | None, stop: threading.Event) -> int:
     try:
         problem = environment.domain_problem()
         if problem:

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any
 
-from deltacharger_core import streams
+from deltacharger_core import signals, streams
 from deltacharger_ros.outcomes import json_ready
 
 DONE, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -99,15 +99,14 @@ class Interrupts:
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Interrupts:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # ignored = started by nohup
-                self._before[number] = signal.signal(number, self._on_signal)
+        for number in signals.heard():
+            self._before[number] = signal.signal(number, self._on_signal)
         return self
 
     def __exit__(self, *exception: object) -> None:
         for number, handler in self._before.items():
             # Once interrupted the process is on its way out; an impatient third signal must not break that off.
-            signal.signal(number, signal.SIG_IGN if self.event.is_set() else handler)
+            signal.signal(number, signal.SIG_IGN if self.number else handler)
 
     def exit_code(self, otherwise: int) -> int:
         """Return the exit code of a server that was asked to end: 130 after SIGINT, 0 after others."""
@@ -116,7 +115,5 @@ class Interrupts:
         return DONE if self.number else otherwise
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self.event.is_set():
-            self.impatient.set()
+        signals.set_event(self.impatient if self.number else self.event)
         self.number = self.number or number
-        self.event.set()

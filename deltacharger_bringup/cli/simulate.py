@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import threading
 from pathlib import Path
 
 from deltacharger_bringup.cli.files import file_to_write
 from deltacharger_bringup.cli.output import DONE, FAILED, WRONG_INPUT, CommandError, Interrupts, answer, say, tell
-from deltacharger_bringup.cli.parser import DEFAULT_SCENE, scene_option
+from deltacharger_bringup.cli.parser import DEFAULT_SCENE, namespace_option, scene_option
 from deltacharger_bringup.cli.scene import load_for_command
+from deltacharger_core import signals
 from deltacharger_ros.outcomes import json_ready
 from deltacharger_sim.charger.simulated_charger import SimulatedCharger
 
@@ -21,6 +23,7 @@ _LONGEST_LINGER = 3.0  # s
 def add_simulate(parser: argparse.ArgumentParser) -> None:
     """Add the options of `simulate`."""
     scene_option(parser)
+    namespace_option(parser)
     parser.add_argument(
         "--directory", required=True, metavar="DIR", help="where the ports appear, as DIR/servo and DIR/board"
     )
@@ -39,7 +42,9 @@ def simulate(options: argparse.Namespace) -> int:
         )
     if options.record:
         file_to_write("--record", options.record)
-    with Interrupts() as interrupts, SimulatedCharger(scene.simulation, Path(options.directory)) as charger:
+    hardware = SimulatedCharger(scene.simulation, Path(options.directory), options.namespace)
+    with Interrupts() as interrupts, hardware as charger:
+        signals.follow_starter()
         if options.json:
             ports = {"servo": charger.servo_port, "board": charger.board_port}
             answer(options, {"ready": True, **ports, "scene": scene.name})
@@ -50,7 +55,8 @@ def simulate(options: argparse.Namespace) -> int:
             if broken:
                 raise CommandError(f"the simulated charger broke: {broken[0]!r}", FAILED)
         # Nodes that the same Ctrl-C ends still want to switch torque off and open the contactor.
-        charger.wait_until_quiet(_QUIET, _LONGEST_LINGER, interrupts.impatient)
+        hurry = threading.Event() if options.as_node else interrupts.impatient
+        charger.wait_until_quiet(_QUIET, _LONGEST_LINGER, hurry)
         record = charger.record()
         if options.record:
             Path(options.record).write_text(json.dumps(json_ready(record), indent=2) + "\n", encoding="utf-8")

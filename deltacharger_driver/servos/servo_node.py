@@ -205,9 +205,7 @@ class ServoNode(Node):
         inbox.serve(controller, self._contactor.guard, state)
         if state is ContactorState.CLOSED:
             controller.freeze()
-        if inbox.refused > before:
-            if self._stop.is_set():  # docking_node holds the arm while it closes, too
-                return
+        if inbox.refused > before and not self._stop.is_set():  # whose sender closes, too
             self._lines.warning(inbox.last_refusal, throttle_duration_sec=1.0)
 
     def _on_set_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:

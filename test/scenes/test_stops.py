@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A charger that charges, ended by each signal that people, containers and systemd send, without launch.
+
+By `deltacharger up`, and by nodes as processes of their own. Each time the contactor is open within 350 ms and the arm
+has no torque in the end. Under launch: test_charger_launch_stops.py.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deltacharger_scenes.scene import load_scene
+
+from ..chargers import Process, wait_until
+from .stopping import OPEN, Stopped, lives
+from .test_processes import arguments
+
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
+INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+Start = Callable[..., Process]
+
+
+@pytest.fixture
+def stopped(tmp_path: Path, namespace: str, context: Any) -> Iterator[Stopped]:
+    rig = Stopped(tmp_path, namespace, context)
+    yield rig
+    rig.charger.stop()
+
+
+@pytest.mark.parametrize(
+    ("signals", "code"),
+    [
+        pytest.param((INT, INT), 130, id="Ctrl-C_twice"),
+        pytest.param((TERM,), 0, id="docker_stop", marks=pytest.mark.slow),
+        pytest.param((HUP, TERM), 0, id="closed_terminal", marks=pytest.mark.slow),
+    ],
+)
+def test_up_makes_a_charging_charger_safe(
+    stopped: Stopped, start: Start, deltacharger: tuple[str, ...], namespace: str, signals: tuple[int, ...], code: int
+) -> None:
+    process = start(*deltacharger, "up", "--scene", str(stopped.scene), "--namespace", namespace)
+    stopped.charge(process)
+    assert stopped.stop([process], signals) < OPEN
+    assert process.end() == code, process.err
+    stopped.assert_safe()
+    assert not [line for line in process.err if "ERROR" in line or "Traceback" in line], process.err
+
+
+def test_nodes_that_hear_signals_until_they_have_ended_make_a_charging_charger_safe(
+    stopped: Stopped, start: Start, namespace: str
+) -> None:
+    scene = load_scene(stopped.scene)
+    processes = [start(*arguments(scene, name, namespace)) for name in scene.start_order()]
+    stopped.charge(processes[-1])
+    assert stopped.stop(processes, (INT,)) < OPEN
+    for each in processes:
+        while each.process.poll() is None:  # as an impatient person does, or a supervisor beside a terminal
+            each.process.send_signal(INT)
+            time.sleep(0.001)
+    assert [each.end() for each in processes] == [0] * len(processes), [each.err for each in processes]
+    stopped.assert_safe()
+    said = [line for each in processes for line in each.err]
+    assert not [line for line in said if "[ERROR]" in line or "[WARN]" in line or "Traceback" in line], said
+
+
+def test_a_node_ends_with_who_started_it(start: Start, namespace: str) -> None:
+    words = arguments(load_scene("mocks"), "kinematics_node", namespace)
+    code = (
+        "import os, subprocess, sys, time\n"
+        "from deltacharger_core import signals\n"
+        "child = subprocess.Popen(sys.argv[1:], env={**os.environ, **signals.end_with(os.getpid())})\n"
+        "print(child.pid, flush=True)\n"
+        "child.wait()\n"
+    )
+    starter = start(words[0], "-c", code, *words)
+    wait_until(lambda: starter.out, "the node's process")
+    node = int(starter.out[0])
+    starter.process.kill()
+    wait_until(lambda: not lives(node), "the end of the node")
