@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arguments of a launch file that it does not know, which launch itself would pass over."""
+"""How a launch file was started: by itself, or included by another; and arguments that it does not know."""
 
 from __future__ import annotations
 
@@ -10,6 +10,11 @@ from pathlib import Path
 from deltacharger_core.parameters import did_you_mean
 
 _OF_LAUNCH = ("launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_timeout", "sigkill_timeout")
+
+
+def is_launched_itself(file: str) -> bool:
+    """Return whether `ros2 launch` was asked for this launch file, and not for one that includes it."""
+    return Path(file).name in (Path(word).name for word in sys.argv)
 
 
 def refuse_slips(file: str, words: Iterable[str], known: Collection[str]) -> None:
@@ -23,7 +28,7 @@ def refuse_slips(file: str, words: Iterable[str], known: Collection[str]) -> Non
     Raises:
         ValueError: names the argument and the nearest known one.
     """
-    if Path(file).name not in (Path(word).name for word in sys.argv):
+    if not is_launched_itself(file):
         return
     for word in words:
         name, assigned, _ = word.partition(":=")

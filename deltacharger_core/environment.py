@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 from typing import NoReturn
 
@@ -20,7 +21,10 @@ RUNS_ON = "ROS 2 Jazzy with rclpy 7.1.4 or newer, or Kilted"
 LARGEST_DOMAIN = 232
 """Above it the UDP ports of a domain pass 65535."""
 
-_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_DOMAIN, _RANGE = "ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"
+CHOSEN = (_DOMAIN, _RANGE)
+"""The variables by which programs of one computer find each other."""
+
 _REACHED = {  # rcl takes an unknown word as LOCALHOST
     "OFF": "this process alone",
     "LOCALHOST": "every program on this computer",
@@ -79,33 +83,33 @@ def config(name: str) -> list[Path]:
     return [path for path in dict.fromkeys(found) if path.exists()]
 
 
-def isolate() -> None:
+def isolate(variables: MutableMapping[str, str] = os.environ) -> None:
     """Keep a simulated scene's traffic on this machine and away from robots, unless the user chose otherwise."""
-    reach("localhost")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(SIMULATION_DOMAIN))
+    reach("localhost", variables)
+    variables.setdefault(_DOMAIN, str(SIMULATION_DOMAIN))
 
 
-def reach(network: str) -> None:
-    """Let the nodes of this process reach what a scene's key `network` says, unless the user chose otherwise."""
-    if not os.environ.get(_RANGE):
-        os.environ[_RANGE] = network.upper()
+def reach(network: str, variables: MutableMapping[str, str] = os.environ) -> None:
+    """Let nodes of this environment reach what a scene's key `network` says, unless the user chose otherwise."""
+    if not variables.get(_RANGE):
+        variables[_RANGE] = network.upper()
 
 
-def openness() -> str:
-    """Return in words who can command the nodes of this process."""
-    if os.environ.get("ROS_SECURITY_ENABLE") == "true" and os.environ.get("ROS_SECURITY_STRATEGY") == "Enforce":
+def openness(variables: Mapping[str, str] = os.environ) -> str:
+    """Return in words who can command the nodes of this environment."""
+    if variables.get("ROS_SECURITY_ENABLE") == "true" and variables.get("ROS_SECURITY_STRATEGY") == "Enforce":
         return "nodes with a key of this keystore alone"
-    if os.environ.get("ROS_LOCALHOST_ONLY") == "1":  # rcl then leaves out the peers, too
+    if variables.get("ROS_LOCALHOST_ONLY") == "1":  # rcl then leaves out the peers, too
         return _REACHED["LOCALHOST"]
-    chosen = os.environ.get(_RANGE) or "SUBNET"
-    peers = os.environ.get("ROS_STATIC_PEERS", "")
+    chosen = variables.get(_RANGE) or "SUBNET"
+    peers = variables.get("ROS_STATIC_PEERS", "")
     beyond = f" and to {peers}" if peers and chosen not in ("OFF", "SYSTEM_DEFAULT") else ""
     return _REACHED.get(chosen, _REACHED["LOCALHOST"]) + beyond
 
 
 def domain_problem() -> str:
     """Return what is wrong with ROS_DOMAIN_ID, or ''; ROS itself takes some wrong ones and then hears nobody."""
-    text = os.environ.get("ROS_DOMAIN_ID", "")
+    text = os.environ.get(_DOMAIN, "")
     try:
         usable = not text or 0 <= int(text) <= LARGEST_DOMAIN
     except ValueError:
@@ -113,9 +117,9 @@ def domain_problem() -> str:
     return "" if usable else f"ROS_DOMAIN_ID is '{text}'; give a whole number from 0 to {LARGEST_DOMAIN}, or unset it"
 
 
-def domain() -> int:
-    """Return the ROS domain that nodes of this process join."""
+def domain(variables: Mapping[str, str] = os.environ) -> int:
+    """Return the ROS domain that nodes of this environment join."""
     try:
-        return int(os.environ.get("ROS_DOMAIN_ID", "") or 0)
+        return int(variables.get(_DOMAIN, "") or 0)
     except ValueError:
         return 0

@@ -6,14 +6,23 @@
 This file only wires: what runs, and with which parameters, stands in the scene; what the other arguments change of it
 is decided in deltacharger_scenes.overrides. A wrong argument ends the launch before anything starts.
 
+What a launch file that includes this one has set (namespace, parameters, remaps, environment) holds for every process,
+also for nodes that start later than the others, once the simulated hardware has its ports.
+
 A node that moves nothing and carries no current is started again when it dies (`may_restart` in node_table). The end of
 any other ends the charger as a whole, docking_node among them, which leaves the arm safe; ros2 launch then ends with 1.
+Where launch itself is killed, its processes notice and end (deltacharger_core.signals).
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import copy
+import os
+import signal
 import tempfile
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -21,20 +30,23 @@ from typing import Any
 from launch.actions import (
     DeclareLaunchArgument,
     ExecuteProcess,
+    GroupAction,
     LogInfo,
     OpaqueFunction,
     RegisterEventHandler,
     Shutdown,
 )
-from launch.event_handlers import OnProcessExit, OnProcessIO
-from launch.events.process import ProcessExited, ProcessIO
+from launch.event_handlers import OnProcessExit, OnProcessIO, OnProcessStart, OnShutdown
+from launch.events import Shutdown as ShutdownBegins
+from launch.events.process import ProcessExited, ProcessIO, ProcessStarted
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.substitutions import ExecutableInPackage
+from launch_ros.utilities import prefix_namespace
 
 from deltacharger_bringup.cli.types import namespace
-from deltacharger_bringup.launch_arguments import refuse_slips
-from deltacharger_core import environment
+from deltacharger_bringup.launch_arguments import is_launched_itself, refuse_slips
+from deltacharger_core import environment, signals
 from deltacharger_core.parameters import declared
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.overrides import Overrides, override
@@ -68,15 +80,70 @@ def _wire(context: LaunchContext) -> list[Any]:
     told = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     if told["log_level"] not in LEVELS:
         raise ValueError(f"log_level is '{told['log_level']}'; give one of {', '.join(LEVELS)}")
+    told["namespace"] = _namespace(told["namespace"])
+    scene = override(load_scene(told["scene"]), Overrides(**{item.name: told[item.name] for item in fields(Overrides)}))
+    variables = dict(context.environment)
+    _choose_network(scene, variables)
+    variables |= signals.end_with(os.getpid())
+    scoped = _scope(context, variables)
+    if scene.simulation is None:
+        started: list[Any] = _nodes(scene, told)
+        wired = scoped(started)
+    else:
+        started, wired = _simulated(scene, told, _full_namespace(context, told["namespace"]), scoped)
+    return [LogInfo(msg=_what_starts(scene, variables)), *_interrupted(started), *wired]
+
+
+def _namespace(text: str) -> str:
+    """Return the argument `namespace`: relative to that of the including launch file, unless it begins with a slash."""
     try:
-        told["namespace"] = namespace(told["namespace"])
+        return ("/" if text.startswith("/") else "") + namespace(text)
     except argparse.ArgumentTypeError as error:
         raise ValueError(f"namespace: {error}") from error
-    scene = override(load_scene(told["scene"]), Overrides(**{item.name: told[item.name] for item in fields(Overrides)}))
-    environment.reach(scene.network if scene.touches_hardware else "localhost")
-    wired = _nodes if scene.simulation is None else _simulated
-    said = [LogInfo(msg=f"open to {environment.openness()}; see docs/security.md")] if scene.touches_hardware else []
-    return said + wired(scene, told)
+
+
+def _full_namespace(context: LaunchContext, relative: str) -> str:
+    """Return the nodes' whole namespace, without its outer slashes."""
+    return (prefix_namespace(context.launch_configurations.get("ros_namespace"), relative) or "").strip("/")
+
+
+def _choose_network(scene: Scene, variables: dict[str, str]) -> None:
+    """Set who reaches the nodes, where nobody has.
+
+    A simulated scene that is launched itself has the domain of simulated chargers, as by `deltacharger up`: a robot on
+    this computer must not hear it. Included by another launch file it has the domain of that one's other nodes.
+    """
+    if scene.touches_hardware:
+        environment.reach(scene.network, variables)
+    elif is_launched_itself(__file__):
+        environment.isolate(variables)
+    else:
+        environment.reach("localhost", variables)
+
+
+def _what_starts(scene: Scene, variables: dict[str, str]) -> str:
+    domain = environment.domain(variables)
+    text = f"scene '{scene.name}' in ROS domain {domain}, open to {environment.openness(variables)}"
+    if scene.touches_hardware:
+        return f"{text}; see docs/security.md"
+    chosen = " ".join(f"{name}={variables[name]}" for name in environment.CHOSEN if name in variables)
+    return f"{text}; in other shells: export {chosen}"
+
+
+def _scope(context: LaunchContext, variables: dict[str, str]) -> Callable[[list[Any]], list[Any]]:
+    """Return what runs actions, now or later, with the launch configurations of now and these environment variables.
+
+    Namespace, parameters and remaps of a launch file that includes this one are launch configurations, which are gone
+    when an event handler runs.
+    """
+    configurations = copy.deepcopy(dict(context.launch_configurations))
+
+    def enter(context: LaunchContext) -> None:
+        for now, then in ((context.launch_configurations, configurations), (context.environment, variables)):
+            now.clear()
+            now.update(then)
+
+    return lambda actions: [GroupAction([OpaqueFunction(function=enter), *actions])]
 
 
 def _nodes(scene: Scene, told: dict[str, str], ports: dict[str, str] | None = None) -> list[Any]:
@@ -109,13 +176,40 @@ def _judge(event: ProcessExited, context: LaunchContext) -> list[Any]:
     return [fail, Shutdown(reason=reason)]
 
 
-def _simulated(scene: Scene, told: dict[str, str]) -> list[Any]:
-    """Return the simulated hardware, and the nodes once its ports are there."""
+def _interrupted(started: list[Any]) -> list[Any]:
+    """Hand on a SIGINT that launch alone has got: it takes for granted that its processes share its terminal."""
+
+    def interrupt(process: Any) -> None:
+        pid = (process.process_details or {}).get("pid")
+        if pid is not None and process.return_code is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGINT)
+
+    def when_ending(event: ShutdownBegins, context: LaunchContext) -> None:
+        if event.due_to_sigint and not context.noninteractive:
+            for process in started:
+                interrupt(process)
+
+    def when_begun(event: ProcessStarted, context: LaunchContext) -> None:
+        if context.is_shutdown and event.action in started:
+            interrupt(event.action)
+
+    return [
+        RegisterEventHandler(OnShutdown(on_shutdown=when_ending)),
+        RegisterEventHandler(OnProcessStart(on_start=when_begun)),
+    ]
+
+
+def _simulated(
+    scene: Scene, told: dict[str, str], full_namespace: str, scoped: Callable[[list[Any]], list[Any]]
+) -> tuple[list[Any], list[Any]]:
+    """Return all processes, and the actions that start the simulated hardware, then the nodes once it has its ports."""
     folder = tempfile.TemporaryDirectory(prefix="deltacharger-", ignore_cleanup_errors=True)
     hardware = ExecuteProcess(
         cmd=[
             ExecutableInPackage(package=PACKAGE, executable="deltacharger"),
-            *("simulate", "--scene", scene.file, "--directory", folder.name, "--as-node"),
+            *("simulate", "--scene", scene.file, "--directory", folder.name, "--namespace", full_namespace),
+            "--as-node",
         ],
         name="simulated_charger",
         output="screen",
@@ -123,18 +217,19 @@ def _simulated(scene: Scene, told: dict[str, str]) -> list[Any]:
         **PATIENCE,
     )
     nodes = _nodes(scene, told, {port: str(Path(folder.name) / port) for port in ("servo", "board")})
+    waiting = list(nodes)
 
     def when_ready(event: ProcessIO) -> list[Any] | None:
-        if b"ready" not in event.text:
+        if b"ready" not in event.text.split():
             return None
-        started, nodes[:] = list(nodes), []
-        return started
+        begun, waiting[:] = scoped(list(waiting)), []
+        return begun
 
     def when_ended(event: ProcessExited, context: LaunchContext) -> None:
         folder.cleanup()
 
-    return [
+    return [hardware, *nodes], [
         RegisterEventHandler(OnProcessIO(target_action=hardware, on_stdout=when_ready)),
         RegisterEventHandler(OnProcessExit(target_action=hardware, on_exit=when_ended)),
-        hardware,
+        *scoped([hardware]),
     ]

@@ -15,6 +15,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.signals import SignalHandlerOptions
 
 from deltacharger_ros.client import ChargerClient
 
@@ -83,6 +86,34 @@ def test_hardware_without_its_ports_ends_with_1_and_names_the_port(
     assert process.end() == 1
     assert re.search(r"/dev/no_(servo|board): there is no such port; plug the adapter in", told(process))
     assert re.search(r"(servo|tactile)_node cannot start as configured; ending the charger", told(process))
+
+
+def test_mocks_launched_alone_are_in_the_domain_of_simulated_chargers_and_how_to_reach_them_is_said(
+    launched: Launch, namespace: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        monkeypatch.delenv(name)
+    process = launched(scene=QUICK, namespace=namespace)
+    context = Context()
+    rclpy.init(context=context, args=[], domain_id=87, signal_handler_options=SignalHandlerOptions.NO)
+    with ChargerClient(namespace, context) as client:
+        assert client.wait_until_ready(DEADLINE), told(process)
+    rclpy.try_shutdown(context=context)
+    assert process.end(signal.SIGINT) == 0
+    assert "export ROS_DOMAIN_ID=87 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST" in told(process)
+
+
+def test_included_they_are_in_the_domain_of_the_launch_file_that_includes_them(
+    launched: Launch, start: Launch, namespace: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+    file = tmp_path / "robot.launch.xml"
+    arguments = {"scene": QUICK, "namespace": namespace}
+    each = "".join(f'<arg name="{name}" value="{value}"/>' for name, value in arguments.items())
+    file.write_text(f'<launch><include file="{FILE}">{each}</include></launch>', encoding="utf-8")
+    process = start(*COMMAND[:-1], str(file))
+    process.wait_for_line("in ROS domain 0,", process.out)
+    assert process.end(signal.SIGINT) == 0, told(process)
 
 
 @pytest.mark.parametrize(

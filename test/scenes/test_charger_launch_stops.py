@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ros2 launch` of a charger that charges, ended by each signal that people, containers and systemd send.
+
+Each time the contactor is open within 350 ms, the arm has no torque in the end, and no process is left. Without launch:
+test_stops.py.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ..chargers import Process, wait_until
+from .launched import need_the_package
+from .stopping import LEADER, OPEN, TERMINAL, Stopped, kill_what_is_left, left
+from .test_charger_launch_ends import COMMAND, finished_cleanly, told
+
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
+NODES = 5
+INT, TERM, HUP, KILL = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL
+
+
+@pytest.fixture
+def stopped(tmp_path: Path, namespace: str, context: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stopped]:
+    need_the_package()
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+    rig = Stopped(tmp_path, namespace, context)
+    yield rig
+    rig.charger.stop()
+
+
+@pytest.mark.parametrize(
+    ("before", "signals", "group", "code"),
+    [
+        pytest.param((), (INT,), False, 0, id="SIGINT"),
+        pytest.param(TERMINAL, (INT,), False, 0, id="SIGINT_to_launch_alone_in_a_terminal"),
+        pytest.param(TERMINAL, (INT, INT), True, 0, id="Ctrl-C_twice_in_a_terminal"),
+        pytest.param((), (INT, INT), True, 0, id="SIGINT_twice_by_systemd"),
+        pytest.param((), (TERM,), False, -TERM, id="SIGTERM"),
+        pytest.param((), (HUP,), True, -HUP, id="closed_terminal"),
+        pytest.param((), (KILL,), False, -KILL, id="SIGKILL"),
+    ],
+)
+def test_a_signal_to_launch_makes_a_charging_charger_safe(
+    stopped: Stopped,
+    start: Callable[..., Process],
+    namespace: str,
+    before: tuple[str, ...],
+    signals: tuple[int, ...],
+    group: bool,
+    code: int,
+) -> None:
+    process = start(*LEADER, *before, *COMMAND, f"scene:={stopped.scene}", f"namespace:={namespace}")
+    pid = process.process.pid
+    try:
+        stopped.charge(process)
+        assert stopped.stop([process], signals, group) < OPEN
+        assert process.end() == code, told(process)
+        stopped.assert_safe()
+        wait_until(lambda: not left(pid), "the end of all processes", 10.0)
+    finally:
+        kill_what_is_left(pid)
+    if code == 0:
+        assert finished_cleanly(process) == NODES, told(process)
