@@ -8,6 +8,7 @@ refused before anything starts.
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -102,6 +103,14 @@ def _with_file(scene: Scene, key: str, file: str, node: str, parameter: str) -> 
 def _with_record(scene: Scene, record: str) -> Scene:
     if record and given_path(record).is_file():
         raise SceneError(scene.file, "record", f"'{record}' is a file; give a folder, true or false")
+    if record and record.lower() not in (*_TRUE, *_FALSE):
+        try:
+            folder = given_path(record)
+            folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+        except OSError as error:
+            problem = f"'{record}' cannot be written ({error.strerror}); give another folder"
+            raise SceneError(scene.file, "record", problem) from error
     return with_recorder(scene, record)
 
 

@@ -16,6 +16,9 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from deltacharger_bringup.launch_arguments import refuse_slips
+from deltacharger_core.bounded_file import given_path
+from deltacharger_kinematics.geometry_file import load_geometry
+from deltacharger_vision.mount import Mount
 from launch import LaunchContext, LaunchDescription
 
 SHARE = Path(__file__).resolve().parents[1]
@@ -29,6 +32,9 @@ ARGUMENTS = {
     **MODEL,
     "rviz": ("true", "false: only the robot model and tf"),
 }
+
+
+FILES = {"geometry_file": load_geometry, "mount_file": Mount.load}
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -45,6 +51,7 @@ def _wire(context: LaunchContext) -> list[Any]:
 
     refuse_slips(__file__, context.argv, ARGUMENTS)
     told = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    told |= {name: _read(name, told[name]) for name in FILES if told[name]}
     description = xacro.process_file(
         str(SHARE / "urdf" / "deltacharger.urdf.xacro"), mappings={name: told[name] for name in MODEL}
     ).toxml()
@@ -71,3 +78,15 @@ def _wire(context: LaunchContext) -> list[Any]:
             )
         )
     return nodes
+
+
+def _read(argument: str, text: str) -> str:
+    """Return the whole path of a file that can be read: xacro looks beside its own file."""
+    path = given_path(text).absolute()
+    try:
+        FILES[argument](path)
+    except OSError as error:
+        raise ValueError(f"{argument}: '{text}': {error.strerror or error}") from error
+    except ValueError as error:
+        raise ValueError(f"{argument}: {error}") from error
+    return str(path)

@@ -39,7 +39,19 @@ def test_rviz_comes_unless_it_is_declined(tmp_path: Path) -> None:
     assert [node.node_executable for node in wired(rviz="false")] == names[:2]
 
 
-def test_a_calibrated_geometry_reaches_the_model(tmp_path: Path) -> None:
+@pytest.mark.parametrize("argument", ["geometry_file", "mount_file"])
+def test_a_file_that_cannot_be_read_is_named_in_one_line(argument: str, tmp_path: Path) -> None:
+    wrong = tmp_path / "wrong.yaml"
+    with pytest.raises(ValueError, match=rf"^{argument}: '{wrong}': No such file or directory$"):
+        wired(**{argument: str(wrong)})
+    wrong.write_text("armm: 0.1\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=rf"^{argument}: {wrong}: .*armm[^\n]*$"):
+        wired(**{argument: str(wrong)})
+
+
+def test_a_calibrated_geometry_reaches_the_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save_geometry(DeltaGeometry(arm=0.1234), tmp_path / "arm.yaml")
-    text = wired(geometry_file=str(tmp_path / "arm.yaml"))[0]._Node__parameters[0]
-    assert "0.1234" in str([getattr(value, "value", value) for value in text.values()])
+    monkeypatch.chdir(tmp_path)  # where a relative path begins
+    for file in (str(tmp_path / "arm.yaml"), "arm.yaml"):
+        text = wired(geometry_file=file)[0]._Node__parameters[0]
+        assert "0.1234" in str([getattr(value, "value", value) for value in text.values()])

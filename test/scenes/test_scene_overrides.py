@@ -91,6 +91,7 @@ REFUSED = [
     ("bench", {"recording": __file__}, "starts no recording_player_node"),
     ("replay", {"recording": "nowhere.mcap"}, "there is no such file"),
     ("bench", {"record": __file__}, "is a file"),
+    ("bench", {"record": "/proc/records"}, "cannot be written"),
 ]
 
 
