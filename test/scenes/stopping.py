@@ -9,10 +9,13 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.outcomes import DockRequest, Pose
@@ -22,6 +25,7 @@ from ..chargers import DEADLINE, Process, dock_at_last, wait_until
 from ..quick import DAMPING, STEPS
 from ..sim.fault_world import CONTACTOR, RecordedCharger
 
+ROOT = Path(__file__).resolve().parents[2]
 OPEN = 0.35  # s from the signal to the open contactor
 LEADER = ("setsid",)
 """Begins a command line whose processes are a process group of their own, as those of a shell's job are."""
@@ -32,6 +36,12 @@ TERMINAL = (
     "os.execvp(sys.argv[1], sys.argv[1:])",
 )
 """Begins a command line whose program reads from a terminal."""
+CONTAINER = ("unshare", "--pid", "--fork", str(ROOT / "config" / "container" / "entrypoint.sh"))
+"""Begins a command line whose program is process 1 of a container, with whose end all others in it are killed."""
+needs_containers = pytest.mark.skipif(
+    subprocess.run(["unshare", "--pid", "--fork", "true"], capture_output=True, check=False).returncode != 0,
+    reason="needs the right to make a namespace of processes, as root has",
+)
 _PATIENT = {"servo_age_max": 1.0, "tactile_age_max": 1.0, "power_age_max": 1.0}  # a busy computer is no broken cable
 
 
@@ -61,13 +71,11 @@ class Stopped:
             dock_at_last(client, DockRequest(Pose(0.0, 0.0, 0.080)))
         assert self.charger.world.circuit.closed
 
-    def stop(self, processes: Sequence[Process], signals: Sequence[int], group: bool = False) -> float:
-        """Send signals to processes, or to the groups that they lead, and return s until the contactor was open."""
+    def stop(self, send: Callable[[], object]) -> float:
+        """Send signals, and return s until the contactor was open."""
         begun = len(self.charger.world.events)
         at = self.charger.world.time
-        for number in signals:
-            for each in processes:
-                (os.killpg if group else os.kill)(each.process.pid, number)
+        send()
         opened = wait_until(lambda: self.charger.world.since(begun, CONTACTOR, False), "an open contactor")
         return opened[0].time - at
 
@@ -77,6 +85,12 @@ class Stopped:
         assert not self.charger.world.circuit.closed
         record = self.charger.world.record
         assert (record.energised_shorts, record.energised_unsafe, record.parted_live) == (0, 0.0, 0)
+
+
+def first(process: Process) -> int:
+    """Return the id, as seen from here, of process 1 of a container."""
+    pid = process.process.pid
+    return int(wait_until(lambda: Path(f"/proc/{pid}/task/{pid}/children").read_text().split(), "process 1")[0])
 
 
 def lives(process: int) -> bool:

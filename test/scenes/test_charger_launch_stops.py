@@ -7,7 +7,10 @@ test_stops.py.
 
 from __future__ import annotations
 
+import os
+import shutil
 import signal
+import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,12 +19,28 @@ import pytest
 
 from ..chargers import Process, wait_until
 from .launched import need_the_package
-from .stopping import LEADER, OPEN, TERMINAL, Stopped, kill_what_is_left, left
+from .stopping import (
+    CONTAINER,
+    LEADER,
+    OPEN,
+    ROOT,
+    TERMINAL,
+    Stopped,
+    first,
+    kill_what_is_left,
+    left,
+    needs_containers,
+)
 from .test_charger_launch_ends import COMMAND, finished_cleanly, told
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 NODES = 5
+UNIT = dict(
+    line.split("=", 1)
+    for line in (ROOT / "config" / "systemd" / "deltacharger.service").read_text(encoding="utf-8").splitlines()
+    if "=" in line and line[0] != "#"
+)
 INT, TERM, HUP, KILL = signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL
 
 
@@ -40,7 +59,8 @@ def stopped(tmp_path: Path, namespace: str, context: Any, monkeypatch: pytest.Mo
         pytest.param((), (INT,), False, 0, id="SIGINT"),
         pytest.param(TERMINAL, (INT,), False, 0, id="SIGINT_to_launch_alone_in_a_terminal"),
         pytest.param(TERMINAL, (INT, INT), True, 0, id="Ctrl-C_twice_in_a_terminal"),
-        pytest.param((), (INT, INT), True, 0, id="SIGINT_twice_by_systemd"),
+        pytest.param((), (INT, INT), True, 0, id="SIGINT_twice_without_terminal"),
+        pytest.param((), (signal.Signals[UNIT["KillSignal"]],), True, 0, id="systemctl_stop"),
         pytest.param((), (TERM,), False, -TERM, id="SIGTERM"),
         pytest.param((), (HUP,), True, -HUP, id="closed_terminal"),
         pytest.param((), (KILL,), False, -KILL, id="SIGKILL"),
@@ -59,7 +79,8 @@ def test_a_signal_to_launch_makes_a_charging_charger_safe(
     pid = process.process.pid
     try:
         stopped.charge(process)
-        assert stopped.stop([process], signals, group) < OPEN
+        kill = os.killpg if group else os.kill
+        assert stopped.stop(lambda: [kill(pid, number) for number in signals]) < OPEN
         assert process.end() == code, told(process)
         stopped.assert_safe()
         wait_until(lambda: not left(pid), "the end of all processes", 10.0)
@@ -67,3 +88,22 @@ def test_a_signal_to_launch_makes_a_charging_charger_safe(
         kill_what_is_left(pid)
     if code == 0:
         assert finished_cleanly(process) == NODES, told(process)
+
+
+@needs_containers
+def test_docker_stop_of_launch_makes_a_charging_charger_safe(
+    stopped: Stopped, start: Callable[..., Process], namespace: str
+) -> None:
+    process = start(*CONTAINER, *COMMAND, f"scene:={stopped.scene}", f"namespace:={namespace}")
+    stopped.charge(process)
+    assert stopped.stop(lambda: os.kill(first(process), INT)) < OPEN  # STOPSIGNAL SIGINT
+    assert process.end() == 0, told(process)
+    stopped.assert_safe()
+    assert finished_cleanly(process) == NODES, told(process)
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
+def test_systemd_takes_the_unit() -> None:
+    file = ROOT / "config" / "systemd" / "deltacharger.service"
+    said = subprocess.run(["systemd-analyze", "verify", str(file)], capture_output=True, text=True, check=False)
+    assert (said.returncode, said.stdout, said.stderr) == (0, "", "")

@@ -7,9 +7,11 @@ has no torque in the end. Under launch: test_charger_launch_stops.py.
 
 from __future__ import annotations
 
+import os
+import re
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +20,19 @@ import pytest
 from deltacharger_scenes.scene import load_scene
 
 from ..chargers import Process, wait_until
-from .stopping import OPEN, Stopped, lives
+from .stopping import CONTAINER, OPEN, Stopped, first, lives, needs_containers
 from .test_processes import arguments
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime]
 
 INT, TERM, HUP = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
+ALARM = re.compile(r"\[(WARN|ERROR|FATAL)\]|Traceback")
 Start = Callable[..., Process]
+
+
+def send_all(process: Process, signals: Sequence[int]) -> None:
+    for number in signals:
+        process.process.send_signal(number)
 
 
 @pytest.fixture
@@ -47,10 +55,11 @@ def test_up_makes_a_charging_charger_safe(
 ) -> None:
     process = start(*deltacharger, "up", "--scene", str(stopped.scene), "--namespace", namespace)
     stopped.charge(process)
-    assert stopped.stop([process], signals) < OPEN
+    before = len(process.err)
+    assert stopped.stop(lambda: send_all(process, signals)) < OPEN
     assert process.end() == code, process.err
     stopped.assert_safe()
-    assert not [line for line in process.err if "ERROR" in line or "Traceback" in line], process.err
+    assert not [line for line in process.err[before:] if ALARM.search(line)], process.err
 
 
 def test_nodes_that_hear_signals_until_they_have_ended_make_a_charging_charger_safe(
@@ -59,15 +68,28 @@ def test_nodes_that_hear_signals_until_they_have_ended_make_a_charging_charger_s
     scene = load_scene(stopped.scene)
     processes = [start(*arguments(scene, name, namespace)) for name in scene.start_order()]
     stopped.charge(processes[-1])
-    assert stopped.stop(processes, (INT,)) < OPEN
+    before = [len(each.err) for each in processes]
+    assert stopped.stop(lambda: [send_all(each, (INT,)) for each in processes]) < OPEN
     for each in processes:
         while each.process.poll() is None:  # as an impatient person does, or a supervisor beside a terminal
             each.process.send_signal(INT)
             time.sleep(0.001)
     assert [each.end() for each in processes] == [0] * len(processes), [each.err for each in processes]
     stopped.assert_safe()
-    said = [line for each in processes for line in each.err]
-    assert not [line for line in said if "[ERROR]" in line or "[WARN]" in line or "Traceback" in line], said
+    said = [line for each, count in zip(processes, before, strict=True) for line in each.err[count:]]
+    assert not [line for line in said if ALARM.search(line)], said
+
+
+@needs_containers
+@pytest.mark.parametrize(("number", "code"), [(TERM, 0), pytest.param(INT, 130, marks=pytest.mark.slow)])
+def test_docker_stop_of_up_makes_a_charging_charger_safe(
+    stopped: Stopped, start: Start, deltacharger: tuple[str, ...], namespace: str, number: int, code: int
+) -> None:
+    process = start(*CONTAINER, *deltacharger, "up", "--scene", str(stopped.scene), "--namespace", namespace)
+    stopped.charge(process)
+    assert stopped.stop(lambda: os.kill(first(process), number)) < OPEN
+    assert process.end() == code, process.err
+    stopped.assert_safe()
 
 
 def test_a_node_ends_with_who_started_it(start: Start, namespace: str) -> None:
