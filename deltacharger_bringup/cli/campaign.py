@@ -20,6 +20,7 @@ from deltacharger_bringup.cli.output import (
     WRONG_INPUT,
     CommandError,
     Interrupts,
+    of_system,
     say,
     tell_or_write,
 )
@@ -159,7 +160,7 @@ def _folder(options: argparse.Namespace) -> Path:
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise CommandError(f"--out {folder}: {folder.parent} cannot be made ({error.strerror})", WRONG_INPUT) from error
+        raise of_system(error, f"--out {folder}: {folder.parent} cannot be made: ") from error
     return folder
 
 

@@ -7,7 +7,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from deltacharger_bringup.cli.output import WRONG_INPUT, CommandError
+from deltacharger_bringup.cli.output import FAILED, WRONG_INPUT, CommandError, is_wrong_path
 
 _PICTURES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
 
@@ -58,18 +58,23 @@ def folder_to_write(flag: str, name: str) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise CommandError(
-            f"{flag} {name}: cannot be a folder ({error.strerror}); give another", WRONG_INPUT
-        ) from error
+        code = WRONG_INPUT if is_wrong_path(error) else FAILED
+        raise CommandError(f"{flag} {name}: cannot be a folder ({error.strerror}); give another", code) from error
     if not _takes_files(folder):
         raise CommandError(f"{flag} {name}: the folder cannot be written to; give another", WRONG_INPUT)
     return folder
 
 
 def _takes_files(folder: Path) -> bool:
-    """Whether a file can be made there; permissions tell root yes where a file system makes none."""
+    """Whether a file can be made there; permissions tell root yes where a file system makes none.
+
+    Raises:
+        OSError: the disk is full, or fails.
+    """
     try:
         with tempfile.TemporaryFile(dir=folder):
             return True
-    except OSError:
+    except OSError as error:
+        if not is_wrong_path(error):
+            raise
         return False

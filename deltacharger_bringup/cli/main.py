@@ -8,9 +8,7 @@ goes to stdout; progress and logs always go to stderr.
 from __future__ import annotations
 
 import argparse
-import errno
 import importlib
-import os
 import signal
 import sys
 import warnings
@@ -18,7 +16,16 @@ from collections.abc import Sequence
 from functools import partial
 from types import FrameType
 
-from deltacharger_bringup.cli.output import DONE, FAILED, INTERRUPTED, WRONG_INPUT, CommandError, say, write_json
+from deltacharger_bringup.cli.output import (
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    WRONG_INPUT,
+    CommandError,
+    of_system,
+    say,
+    write_json,
+)
 from deltacharger_bringup.cli.parser import Parser, Version, add_command
 from deltacharger_core import streams
 from deltacharger_core.environment import UnsupportedRos
@@ -91,7 +98,6 @@ _ELSEWHERE = {
 }
 
 _LONGEST_WORD = 4096  # characters; of a path, too
-_WRONG_PATH = (errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL, errno.EROFS, errno.ENXIO, errno.ENODEV)
 
 _EXTRA_OF = {
     "scipy": "calibrate",
@@ -154,7 +160,7 @@ def _run(words: list[str]) -> int:
             write_json({"success": False, "error": error.reason})
         return WRONG_INPUT
     except OSError as error:
-        failure = _of_system(error)
+        failure = of_system(error)
     except UnicodeError as error:
         failure = CommandError(f"a name or text is not UTF-8 ({error}); rename or change it", WRONG_INPUT)
     except Exception as error:
@@ -177,23 +183,6 @@ def _require_plain(words: list[str]) -> None:
             raise CommandError(f"'{told}' holds control characters: rename or retype it", WRONG_INPUT)
         if len(word) > _LONGEST_WORD:
             raise CommandError(f"'{word[:20]}…' has {len(word)} characters, more than any name or path", WRONG_INPUT)
-
-
-def _of_system(error: OSError) -> CommandError:
-    """Return what tells a person what the system refuses: a path that was given is a wrong one."""
-    if isinstance(error, FileNotFoundError):
-        if error.filename is None and not _has_working_directory():
-            return CommandError("the working directory was removed: change to another", WRONG_INPUT)
-        return CommandError(f"{error.filename or error}: there is no such file", WRONG_INPUT)
-    wrong = isinstance(error, PermissionError | IsADirectoryError | NotADirectoryError) or error.errno in _WRONG_PATH
-    return CommandError(str(error), WRONG_INPUT if wrong else FAILED)
-
-
-def _has_working_directory() -> bool:
-    try:
-        return bool(os.getcwd())
-    except OSError:
-        return False
 
 
 def _known(error: Exception) -> CommandError | None:

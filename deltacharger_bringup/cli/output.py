@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import errno
 import json
+import os
 import signal
 import sys
 import threading
@@ -17,6 +19,8 @@ from deltacharger_core import signals, streams
 from deltacharger_ros.outcomes import json_ready
 
 DONE, FAILED, WRONG_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+_WRONG_PATH = (errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL, errno.EROFS, errno.ENXIO, errno.ENODEV)
 
 
 class CommandError(Exception):
@@ -34,6 +38,29 @@ class CommandError(Exception):
         super().__init__(message)
 
 
+def is_wrong_path(error: OSError) -> bool:
+    """Whether another path would help; False where disk, quota, memory or a device is at fault."""
+    kinds = FileNotFoundError | FileExistsError | PermissionError | IsADirectoryError | NotADirectoryError
+    return isinstance(error, kinds) or error.errno in _WRONG_PATH
+
+
+def of_system(error: OSError, before: str = "") -> CommandError:
+    """Return what tells a person what the system refuses; `before` begins the message."""
+    code = WRONG_INPUT if is_wrong_path(error) else FAILED
+    if isinstance(error, FileNotFoundError):
+        if error.filename is None and not _has_working_directory():
+            return CommandError("the working directory was removed: change to another", code)
+        return CommandError(f"{before}{error.filename or error}: there is no such file", code)
+    return CommandError(f"{before}{error}", code)
+
+
+def _has_working_directory() -> bool:
+    try:
+        return bool(os.getcwd())
+    except OSError:
+        return False
+
+
 @contextlib.contextmanager
 def wrong_input(*kinds: type[Exception], before: str = "", **details: Any) -> Iterator[None]:
     """Turn errors that say what is wrong with a given file or value into an end of the command.
@@ -44,11 +71,13 @@ def wrong_input(*kinds: type[Exception], before: str = "", **details: Any) -> It
         details: as of `CommandError`.
 
     Raises:
-        CommandError: instead of one of them; exit code 2.
+        CommandError: instead of one of them; exit code 2, but for a disk or a device at fault.
     """
     try:
         yield
     except kinds as error:
+        if isinstance(error, OSError):
+            raise of_system(error, before) from error
         raise CommandError(f"{before}{error}", WRONG_INPUT, **details) from error
 
 

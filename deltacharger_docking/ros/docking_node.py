@@ -73,7 +73,8 @@ class DockingNode(Node):
         self._calls = Services(self)
         self._secret = secrets.token_hex(16)  # shows servo_node that trajectories come from this process
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
-        self._reports = Reports(self, self._log, self._settings.servo_age_max)
+        ages_max = (self._settings.servo_age_max, self._settings.tactile_age_max, self._settings.power_age_max)
+        self._reports = Reports(self, self._log, ages_max)
         observe = self._inputs.observation  # takes no reply that the running goal waits for
         self._owners = None if self._settings.keeps_clearance else PortOwners(self)  # nobody else needs them
         self._goals = Goals(

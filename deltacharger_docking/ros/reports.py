@@ -12,9 +12,11 @@ from deltacharger.msg import DockingDecision, DockingState
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from deltacharger_core.quantity import quantity
 from deltacharger_docking.codes import State
 from deltacharger_docking.observation import Decision, DockingStatus, Observation
 from deltacharger_docking.phase_log import PhaseLog, changes
+from deltacharger_docking.ros.inputs import SOURCES
 from deltacharger_ros.clock import before_now
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from deltacharger_ros.log import Log
@@ -30,12 +32,12 @@ class Reports:
     Args:
         node: publishes.
         log: of the node.
-        servo_age_max: age of servo_state (s) from which the diagnostics say ERROR.
+        ages_max: age (s) of servo_state, tactile_frame and charger_power from which the diagnostics say ERROR.
     """
 
-    def __init__(self, node: Node, log: Log, servo_age_max: float) -> None:
+    def __init__(self, node: Node, log: Log, ages_max: tuple[float, float, float]) -> None:
         self._node = node
-        self._servo_age_max = servo_age_max
+        self._ages_max = ages_max
         self._shown: DockingStatus | None = None
         self._diagnosed = -math.inf
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -74,6 +76,7 @@ class Reports:
             duplicate_sources=status.duplicate_sources,
         )
         message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.frame_id = "charger_base"
         self._state.publish(message)
 
     def decided(self, decisions: Sequence[Decision], request_id: str) -> None:
@@ -108,23 +111,29 @@ class Reports:
             level, text = WARN, f"{status.code.name}: {status.message}"
         if status.duplicate_sources:
             level, text = WARN, f"second source, so no contactor closes: {status.duplicate_sources}"
-        if observation.servo_age > self._servo_age_max:
-            level, text = ERROR, "servo_state is missing or stale"
+        ages = observation.servo_age, observation.tactile_age, observation.power_age
+        stale = [name for name, age, most in zip(SOURCES, ages, self._ages_max, strict=False) if age > most]
+        if stale:
+            level, text = ERROR, f"missing or stale: {', '.join(stale)}"
         entries = {
             "state": status.state.name,
             "docked": status.docked,
             "charging": status.charging,
-            "contact_current_A": round(status.contact_current, 3),
-            "servo_age_s": round(observation.servo_age, 3),
-            "tactile_age_s": round(observation.tactile_age, 3),
-            "power_age_s": round(observation.power_age, 3),
-            "slowest_tick_ms": round(1000 * slowest_tick, 1),
+            "contact_current": quantity(status.contact_current, ".3f", "A"),
+            "servo_age": _age(observation.servo_age),
+            "tactile_age": _age(observation.tactile_age),
+            "power_age": _age(observation.power_age),
+            "slowest_tick": quantity(1000.0 * slowest_tick, ".1f", "ms"),
             "duplicate_sources": status.duplicate_sources,
             "refused_messages": refused.count,
             "refused_last": refused.last,
         }
-        self._diagnostics.tell(level, text, entries)
+        self._diagnostics.tell(level, text, entries, "docking")
         return True
+
+
+def _age(age: float) -> str:
+    return "never heard" if math.isinf(age) else quantity(age, ".3f", "s")
 
 
 def _key(status: DockingStatus) -> tuple[object, ...]:

@@ -25,6 +25,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from deltacharger_core.quantity import quantity
 from deltacharger_driver.board.battery_node_io import PERIOD, BatteryPublishers
 from deltacharger_driver.board.contactor_guard import STALE_FRAME, STALE_POWER
 from deltacharger_driver.board.keeper import BoardKeeper
@@ -176,18 +177,20 @@ class TactileNode(Node):
 
     def _link_status(self) -> DiagnosticStatus:
         link = self._keeper.link
-        values = {**vars(link.decoder_counters), **vars(link.counters), "clock_drift": f"{link.drift:.2e}"}
+        drift = quantity(link.drift, ".2e", "s/s")
+        values = {**vars(link.decoder_counters), **vars(link.counters), "clock_drift": drift}
         lateness = link.heartbeat_lateness
         if lateness is not None:
-            values["heartbeat_late_max"] = f"{1e3 * lateness.largest:.1f} ms"
-            values["heartbeat_late_p99"] = f"{1e3 * lateness.percentile(0.99):.1f} ms"
+            values["heartbeat_late_max"] = quantity(1e3 * lateness.largest, ".1f", "ms")
+            values["heartbeat_late_p99"] = quantity(1e3 * lateness.percentile(0.99), ".1f", "ms")
         damaged = link.decoder_counters.damaged
         warning = f"{damaged} damaged packets since start" if damaged else ""
         return self._status("board link", self._keeper.problem, warning, values)
 
     def _tactile_status(self) -> DiagnosticStatus:
         frame = self._frame
-        values: dict[str, object] = {"rate": f"{self._frame_rate.rate():.1f} Hz", "late_frames": self._frame_rate.late}
+        rate = quantity(self._frame_rate.rate(), ".1f", "Hz")
+        values: dict[str, object] = {"rate": rate, "late_frames": self._frame_rate.late}
         if frame is None or time.monotonic() - frame.time > STALE_FRAME:
             return self._status("tactile arrays", "no fresh frames", "", values)
         dead = int(np.isnan(frame.pads).sum())
@@ -196,7 +199,7 @@ class TactileNode(Node):
 
     def _power_status(self) -> DiagnosticStatus:
         sample = self._fresh_power()
-        values = {"rate": f"{self._power_rate.rate():.1f} Hz", **self._keeper.guard.lease_record()}
+        values = {"rate": quantity(self._power_rate.rate(), ".1f", "Hz"), **self._keeper.guard.lease_record()}
         if sample is None:
             return self._status("power stage", "silent", "", values)
         power = sample.power

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import NamedTuple
 
+from deltacharger_core.quantity import quantity
 from deltacharger_driver.servos.controller import ServoController
 from deltacharger_driver.servos.mx64 import describe_hardware_error
 from deltacharger_driver.servos.report import ServoPhase, ServoReport
@@ -74,7 +75,7 @@ def bus_entry(
         "state": report.phase.value,
         "baud_rate": settings.baud_rate,
         "ids": list(settings.ids),
-        "rate": f"{rate:.1f} Hz",
+        "rate": quantity(rate, ".1f", "Hz"),
         "late_cycles": late,
         **asdict(controller.bus.counters),
         "watchdog_trips": controller.watchdog_trips,
@@ -102,11 +103,11 @@ def servo_entry(report: ServoReport, index: int, servo: int, joint: str) -> Diag
     values: dict[str, object] = {
         "joint": joint,
         "id": servo,
-        "angle": f"{report.angle[index]:.4f} rad",
-        "current": f"{report.current[index]:.3f} A",
-        "voltage": f"{report.voltage[index]:.1f} V",
-        "temperature": f"{report.temperature[index]:.0f} °C",
-        "thermal_reserve": f"{report.thermal_reserve[index]:.0f} s",
+        "angle": quantity(report.angle[index], ".4f", "rad"),
+        "current": quantity(report.current[index], ".3f", "A"),
+        "voltage": quantity(report.voltage[index], ".1f", "V"),
+        "temperature": quantity(report.temperature[index], ".0f", "°C"),
+        "thermal_reserve": quantity(report.thermal_reserve[index], ".0f", "s"),
         "torque_enabled": report.torque_enabled[index],
     }
     errors = describe_hardware_error(report.hardware_error[index])

@@ -17,6 +17,7 @@ from typing import Any
 from deltacharger.action import ChargeRobot
 from rclpy.node import Node
 
+from deltacharger_core.quantity import quantity
 from deltacharger_core.texts import titled
 from deltacharger_docking.codes import Busy, Code, DockingError, Rejected
 from deltacharger_docking.ros.goals import MEASURED
@@ -192,13 +193,13 @@ class MissionNode(Node):
         entries = {
             "stage": stage,
             "request_id": status.request_id,
-            "elapsed_s": round(status.elapsed, 1),
+            "elapsed": quantity(status.elapsed, ".1f", "s"),
             "views": status.views,
             "stands": status.stands,
             "place": "unknown" if where is None else f"{where.x:.3f} {where.y:.3f} {where.yaw:.3f} {where.frame}",
             "drives": self._drives,
         }
-        self._diagnostics.tell(level, text, entries)
+        self._diagnostics.tell(level, text, entries, "mission")
 
     def _begin(self, handle: GoalHandle) -> _Mission:
         """Begin a mission, or join the one of the same request_id.

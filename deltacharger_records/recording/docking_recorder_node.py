@@ -166,6 +166,7 @@ class DockingRecorderNode(Node):
                 "left_alone": "; ".join(left_alone[:_NAMED_MAX]),
                 "left_alone_count": len(left_alone),
             },
+            "recording",
         )
 
 

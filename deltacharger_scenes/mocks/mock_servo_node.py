@@ -151,8 +151,9 @@ class MockServoNode(Node):
 
     def _publish(self, message: ServoState) -> None:
         self._state.publish(message)
-        joints = JointState(name=list(JOINTS), position=message.position, velocity=message.velocity)
-        joints.header.stamp = message.header.stamp
+        joints = JointState(
+            header=message.header, name=list(JOINTS), position=message.position, velocity=message.velocity
+        )
         self._joints.publish(joints)
 
     def _on_trajectory(self, message: JointTrajectory) -> None:

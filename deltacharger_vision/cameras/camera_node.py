@@ -5,16 +5,16 @@ Publishes: color/image_raw (rgb8), depth/image_raw (16UC1, mm, aligned to colour
 only while somebody subscribes; /diagnostics (1 Hz, and at every change).
 Parameters: width, height, rate, exposure_us, iso, lens_position, device_id; replay, replay_loop.
 
-A camera that is absent or was unplugged is told by its name and looked for until it is there. All three messages of an
-image have one stamp: the middle of the colour's exposure. depthai keeps the device's clock aligned to this computer's
-monotonic one; the image's age by that clock is taken off ROS time at publication, so steps of ROS time do no harm.
+A camera that is absent or was unplugged, or depthai that is not installed, is told and looked for until it is there: a
+charger docks to coordinates without it. All three messages of an image have one stamp: the middle of the colour's
+exposure. depthai keeps the device's clock aligned to this computer's monotonic one; the image's age by that clock is
+taken off ROS time at publication, so steps of ROS time do no harm.
 Other cameras have drivers of their own and need no camera_node. Executable: `camera_node [--replay FILE [--loop]]`.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -140,11 +140,6 @@ class CameraNode(Node):
         self._source.close()
 
     def _keeper(self, open_camera: OpenOak | None) -> CameraKeeper:
-        if open_camera is None and importlib.util.find_spec("depthai") is None:
-            raise node_support.StartupError(
-                "camera_node: depthai is not installed; install it with pip install 'deltacharger[oak]', replay a "
-                "recording (parameter replay), or start your camera's own driver in place of camera_node"
-            )
         opener = open_camera or OakCamera
         return CameraKeeper(lambda: opener(self._settings, self._images.wanted, self._publish), self._tell)
 
@@ -172,7 +167,7 @@ class CameraNode(Node):
         self._diagnose()
 
     def _hardware(self) -> str:
-        return self._given.replay or getattr(self._source, "name", "") or self._settings.device_id
+        return self._given.replay or getattr(self._source, "name", "") or self._settings.device_id or "OAK-D"
 
     def _diagnose(self) -> None:
         if not self.context.ok():

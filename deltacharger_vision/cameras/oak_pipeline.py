@@ -140,13 +140,20 @@ def find_device(device_id: str) -> Any:
         device_id: id or name; '' = any.
 
     Raises:
-        CameraUnavailable: there is none, which takes 0.5 s, or depthai cannot be loaded.
+        CameraUnavailable: there is none, which takes 0.5 s, or depthai is not installed or does not work.
     """
     try:
         import depthai
 
         found = depthai.Device.getAllAvailableDevices()
-    except (ImportError, RuntimeError) as error:
+    except ModuleNotFoundError as error:
+        if error.name != "depthai":
+            raise CameraUnavailable(f"depthai cannot be loaded: {error}") from error
+        raise CameraUnavailable(
+            "depthai is not installed: install it with pip install 'deltacharger[oak]', or start your camera's own "
+            "driver in place of camera_node"
+        ) from error
+    except Exception as error:  # depthai raises RuntimeError and kinds of its own; a wrong build, ImportError
         raise CameraUnavailable(f"cameras cannot be looked for: depthai says {error}") from error
     for info in found:
         if not device_id or device_id in (info.getDeviceId(), info.name):

@@ -7,7 +7,8 @@ somebody listens), /diagnostics (1 Hz).
 Serves: detect_electrodes, which looks at fresh images until the electrodes are found or its time is over.
 Parameters: rate (0 = on demand only), timeout and image_age_max, which may be set while the node runs;
 stamp_tolerance, the topics, the mount, the terminal's lengths.
-It drives nothing. With a rate it looks while somebody subscribes to electrode_detection.
+It drives nothing. With a rate it looks while somebody subscribes to electrode_detection. Without OpenCV it lives, says
+so and looks for it again: a charger docks to coordinates without it.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 
+from deltacharger_core.quantity import quantity
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import steady_timer
 from deltacharger_ros.diagnostics import ERROR, OK, WARN, Diagnostics
@@ -69,13 +71,16 @@ class ElectrodeDetectorNode(Node):
         self._given = given
         topics = [given.color_topic, given.depth_topic, given.camera_info_topic]
         self._mount = _mount(self, given)
-        self._detector = _detector(terminal)
+        self._detector = ElectrodeDetector(terminal)
         self._camera = Camera(self, given.stamp_tolerance, topics)
         self._tally = _Tally()
         self._looking = threading.Lock()
         self._detections = self.create_publisher(ElectrodeDetection, "electrode_detection", 10)
         self._pictures = self.create_publisher(Image, "electrode_detection/image", qos_profile_sensor_data)
         self._diagnostics = Diagnostics(self)
+        self._missing = _missing_library()
+        if self._missing:
+            self.get_logger().error(self._missing)
         group = ReentrantCallbackGroup()
         self.create_service(
             DetectElectrodes, "detect_electrodes", self._on_detect, callback_group=group, qos_profile=SERVICE
@@ -104,6 +109,9 @@ class ElectrodeDetectorNode(Node):
         limit, usual = seconds(request.timeout), self._given.timeout
         if limit < 0.0:
             response.message = f"timeout is {limit:g} s; give 0 for the default of {usual:g} s, or more"
+            return response
+        if self._missing:
+            response.message = self._missing
             return response
         deadline = time.monotonic() + (limit or usual)
         refusal, late, images, old, number = "", "", 0, 0, self._camera.shots
@@ -175,16 +183,21 @@ class ElectrodeDetectorNode(Node):
                     stopping.wait(max(0.0, started + period - time.monotonic()))
 
     def _wanted(self) -> bool:
+        if self._missing:
+            return False
         return bool(self._detections.get_subscription_count() or self._pictures.get_subscription_count())
 
     def _diagnose(self) -> None:
         if not self.context.ok():
             return
-        watched, problem = self._camera.watched, self._camera.problem()
-        values = {**vars(self._tally), "images": self._camera.shots}
-        level = OK if not problem else ERROR if watched else WARN
+        if self._missing:
+            self._missing = _missing_library()
+        watched, problem = self._camera.watched, self._missing or self._camera.problem()
+        took = quantity(self._tally.milliseconds, ".1f", "ms")
+        values = {**vars(self._tally), "milliseconds": took, "images": self._camera.shots}
+        level = OK if not problem else ERROR if watched or self._missing else WARN
         text = problem or ("looking" if watched else "idle; looks when asked")
-        self._diagnostics.tell(level, text, values, "camera", self._camera.names[0])
+        self._diagnostics.tell(level, text, values, "detector", self._camera.names[0])
 
 
 def _mount(node: Node, given: DetectorNodeParameters) -> Mount:
@@ -196,17 +209,15 @@ def _mount(node: Node, given: DetectorNodeParameters) -> Mount:
         raise node_support.StartupError(f"{node.get_name()}: {error}") from error
 
 
-def _detector(terminal: Terminal) -> ElectrodeDetector:
-    """Return a detector that is ready, or say what is missing before anybody waits for it."""
+def _missing_library() -> str:
+    """Return why no image can be looked at; '' where OpenCV is there, which is then set up."""
     try:
         import cv2
     except ImportError as error:
-        raise node_support.StartupError(
-            "electrode_detector_node: OpenCV is missing; install it with pip install 'deltacharger[vision]', or "
-            "python3-opencv"
-        ) from error
+        why = "is not installed" if isinstance(error, ModuleNotFoundError) else f"cannot be loaded ({error})"
+        return f"OpenCV {why}: install it with pip install 'deltacharger[vision]', or python3-opencv"
     cv2.setNumThreads(1)  # one core for the camera; the others belong to servos and pads
-    return ElectrodeDetector(terminal)
+    return ""
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -18,6 +18,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from deltacharger_vision.cameras.pairing_by_stamp import StampMatcher
 from deltacharger_vision.images import RgbdImage
 from deltacharger_vision.parameters import CAMERA_INFO, COLOR, DEPTH
+from deltacharger_vision.ros.driver_diagnostics import DriverDiagnostics
 from deltacharger_vision.ros.messages import intrinsics_of, rgbd_of, stamp_ns
 
 SILENT = 1.0
@@ -71,6 +72,7 @@ class Camera:
         self._news = threading.Condition()
         self._watchers = 0
         self._subscriptions: list[Any] = []
+        self._driver: DriverDiagnostics | None = None
         self._since = math.inf
         self._heard: dict[str, float] = {}
         self._matched = -math.inf
@@ -131,8 +133,10 @@ class Camera:
             now, since = time.monotonic(), self._since
             silent = [name for name in self.names if now - self._heard.get(name, since) > SILENT]
             unmatched = now - max(self._matched, since) > SILENT
+            driver = self._driver.of_publisher(silent[0]) if silent and self._driver else ""
         if silent:
-            return f"{', '.join(silent)} stopped: look at the camera, its cable and its driver"
+            why = driver or "look at the camera, its cable and its driver"
+            return f"no images on {', '.join(silent)}: {why}"
         if unmatched:
             limit = f"stamp_tolerance, {1e3 * self._tolerance:g} ms"
             return f"the stamps of colour and depth differ by more than {limit}: let the driver synchronise them"
@@ -146,6 +150,7 @@ class Camera:
             self._subscriptions.append(
                 self._node.create_subscription(kind, name, self._listener(name, take), qos_profile_sensor_data)
             )
+        self._driver = DriverDiagnostics(self._node, self._news)
 
     def _listener(self, name: str, take: Callable[[Any], None]) -> Callable[[Any], None]:
         def on_message(message: Any) -> None:
@@ -160,6 +165,9 @@ class Camera:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         self._subscriptions = []
+        if self._driver is not None:
+            self._driver.close()
+            self._driver = None
         self._since = math.inf
         self._heard.clear()
         self._info = None

@@ -6,10 +6,12 @@ from __future__ import annotations
 import errno
 import json
 import math
+import os
 import shlex
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -102,6 +104,10 @@ def test_a_domain_that_ros_cannot_use_is_2(
     ("problem", "exit_code"),
     [
         (OSError(errno.ENOSPC, "No space left on device"), 1),
+        (OSError(errno.EDQUOT, "Disk quota exceeded"), 1),
+        (OSError(errno.EIO, "Input/output error"), 1),
+        (BrokenPipeError(errno.EPIPE, "Broken pipe"), 1),
+        (NotADirectoryError(errno.ENOTDIR, "Not a directory", "mount.yaml"), 2),
         (FileNotFoundError(errno.ENOENT, "No such file or directory", "mount.yaml"), 2),
         (PermissionError(errno.EACCES, "Permission denied", "mount.yaml"), 2),
         (IsADirectoryError(errno.EISDIR, "Is a directory", "mount.yaml"), 2),
@@ -117,6 +123,44 @@ def test_a_full_disk_is_a_failed_job_and_a_path_that_cannot_be_used_is_wrong_inp
     code, out, err = run(capsys, "scene", "list", "--json")
     assert code == exit_code
     assert one_object(out)["error"] == err.strip()
+
+
+@pytest.mark.parametrize(
+    ("words", "refuse"),
+    [
+        (("report", "kinematics", "--quick", "--out", "{}/new"), "mkdir"),
+        (("campaign", "-n", "1", "--out", "{}/new/a"), "mkdir"),
+        (("calibrate", "kinematics", "--plan", "{}/plan.csv"), "TemporaryFile"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else value[0],
+)
+def test_a_disk_that_takes_no_file_is_no_wrong_input(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    words: tuple[str, ...],
+    refuse: str,
+) -> None:
+    """Beside it: a folder that takes no files stays one."""
+    for number, exit_code in ((errno.ENOSPC, 1), (errno.EACCES, 2)):
+
+        def fail(*arguments: object, number: int = number, **more: object) -> None:
+            raise OSError(number, os.strerror(number), str(tmp_path))
+
+        with monkeypatch.context() as patched:
+            patched.setattr(Path if refuse == "mkdir" else tempfile, refuse, fail)
+            code, _, err = run(capsys, *(word.format(tmp_path) for word in words))
+        assert (code, err.count("\n")) == (exit_code, 1), err
+
+
+def test_what_a_full_device_does_not_take_is_a_failed_job(deltacharger: tuple[str, ...], tmp_path: Path) -> None:
+    (tmp_path / "plan.csv").symlink_to("/dev/full")
+    words = [*deltacharger, "calibrate", "kinematics", "--plan", str(tmp_path / "plan.csv"), "--force"]
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1), ended
+    assert "No space left on device" in ended.stderr
+    words[-2] = f"{tmp_path}/none/plan.csv"
+    assert subprocess.run(words, capture_output=True, timeout=60, check=False).returncode == 2
 
 
 def test_numbers_and_namespaces_as_people_write_them() -> None:

@@ -308,12 +308,6 @@ def test_wrong_parameters_stop_it_at_start(start: Start, tmp_path: Path, values:
         start(Socket().open, **values)
 
 
-def test_without_depthai_it_says_what_to_install(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "depthai", None)
-    with pytest.raises(StartupError, match=r"deltacharger\[oak\]"):
-        start()
-
-
 def test_the_executable_takes_a_recording_and_ros_arguments() -> None:
     pytest.importorskip("mcap", reason="replays with deltacharger[record]")
     words = [sys.executable, "-m", "deltacharger_vision.cameras.camera_node"]

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a whole charger publishes, before and during a goal: frames in every header, diagnostics as REP 107 has them."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from builtin_interfaces.msg import Duration
+from deltacharger.action import ChargeRobot
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.action.client import ActionClient
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Header
+
+from deltacharger_ros.client import ChargerClient
+from deltacharger_ros.outcomes import DockRequest
+from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.scene import Scene, load_scene
+
+from ..chargers import DEADLINE, Spin, dock_at_last, wait_until
+from ..nodes import answer, options
+from ..quick import quick_simulation
+
+pytestmark = [pytest.mark.ros, pytest.mark.realtime]
+
+NAME = re.compile(r"(\w+/)*\w+: \S.*")
+NOT_KNOWN = re.compile(r"\b(None|nan|NaN|inf)\b")
+HARDWARE = {
+    "servo_node": r"/.+",
+    "tactile_node": r"/.+",
+    "camera_node": r".+",
+}
+"""hardware_id by node: ports, and the camera that it looks for."""
+QUIET = {"/rosout", "/parameter_events", "/diagnostics"}  # no data with a frame
+
+
+def type_of(name: str) -> Any:
+    """Return the class of a type as the graph names it."""
+    package, kind, rest = name.split("/")
+    module = importlib.import_module(f"{package}.{kind}")
+    if kind == "action":
+        return getattr(module, rest.removesuffix("_FeedbackMessage")).Impl.FeedbackMessage
+    return getattr(module, rest)
+
+
+def headers(message: Any) -> Iterator[Header]:
+    """Yield every header in a message."""
+    if isinstance(message, Header):
+        yield message
+        return
+    for field in getattr(message, "get_fields_and_field_types", dict)():
+        for each in value if isinstance(value := getattr(message, field), list) else [value]:
+            if hasattr(each, "get_fields_and_field_types"):
+                yield from headers(each)
+
+
+class Listener(Node):
+    """Hears every topic of a namespace, and diagnostics.
+
+    Attributes:
+        frames: frame_ids of every header so far, by topic.
+        statuses: so far, of this namespace.
+    """
+
+    def __init__(self, context: Any, namespace: str) -> None:
+        super().__init__("listener", **options(context, namespace))
+        self.frames: dict[str, set[str]] = defaultdict(set)
+        self.statuses: list[DiagnosticStatus] = []
+        self._heard: set[str] = set(QUIET)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
+        self.create_timer(0.2, self._look)
+
+    def _look(self) -> None:
+        for name, (kind, *_) in self.get_topic_names_and_types():
+            ours = name.startswith(f"{self.get_namespace()}/") and not name.endswith("/_action/status")
+            offered = [end.qos_profile for end in self.get_publishers_info_by_topic(name)]
+            if not ours or name in self._heard or not offered:
+                continue
+            self._heard.add(name)
+            quality = QoSProfile(depth=100, reliability=offered[0].reliability, durability=offered[0].durability)
+            self.create_subscription(type_of(kind), name, self._hears(name), quality)
+
+    def _hears(self, topic: str) -> Callable[[Any], None]:
+        return lambda message: self.frames[topic].update(each.frame_id for each in headers(message))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        ours = self.get_namespace().lstrip("/")
+        self.statuses += [each for each in message.status if each.name.lstrip("/").startswith(f"{ours}/")]
+
+
+def camera() -> Scene:
+    pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
+    scene = quick_simulation("camera")
+    return replace(scene, nodes=(*scene.nodes, "camera_node", "docking_recorder_node"))
+
+
+def mission() -> Scene:
+    pytest.importorskip("nav2_msgs", reason="comes with Nav2, or `make navigation` builds a stand-in")
+    return load_scene(Path(__file__).parents[1] / "mission" / "mission.yaml")
+
+
+def mocks() -> Scene:
+    return load_scene(Path(__file__).parent / "quick.yaml")
+
+
+@pytest.fixture(params=[camera, mission, mocks], ids=lambda each: each.__name__)
+def listener(request: Any, context: Any, namespace: str, spin: Spin, tmp_path: Path) -> Iterator[Listener]:
+    """A charger of each kind, heard from its first message to the end of a goal."""
+    scene = request.param()
+    if "docking_recorder_node" in scene.nodes:
+        told = {**scene.parameters, "docking_recorder_node": {"folder": str(tmp_path)}}
+        scene = replace(scene, parameters=told)
+    heard = spin(Listener(context, namespace))
+    with Composition(scene, context, namespace), ChargerClient(namespace, context) as client:
+        assert client.wait_until_ready(DEADLINE)
+        wait_until(lambda: diagnosed(heard) >= told_by(scene), "diagnostics of every node before a goal")
+        if "mission_node" in scene.nodes:
+            errand(heard)
+        else:
+            dock_at_last(client, DockRequest(None))
+            client.undock(deadline=DEADLINE)
+        yield heard
+
+
+def diagnosed(listener: Listener) -> set[str]:
+    return {each.name.partition(":")[0].rpartition("/")[2] for each in listener.statuses}
+
+
+def told_by(scene: Scene) -> set[str]:
+    """Return the nodes of a scene that have diagnostics; the mock of the servos has them where it refuses something."""
+    silent = ("mock_", "simulated_camera", "kinematics", "misalignment")
+    return {name for name in scene.nodes if not name.startswith(silent)}
+
+
+def errand(listener: Listener) -> None:
+    client: ActionClient[Any, Any, Any] = ActionClient(listener, ChargeRobot, "charge_robot")
+    assert client.wait_for_server(DEADLINE)
+    target = PoseStamped(header=Header(frame_id="map"))
+    target.pose.position.x, target.pose.orientation.z = 1.0, 1.0
+    target.pose.orientation.w = 0.0
+    handle = answer(client.send_goal_async(ChargeRobot.Goal(target=target, stop_after=Duration(sec=1))))
+    result = answer(handle.get_result_async()).result
+    assert result.success, result.error_message
+    client.destroy()
+
+
+def test_every_header_has_a_frame_and_every_diagnostic_says_what_it_knows(listener: Listener) -> None:
+    frames = {topic: found for topic, found in listener.frames.items() if found}
+    assert {topic: found for topic, found in frames.items() if "" in found} == {}
+    heard = {topic.rpartition("/")[2] for topic in frames}
+    assert heard >= {"servo_state", "joint_states", "joint_trajectory", "tactile_frame", "charger_power"}
+    assert heard >= {"docking_state", "docking_decision", "end_effector_pose", "electrode_detection"}, heard
+    wrong = [each.name for each in listener.statuses if not NAME.fullmatch(each.name)]
+    wrong += [f"{each.name}: {each.message}" for each in listener.statuses if NOT_KNOWN.search(each.message)]
+    for status in listener.statuses:
+        wrong += [f"{status.name} {each.key}={each.value}" for each in status.values if NOT_KNOWN.search(each.value)]
+        node = status.name.partition(":")[0].rpartition("/")[2]
+        if not re.fullmatch(HARDWARE.get(node, ".*"), status.hardware_id):
+            wrong.append(f"{status.name}: hardware_id '{status.hardware_id}'")
+    assert sorted(set(wrong)) == []
