@@ -143,8 +143,9 @@ class MissionNode(Node):
     def destroy_node(self) -> None:
         """Close, then release the ROS side."""
         self.close()
-        self._server.destroy()
-        self._others.destroy()
+        if hasattr(self, "_server"):  # else it was refused its parameters
+            self._server.destroy()
+            self._others.destroy()
         super().destroy_node()
 
     def _loop(self) -> None:

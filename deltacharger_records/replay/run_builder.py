@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from deltacharger.msg import ChargerPower, DockingDecision, DockingState, Misalignment, ServoState, TactileFrame
 
-from deltacharger_core.machine import CONTACT_FORCE, TORQUE_CONSTANT
+from deltacharger_core.machine import CONTACT_FORCE
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
@@ -56,11 +56,12 @@ class RunBuilder:
         position = self._delta.forward(*message.position)
         force = current = math.nan
         if math.isfinite(position[2]) and len(message.current) == 3:
+            constant = self.settings[0].torque_constant
             held = self._delta.holding_torque(*position, self.settings[0].gravity)
-            spare = [TORQUE_CONSTANT * current - hold for current, hold in zip(message.current, held, strict=True)]
+            spare = [constant * current - hold for current, hold in zip(message.current, held, strict=True)]
             force = self._delta.force(*position, (spare[0], spare[1], spare[2]))[2]
             lever = self._delta.jacobian(*position)[6:9]  # dz/dangle of each servo
-            current = force * sum(lever) / 3.0 / TORQUE_CONSTANT
+            current = force * sum(lever) / 3.0 / constant
         self.run.motion.add(time, position[2], force, current)
 
     def docking_state(self, time: float, message: DockingState) -> None:

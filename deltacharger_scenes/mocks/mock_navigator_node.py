@@ -80,7 +80,8 @@ class MockNavigatorNode(Node):
 
     def destroy_node(self) -> None:
         """Release the ROS side."""
-        self._server.destroy()
+        if hasattr(self, "_server"):  # else it was refused its parameters
+            self._server.destroy()
         super().destroy_node()
 
     def _on_goal(self, request: Any) -> GoalResponse:

@@ -71,7 +71,7 @@ class Sender(Node):
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name == f"{self.get_namespace()}/servo_node: servo bus":
+            if status.name == f"{self.get_namespace()}/servo_node: servo bus".lstrip("/"):
                 self.told.append(status.message)
                 self.values = {value.key: value.value for value in status.values}
 

@@ -73,7 +73,7 @@ class Cell:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name == f"/{self.namespace}/{RECORDER}":
+            if status.name == f"{self.namespace}/{RECORDER}: recording":
                 self.diagnostics.append(status.message)
                 self.left_alone = {each.key: each.value for each in status.values}["left_alone"]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forces and heights are told by the charger's own geometry and gravity, live as in a record."""
+"""Forces and heights are told by the charger's own geometry, gravity and servos, live as in a record."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pytest.importorskip("mcap", reason="records with deltacharger[record]")
 from deltacharger.msg import ServoState
 from rclpy.node import Node
 
-from deltacharger_core.machine import JOINTS, TORQUE_CONSTANT
+from deltacharger_core.machine import JOINTS
 from deltacharger_docking.parameters import DockingParameters
 from deltacharger_kinematics.geometry import DeltaGeometry, LimbAdjustment
 from deltacharger_kinematics.geometry_file import save_geometry
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.ros
 
 LIMBS = (LimbAdjustment(arm=0.101), LimbAdjustment(angle_offset=0.05), LimbAdjustment())
 CALIBRATED = DeltaGeometry(arm=0.103, limbs=LIMBS)
-TILTED = {"gravity_x": 0.0, "gravity_y": -6.0, "gravity_z": 7.76}
+TILTED = {"gravity_x": 0.0, "gravity_y": -6.0, "gravity_z": 7.76, "torque_constant": 1.1}
 PLACE, PUSH = (0.004, -0.003, 0.07), 12.0  # m, N
 
 
@@ -44,7 +44,7 @@ def pushing() -> ServoState:
     lever = delta.jacobian(*PLACE)[6:9]
     message = ServoState(name=list(JOINTS), valid=[True] * 3)
     message.position = list(delta.inverse(*PLACE))
-    message.current = [(hold + PUSH * each) / TORQUE_CONSTANT for hold, each in zip(held, lever, strict=True)]
+    message.current = [(hold + PUSH * each) / TILTED["torque_constant"] for hold, each in zip(held, lever, strict=True)]
     return message
 
 

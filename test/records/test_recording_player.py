@@ -84,7 +84,7 @@ class Audience:
         return take
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self.told += [each for each in message.status if each.name == f"/{self.namespace}/{PLAYER}"]
+        self.told += [each for each in message.status if each.name == f"{self.namespace}/{PLAYER}: playback"]
 
     def says(self, text: str) -> DiagnosticStatus:
         """Return the first diagnostic with the text, once it has come."""

@@ -78,7 +78,7 @@ class Driver(Node):
         self.depth.publish(depth)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self.said += [each for each in message.status if self.get_namespace() in each.name]
+        self.said += [each for each in message.status if each.name.startswith(f"{self.get_namespace()[1:]}/")]
 
 
 def stamp(nanoseconds: int) -> Time:

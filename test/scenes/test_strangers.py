@@ -53,7 +53,7 @@ class Stranger(Node):
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.told += [
-            status.message for status in message.status if status.name == f"/{NAMESPACE}/servo_node: servo bus"
+            status.message for status in message.status if status.name == f"{NAMESPACE}/servo_node: servo bus"
         ]
 
     def is_connected(self) -> bool:

@@ -172,7 +172,7 @@ class FaultClient(Node):
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
-        own = f"{self.get_namespace().rstrip('/')}/"
+        own = f"{self.get_namespace()}/".lstrip("/")
         self.statuses += [(now, status) for status in message.status if status.name.startswith(own)]
 
     def taxels(self) -> np.ndarray:
