@@ -9,6 +9,7 @@ publishes what it commands and renews the contactor's lease: if that thread hang
 
 from __future__ import annotations
 
+import contextlib
 import math
 import secrets
 import threading
@@ -19,6 +20,7 @@ from typing import Any
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
+from deltacharger_core import runtime
 from deltacharger_core.version import package_version
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.machine import DockingMachine
@@ -251,8 +253,34 @@ class DockingNode(Node):
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run docking_node until SIGINT or SIGTERM; 0 after a signal, 2 where it cannot start as configured."""
-    return node_support.run(DockingNode, args)
+    """Run docking_node until SIGINT or SIGTERM; 0 after a signal, 2 where it cannot start as configured.
+
+    A process of its own holds the lock of its ROS domain and namespace, as `deltacharger up` does: a second charger of
+    this user on this machine is refused at once.
+    """
+    with contextlib.ExitStack() as lock:
+        return node_support.run(lambda: _alone(DockingNode(held=True), lock), args)
+
+
+def _alone(node: DockingNode, lock: contextlib.ExitStack) -> DockingNode:
+    """Let a node work that is the only one of its name here.
+
+    Raises:
+        StartupError: another process runs a charger of this domain and namespace.
+    """
+    domain = node.context.get_domain_id()
+    try:
+        lock.enter_context(runtime.only_one(domain, node.get_namespace()))
+    except runtime.Taken as taken:
+        node.destroy_node()
+        raise node_support.StartupError(
+            f"docking_node: a charger of this namespace already runs in ROS domain {domain} ({taken}): stop it, or "
+            "choose another ROS_DOMAIN_ID or namespace"
+        ) from taken
+    except OSError as error:  # a robot works without it: docking looks for second sources over ROS
+        node.get_logger().warning(f"no lock can be taken that keeps a second charger away: {error}")
+    node.release()
+    return node
 
 
 if __name__ == "__main__":

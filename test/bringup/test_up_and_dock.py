@@ -12,7 +12,11 @@ from pathlib import Path
 
 import pytest
 
+from deltacharger_core import environment, runtime
+from deltacharger_scenes.scene import Scene
+
 from ..chargers import Process, wait_until
+from ..scenes.test_processes import arguments
 
 pytestmark = pytest.mark.ros
 
@@ -74,6 +78,28 @@ def test_a_closed_terminal_ends_up_in_order_and_a_second_charger_beside_it_is_re
     assert second.end() == 2
     assert [line for line in second.err if "already answers" in line and f"process {charger.process.pid}" in line]
     assert charger.end(signal.SIGHUP) == 0
+
+
+def test_a_charger_of_separate_processes_is_known_by_the_same_lock(
+    start: Run, run: Run, quick_scene: Scene, namespace: str
+) -> None:
+    words, lock = arguments(quick_scene, "docking_node", namespace), runtime.charger(environment.domain(), namespace)
+
+    def holder() -> str:
+        path = lock.with_suffix(".lock")
+        return path.read_text(encoding="utf-8").strip() if path.exists() else ""
+
+    first = start(*words)
+    wait_until(lambda: holder() == str(first.process.pid), "the lock of the first")
+    for second, says in ((start(*words), "already runs in ROS domain"), (run("up"), "already answers in ROS domain")):
+        assert second.end() == 2, second.err
+        told = [line for line in second.err if says in line]
+        assert len(told) == 1, second.err
+        assert f"process {first.process.pid}" in told[0]
+    assert first.end(signal.SIGKILL) == -signal.SIGKILL
+    third = start(*words)
+    wait_until(lambda: holder() == str(third.process.pid), "the lock of another after it")
+    assert third.end(signal.SIGTERM) == 0, third.err
 
 
 def test_of_two_chargers_that_start_at_the_same_instant_exactly_one_runs(run: Run) -> None:
