@@ -74,3 +74,6 @@ class TactileNodeParameters(Bounded):
     baud_rate: int = number(BAUD_RATE, 9600, 4_000_000, "baud", "speed on a UART ({unit}); any on USB")
     rate: float = number(FRAME_RATE, 1.0, 200.0, "Hz", "tactile frames per second")
     pitch: float = number(0.0024, 0.0001, 0.1, "m", "distance between neighbouring taxels")
+    heartbeat_priority: int = number(
+        1, 0, 99, "", "of SCHED_FIFO for the thread of the heartbeat, where that is permitted; 0 = ordinary"
+    )

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 
 from deltacharger_driver.board.protocol import HEARTBEAT_PERIOD
+from deltacharger_driver.board.real_time import take_priority
 from deltacharger_driver.errors import PortGone
 from deltacharger_driver.rate_meter import Lateness
 
@@ -22,14 +23,19 @@ class Heartbeat:
 
     Attributes:
         lateness: of each heartbeat after its due time.
+        runs_with: its thread's priority in words; '' before `start`.
 
     Args:
         send: sends one; may raise `PortGone`, which ends the thread.
         name: of the thread.
+        priority: of SCHED_FIFO for its thread, where that is permitted; 0 = ordinary.
     """
 
-    def __init__(self, send: Callable[[], None], name: str) -> None:
+    def __init__(self, send: Callable[[], None], name: str, priority: int = 0) -> None:
         self.lateness = Lateness()
+        self.runs_with = ""
+        self._priority = priority
+        self._begun = threading.Event()
         self._send = send
         self._changed = threading.Condition()
         self._until = _NEVER
@@ -39,6 +45,7 @@ class Heartbeat:
     def start(self) -> None:
         """Start the thread; nothing is sent yet."""
         self._thread.start()
+        self._begun.wait()
 
     def close(self) -> None:
         """Stop and join the thread."""
@@ -67,6 +74,8 @@ class Heartbeat:
             self._until = _NEVER
 
     def _run(self) -> None:
+        self.runs_with = take_priority(self._priority)
+        self._begun.set()
         due = time.monotonic()
         while True:
             with self._changed:

@@ -37,6 +37,7 @@ class BoardKeeper:
         on_tactile: called in the reader's thread.
         on_power: called in the reader's thread.
         on_change: called in the keeper's thread with `problem` whenever it changes.
+        heartbeat_priority: as of `BoardLink`.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class BoardKeeper:
         on_tactile: Callable[[TactileSample], None],
         on_power: Callable[[PowerSample], None],
         on_change: Callable[[str], None],
+        heartbeat_priority: int = 0,
     ) -> None:
         self._rate = rate
         self._on_tactile = on_tactile
@@ -64,6 +66,7 @@ class BoardKeeper:
             on_power=self._take_power,
             on_boot=self._take_boot,
             on_gone=self._take_gone,
+            heartbeat_priority=heartbeat_priority,
         )
         self.guard = ContactorGuard(self.link, on_lease=self._wake.set)
         self._thread = threading.Thread(target=self._run, name=f"board keeper {port}", daemon=True)

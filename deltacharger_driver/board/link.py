@@ -50,6 +50,7 @@ class BoardLink:
         on_boot: called in the reader's thread when the board has rebooted: it neither streams nor is tared,
             and the contactor is open. Must not wait for a command.
         on_gone: called once, in any thread, when the port has vanished.
+        heartbeat_priority: of SCHED_FIFO for the heartbeat's thread, where that is permitted; 0 = ordinary.
     """
 
     def __init__(
@@ -60,11 +61,13 @@ class BoardLink:
         on_power: Callable[[PowerSample], None] | None = None,
         on_boot: Callable[[], None] | None = None,
         on_gone: Callable[[PortGone], None] | None = None,
+        heartbeat_priority: int = 0,
     ) -> None:
         self.port = port
         self.baud_rate = baud_rate
         self._on_boot = on_boot
         self._on_gone = on_gone
+        self._heartbeat_priority = heartbeat_priority
         self._decoder = PacketDecoder()
         self._requests = BoardRequests()
         self._receiver = BoardReceiver(self._requests, on_tactile, on_power, self._rebooted)
@@ -99,7 +102,7 @@ class BoardLink:
         self._decoder = PacketDecoder()
         self._decoder.counters = counters
         before = replace(counters)
-        self._heartbeat = Heartbeat(self._send_heartbeat, f"board heartbeat {self.port}")
+        self._heartbeat = Heartbeat(self._send_heartbeat, f"board heartbeat {self.port}", self._heartbeat_priority)
         self._reader = threading.Thread(target=self._read, name=f"board reader {self.port}", daemon=True)
         self._heartbeat.start()
         self._reader.start()
@@ -166,6 +169,12 @@ class BoardLink:
         """How late the heartbeats of this connection were sent; None where there is none."""
         heartbeat = self._heartbeat
         return None if heartbeat is None else heartbeat.lateness
+
+    @property
+    def heartbeat_runs_with(self) -> str:
+        """Priority of the heartbeat's thread in words; '' without a connection."""
+        heartbeat = self._heartbeat
+        return "" if heartbeat is None else heartbeat.runs_with
 
     def hello(self) -> Hello:
         """Ask the board who it is.

@@ -4,7 +4,7 @@
 Publishes: tactile_frame (sensor data, at `rate`), charger_power (reliable, depth 1, 20 Hz), battery, target_battery and
 /diagnostics (1 Hz).
 Serves: tare, set_contactor, probe.
-Parameters: port, baud_rate, rate, pitch.
+Parameters: port, baud_rate, rate, pitch, heartbeat_priority.
 
 Safe at start: the contactor is open and nothing is tared. A close is a lease of at most 0.25 s; while it lives, the
 node relays it as the board's heartbeat, and it never invents one. The node refuses to close without fresh frames,
@@ -91,7 +91,13 @@ class TactileNode(Node):
         steady_timer(self, _DIAGNOSTICS_PERIOD, self._diagnose)
         steady_timer(self, PERIOD, self._tell_batteries)
         self._keeper = BoardKeeper(
-            given.port, given.baud_rate, given.rate, self._publish_frame, self._publish_power, self._report
+            given.port,
+            given.baud_rate,
+            given.rate,
+            self._publish_frame,
+            self._publish_power,
+            self._report,
+            given.heartbeat_priority,
         )
         self._keeper.start()
 
@@ -124,7 +130,8 @@ class TactileNode(Node):
         if problem:
             self._lines.error(problem)
         else:
-            self._lines.info(f"board connected at {self._keeper.link.port}")
+            link = self._keeper.link
+            self._lines.info(f"board connected at {link.port}; heartbeat priority: {link.heartbeat_runs_with}")
 
     def _served(self, response: Any, action: Callable[[], str]) -> Any:
         """Fill `success` and `message` from an action that returns the message or raises why not."""
@@ -179,6 +186,7 @@ class TactileNode(Node):
         link = self._keeper.link
         drift = quantity(link.drift, ".2e", "s/s")
         values = {**vars(link.decoder_counters), **vars(link.counters), "clock_drift": drift}
+        values["heartbeat_priority"] = link.heartbeat_runs_with
         lateness = link.heartbeat_lateness
         if lateness is not None:
             values["heartbeat_late_max"] = quantity(1e3 * lateness.largest, ".1f", "ms")
