@@ -24,6 +24,7 @@ SOURCES := pyproject.toml setup.py setup.cfg package.xml CMakeLists.txt \
   $(PINS) $(wildcard deltacharger_*/__init__.py msg/*.msg srv/*.srv action/*.action)
 COLCON := $(BUILD)/colcon
 NAVIGATION := $(BUILD)/nav2_msgs
+TRANSFORMS := $(BUILD)/tf2
 WHEEL := $(BUILD)/wheel
 
 # Traffic stays on this machine, in a domain of its own.
@@ -39,7 +40,7 @@ CMAKE_ARGS := -DPython3_EXECUTABLE="$(CURDIR)/$(BIN)/python"
 PYTEST := $(BIN)/python -m pytest
 SIDE_BY_SIDE := -n 2 --dist loadfile
 
-.PHONY: dock test test-rest test-all check lint types colcon wheel trainers navigation optional bench clean
+.PHONY: dock test test-rest test-all check lint types colcon wheel trainers navigation transforms optional bench clean
 
 dock: $(INSTALLED)  ## dock in simulation and draw the run
 	$(BIN)/deltacharger dock --scene $(SCENE) --picture dock.png
@@ -97,7 +98,16 @@ navigation: $(INSTALLED)  ## a stand-in for nav2_msgs with NavigateToPose alone,
 	  cmake --build $(NAVIGATION) --target install; } > $(VENV)/navigation.log 2>&1 || { cat $(VENV)/navigation.log; exit 1; }
 	$(BIN)/python -c 'from nav2_msgs.action import NavigateToPose'
 
-optional: trainers navigation  ## every optional library, else the tests that need it are skipped
+# Neither is tf2, whose core is C++.
+transforms: $(INSTALLED)  ## a stand-in for tf2_ros and tf2_msgs, else tests of goals in frames of tf are skipped
+	@$(BIN)/python -c 'import tf2_ros, tf2_msgs.msg' 2>/dev/null || { \
+	  export PATH="$(CURDIR)/$(BIN):$$PATH" AMENT_PREFIX_PATH="$(CURDIR)/$(VENV)" CMAKE_PREFIX_PATH="$(CURDIR)/$(VENV)"; \
+	  cmake -S test/tf2 -B $(TRANSFORMS) -G Ninja -DCMAKE_INSTALL_PREFIX="$(CURDIR)/$(VENV)" -Wno-dev \
+	    -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF -DPython3_EXECUTABLE="$(CURDIR)/$(BIN)/python" && \
+	  cmake --build $(TRANSFORMS) --target install; } > $(VENV)/transforms.log 2>&1 || { cat $(VENV)/transforms.log; exit 1; }
+	$(BIN)/python -c 'import tf2_ros, tf2_msgs.msg'
+
+optional: trainers navigation transforms  ## every optional library, else the tests that need it are skipped
 	$(BIN)/python -m pip install --quiet 'depthai>=3,<4' mujoco pyarrow distributed 'rerun-sdk>=0.39' xacro
 
 # The last two judge by their exit status too: a target that is missed there must not hide the other figures.

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
@@ -26,3 +27,46 @@ def lean(rows: Matrix) -> tuple[float, float]:
     """
     x, y, z = (row[2] for row in rows)
     return math.atan2(x, z), math.atan2(-y, z)
+
+
+Quaternion = tuple[float, float, float, float]
+Pose = tuple[float, float, float, float, float, float, float]
+"""A pose in numbers: x, y, z in m, then the quaternion x, y, z, w."""
+
+IDENTITY: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+
+def product(a: Sequence[float], b: Sequence[float]) -> Quaternion:
+    """Return the product of two quaternions x, y, z, w: the rotation b, then a."""
+    (ax, ay, az, aw), (bx, by, bz, bw) = a, b
+    return (
+        aw * bx + bw * ax + ay * bz - az * by,
+        aw * by + bw * ay + az * bx - ax * bz,
+        aw * bz + bw * az + ax * by - ay * bx,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def composed(outer: Sequence[float], inner: Sequence[float]) -> Pose:
+    """Return the pose `inner`, given in a frame whose own pose is `outer`, in the frame that `outer` is given in."""
+    point = inner[:3]
+    x, y, z = (
+        origin + sum(factor * value for factor, value in zip(row, point, strict=True))
+        for origin, row in zip(outer[:3], rotation(*outer[3:]), strict=True)
+    )
+    return x, y, z, *product(outer[3:], inner[3:])
+
+
+def inverted(pose: Sequence[float]) -> Pose:
+    """Return the inverse of a transform (7 numbers, the quaternion of length 1)."""
+    x, y, z, w = pose[3:]
+    back = (-x, -y, -z, w)
+    there = composed((0.0, 0.0, 0.0, *back), (*pose[:3], 0.0, 0.0, 0.0, 1.0))
+    return -there[0], -there[1], -there[2], *back
+
+
+def apart(a: Sequence[float], b: Sequence[float]) -> tuple[float, float]:
+    """Return how far two poses (7 numbers) are from each other: m, and rad of the turn between them."""
+    difference = product((-a[3], -a[4], -a[5], a[6]), b[3:])
+    turn = 2.0 * math.atan2(math.hypot(*difference[:3]), abs(difference[3]))
+    return math.dist(a[:3], b[:3]), turn

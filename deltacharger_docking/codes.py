@@ -89,6 +89,10 @@ class Busy(Rejected, retriable=True):
     """Another goal is being served. Example: a second fleet manager sends a goal."""
 
 
+class Unplaced(Rejected, retriable=True):
+    """Where the goal's frame is, is not known now. Example: localization has stopped."""
+
+
 class Canceled(DockingError, code=Code.CANCELED, retriable=True):
     """The client took its wish back."""
 

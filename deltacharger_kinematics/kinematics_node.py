@@ -27,13 +27,14 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
+from deltacharger_core.frames import CHARGER_BASE, END_EFFECTOR, FrameParameters
 from deltacharger_kinematics import Delta
 from deltacharger_kinematics.parameters import SERVOS_FOLLOW, KinematicsNodeParameters
 from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import steady_timer
-from deltacharger_ros.parameters import reject_unknown
+from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.servos_file import declare_with_servos
 
@@ -50,6 +51,8 @@ class KinematicsNode(Node):
         super().__init__("kinematics_node", **kwargs)
         geometry = declare_geometry(self)
         given = declare_with_servos(self, KinematicsNodeParameters, SERVOS_FOLLOW)
+        frames = declare_all(self, FrameParameters)
+        self._charger_base, self._end_effector = frames.named(CHARGER_BASE), frames.named(END_EFFECTOR)
         reject_unknown(self)
         self._gravity, self._torque_constant = given.gravity, given.torque_constant
         self._delta = Delta(geometry)
@@ -98,7 +101,7 @@ class KinematicsNode(Node):
         if wants_pose:
             pose = PoseStamped()
             pose.header.stamp = message.header.stamp
-            pose.header.frame_id = "charger_base"
+            pose.header.frame_id = self._charger_base
             pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = x, y, z
             self._pose.publish(pose)
         # Without torque a servo's current says nothing: the gears carry the arm.
@@ -113,7 +116,7 @@ class KinematicsNode(Node):
             return
         wrench = WrenchStamped()
         wrench.header.stamp = message.header.stamp
-        wrench.header.frame_id = "end_effector"
+        wrench.header.frame_id = self._end_effector
         # What the arm exerts on the target comes back with the opposite sign.
         wrench.wrench.force.x, wrench.wrench.force.y, wrench.wrench.force.z = -fx, -fy, -fz
         self._wrench.publish(wrench)

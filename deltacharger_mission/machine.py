@@ -67,8 +67,13 @@ class MissionMachine:
         """Whether a goal is being served."""
         return self._runner.is_running
 
-    def start(self, goal: MissionGoal, observation: MissionObservation) -> None:
+    def start(self, goal: MissionGoal, observation: MissionObservation, mount: BaseMount | None = None) -> None:
         """Begin a mission.
+
+        Args:
+            goal: what is asked for.
+            observation: what is known now.
+            mount: of the arm on the robot, where it is known better than before.
 
         Raises:
             Rejected: the goal cannot be served; nothing moved.
@@ -79,6 +84,7 @@ class MissionMachine:
         check_stops(goal.stop_energy, goal.stop_after)
         if self._home is not None and goal.electrodes is None:
             raise Rejected("the target has no frame_id: give the navigator's, such as map")
+        self._mount = mount or self._mount
         self._context.begin(goal.request_id, observation)
         self._started = observation.time
         self._cancel = False

@@ -59,9 +59,12 @@ class MissionNodeParameters(Bounded):
     """Who drives, and where the charger is on the robot."""
 
     navigation: str = choice("none", ("nav2", "none"), "who drives: nav2, or none: the target comes to the charger")
-    map_frame: str = words("map", "the navigator's frame in which home is given")
+    map_frame: str = words(
+        "map", "the navigator's frame in which home is given, and targets are where tf2_ros is there"
+    )
     behavior_tree: str = words("", "file of the navigator's tree; empty = its own")
     precise_behavior_tree: str = words("", "the same for small moves near the target")
+    base_frame: str = like(DockingNodeParameters, "base_frame", text="full name of the robot's frame")
     base_pose: tuple[float, ...] = like(
         DockingNodeParameters, "base_pose", text="charger_base on the robot, as docking_node's"
     )

@@ -45,6 +45,11 @@ def declare_all(node: Node, table: type[T], defaults: Any = None, form: str = "{
         raise _refusal(node, error.key, error.problem) from error
 
 
+def was_given(node: Node, name: str) -> bool:
+    """Return whether a parameter was given to the node, so that it has not merely its default."""
+    return name in node._parameter_overrides  # private, and the one place where rclpy tells it
+
+
 def reject_unknown(node: Node) -> None:
     """Stop the node where a parameter was given that it does not have; called when all are declared.
 
@@ -54,7 +59,7 @@ def reject_unknown(node: Node) -> None:
         StartupError: names the parameter and the nearest known one.
     """
     known = set(node.get_parameters_by_prefix("")) | _OF_EVERY_NODE
-    for name in node._parameter_overrides:  # private, and the one place where rclpy tells what was given
+    for name in node._parameter_overrides:
         if name not in known and not name.startswith("qos_overrides."):
             hint = did_you_mean(name, sorted(known))
             raise StartupError(f"{node.get_name()}: unknown parameter '{name}'{hint}")

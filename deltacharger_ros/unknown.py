@@ -10,6 +10,8 @@ import numpy as np
 from deltacharger.msg import Misalignment
 from std_msgs.msg import Header
 
+from deltacharger_core.frames import END_EFFECTOR
+
 
 def unknown(message: Any) -> Any:
     """Set every number that a message of measurements holds to NaN, those of messages in it too; return it."""
@@ -24,6 +26,6 @@ def unknown(message: Any) -> Any:
     return message
 
 
-def unknown_misalignment() -> Misalignment:
+def unknown_misalignment(frame: str = END_EFFECTOR) -> Misalignment:
     """Return a message that says nothing was felt: what every Misalignment begins with."""
-    return unknown(Misalignment(header=Header(frame_id="end_effector")))
+    return unknown(Misalignment(header=Header(frame_id=frame)))

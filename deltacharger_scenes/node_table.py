@@ -62,41 +62,44 @@ _GEOMETRY = (
 )
 
 _SERVOS = "deltacharger_core.servos_file.ServosFileParameters"
+_FRAMES = "deltacharger_core.frames.FrameParameters"
+_JOINT_FRAMES = "deltacharger_core.frames.JointFrameParameters"
+_TRANSFORMS = "deltacharger_core.frames.TransformParameters"
 
 NODES: dict[str, NodeSpec] = {
     "servo_node": NodeSpec(
         "deltacharger_driver.servos.servo_node.ServoNode",
-        parameters=("deltacharger_driver.parameters.ServoNodeParameters", _SERVOS),
+        parameters=("deltacharger_driver.parameters.ServoNodeParameters", _JOINT_FRAMES, _SERVOS),
         port="servo",
         lacks="no arm moves",
         needs=("dynamixel_sdk", "serial"),
     ),
     "mock_servo_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_servo_node.MockServoNode",
-        parameters=("deltacharger_scenes.mocks.parameters.MockServoNodeParameters",),
+        parameters=("deltacharger_scenes.mocks.parameters.MockServoNodeParameters", _JOINT_FRAMES),
         stands_in_for="servo_node",
     ),
     "tactile_node": NodeSpec(
         "deltacharger_driver.board.tactile_node.TactileNode",
-        parameters=("deltacharger_driver.parameters.TactileNodeParameters",),
+        parameters=("deltacharger_driver.parameters.TactileNodeParameters", _FRAMES),
         port="board",
         lacks="nothing is felt, nothing is charged",
         needs=("dynamixel_sdk", "serial"),
     ),
     "mock_tactile_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_tactile_node.MockTactileNode",
-        parameters=("deltacharger_scenes.mocks.parameters.MockTactileNodeParameters",),
+        parameters=("deltacharger_scenes.mocks.parameters.MockTactileNodeParameters", _FRAMES),
         stands_in_for="tactile_node",
     ),
     "kinematics_node": NodeSpec(
         "deltacharger_kinematics.kinematics_node.KinematicsNode",
-        parameters=("deltacharger_kinematics.parameters.KinematicsNodeParameters", *_GEOMETRY, _SERVOS),
+        parameters=("deltacharger_kinematics.parameters.KinematicsNodeParameters", _FRAMES, *_GEOMETRY, _SERVOS),
         may_restart=True,
         lacks="no end_effector_pose, no contact_wrench, no kinematics services",
     ),
     "misalignment_node": NodeSpec(
         "deltacharger_tactile.misalignment_node.MisalignmentNode",
-        parameters=("deltacharger_tactile.parameters.MisalignmentNodeParameters",),
+        parameters=("deltacharger_tactile.parameters.MisalignmentNodeParameters", _FRAMES),
         may_restart=True,
         lacks="no misalignment is estimated",
     ),
@@ -105,6 +108,7 @@ NODES: dict[str, NodeSpec] = {
         parameters=(
             "deltacharger_vision.cameras.oak_pipeline.OakSettings",
             "deltacharger_vision.parameters.ReplayParameters",
+            _FRAMES,
         ),
         may_restart=True,
         lacks="no images but those of a camera's own driver",
@@ -115,6 +119,7 @@ NODES: dict[str, NodeSpec] = {
         parameters=(
             "deltacharger_sim.charger.parameters.SimulatedCameraNodeParameters",
             "deltacharger_sim.charger.parameters.ImageParameters",
+            _FRAMES,
         ),
         stands_in_for="camera_node",
         sees_target=True,
@@ -126,6 +131,7 @@ NODES: dict[str, NodeSpec] = {
         parameters=(
             "deltacharger_vision.parameters.DetectorNodeParameters",
             "deltacharger_vision.terminal.Terminal",
+            _TRANSFORMS,
         ),
         may_restart=True,
         lacks="docking needs coordinates",
@@ -133,7 +139,7 @@ NODES: dict[str, NodeSpec] = {
     ),
     "mock_detector_node": NodeSpec(
         "deltacharger_scenes.mocks.mock_detector_node.MockDetectorNode",
-        parameters=("deltacharger_scenes.mocks.parameters.MockDetectorNodeParameters",),
+        parameters=("deltacharger_scenes.mocks.parameters.MockDetectorNodeParameters", _FRAMES),
         stands_in_for="electrode_detector_node",
         may_restart=True,
     ),
@@ -161,6 +167,7 @@ NODES: dict[str, NodeSpec] = {
         parameters=(
             "deltacharger_docking.parameters.DockingParameters",
             "deltacharger_docking.parameters.DockingNodeParameters",
+            _TRANSFORMS,
             *_GEOMETRY,
             _SERVOS,
         ),
@@ -171,6 +178,7 @@ NODES: dict[str, NodeSpec] = {
         parameters=(
             "deltacharger_mission.parameters.MissionParameters",
             "deltacharger_mission.parameters.MissionNodeParameters",
+            _TRANSFORMS,
         ),
         lacks="no action charge_robot",
         needs_when_used=("nav2_msgs",),

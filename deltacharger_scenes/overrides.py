@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the command line and the launch file change of a scene: ports, camera, model, recording, recorder of dockings.
+"""What the command line and the launch file change of a scene: ports, camera, model, recording, prefixes, recorder.
 
 Every argument is text; empty leaves the scene as it is. What does not fit the scene, or names nothing that exists, is
 refused before anything starts.
@@ -13,8 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deltacharger_core.bounded_file import given_path
-from deltacharger_core.parameters import words
+from deltacharger_core.frames import JointFrameParameters
+from deltacharger_core.parameters import ParameterError, declared, words
 from deltacharger_scenes.node_table import NODES
+from deltacharger_scenes.parameter_check import tables
 from deltacharger_scenes.scene import Scene, SceneError
 
 RECORDER = "docking_recorder_node"
@@ -35,6 +37,8 @@ class Overrides:
     )
     model: str = words("", "pose model (npz) of misalignment_node")
     recording: str = words("", "file that the scene replays")
+    frame_prefix: str = words("", "put before every frame name of the charger, as robot_state_publisher's parameter")
+    joint_prefix: str = words("", "put before the names of joint_states: the prefix of the URDF's macro")
     record: str = words("", "keep a record of each docking in this folder; true = the usual one, false = none")
 
 
@@ -49,7 +53,7 @@ def override(scene: Scene, told: Overrides) -> Scene:
         scene = _with_port(scene, port, getattr(told, f"{port}_port"))
     scene = _with_file(scene, "model", told.model, "misalignment_node", "model")
     scene = _with_file(scene, "recording", told.recording, "recording_player_node", "file")
-    return _with_record(scene, told.record)
+    return _with_prefixes(_with_record(scene, told.record), told)
 
 
 def _with_port(scene: Scene, port: str, path: str) -> Scene:
@@ -98,6 +102,20 @@ def _with_file(scene: Scene, key: str, file: str, node: str, parameter: str) -> 
     if not path.is_file():
         raise SceneError(scene.file, key, f"'{file}': there is no such file")
     return _with_parameter(scene, node, parameter, str(path))
+
+
+def _with_prefixes(scene: Scene, told: Overrides) -> Scene:
+    """Return the scene with the prefixes of frames and joints in every node that writes or reads them."""
+    try:
+        given = JointFrameParameters(told.frame_prefix, told.joint_prefix)
+    except ParameterError as error:
+        raise SceneError(scene.file, error.key, error.problem) from error
+    for name in scene.nodes:
+        known = {each.name for table in tables(name) for each in declared(table)}
+        for key in ("frame_prefix", "joint_prefix"):
+            if (prefix := getattr(given, key)) and key in known:
+                scene = _with_parameter(scene, name, key, prefix)
+    return scene
 
 
 def _with_record(scene: Scene, record: str) -> Scene:

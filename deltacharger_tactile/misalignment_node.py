@@ -22,6 +22,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 
+from deltacharger_core.frames import END_EFFECTOR, FrameParameters
 from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_ros import node_support
 from deltacharger_ros.on_demand import OnDemandSubscription
@@ -51,15 +52,16 @@ def to_frame(message: TactileFrame) -> Frame:
     return Frame(stamp.sec + 1e-9 * stamp.nanosec, stamp, message.sequence, message.tared, left, right)
 
 
-def to_message(estimate: Estimate, name: str, stamp: Any) -> Misalignment:
+def to_message(estimate: Estimate, name: str, stamp: Any, frame_id: str) -> Misalignment:
     """Return an estimate of one frame pair as a message.
 
     Args:
         estimate: pose of the target in end_effector.
         name: of the model.
         stamp: of the newest frame used.
+        frame_id: full name of end_effector.
     """
-    message = unknown_misalignment()  # pads alone tell no yaw and no pitch: they stay NaN
+    message = unknown_misalignment(frame_id)  # pads alone tell no yaw and no pitch: they stay NaN
     message.header.stamp = stamp
     message.contact, message.sure, message.in_range = estimate.contact, estimate.sure, estimate.in_range
     for axis in ("angle", "vertical", "horizontal"):
@@ -78,6 +80,7 @@ class MisalignmentNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("misalignment_node", **kwargs)
         given = declare_all(self, MisalignmentNodeParameters, form="{text}, {unit}.")
+        self._frame_id = declare_all(self, FrameParameters).named(END_EFFECTOR)
         reject_unknown(self)
         self._given = given
         try:
@@ -141,7 +144,7 @@ class MisalignmentNode(Node):
     ) -> PredictMisalignment.Response:
         given = self._given
         wanted = request.frames or given.frames
-        response.misalignment = unknown_misalignment()
+        response.misalignment = unknown_misalignment(self._frame_id)
         if wanted > FRAMES_MAX:
             kept = FRAMES_MAX
             response.message = f"{wanted} frames asked for, at most {kept} are kept; ask for fewer"
@@ -165,7 +168,7 @@ class MisalignmentNode(Node):
             Refused: the frames are stale or not tared.
         """
         left, right = self._window.average(frames, max_age)
-        return to_message(perception.predict(left, right), perception.name, frames[-1].stamp)
+        return to_message(perception.predict(left, right), perception.name, frames[-1].stamp, self._frame_id)
 
     def _publish(self, period: float, stopping: threading.Event) -> None:
         following = time.monotonic() + period

@@ -14,6 +14,7 @@ import numpy as np
 
 from deltacharger_core.arrays import Array
 from deltacharger_core.bounded_file import brief
+from deltacharger_core.frames import CAMERA, CHARGER_BASE
 from deltacharger_core.machine import DOCK_DISTANCE
 from deltacharger_core.rotation import rotation
 from deltacharger_core.yaml_file import YamlError, read_yaml, write_yaml
@@ -22,7 +23,7 @@ from deltacharger_vision.errors import MountError
 from deltacharger_vision.placed import Placed, is_front
 from deltacharger_vision.poses import cross_matrix, transform
 
-FRAME, CAMERA_FRAME = "charger_base", "camera_color_optical_frame"
+FRAME, CAMERA_FRAME = CHARGER_BASE, CAMERA
 POSITION_STDDEV, ROTATION_STDDEV = 0.002, math.radians(0.5)
 """Error of a mount that says nothing of it, per axis: m and rad. What a calibration by hand reaches (assumed)."""
 _PLACE, _DOCK = (0.0, 0.12, -0.12), (0.0, 0.0, DOCK_DISTANCE)

@@ -32,6 +32,10 @@ class DetectorNodeParameters(Bounded):
     depth_topic: str = words(DEPTH, "topic of the depth images, aligned to colour")
     camera_info_topic: str = words(CAMERA_INFO, "topic of the colour images' calibration")
     mount_file: str = words("", "YAML of `deltacharger calibrate camera`; replaces mount*")
+    mount_from_tf: bool = flag(
+        False,
+        "take the camera's place from tf, by the frame_id of its images, in place of mount; tf tells no errors of it",
+    )
     mount: tuple[float, ...] = numbers(
         pose_numbers(Mount.default().pose),
         -float("inf"),

@@ -48,6 +48,8 @@ def add_up(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--board-port", default="", metavar="PORT", help="of the board, instead of the scene's")
     text = "what finds electrodes, instead of the scene's: an OAK-D, a camera that others drive, or nothing"
     parser.add_argument("--camera", default="", metavar="oak|topics|none", help=text)
+    for what, text in (("frame", "frame of the charger, for two in one tf"), ("joint", "joint, for two in one URDF")):
+        parser.add_argument(f"--{what}-prefix", default="", metavar="TEXT", help=f"put before the name of each {text}")
     parser.add_argument("--model", default="", metavar="FILE", help="pose model (npz) of misalignment_node")
 
 

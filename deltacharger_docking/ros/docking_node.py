@@ -21,6 +21,7 @@ from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
 from deltacharger_core import runtime
+from deltacharger_core.frames import END_EFFECTOR, TransformParameters
 from deltacharger_core.version import package_version
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.machine import DockingMachine
@@ -35,6 +36,7 @@ from deltacharger_docking.ros.services import Services
 from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.clock import before_now
+from deltacharger_ros.frames import Frames
 from deltacharger_ros.log import Log
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.servos_file import declare_with_servos
@@ -63,8 +65,9 @@ class DockingNode(Node):
         super().__init__("docking_node", **kwargs)
         self._settings = declare_with_servos(self, DockingParameters, _SERVOS_FOLLOW, form="{text}, {unit}")
         geometry = declare_geometry(self)
-        mount = declare_all(self, DockingNodeParameters)
+        mount, transforms = declare_all(self, DockingNodeParameters), declare_all(self, TransformParameters)
         reject_unknown(self)
+        frames = Frames(self, transforms, mount.base_frame, mount.base_pose)
         self._machine = DockingMachine(self._settings, geometry)
         self._lock = threading.RLock()
         self._log = Log(self)
@@ -72,11 +75,13 @@ class DockingNode(Node):
         self._torque_off_at = math.inf
         self._slowest_tick = 0.0
         self._inputs = Inputs(self)
-        self._calls = Services(self)
+        self._calls = Services(
+            self, lambda detection: io.in_charger_base(detection, frames), transforms.named(END_EFFECTOR)
+        )
         self._secret = secrets.token_hex(16)  # shows servo_node that trajectories come from this process
         self._trajectory = self.create_publisher(JointTrajectory, "joint_trajectory", qos.LATEST)
         ages_max = (self._settings.servo_age_max, self._settings.tactile_age_max, self._settings.power_age_max)
-        self._reports = Reports(self, self._log, ages_max)
+        self._reports = Reports(self, self._log, ages_max, frames.charger_base)
         observe = self._inputs.observation  # takes no reply that the running goal waits for
         self._owners = None if self._settings.keeps_clearance else PortOwners(self)  # nobody else needs them
         self._goals = Goals(
@@ -88,6 +93,7 @@ class DockingNode(Node):
             self._defect,
             self._calls.misalignment,
             mount,
+            frames,
             self._look_whose,
         )
         Tuning(self, self._settings, self._tune)

@@ -10,21 +10,24 @@ from typing import Any
 
 from deltacharger.action import Dock, Undock
 from deltacharger.msg import Misalignment
+from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
 from deltacharger_core.texts import titled
 from deltacharger_docking.clearance import FeltPose
-from deltacharger_docking.codes import Busy, DockingError, NoTime, State
+from deltacharger_docking.codes import Busy, DockingError, NoTime, State, Unplaced
 from deltacharger_docking.goals import suggested_base
 from deltacharger_docking.machine import DockingMachine
-from deltacharger_docking.observation import DockGoal, DockingOutcome, Observation
+from deltacharger_docking.observation import DockGoal, DockingOutcome, ElectrodePose, Observation
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_docking.phase_log import changes
 from deltacharger_docking.ros import messages as io
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
 from deltacharger_ros.clock import NO_TIME_YET, ClockWatch
+from deltacharger_ros.frames import Frames
 from deltacharger_ros.messages import duration, seconds, to_result
 from deltacharger_ros.outcomes import place
+from deltacharger_ros.tf_tree import TransformError
 
 _ANSWER = 1.0  # s to see a goal's callback end when the node closes
 _FEEDBACK = 0.2  # s between feedbacks without a change
@@ -62,7 +65,8 @@ class Goals:
         defect: called with the lock held when one of our own errors met a goal at its beginning; it makes the charger
             safe and ends the goal.
         misalignment: gives the message of an estimate.
-        mount: of the charger on its robot.
+        mount: how far electrodes may lean.
+        frames: tells where goals are; may wait.
         look: called before a goal that charges begins, without the lock; may wait.
     """
 
@@ -76,6 +80,7 @@ class Goals:
         defect: Callable[[Exception], None],
         misalignment: Callable[[FeltPose | None], Misalignment],
         mount: DockingNodeParameters,
+        frames: Frames,
         look: Callable[[], None] = lambda: None,
     ) -> None:
         self._node, self._clock = node, ClockWatch(node.get_clock())
@@ -86,6 +91,7 @@ class Goals:
         self._defect = defect
         self._misalignment = misalignment
         self._mount = mount
+        self._frames = frames
         self._look = look
         self._goal: ServedGoal | None = None
         self._ended: GoalHandle | None = None  # of the goal that ended last
@@ -197,14 +203,15 @@ class Goals:
             DockingError: it is refused.
         """
         request = goal.handle.request
+        if self._clock.has_no_time:
+            raise NoTime(NO_TIME_YET)
+        wish = read(request)
         if isinstance(request, Dock.Goal) and request.start_charging and not self._machine.busy:
             self._look()
         with self._lock:
             if self._refusal:
                 raise Busy(self._refusal)
-            if self._clock.has_no_time:
-                raise NoTime(NO_TIME_YET)
-            wish, seen = read(request), self._observe()
+            seen = self._observe()
             try:
                 start(wish, seen)
                 self._goal = goal
@@ -217,8 +224,9 @@ class Goals:
         return goal
 
     def _dock_goal(self, request: Dock.Goal) -> DockGoal:
+        """Return what a Dock goal asks for. The robot stands still while it docks: its pose is converted here, once."""
         return DockGoal(
-            electrodes=io.electrodes(request.electrodes, self._mount),
+            electrodes=self._electrodes(request.electrodes),
             critical_angle=request.critical_angle,
             start_charging=request.start_charging,
             hold=request.hold,
@@ -227,12 +235,22 @@ class Goals:
             request_id=request.request_id,
         )
 
+    def _electrodes(self, told: PoseStamped) -> ElectrodePose | None:
+        busy = self._machine.busy  # then it will be refused: it has nothing to wait for, and may be sent again
+        try:
+            charger = self._frames.charger_base_in(told.header.frame_id, told.header.stamp, 0.0 if busy else None)
+        except TransformError as error:
+            raise (Unplaced(str(error)) if busy else io.refusal(error)) from error
+        return io.electrodes(told, self._mount, charger)
+
     def _dock_result(self, outcome: DockingOutcome) -> Dock.Result:
         return to_result(
             Dock,
             outcome,
             misalignment=self._misalignment(outcome.estimate),
-            suggested_base_pose=io.pose_stamped(outcome.suggested_base, self._node.get_clock().now().to_msg()),
+            suggested_base_pose=io.pose_stamped(
+                outcome.suggested_base, self._node.get_clock().now().to_msg(), self._frames.charger_base
+            ),
             redockings=outcome.redockings,
             **{name: getattr(outcome, name) for name in MEASURED},
         )

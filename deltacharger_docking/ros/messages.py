@@ -16,15 +16,16 @@ from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from deltacharger_core.machine import JOINTS
-from deltacharger_core.rotation import lean, rotation
+from deltacharger_core.rotation import IDENTITY, composed, inverted, lean, rotation
 from deltacharger_docking.clearance import FeltPose, MisalignmentClasses
-from deltacharger_docking.codes import Rejected
+from deltacharger_docking.codes import Rejected, Unplaced
 from deltacharger_docking.observation import BasePose, ElectrodePose
 from deltacharger_docking.parameters import DockingNodeParameters
 from deltacharger_kinematics.trajectory_feed import Waypoint
+from deltacharger_ros.frames import Contradiction, Frames
 from deltacharger_ros.messages import duration
+from deltacharger_ros.tf_tree import TransformError, UnknownFrame
 
-_QUOTED = 60  # characters of what a client sent that a message repeats
 _UNIT = (0.9, 1.1)  # norm of a quaternion that somebody meant
 _LEVEL = 1e-3  # rad; a lean below it is rounding, such as that of a quaternion of four digits
 _SAME = 1e-3  # rad between a detection's roll and that of its orientation
@@ -82,35 +83,32 @@ def trajectory(waypoints: Sequence[Waypoint], stamp: Any, secret: str = "") -> J
     return message
 
 
-def electrodes(message: PoseStamped, mount: DockingNodeParameters) -> ElectrodePose | None:
+def electrodes(
+    message: PoseStamped, mount: DockingNodeParameters, charger: Sequence[float] = IDENTITY
+) -> ElectrodePose | None:
     """Return a goal's electrodes in charger_base; None for an empty frame_id (ask the camera).
 
     Args:
         message: pose of the electrodes' midpoint, its z axis away from the charger. Where that leans it is believed, at
             `goal_lean_stddev`. One that does not is the roll about z alone, as most clients send it: nobody looked
             whether the faces lean, so their lean is unknown.
-        mount: charger_base in the robot's frame, and how far electrodes may lean.
+        mount: how far electrodes may lean.
+        charger: charger_base in the goal's frame.
 
     Raises:
-        Rejected: unknown frame, a pose that is not finite, an orientation that is no unit quaternion, or one whose z
-            axis leans by more than `lean_max` from charger_base's.
+        Rejected: a pose that is not finite, an orientation that is no unit quaternion, or one whose z axis leans by
+            more than `lean_max` from charger_base's.
     """
-    frame = message.header.frame_id
-    if not frame:
+    if not message.header.frame_id:
         return None
-    if frame not in ("charger_base", mount.base_frame):
-        known = f"charger_base, {mount.base_frame}"
-        raise Rejected(f"unknown frame {frame[:_QUOTED]!a}: give {known}, or '' to use the camera")
     turn, point = message.pose.orientation, message.pose.position
     position, axes = np.array([point.x, point.y, point.z]), np.array(rotation(turn.x, turn.y, turn.z, turn.w))
     if not np.isfinite(position).all() or not np.isfinite(axes).all():
         raise Rejected("the electrodes' pose is not finite; send numbers, or an empty frame_id to use the camera")
     if not _UNIT[0] <= math.hypot(turn.x, turn.y, turn.z, turn.w) <= _UNIT[1]:
         raise Rejected("the electrodes' orientation is no unit quaternion; send one, such as (0, 0, 0, 1)")
-    if frame == mount.base_frame:
-        base = np.array(rotation(*mount.base_pose[3:]))
-        position = base.T @ (position - np.asarray(mount.base_pose[:3]))
-        axes = base.T @ axes
+    base = np.array(rotation(*charger[3:]))
+    position, axes = base.T @ (position - np.asarray(charger[:3])), base.T @ axes
     leans = math.atan2(math.hypot(axes[0, 2], axes[1, 2]), axes[2, 2])
     if leans > mount.lean_max:
         raise Rejected(
@@ -124,6 +122,38 @@ def electrodes(message: PoseStamped, mount: DockingNodeParameters) -> ElectrodeP
     yaw, pitch = lean(axes.tolist())
     stddev = mount.goal_lean_stddev
     return replace(found, yaw=yaw, pitch=pitch, yaw_stddev=stddev, pitch_stddev=stddev)
+
+
+def refusal(error: TransformError) -> Rejected:
+    """Return with what a goal is refused whose frame cannot be told; it may come back where that may pass by itself."""
+    lasts = isinstance(error, UnknownFrame | Contradiction)
+    return Rejected(str(error)) if lasts else Unplaced(str(error))
+
+
+def in_charger_base(message: ElectrodeDetection, frames: Frames) -> ElectrodeDetection:
+    """Return a detection in charger_base, whatever frame it is told in; the mount's error is its sender's to tell.
+
+    Raises:
+        TransformError: its frame is not known; it is not waited for.
+    """
+    charger = frames.charger_base_in(message.header.frame_id, message.header.stamp, timeout=0.0)
+    if charger == IDENTITY:
+        return message
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    pose = composed(inverted(charger), (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
+    axes = rotation(*pose[3:])
+    if axes[0][0] < 0.0:  # the bars look the same from both ends: the roll is within a quarter turn
+        pose = composed(pose, (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0))
+        axes = rotation(*pose[3:])
+    both = np.kron(np.eye(2), np.array(rotation(*charger[3:])).T)
+    covariance = both @ np.asarray(message.pose.covariance, dtype=float).reshape(6, 6) @ both.T
+    found = copy.deepcopy(message)
+    found.header.frame_id = frames.charger_base
+    place, turn = found.pose.pose.position, found.pose.pose.orientation
+    place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = pose
+    found.pose.covariance = covariance.ravel()
+    found.roll = math.atan2(axes[1][0], axes[0][0])
+    return found
 
 
 def seen(message: ElectrodeDetection, age: float) -> ElectrodePose:
@@ -161,12 +191,12 @@ def seen(message: ElectrodeDetection, age: float) -> ElectrodePose:
     )
 
 
-def pose_stamped(base: BasePose | None, stamp: Any) -> PoseStamped:
-    """Return a stand of charger_base as a pose in the present one; an empty frame_id for None."""
+def pose_stamped(base: BasePose | None, stamp: Any, frame: str) -> PoseStamped:
+    """Return a stand of charger_base as a pose in the present one, called `frame`; an empty frame_id for None."""
     message = PoseStamped()
     if base is not None:
         message.header.stamp = stamp
-        message.header.frame_id = "charger_base"
+        message.header.frame_id = frame
         point, turn = message.pose.position, message.pose.orientation
         point.x, point.y, point.z = base.x, base.y, base.z
         turn.y, turn.w = math.sin(0.5 * base.yaw), math.cos(0.5 * base.yaw)

@@ -33,9 +33,11 @@ class Reports:
         node: publishes.
         log: of the node.
         ages_max: age (s) of servo_state, tactile_frame and charger_power from which the diagnostics say ERROR.
+        frame: full name of charger_base.
     """
 
-    def __init__(self, node: Node, log: Log, ages_max: tuple[float, float, float]) -> None:
+    def __init__(self, node: Node, log: Log, ages_max: tuple[float, float, float], frame: str) -> None:
+        self._frame = frame
         self._node = node
         self._ages_max = ages_max
         self._shown: DockingStatus | None = None
@@ -75,8 +77,7 @@ class Reports:
             request_id=status.request_id,
             duplicate_sources=status.duplicate_sources,
         )
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        message.header.frame_id = "charger_base"
+        message.header.stamp, message.header.frame_id = self._node.get_clock().now().to_msg(), self._frame
         self._state.publish(message)
 
     def decided(self, decisions: Sequence[Decision], request_id: str) -> None:
@@ -91,7 +92,7 @@ class Reports:
                 values=[float(value) for _, value in decision.values],
             )
             message.header.stamp = before_now(self._node.get_clock(), time.monotonic() - decision.time)
-            message.header.frame_id = "charger_base"
+            message.header.frame_id = self._frame
             self._decision.publish(message)
 
     def diagnose(self, status: DockingStatus, observation: Observation, slowest_tick: float, refused: Refusals) -> bool:

@@ -8,13 +8,15 @@ import secrets
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
-from deltacharger.msg import Misalignment
+from deltacharger.msg import ElectrodeDetection, Misalignment
 from deltacharger.srv import DetectElectrodes, PredictMisalignment, Probe, SetContactor
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from deltacharger_core.frames import END_EFFECTOR
 from deltacharger_core.machine import LONGEST_LEASE
 from deltacharger_core.texts import cut
 from deltacharger_docking.clearance import FeltPose
@@ -34,10 +36,27 @@ _SAFE = (Service.OPEN, Service.TORQUE_OFF)  # what is still asked for when a goa
 _LOOKING = 0.9  # of the time for a detection: why nothing was found must arrive before docking gives up
 
 
-class Services:
-    """Calls services for the machine without waiting and collects the replies; renews the contactor's lease."""
+def _as_told(detection: ElectrodeDetection) -> ElectrodeDetection:
+    return detection
 
-    def __init__(self, node: Node) -> None:
+
+class Services:
+    """Calls services for the machine without waiting and collects the replies; renews the contactor's lease.
+
+    Args:
+        node: calls.
+        place: returns a detection in charger_base; may not wait.
+        end_effector: full name of this frame.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        place: Callable[[ElectrodeDetection], ElectrodeDetection] = _as_told,
+        end_effector: str = END_EFFECTOR,
+    ) -> None:
+        self._place = place
+        self._end_effector = end_effector
         self._lock = threading.Lock()
         self._replies: list[Reply] = []
         self._refusal = ""
@@ -108,9 +127,9 @@ class Services:
     def misalignment(self, value: FeltPose | None) -> Misalignment:
         """Return the message that the machine's last estimate came from, with what it made of it; NaN without one."""
         if value is None:
-            return unknown_misalignment()
+            return unknown_misalignment(self._end_effector)
         asked = (message for felt, message in list(self._felt) if felt.is_of(value))
-        return next((told(value, message) for message in asked), unknown_misalignment())
+        return next((told(value, message) for message in asked), unknown_misalignment(self._end_effector))
 
     def contactor(self, wanted: bool, closed: bool) -> None:
         """Renew the lease while `wanted`, ten times a second; open at once when it no longer is."""
@@ -167,7 +186,7 @@ class Services:
             return {}
         # An image from the future is as wrong as an old one.
         age = abs(seconds(self._clock.now().to_msg()) - seconds(answer.detection.header.stamp))
-        return {"detection": seen(answer.detection, age)}
+        return {"detection": seen(self._place(answer.detection), age)}
 
     def _put(self, reply: Reply) -> None:
         with self._lock:

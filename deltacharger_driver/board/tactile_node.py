@@ -25,6 +25,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from deltacharger_core.frames import END_EFFECTOR, FrameParameters
 from deltacharger_core.quantity import quantity
 from deltacharger_driver.board.battery_node_io import PERIOD, BatteryPublishers
 from deltacharger_driver.board.contactor_guard import STALE_FRAME, STALE_POWER
@@ -59,7 +60,7 @@ class TactileNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("tactile_node", **kwargs)
-        given = declare_all(self, TactileNodeParameters)
+        given, frames = declare_all(self, TactileNodeParameters), declare_all(self, FrameParameters)
         reject_unknown(self)
         try:  # a port that cannot be opened now is a wrong set-up; one that vanishes later is waited for
             BoardPort(given.port, given.baud_rate).close()
@@ -70,7 +71,7 @@ class TactileNode(Node):
         self._power: PowerSample | None = None
         self._frame_rate, self._power_rate = RateMeter(time.monotonic), RateMeter(time.monotonic)
         self._period = 1.0 / given.rate
-        self._samples = SamplePublishers(self, LATEST, given.pitch)
+        self._samples = SamplePublishers(self, LATEST, given.pitch, frames.named(END_EFFECTOR))
         self._batteries = BatteryPublishers(self)
         self._diagnostics = Diagnostics(self)
         self._tare = SharedCall(lambda: self._keeper.link.tare(), _TARE_SHARED)

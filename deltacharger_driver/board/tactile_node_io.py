@@ -13,7 +13,6 @@ from deltacharger_core.machine import COLUMNS, ROWS
 from deltacharger_driver.board.samples import PowerSample, TactileSample
 from deltacharger_ros.flat_messages import FlatPublisher, Stamps
 
-_FRAME = "end_effector"
 _FRAME_FIELDS = ("sequence", "device_time_us", "left", "right", "tared")
 _POWER_FIELDS = (
     "contactor_closed",
@@ -33,14 +32,15 @@ class SamplePublishers:
         node: the publisher.
         qos: of charger_power.
         pitch: distance between neighbouring taxels, m.
+        frame_id: full name of end_effector.
     """
 
-    def __init__(self, node: Node, qos: QoSProfile, pitch: float) -> None:
+    def __init__(self, node: Node, qos: QoSProfile, pitch: float, frame_id: str) -> None:
         stamps = Stamps(node.get_clock())
         taxels = array("f", bytes(4 * ROWS * COLUMNS))
         frame = TactileFrame(rows=ROWS, columns=COLUMNS, pitch=pitch, left=taxels, right=taxels)
         power = ChargerPower()
-        frame.header.frame_id = power.header.frame_id = _FRAME
+        frame.header.frame_id = power.header.frame_id = frame_id
         frames = node.create_publisher(TactileFrame, "tactile_frame", qos_profile_sensor_data)
         powers = node.create_publisher(ChargerPower, "charger_power", qos)
         self._frames = FlatPublisher(frames, frame, _FRAME_FIELDS, stamps)

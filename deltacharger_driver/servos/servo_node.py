@@ -31,6 +31,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
 from deltacharger_core.machine import JOINTS
 from deltacharger_driver.errors import DriverError
 from deltacharger_driver.parameters import SERVOS_FOLLOW, ServoNodeParameters
@@ -47,7 +48,7 @@ from deltacharger_ros import node_support
 from deltacharger_ros.diagnostics import Diagnostics
 from deltacharger_ros.duplicates import publishers
 from deltacharger_ros.log import Log
-from deltacharger_ros.parameters import reject_unknown
+from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import LATEST, SERVICE
 from deltacharger_ros.servos_file import declare_with_servos
 
@@ -71,8 +72,10 @@ class ServoNode(Node):
         super().__init__("servo_node", **kwargs)
         self._lines = Log(self)
         self._contactor = ContactorClient(self)
+        frames = declare_all(self, JointFrameParameters)
         self._controller, self._limits = self._configure()
-        self._states = StatePublishers(self, LATEST, self._torque_constant)
+        base = frames.named(CHARGER_BASE)
+        self._states = StatePublishers(self, LATEST, self._torque_constant, base, frames.joint_prefix)
         self._diagnostics = Diagnostics(self)
         self._contactor_state = ContactorState.UNKNOWN
         self._refused = 0  # trajectories that the diagnostics have told

@@ -27,7 +27,6 @@ from deltacharger_ros.qos import SERVICE
 KEPT = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=64, reliability=ReliabilityPolicy.RELIABLE)
 """charger_power and joint_trajectory: read in every cycle, so that no flood of a stranger hides who leads or tells."""
 
-_FRAME = "charger_base"
 _STATE_FIELDS = (
     "position",
     "velocity",
@@ -129,9 +128,13 @@ class StatePublishers:
         node: the publisher.
         qos: of servo_state.
         torque_constant: N·m/A, for the efforts of joint_states.
+        frame_id: full name of charger_base.
+        joint_prefix: put before the names of joint_states.
     """
 
-    def __init__(self, node: Node, qos: QoSProfile, torque_constant: float) -> None:
+    def __init__(
+        self, node: Node, qos: QoSProfile, torque_constant: float, frame_id: str, joint_prefix: str = ""
+    ) -> None:
         self._torque_constant = torque_constant
         self._cycle = 0
         self._joints_wanted = False
@@ -140,8 +143,8 @@ class StatePublishers:
         state = ServoState(name=list(JOINTS), position=zero, velocity=zero, current=zero)
         state.voltage = state.temperature = state.thermal_reserve = short_zero
         state.hardware_error, state.torque_enabled, state.valid = array("B", bytes(count)), none, none
-        joint = JointState(name=list(JOINTS), position=zero, velocity=zero, effort=zero)
-        state.header.frame_id = joint.header.frame_id = _FRAME
+        joint = JointState(name=[f"{joint_prefix}{name}" for name in JOINTS], position=zero, velocity=zero, effort=zero)
+        state.header.frame_id = joint.header.frame_id = frame_id
         stamps = Stamps(node.get_clock())
         state_topic = node.create_publisher(ServoState, "servo_state", qos)
         self._states = FlatPublisher(state_topic, state, _STATE_FIELDS, stamps)

@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from deltacharger.action import Dock
 from geometry_msgs.msg import PoseStamped
 
-from deltacharger_core.rotation import lean, rotation
+from deltacharger_core.frames import END_EFFECTOR, LONGEST
+from deltacharger_core.rotation import Pose, composed, lean, rotation
 from deltacharger_core.texts import cut
 from deltacharger_docking.codes import Code, Rejected, State
 from deltacharger_docking.observation import BasePose
@@ -22,7 +23,6 @@ from deltacharger_ros.messages import seconds
 from deltacharger_ros.unknown import unknown_misalignment
 
 _NEAR = 10.0  # m; no camera of the charger tells a terminal farther off
-_FRAME_MAX = 256  # characters of a frame's name
 
 
 def read_dock(number: int, end: End, result: Any, heard: Any) -> TaskReply:
@@ -43,19 +43,25 @@ def read_drive(number: int, end: End, result: Any, heard: Any) -> TaskReply:
     return TaskReply(number, end, message=message, place=None if heard is None else place(heard.current_pose))
 
 
-def read_detection(number: int, answer: Any) -> TaskReply:
-    """Return the reply of detect_electrodes; `answer` is None where it gave none.
+def read_detection(number: int, answer: Any, place: Callable[[Any], Any] = lambda detection: detection) -> TaskReply:
+    """Return the reply of detect_electrodes.
 
     A robot is not sent after electrodes that no camera can see.
+
+    Args:
+        number: of the request.
+        answer: None where it gave none.
+        place: returns a detection in charger_base.
     """
     if answer is None:
         return TaskReply(number, End.LOST)
     if not answer.success:
         return TaskReply(number, End.FAILED, message=cut(answer.message))
-    if near(answer.detection.pose.pose.position) is None:
-        return TaskReply(number, End.FAILED, message=f"the detection lies beyond {_NEAR:g} m, or nowhere")
     try:
-        return TaskReply(number, End.DONE, electrodes=seen(answer.detection, age=0.0))
+        detection = place(answer.detection)
+        if near(detection.pose.pose.position) is None:
+            return TaskReply(number, End.FAILED, message=f"the detection lies beyond {_NEAR:g} m, or nowhere")
+        return TaskReply(number, End.DONE, electrodes=seen(detection, age=0.0))
     except ValueError as error:
         return TaskReply(number, End.FAILED, message=str(error))
 
@@ -74,19 +80,34 @@ def read_state(message: Any) -> DockingReport | None:
     return DockingReport(State(message.state), message.docked, message.charging)
 
 
-def unknown_dock() -> Any:
+def unknown_dock(frame_id: str = END_EFFECTOR) -> Any:
     """Return the result of a docking that never was: what was not measured is NaN."""
     return Dock.Result(
-        misalignment=unknown_misalignment(), contact_current=math.nan, contact_force=math.nan, charge_current=math.nan
+        misalignment=unknown_misalignment(frame_id),
+        contact_current=math.nan,
+        contact_force=math.nan,
+        charge_current=math.nan,
     )
 
 
-def goal(request: Any, electrodes: Sequence[float] | None) -> MissionGoal:
+def in_frame(message: PoseStamped, frame: str, there: Pose) -> PoseStamped:
+    """Return a pose in the frame called `frame`, in which its own frame lies at `there`."""
+    point, turn = message.pose.position, message.pose.orientation
+    moved = PoseStamped()
+    moved.header.frame_id = frame
+    pose = composed(there, (point.x, point.y, point.z, turn.x, turn.y, turn.z, turn.w))
+    point, turn = moved.pose.position, moved.pose.orientation
+    point.x, point.y, point.z, turn.x, turn.y, turn.z, turn.w = pose
+    return moved
+
+
+def goal(request: Any, electrodes: Sequence[float] | None, target: PoseStamped | None = None) -> MissionGoal:
     """Return a ChargeRobot goal as plain values.
 
     Args:
         request: the message.
         electrodes: x, y (m) and yaw (rad) of the electrodes in the goal's target; None where nobody drives.
+        target: where it is, in place of the request's.
 
     Raises:
         Rejected: the target has no frame, or is no pose on the ground.
@@ -94,9 +115,9 @@ def goal(request: Any, electrodes: Sequence[float] | None) -> MissionGoal:
     where = None
     if electrodes is not None:
         length = len(request.target.header.frame_id)
-        if not 0 < length <= _FRAME_MAX:
+        if not 0 < length <= LONGEST:
             raise Rejected(f"target.header.frame_id has {length} characters: name the navigator's frame, such as map")
-        here = place(request.target)
+        here = place(target or request.target)
         if here is None:
             raise Rejected("the target's pose is not finite, or its quaternion is zero: send numbers")
         where = here.at(*electrodes)

@@ -15,12 +15,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from deltacharger.action import ChargeRobot
+from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 
+from deltacharger_core.frames import END_EFFECTOR, LONGEST, TransformParameters
 from deltacharger_core.quantity import quantity
 from deltacharger_core.texts import titled
 from deltacharger_docking.codes import Busy, Code, DockingError, Rejected
 from deltacharger_docking.ros.goals import MEASURED
+from deltacharger_docking.ros.messages import in_charger_base, refusal
 from deltacharger_mission.dialogue import MissionOutcome
 from deltacharger_mission.machine import MissionMachine
 from deltacharger_mission.parameters import MissionNodeParameters, MissionParameters
@@ -31,9 +34,11 @@ from deltacharger_mission.stage_log import StageLog
 from deltacharger_ros import node_support
 from deltacharger_ros.action_server import GoalHandle, Work, WorkServer
 from deltacharger_ros.diagnostics import OK, WARN, Diagnostics
+from deltacharger_ros.frames import Frames
 from deltacharger_ros.log import Log
 from deltacharger_ros.messages import duration, to_result
 from deltacharger_ros.parameters import declare_all, reject_unknown
+from deltacharger_ros.tf_tree import TransformError
 from deltacharger_ros.tuning import Tuning
 
 _TICK = 0.05  # s
@@ -68,7 +73,7 @@ class _Mission(Work):
     def __init__(self, handle: GoalHandle) -> None:
         super().__init__(handle)
         self.request_id = handle.request.request_id
-        self.docked: Any = io.unknown_dock()  # the result of its last docking
+        self.docked: Any = None  # the result of its last docking
         self.wishes = 0  # to cancel that the machine was told of
 
 
@@ -79,18 +84,26 @@ class MissionNode(Node):
         self._closed = True  # nothing to call off before the node is complete
         super().__init__("mission_node", **kwargs)
         settings = declare_all(self, MissionParameters, form="{text}, {unit}")
-        given = declare_all(self, MissionNodeParameters)
+        given, transforms = declare_all(self, MissionNodeParameters), declare_all(self, TransformParameters)
         reject_unknown(self)
         try:
             mount = BaseMount(given.base_pose)
         except ValueError as error:
             raise node_support.StartupError(f"mission_node: parameter 'base_pose': {error}") from error
         navigate_to_pose = load_navigation(given.navigation)
+        self._frames = Frames(self, transforms, given.base_frame, given.base_pose)
+        self._map_frame, self._end_effector = given.map_frame, transforms.named(END_EFFECTOR)
         self._drives = navigate_to_pose is not None
-        self._map_frame = given.map_frame
         self._machine = MissionMachine(settings, mount, self._home(settings))
         trees = given.behavior_tree, given.precise_behavior_tree
-        self._others = Others(self, navigate_to_pose, trees, settings.lost_timeout)
+        self._others = Others(
+            self,
+            navigate_to_pose,
+            trees,
+            settings.lost_timeout,
+            lambda detection: in_charger_base(detection, self._frames),
+            self._end_effector,
+        )
         self._diagnostics = Diagnostics(self)
         self._log, self._stages = Log(self), StageLog()
         self._lock = threading.RLock()
@@ -105,7 +118,7 @@ class MissionNode(Node):
             lambda mission: mission is self._mission,
             MissionOutcome.refused,
             DockingError,
-            lambda outcome, mission: _result(outcome, io.unknown_dock() if mission is None else mission.docked),
+            lambda outcome, mission: _result(outcome, self._unknown_dock() if mission is None else mission.docked),
         )
         Tuning(self, settings, self._tune)
         self._closed = False
@@ -208,6 +221,7 @@ class MissionNode(Node):
         Raises:
             DockingError: it is refused.
         """
+        where = self._where(handle.request) if self._mission is None else None
         with self._lock:
             if self._closed:
                 raise Rejected("mission_node is shutting down")
@@ -218,22 +232,51 @@ class MissionNode(Node):
                     running.handles.append(handle)
                     return running
                 raise Busy(f"another mission is under way (request_id '{running.request_id}'): cancel it, or wait")
+            if where is None:
+                raise Busy("the mission before has just ended: send the goal again")
             settings = self._machine.parameters
             electrodes = (settings.electrodes_x, settings.electrodes_y, settings.electrodes_yaw)
-            goal = io.goal(handle.request, electrodes if self._drives else None)
+            goal = io.goal(handle.request, electrodes if self._drives else None, where[0])
             mission = _Mission(handle)
             try:
-                self._machine.start(goal, self._others.observe())
+                self._machine.start(goal, self._others.observe(), where[1])
             except DockingError:
                 raise
             except Exception:  # it may have begun: nobody would serve or cancel what it does
                 self._others.carry_out(self._machine.emergency())
                 raise
-            self._others.dock_result = io.unknown_dock()
+            self._others.dock_result = mission.docked = self._unknown_dock()
             self._mission = mission
             self._stages.begin(title := titled("charge_robot", mission.request_id))
             self._log.info(f"{title}: accepted")
             return mission
+
+    def _unknown_dock(self) -> Any:
+        return io.unknown_dock(self._end_effector)
+
+    def _target(self, told: PoseStamped) -> PoseStamped:
+        """Return a target in map_frame where tf2_ros is there: in a frame of the robot it would move as that drives.
+
+        Raises:
+            TransformError: its frame is not known now.
+        """
+        frame = told.header.frame_id
+        if not (self._drives and self._frames.follows_tf and 0 < len(frame) <= LONGEST) or frame == self._map_frame:
+            return told
+        return io.in_frame(told, self._map_frame, self._frames.pose_in(self._map_frame, frame, told.header.stamp))
+
+    def _where(self, request: Any) -> tuple[PoseStamped, BaseMount]:
+        """Return the target, and how the arm is mounted; may wait for tf.
+
+        Raises:
+            Rejected: they are not known now.
+        """
+        try:
+            return self._target(request.target), BaseMount(self._frames.base_pose())
+        except TransformError as error:
+            raise refusal(error) from error
+        except ValueError as error:
+            raise Rejected(f"charger_base on the robot, by tf: {error}") from error
 
 
 def _result(outcome: MissionOutcome, dock: Any) -> ChargeRobot.Result:

@@ -37,15 +37,27 @@ class Others:
         navigate_to_pose: the action of that name; None where nobody drives.
         trees: behaviour trees for a drive and for a small move near the target; empty = the navigator's own.
         lost_timeout: of the actions, see `ActionCaller`.
+        place: returns a detection in charger_base.
+        end_effector: full name of this frame.
     """
 
-    def __init__(self, node: Node, navigate_to_pose: Any, trees: tuple[str, str], lost_timeout: float) -> None:
+    def __init__(
+        self,
+        node: Node,
+        navigate_to_pose: Any,
+        trees: tuple[str, str],
+        lost_timeout: float,
+        place: Callable[[Any], Any],
+        end_effector: str,
+    ) -> None:
+        self._place = place
+        self._end_effector = end_effector
         self._navigate_to_pose = navigate_to_pose
         self._trees = trees
         self._lock = threading.Lock()
         self._replies: list[TaskReply] = []
         self._docking: DockingReport | None = None
-        self.dock_result = unknown_dock()
+        self.dock_result = unknown_dock(end_effector)
         self._detector: Any = node.create_client(DetectElectrodes, Task.DETECT.value, qos_profile=SERVICE)
         self._callers = {
             task: ActionCaller(node, kind, task.value, self._hearing(read), lost_timeout)
@@ -98,14 +110,14 @@ class Others:
             self._put(read_detection(request.number, None))
             return
         future = self._detector.call_async(DetectElectrodes.Request(timeout=duration(request.timeout)))
-        future.add_done_callback(lambda done: self._put(read_detection(request.number, result_of(done))))
+        future.add_done_callback(lambda done: self._put(read_detection(request.number, result_of(done), self._place)))
 
     def _message(self, request: TaskRequest) -> Any:
         if request.task is Task.UNDOCK:
             return Undock.Goal()
         if request.task is Task.DOCK:
             assert request.goal is not None
-            self.dock_result = unknown_dock()
+            self.dock_result = unknown_dock(self._end_effector)
             return Dock.Goal(  # an empty frame_id: docking asks the camera once more, at rest and close by
                 hold=True,
                 stop_energy=request.goal.stop_energy,

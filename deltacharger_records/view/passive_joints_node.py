@@ -19,6 +19,7 @@ from deltacharger.msg import ServoState
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
+from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
 from deltacharger_kinematics.ros.geometry_parameters import declare_geometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_records.parameters import PassiveJointsNodeParameters
@@ -33,6 +34,8 @@ class PassiveJointsNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("passive_joints_node", **kwargs)
         rate = declare_all(self, PassiveJointsNodeParameters).rate
+        frames = declare_all(self, JointFrameParameters)
+        self._frame_id, self._prefix = frames.named(CHARGER_BASE), frames.joint_prefix
         self._delta = ScalarDelta(declare_geometry(self))
         reject_unknown(self)
         self._period = 1.0 / rate
@@ -50,8 +53,8 @@ class PassiveJointsNode(Node):
         if not values:
             return
         self._last = stamp
-        joints = JointState(name=list(values), position=list(values.values()))
-        joints.header.stamp = message.header.stamp
+        joints = JointState(name=[f"{self._prefix}{name}" for name in values], position=list(values.values()))
+        joints.header.stamp, joints.header.frame_id = message.header.stamp, self._frame_id
         self._joints.publish(joints)
 
 

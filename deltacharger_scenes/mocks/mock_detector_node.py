@@ -26,6 +26,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
 
+from deltacharger_core.frames import CHARGER_BASE, FrameParameters
 from deltacharger_ros import node_support, qos
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
@@ -48,6 +49,7 @@ class MockDetectorNode(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("electrode_detector_node", **kwargs)
         given = declare_all(self, MockDetectorNodeParameters)
+        self._frame_id = declare_all(self, FrameParameters).named(CHARGER_BASE)
         reject_unknown(self)
         self._given = given
         self._fault = FaultSwitch(self, DETECTOR_FAULTS, given.fault_delay)
@@ -88,7 +90,7 @@ class MockDetectorNode(Node):
         yaw = _YAW if fault == "leaning" else given.yaw
         normal = np.full(3, math.nan) if fault == "no_normal" else leaning_normal(yaw, given.pitch)
         placed = Placed(position, given.roll, normal, np.diag(np.square(deviations)))
-        return detection_message(placed, stamp.to_msg(), 0.95, math.dist(position, _CAMERA))
+        return detection_message(placed, stamp.to_msg(), 0.95, math.dist(position, _CAMERA), self._frame_id)
 
 
 def main(args: Sequence[str] | None = None) -> int:

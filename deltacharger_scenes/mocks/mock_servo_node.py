@@ -29,6 +29,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from deltacharger_core.frames import CHARGER_BASE, JointFrameParameters
 from deltacharger_core.machine import JOINTS, NOMINAL_VOLTAGE, STALL_TORQUE, TORQUE_CONSTANT
 from deltacharger_driver.errors import TrajectoryRefused
 from deltacharger_driver.servos.goals import ServoGoals
@@ -52,9 +53,11 @@ class MockServoNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("servo_node", **kwargs)
-        given = declare_all(self, MockServoNodeParameters)
+        given, frames = declare_all(self, MockServoNodeParameters), declare_all(self, JointFrameParameters)
         reject_unknown(self)
         self._rate = given.rate
+        self._frame_id = frames.named(CHARGER_BASE)
+        self._joint_names = [f"{frames.joint_prefix}{name}" for name in JOINTS]
         geometry = DeltaGeometry()
         self._limits = JointLimits(JOINTS, geometry.joint_min, geometry.joint_max, STALL_TORQUE)
         self._fault = FaultSwitch(self, SERVO_FAULTS, given.fault_delay)
@@ -126,7 +129,7 @@ class MockServoNode(Node):
     def _message(self) -> ServoState:
         message = ServoState()
         message.header.stamp = self.get_clock().now().to_msg()
-        message.header.frame_id = "charger_base"
+        message.header.frame_id = self._frame_id
         message.name = list(JOINTS)
         current = self._arm.currents
         valid = [True] * 3
@@ -152,7 +155,7 @@ class MockServoNode(Node):
     def _publish(self, message: ServoState) -> None:
         self._state.publish(message)
         joints = JointState(
-            header=message.header, name=list(JOINTS), position=message.position, velocity=message.velocity
+            header=message.header, name=self._joint_names, position=message.position, velocity=message.velocity
         )
         self._joints.publish(joints)
 

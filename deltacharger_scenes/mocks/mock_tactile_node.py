@@ -34,6 +34,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from deltacharger_core.frames import END_EFFECTOR, FrameParameters
 from deltacharger_core.machine import COLUMNS, CONTACT_FORCE, GRAVITY, PADS, ROWS, TORQUE_CONSTANT
 from deltacharger_driver.board.battery_node_io import PERIOD, BatteryPublishers
 from deltacharger_driver.board.contactor_lease import LeaseRefused
@@ -64,7 +65,7 @@ class MockTactileNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("tactile_node", **kwargs)
-        given = declare_all(self, MockTactileNodeParameters)
+        given, frames = declare_all(self, MockTactileNodeParameters), declare_all(self, FrameParameters)
         reject_unknown(self)
         self._rate, self._target = given.rate, given.target()
         self._fault = FaultSwitch(self, TACTILE_FAULTS, given.fault_delay)
@@ -81,7 +82,8 @@ class MockTactileNode(Node):
         self._recent: list[np.ndarray[Any, np.dtype[np.float64]]] = []
         self._sequence = 0
         self._began = time.monotonic()
-        self._samples = SamplePublishers(self, qos.LATEST, self._model.contact.pad_side / COLUMNS)
+        pitch = self._model.contact.pad_side / COLUMNS
+        self._samples = SamplePublishers(self, qos.LATEST, pitch, frames.named(END_EFFECTOR))
         self._batteries = BatteryPublishers(self)
         steady_timer(self, PERIOD, self._tell_batteries)
         group = ReentrantCallbackGroup()

@@ -23,6 +23,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from deltacharger_core.arrays import Array
+from deltacharger_core.frames import CAMERA, FrameParameters
 from deltacharger_kinematics.geometry import DeltaGeometry
 from deltacharger_kinematics.scalar import ScalarDelta
 from deltacharger_ros import node_support
@@ -115,6 +116,7 @@ class SimulatedCameraNode(Node):
         super().__init__("simulated_camera_node", **kwargs)
         given = declare_all(self, SimulatedCameraNodeParameters)
         defects = declare_all(self, ImageParameters)
+        frames = declare_all(self, FrameParameters)
         reject_unknown(self)
         self._period = 1.0 / given.rate
         self._random = np.random.default_rng(given.seed)
@@ -129,7 +131,7 @@ class SimulatedCameraNode(Node):
         _try_out(self, self._make_camera)
         self._kinematics = ScalarDelta(DeltaGeometry())
         self._angles: tuple[float, float, float] | None = None
-        self._images = CameraPublishers(self)
+        self._images = CameraPublishers(self, frames.named(CAMERA))
         self.looks = self.rendered = 0
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulated camera", daemon=True)

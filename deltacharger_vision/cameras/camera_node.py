@@ -25,6 +25,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.utilities import remove_ros_args
 
+from deltacharger_core.frames import CAMERA, FrameParameters
 from deltacharger_core.mcap_file import RecordingError
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import steady_timer
@@ -126,8 +127,9 @@ class CameraNode(Node):
         super().__init__("camera_node", **kwargs)
         self._settings = declare_all(self, OakSettings)
         self._given = declare_all(self, ReplayParameters)
+        frames = declare_all(self, FrameParameters)
         reject_unknown(self)
-        self._images = CameraPublishers(self)
+        self._images = CameraPublishers(self, frames.named(CAMERA))
         self._diagnostics = Diagnostics(self)
         self._source: CameraKeeper | RecordingPlayer = (
             self._replay(Path(self._given.replay)) if self._given.replay else self._keeper(open_camera)

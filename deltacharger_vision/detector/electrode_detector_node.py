@@ -26,6 +26,7 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 
+from deltacharger_core.frames import CHARGER_BASE, TransformParameters
 from deltacharger_core.quantity import quantity
 from deltacharger_ros import node_support
 from deltacharger_ros.clock import steady_timer
@@ -34,6 +35,7 @@ from deltacharger_ros.messages import seconds
 from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.qos import SERVICE
 from deltacharger_ros.regularly import Regularly
+from deltacharger_ros.tf_tree import TfTree, TransformError, installed
 from deltacharger_ros.tuning import Tuning
 from deltacharger_ros.unknown import unknown
 from deltacharger_vision.detector.annotate import annotated
@@ -65,11 +67,14 @@ class ElectrodeDetectorNode(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("electrode_detector_node", **kwargs)
-        given = declare_all(self, DetectorNodeParameters)
+        given, transforms = declare_all(self, DetectorNodeParameters), declare_all(self, TransformParameters)
         terminal = declare_all(self, Terminal)
         reject_unknown(self)
         self._given = given
         topics = [given.color_topic, given.depth_topic, given.camera_info_topic]
+        self._charger_base = transforms.named(CHARGER_BASE)
+        self._tf = _tf(self, given, transforms) if given.mount_from_tf else None
+        self._deviations = given.mount_position_stddev, given.mount_rotation_stddev
         self._mount = _mount(self, given)
         self._detector = ElectrodeDetector(terminal)
         self._camera = Camera(self, given.stamp_tolerance, topics)
@@ -156,10 +161,24 @@ class ElectrodeDetectorNode(Node):
         if found is None:
             return None, "no electrodes in the image: turn the robot toward the target, clear the view, check the light"
         self._tally.found += 1
-        placed, stamp = self._mount.place(found), shot.color.header.stamp
-        message = detection_message(placed, stamp, found.confidence, found.range)
+        header = shot.color.header
+        try:
+            placed = self._mounted(header).place(found)
+        except (TransformError, MountError) as error:
+            return None, f"the electrodes are seen, but not where the camera is: {error}"
+        message = detection_message(placed, header.stamp, found.confidence, found.range, self._charger_base)
         self._detections.publish(message)
         return message, ""
+
+    def _mounted(self, header: Any) -> Mount:
+        """Return where the camera of an image is.
+
+        Raises:
+            TransformError: tf, where it is asked, does not know it now.
+        """
+        if self._tf is None:
+            return self._mount
+        return Mount.from_numbers(self._tf.lookup(self._charger_base, header.frame_id, header.stamp), *self._deviations)
 
     def _show(self, image: RgbdImage, found: Any, shot: Shot) -> None:
         if self._pictures.get_subscription_count():
@@ -207,6 +226,17 @@ def _mount(node: Node, given: DetectorNodeParameters) -> Mount:
         return Mount.load(given.mount_file) if given.mount_file else Mount.from_numbers(seven, *deviations)
     except (OSError, MountError) as error:
         raise node_support.StartupError(f"{node.get_name()}: {error}") from error
+
+
+def _tf(node: Node, given: DetectorNodeParameters, transforms: TransformParameters) -> TfTree:
+    """Return the transforms that tell where the camera is."""
+    if given.mount_file:
+        problem = "mount_from_tf and mount_file both say where the camera is; give one of them"
+    elif not installed():
+        problem = "mount_from_tf needs tf2_ros, which comes with a ROS installation; give mount_file or mount"
+    else:
+        return TfTree(node, transforms)
+    raise node_support.StartupError(f"{node.get_name()}: {problem}")
 
 
 def _missing_library() -> str:

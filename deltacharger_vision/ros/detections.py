@@ -10,7 +10,9 @@ from deltacharger_vision.mount import FRAME, quaternion
 from deltacharger_vision.placed import Placed
 
 
-def detection_message(placed: Placed, stamp: Time, confidence: float, distance: float) -> ElectrodeDetection:
+def detection_message(
+    placed: Placed, stamp: Time, confidence: float, distance: float, frame_id: str = FRAME
+) -> ElectrodeDetection:
     """Return electrodes as their message.
 
     Args:
@@ -18,9 +20,10 @@ def detection_message(placed: Placed, stamp: Time, confidence: float, distance: 
         stamp: of the image.
         confidence: 0 to 1.
         distance: m from the camera.
+        frame_id: full name of charger_base.
     """
     message = ElectrodeDetection(roll=placed.roll, confidence=confidence, range=distance)
-    message.header.stamp, message.header.frame_id = stamp, FRAME
+    message.header.stamp, message.header.frame_id = stamp, frame_id
     place, turn = message.pose.pose.position, message.pose.pose.orientation
     place.x, place.y, place.z = (float(value) for value in placed.position)
     turn.x, turn.y, turn.z, turn.w = (float(value) for value in quaternion(placed.rotation()))

@@ -13,18 +13,22 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from deltacharger_vision import parameters as topics
 from deltacharger_vision.images import COLOR, DEPTH, INFO, Intrinsics, RgbdImage
-from deltacharger_vision.mount import CAMERA_FRAME
 from deltacharger_vision.ros.messages import camera_info_message, color_message, depth_message
 
 
 class CameraPublishers:
     """The three topics of an RGB-D camera.
 
+    Args:
+        node: publishes.
+        frame_id: full name of the camera's optical frame.
+
     Attributes:
         published: number of colour images, of those that somebody wanted.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, frame_id: str) -> None:
+        self._frame_id = frame_id
         self._clock = node.get_clock()
         self._context = node.context
         self._publishers = {
@@ -46,19 +50,19 @@ class CameraPublishers:
         """Publish what somebody wants of an image, taken at `taken` (s by time.monotonic), with one stamp for all."""
         stamp = _time(self.now() - round(1e9 * (time.monotonic() - taken)))
         if self.wanted(INFO):
-            self._publish(INFO, camera_info_message(image.intrinsics, stamp))
+            self._publish(INFO, camera_info_message(image.intrinsics, stamp, self._frame_id))
         if self.wanted(COLOR):
-            self._publish(COLOR, color_message(image.color, stamp))
+            self._publish(COLOR, color_message(image.color, stamp, self._frame_id))
         if has_depth and self.wanted(DEPTH):
-            self._publish(DEPTH, depth_message(image.depth, stamp))
+            self._publish(DEPTH, depth_message(image.depth, stamp, self._frame_id))
 
     def info(self, intrinsics: Intrinsics) -> None:
         """Publish the calibration alone, stamped now."""
-        self._publish(INFO, camera_info_message(intrinsics, _time(self.now())))
+        self._publish(INFO, camera_info_message(intrinsics, _time(self.now()), self._frame_id))
 
     def recorded(self, kind: str, message: Any, stamp: int) -> None:
         """Publish a message anew at another time, ns."""
-        message.header.stamp, message.header.frame_id = _time(stamp), CAMERA_FRAME
+        message.header.stamp, message.header.frame_id = _time(stamp), self._frame_id
         self._publish(kind, message)
 
     def _publish(self, kind: str, message: Any) -> None:

@@ -10,7 +10,7 @@ from builtin_interfaces.msg import Time
 from deltacharger.msg import ElectrodeDetection
 from geometry_msgs.msg import PoseStamped, Quaternion
 
-from deltacharger_core.rotation import rotation
+from deltacharger_core.rotation import IDENTITY, product, rotation
 from deltacharger_docking.codes import Rejected
 from deltacharger_docking.motion import Planner
 from deltacharger_docking.observation import BasePose, ElectrodePose
@@ -48,22 +48,11 @@ TURNED = DockingNodeParameters(base_pose=(0.3, -0.1, 0.2, *(math.sqrt(0.125) * v
 """A charger_base that stands otherwise on its robot."""
 
 
-def times(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, ...]:
-    """Return the product of two quaternions x, y, z, w: b, then a."""
-    (ax, ay, az, aw), (bx, by, bz, bw) = a, b
-    return (
-        aw * bx + bw * ax + ay * bz - az * by,
-        aw * by + bw * ay + az * bx - ax * bz,
-        aw * bz + bw * az + ax * by - ay * bx,
-        aw * bw - ax * bx - ay * by - az * bz,
-    )
-
-
 def turned(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> tuple[float, ...]:
     """Return the quaternion of a roll, then a pitch, then a yaw, rad."""
     result: tuple[float, ...] = (0.0, math.sin(0.5 * yaw), 0.0, math.cos(0.5 * yaw))
-    result = times(result, (math.sin(0.5 * pitch), 0.0, 0.0, math.cos(0.5 * pitch)))
-    return times(result, (0.0, 0.0, math.sin(0.5 * roll), math.cos(0.5 * roll)))
+    result = product(result, (math.sin(0.5 * pitch), 0.0, 0.0, math.cos(0.5 * pitch)))
+    return product(result, (0.0, 0.0, math.sin(0.5 * roll), math.cos(0.5 * roll)))
 
 
 def quaternion(numbers: tuple[float, ...]) -> Quaternion:
@@ -84,9 +73,9 @@ def pose(numbers: tuple[float, ...], frame: str = "charger_base") -> PoseStamped
 
 
 def goal(
-    numbers: tuple[float, ...], mount: DockingNodeParameters = MOUNT, frame: str = "charger_base"
+    numbers: tuple[float, ...], mount: DockingNodeParameters = MOUNT, charger: tuple[float, ...] = IDENTITY
 ) -> ElectrodePose:
-    found = io.electrodes(pose(numbers, frame), mount)
+    found = io.electrodes(pose(numbers), mount, charger)
     assert found is not None
     return found
 
@@ -98,8 +87,8 @@ def test_a_goal_that_leans_keeps_its_lean_in_either_frame(
     yaw: float, pitch: float, roll: float, mount: DockingNodeParameters
 ) -> None:
     told = turned(yaw * DEGREE, pitch * DEGREE, roll * DEGREE)
-    in_robot = times(mount.base_pose[3:], told)
-    for found in (goal(told, mount), goal(in_robot, mount, mount.base_frame)):
+    in_robot = product(mount.base_pose[3:], told)
+    for found in (goal(told, mount), goal(in_robot, mount, mount.base_pose)):
         assert (found.yaw, found.pitch) == pytest.approx((yaw * DEGREE, pitch * DEGREE))
         assert found.yaw_stddev == found.pitch_stddev == mount.goal_lean_stddev
         assert found.roll == pytest.approx(roll_of(told))
@@ -110,8 +99,8 @@ def test_a_goal_that_leans_keeps_its_lean_in_either_frame(
 def test_the_lean_of_a_goal_with_a_roll_alone_is_unknown_not_zero(roll: float, mount: DockingNodeParameters) -> None:
     """Also where its numbers were rounded on their way: a fleet that sends a roll has not looked whether it leans."""
     told = turned(roll=roll * DEGREE)
-    rounded = tuple(round(value, 4) for value in times(mount.base_pose[3:], told))
-    for found in (goal(told, mount), goal(rounded, mount, mount.base_frame)):
+    rounded = tuple(round(value, 4) for value in product(mount.base_pose[3:], told))
+    for found in (goal(told, mount), goal(rounded, mount, mount.base_pose)):
         assert all(map(math.isnan, (found.yaw, found.pitch, found.yaw_stddev, found.pitch_stddev)))
         assert found.sure_yaw(2.0) == 0.0
         assert found.roll == pytest.approx(roll * DEGREE, abs=1e-3)
@@ -176,9 +165,9 @@ def test_a_detection_that_contradicts_itself_is_named(
 
 
 def test_a_suggested_stand_carries_its_heading() -> None:
-    message = io.pose_stamped(BasePose(0.1, 0.2, 0.3, 0.4), Time(sec=7))
-    assert (message.header.frame_id, message.header.stamp.sec) == ("charger_base", 7)
+    message = io.pose_stamped(BasePose(0.1, 0.2, 0.3, 0.4), Time(sec=7), "left/charger_base")
+    assert (message.header.frame_id, message.header.stamp.sec) == ("left/charger_base", 7)
     point, turn = message.pose.position, message.pose.orientation
     assert (point.x, point.y, point.z) == (0.1, 0.2, 0.3)
     assert (turn.x, turn.y, turn.z, turn.w) == pytest.approx(turned(0.4))
-    assert io.pose_stamped(None, Time(sec=7)).header.frame_id == ""
+    assert io.pose_stamped(None, Time(sec=7), "charger_base").header.frame_id == ""

@@ -55,7 +55,7 @@ def test_nobody_is_sent_after_electrodes_that_are_nowhere(x: float) -> None:
 
 def test_a_suggested_stand_is_read_with_its_turn_and_a_turn_that_is_none_is_no_stand() -> None:
     result = Dock.Result(error_code=Dock.Result.LEANING)
-    result.suggested_base_pose = pose_stamped(BasePose(0.1, 0.0, -0.2, -0.3), Time())
+    result.suggested_base_pose = pose_stamped(BasePose(0.1, 0.0, -0.2, -0.3), Time(), "charger_base")
     reply = io.read_dock(2, End.FAILED, result, None)
     assert reply.code is Code.LEANING
     assert reply.suggested is not None

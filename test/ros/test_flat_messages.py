@@ -110,8 +110,8 @@ def node(context: Any, namespace: str) -> Iterator[Node]:
 
 
 def test_what_the_driver_publishes_all_the_time_is_flat(node: Node) -> None:
-    states = StatePublishers(node, QoSProfile(depth=1), 1.4)
-    samples = SamplePublishers(node, QoSProfile(depth=1), 0.0024)
+    states = StatePublishers(node, QoSProfile(depth=1), 1.4, "charger_base")
+    samples = SamplePublishers(node, QoSProfile(depth=1), 0.0024, "end_effector")
     publishers = [*vars(states).values(), *vars(samples).values()]
     assert [each.is_flat for each in publishers if isinstance(each, FlatPublisher)] == [True] * 4
 

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names of the charger's coordinate frames, and the parameters of every node that writes or reads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from deltacharger_core.parameters import Bounded, ParameterError, number, words
+
+CHARGER_BASE = "charger_base"
+END_EFFECTOR = "end_effector"
+CAMERA = "camera_color_optical_frame"
+LONGEST = 256  # characters of a frame's name
+_PREFIX_MAX = 64  # characters
+
+
+@dataclass(frozen=True)
+class FrameParameters(Bounded):
+    """What tells the frames of two chargers apart.
+
+    Raises:
+        ParameterError: the prefix begins with "/", which tf allows no frame, has white space or is too long.
+    """
+
+    frame_prefix: str = words(
+        "", "put before every frame name of the charger, as robot_state_publisher's parameter of that name, e.g. left/"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        prefix = self.frame_prefix
+        if prefix.startswith("/") or len(prefix.split()) > 1 or prefix != prefix.strip() or len(prefix) > _PREFIX_MAX:
+            problem = f"{prefix[:_PREFIX_MAX]!a}: give at most {_PREFIX_MAX} characters, no white space, no leading '/'"
+            raise ParameterError("frame_prefix", prefix, problem)
+
+    def named(self, frame: str) -> str:
+        """Return the full name of a frame of the charger."""
+        return f"{self.frame_prefix}{frame}"
+
+
+@dataclass(frozen=True)
+class JointFrameParameters(FrameParameters):
+    """The same for the joints of two chargers in one URDF. robot_state_publisher puts no prefix before joints."""
+
+    joint_prefix: str = words("", "put before the names of joint_states: the prefix of the URDF's macro, e.g. left_")
+
+
+@dataclass(frozen=True)
+class TransformParameters(FrameParameters):
+    """How transforms of tf are waited for and judged. They count only where tf2_ros is installed."""
+
+    transform_timeout: float = number(
+        2.0, 0.0, 10.0, "s", "how long a transform that tf does not know yet, or no longer, is waited for"
+    )
+    transform_age_max: float = number(
+        1.0, 0.05, 60.0, "s", "age of a moving transform, and of a stamped pose that needs one, that still counts"
+    )

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Goals of a charger in frames of tf, and the frames that two chargers write, over real topics and actions."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from deltacharger.action import Dock
+from deltacharger.msg import DockingDecision
+from rclpy.action.client import ActionClient
+
+from deltacharger_core.rotation import Pose, composed
+from deltacharger_ros import qos
+from deltacharger_ros.client import ChargerClient
+from deltacharger_ros.messages import CODES
+from deltacharger_scenes.composition import Composition
+from deltacharger_scenes.overrides import Overrides, override
+from deltacharger_scenes.scene import Scene
+
+from ..chargers import DEADLINE, Spin, new_namespace, wait_until
+from ..nodes import answer
+from ..transforms import Robot, transforms
+
+pytestmark = pytest.mark.ros
+
+MOUNT: Pose = (0.31, -0.02, 0.42, 0.5, 0.5, 0.5, 0.5)
+TARGET: Pose = (0.004, -0.003, 0.080, 0.0, 0.0, 0.0, 1.0)
+
+
+class Charger:
+    """A charger of mocks that is given Dock goals in frames."""
+
+    def __init__(self, scene: Scene, context: Any, prefix: str) -> None:
+        namespace = new_namespace()
+        self.composition = Composition(override(scene, Overrides(frame_prefix=prefix)), context, namespace).start()
+        self.client = ChargerClient(namespace, context)
+        assert self.client.wait_until_it_answers(DEADLINE)
+        self.told: list[DockingDecision] = []
+        node = self.client.node
+        node.create_subscription(DockingDecision, "docking_decision", self.told.append, qos.DEFAULT_DEPTH)
+        self._docks: Any = ActionClient(node, Dock, "dock")
+        wait_until(self._docks.server_is_ready, "the action")
+
+    def dock(self, frame: str, pose: Pose) -> Dock.Result:
+        goal = Dock.Goal()
+        goal.electrodes.header.frame_id = frame
+        place, turn = goal.electrodes.pose.position, goal.electrodes.pose.orientation
+        place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = pose
+        handle = answer(answer(self.client.node.executor.call_soon(self._docks.send_goal_async, goal)))
+        return answer(handle.get_result_async()).result
+
+    def taken(self) -> DockingDecision:
+        """Return the decision that told where the last goal was taken to be."""
+        wait_until(lambda: any(each.kind == "accepted" for each in self.told), "the decision")
+        return next(each for each in reversed(self.told) if each.kind == "accepted")
+
+    def close(self) -> None:
+        self._docks.destroy()
+        self.composition.close()
+        self.client.close()
+
+
+@pytest.fixture
+def charger(quick_scene: Scene, context: Any) -> Iterator[Charger]:
+    transforms()
+    charger = Charger(quick_scene, context, "left/")
+    yield charger
+    charger.close()
+
+
+def test_it_docks_at_a_goal_in_map_while_localization_goes_on(charger: Charger, context: Any, spin: Spin) -> None:
+    robot = spin(Robot(context))
+    wait_until(lambda: robot.heard, "docking_node")
+    robot.fix("base_link", "left/charger_base", MOUNT)
+    base: Pose = (4.0, -2.0, 0.0, 0.0, 0.0, math.sin(0.7), math.cos(0.7))
+    localization = robot.create_timer(0.02, lambda: robot.move(("map", "base_link", base)))
+    result = charger.dock("map", composed(composed(base, MOUNT), TARGET))
+    assert result.success, result.error_message
+    taken = charger.taken()
+    values = dict(zip(taken.names, taken.values, strict=True))
+    assert [values[f"{axis}_m"] for axis in "xyz"] == pytest.approx(TARGET[:3], abs=1e-9)
+    assert values["roll_rad"] == pytest.approx(0.0, abs=1e-9)
+    assert taken.header.frame_id == "left/charger_base"
+    localization.cancel()
+
+
+def test_a_goal_that_tf_cannot_place_moves_nothing(charger: Charger, context: Any, spin: Spin) -> None:
+    robot = spin(Robot(context))
+    wait_until(lambda: robot.heard, "docking_node")
+    robot.fix("base_link", "left/charger_base", MOUNT)
+    unknown = charger.dock("charger_base", TARGET)
+    assert (CODES[unknown.error_code], unknown.retriable) == ("REJECTED", False)
+    assert "'charger_base'" in unknown.error_message
+    assert "left/charger_base" in unknown.error_message
+    robot.move(("map", "base_link", (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)), when=time.time() - 60.0)
+    stale = charger.dock("map", TARGET)
+    assert (CODES[stale.error_code], stale.retriable) == ("REJECTED", True), "it may come back"
+    assert "s old" in stale.error_message
+    assert not charger.composition.node("mock_servo_node").torque_enabled
+
+
+def test_whatever_two_chargers_write_names_a_frame_of_their_own(quick_scene: Scene, context: Any, spin: Spin) -> None:
+    """With tf or without: what one writes in its frames is not taken for the other's."""
+    prefixes = ("left/", "right/")
+    chargers = [Charger(quick_scene, context, prefix) for prefix in prefixes]
+    try:
+        for charger, prefix in zip(chargers, prefixes, strict=True):
+            heard = _hear(charger)
+            result = charger.dock("", TARGET)  # by the camera, so that a detection is told, too
+            assert result.success, result.error_message
+            wait_until(lambda heard=heard: all(heard.values()), "a message of each topic")
+            assert {frame.removesuffix("charger_base").removesuffix("end_effector") for frame in heard.values()} == {
+                prefix
+            }
+            assert result.misalignment.header.frame_id == f"{prefix}end_effector"
+            assert charger.dock(f"{prefix}charger_base", TARGET).success
+            other = charger.dock(f"{prefixes[prefix == 'left/']}charger_base", TARGET)
+            assert CODES[other.error_code] == "REJECTED", other.error_message
+    finally:
+        for charger in chargers:
+            charger.close()
+
+
+def _hear(charger: Charger) -> dict[str, str]:
+    """Return the frame_id of each topic of a charger that says where something is, as soon as it is heard."""
+    node: Any = charger.client.node
+    own = [each.node for each in charger.composition.nodes]
+    ends = {each.topic_name: each.msg_type for every in own for each in every.publishers}
+    stamped = {name: kind for name, kind in ends.items() if "header" in kind.get_fields_and_field_types()}
+    heard = {name: "" for name in stamped if not name.endswith(("diagnostics", "trajectory", "misalignment"))}
+    assert len(heard) >= 8, sorted(heard)
+    for name in heard:
+        node.create_subscription(
+            stamped[name],
+            name,
+            lambda message, name=name: heard.__setitem__(name, message.header.frame_id),
+            qos.SENSOR,
+        )
+    return heard

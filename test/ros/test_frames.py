@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where charger_base is in frames of tf: exactly, or not at all and by name."""
+
+from __future__ import annotations
+
+import math
+import random
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from deltacharger.msg import ElectrodeDetection
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+
+from deltacharger_core.frames import TransformParameters
+from deltacharger_core.rotation import IDENTITY, Pose, apart, composed, inverted
+from deltacharger_docking.parameters import DockingNodeParameters
+from deltacharger_docking.ros.messages import electrodes, in_charger_base, seen
+from deltacharger_ros.frames import Contradiction, Frames
+from deltacharger_ros.tf_tree import TransformError, UnknownFrame
+
+from ..chargers import Spin, wait_until
+from ..nodes import options
+from ..transforms import Robot, stamp, transforms
+
+transforms()
+pytestmark = pytest.mark.ros
+
+USUAL = DockingNodeParameters().base_pose
+MOUNT: Pose = (0.31, -0.02, 0.42, 0.5, 0.5, 0.5, 0.5)
+EXACT = 1e-9
+Make = Callable[..., Frames]
+
+
+def drawn(source: random.Random) -> Pose:
+    turn = [source.gauss(0.0, 1.0) for _ in range(4)]
+    length = math.hypot(*turn)
+    x, y, z, w = (number / length for number in turn)
+    return source.uniform(-9.0, 9.0), source.uniform(-9.0, 9.0), source.uniform(-1.0, 1.0), x, y, z, w
+
+
+def stamped(pose: Pose, frame: str) -> PoseStamped:
+    message = PoseStamped()
+    message.header.frame_id = frame
+    place, turn = message.pose.position, message.pose.orientation
+    place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = pose
+    return message
+
+
+@pytest.fixture
+def robot(context: Any, spin: Spin) -> Robot:
+    return spin(Robot(context))  # type: ignore[no-any-return]
+
+
+@pytest.fixture
+def make(context: Any, namespace: str, robot: Robot) -> Iterator[Make]:
+    """Make the frames of a node that hears the robot."""
+    nodes: list[Node] = []
+
+    def frames(prefix: str = "", timeout: float = 2.0, base_pose: Pose | None = None, **given: Any) -> Frames:
+        told = {} if base_pose is None else {"base_pose": list(base_pose)}
+        node = Node(f"asker_{len(nodes)}", **options(context, namespace, **told))
+        nodes.append(node)
+        transform = TransformParameters(prefix, transform_timeout=timeout, **given)
+        found = Frames(node, transform, "base_link", base_pose or USUAL)
+        wait_until(lambda: robot.heard, "a subscription to tf")
+        return found
+
+    yield frames
+    for node in nodes:
+        node.destroy_node()
+
+
+def close(a: Pose, b: Pose) -> bool:
+    return max(apart(a, b)) < EXACT
+
+
+def test_a_goal_in_map_is_the_same_goal_in_charger_base(robot: Robot, make: Make) -> None:
+    frames, source = make(), random.Random(23)
+    robot.fix("base_link", "charger_base", MOUNT)
+    for number in range(20):
+        place, odom = drawn(source), drawn(source)
+        robot.move(("map", f"odom_{number}", odom), (f"odom_{number}", "base_link", place))
+        told: Pose = (0.004, -0.01, 0.08, 0.0, math.sin(0.02), 0.0, math.cos(0.02))
+        in_map = stamped(composed(composed(composed(odom, place), MOUNT), told), "map")
+        wait_until(lambda number=number: frames._tf is not None and frames._tf.knows(f"odom_{number}"), "it")
+        found = electrodes(in_map, DockingNodeParameters(), frames.charger_base_in("map"))
+        expected = electrodes(stamped(told, "charger_base"), DockingNodeParameters())
+        assert found is not None
+        assert expected is not None
+        assert found.position == pytest.approx(expected.position, abs=EXACT)
+        assert (found.roll, found.yaw, found.pitch) == pytest.approx(
+            (expected.roll, expected.yaw, expected.pitch), abs=EXACT
+        )
+
+
+def test_a_robot_whose_urdf_has_no_charger_takes_base_pose_for_it(robot: Robot, make: Make) -> None:
+    frames, place = make(base_pose=MOUNT), (1.0, 2.0, 0.0, 0.0, 0.0, math.sin(0.3), math.cos(0.3))
+    robot.move(("map", "base_link", place))
+    assert close(frames.charger_base_in("map"), composed(place, MOUNT))
+    assert frames.charger_base_in("base_link") == MOUNT
+
+
+def test_a_transform_that_is_late_is_waited_for_and_a_goal_that_may_not_wait_is_refused(
+    robot: Robot, make: Make
+) -> None:
+    frames = make(timeout=10.0)
+    with pytest.raises(UnknownFrame):
+        frames.charger_base_in("map", timeout=0.0)
+    robot.fix("base_link", "charger_base", MOUNT)
+    found: list[Pose] = []
+    asker = threading.Thread(target=lambda: found.append(frames.charger_base_in("map")))
+    asker.start()
+    robot.fix("map", "base_link", IDENTITY)
+    asker.join(10.0)
+    assert close(found[0], MOUNT)
+
+
+def test_only_one_waits_so_that_goals_in_unknown_frames_keep_nobody_from_being_served(robot: Robot, make: Make) -> None:
+    frames = make(timeout=3.0)
+    robot.fix("base_link", "charger_base", MOUNT)
+    wait_until(lambda: frames._tf is not None and frames._tf.knows("charger_base"), "the charger")
+    refused: list[float] = []
+
+    def ask() -> None:
+        with pytest.raises(UnknownFrame):
+            frames.charger_base_in("nowhere")
+        refused.append(time.monotonic())
+
+    askers = [threading.Thread(target=ask) for _ in range(4)]
+    for asker in askers:
+        asker.start()
+    for asker in askers:
+        asker.join(10.0)
+    assert refused[3] - refused[0] > 1.0, "one waited"
+    assert refused[2] - refused[0] < 1.0, "the others did not"
+
+
+def test_an_unknown_frame_is_refused_with_its_name_those_known_and_the_remedy(robot: Robot, make: Make) -> None:
+    frames = make(timeout=0.1)
+    robot.fix("base_link", "charger_base", MOUNT)
+    wait_until(lambda: frames._tf is not None and frames._tf.knows("charger_base"), "the charger")
+    with pytest.raises(UnknownFrame) as refusal:
+        frames.charger_base_in("mapp")
+    for word in ("unknown frame 'mapp'", "it knows 2, such as", "charger_base", "base_link", "'' to use the camera"):
+        assert word in str(refusal.value)
+    for endless in ("map" * 10_000, "map\n", "/map"):
+        with pytest.raises(UnknownFrame) as refusal:
+            frames.charger_base_in(endless)
+        assert len(str(refusal.value)) < 1000
+        assert "\n" not in str(refusal.value)
+
+
+def test_trees_that_do_not_connect_are_named(robot: Robot, make: Make) -> None:
+    frames = make(timeout=0.1)
+    robot.fix("base_link", "charger_base", MOUNT)
+    robot.fix("map", "odom", IDENTITY)
+    wait_until(lambda: frames._tf is not None and frames._tf.knows("map", "charger_base"), "both")
+    with pytest.raises(UnknownFrame, match=r"does not connect 'odom' with 'charger_base'.*'map' and on 'base_link'"):
+        frames.charger_base_in("odom")
+
+
+@pytest.mark.parametrize(("age", "words"), [(5.0, "5.. s old"), (-5.0, "s in the future")])
+def test_a_transform_of_another_time_is_named(robot: Robot, make: Make, age: float, words: str) -> None:
+    frames = make(timeout=0.1)
+    robot.fix("base_link", "charger_base", MOUNT)
+    robot.move(("map", "base_link", IDENTITY), when=time.time() - age)
+    wait_until(lambda: frames._tf is not None and frames._tf.knows("map", "charger_base"), "both")
+    with pytest.raises(
+        TransformError, match=f"from 'charger_base' to 'map' is .*{words}.*transform_age_max"
+    ) as refusal:
+        frames.charger_base_in("map")
+    assert not isinstance(refusal.value, UnknownFrame), "it may come back"
+    robot.move(("map", "base_link", IDENTITY))
+    if age > 0.0:
+        wait_until(lambda: _known(frames), "the newest")
+
+
+def _known(frames: Frames) -> bool:
+    try:
+        return close(frames.charger_base_in("map"), MOUNT)
+    except TransformError:
+        return False
+
+
+def test_a_stamp_is_heeded_where_the_robot_moves_and_no_matter_where_nothing_does(robot: Robot, make: Make) -> None:
+    frames = make(timeout=0.1, transform_age_max=20.0)
+    robot.fix("base_link", "charger_base", MOUNT)
+    robot.fix("tool", "base_link", IDENTITY)
+    now = time.time()
+    for age in (0.6, 0.4, 0.0):
+        robot.move(("map", "tool", (age, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)), when=now - age)
+    wait_until(lambda: _is_told(frames, "map"), "it")
+    between = frames.charger_base_in("map", stamp(now - 0.5))
+    assert between[0] == pytest.approx(0.5 + MOUNT[0], abs=1e-6)
+    assert close(frames.charger_base_in("tool", stamp(now - 3600.0)), MOUNT)
+    for age in (30.0, -30.0):
+        with pytest.raises(TransformError, match=r"the pose in 'map'.*stamp 0"):
+            frames.charger_base_in("map", stamp(now - age))
+    with pytest.raises(TransformError, match=r"at the time of its stamp.*stamp 0"):
+        frames.charger_base_in("map", stamp(now - 0.9))
+
+
+def _is_told(frames: Frames, frame: str) -> bool:
+    try:
+        frames.charger_base_in(frame, timeout=0.0)
+    except TransformError:
+        return False
+    return True
+
+
+def test_what_tf_says_of_the_charger_counts_where_no_base_pose_was_given(robot: Robot, make: Make) -> None:
+    robot.fix("base_link", "charger_base", MOUNT)
+    assert close(make().base_pose(), MOUNT), "from the start: what is latched is waited for"
+
+
+def test_a_base_pose_that_contradicts_tf_is_named_and_one_that_is_rounded_is_none(robot: Robot, make: Make) -> None:
+    rounded = (0.3105, -0.0201, 0.4195, 0.502, 0.498, 0.5, 0.5)
+    for given, contradicts in ((rounded, False), ((0.31, -0.02, 0.52, 0.5, 0.5, 0.5, 0.5), True)):
+        frames = make(base_pose=given)
+        robot.fix("base_link", "charger_base", MOUNT)
+        robot.move(("map", "base_link", IDENTITY))
+        wait_until(lambda frames=frames: frames._tf.knows("map", "charger_base"), "both")
+        if not contradicts:
+            assert close(frames.charger_base_in("base_link"), MOUNT)
+            continue
+        for frame in ("base_link", "map"):
+            with pytest.raises(Contradiction, match=r"0\.31 -0\.02 0\.52 .*0\.31 -0\.02 0\.42 .*0\.100 m and 0\.0°"):
+                frames.charger_base_in(frame)
+        assert frames.charger_base_in("charger_base") == IDENTITY
+
+
+def test_a_contradiction_is_logged_before_any_goal(
+    robot: Robot, make: Make, spin: Spin, capfd: pytest.CaptureFixture[str]
+) -> None:
+    frames = make(base_pose=(0.0, 0.0, 1.0, 0.5, 0.5, 0.5, 0.5))
+    robot.fix("base_link", "charger_base", MOUNT)
+    spin(frames._node)
+    heard: list[str] = []
+
+    def told() -> bool:
+        heard.extend(capfd.readouterr())
+        return "base_pose contradicts tf" in "".join(heard)
+
+    wait_until(told, "the log")
+
+
+def test_two_chargers_of_one_robot_have_frames_of_their_own(robot: Robot, make: Make) -> None:
+    left, right = make("left/"), make("right/")
+    other: Pose = (-0.31, 0.0, 0.42, 0.5, 0.5, -0.5, -0.5)
+    robot.fix("base_link", "left/charger_base", MOUNT)
+    robot.fix("base_link", "right/charger_base", other)
+    robot.move(("map", "base_link", IDENTITY))
+    for frames, own, pose in ((left, "left/charger_base", MOUNT), (right, "right/charger_base", other)):
+        assert frames.charger_base == own
+        assert frames.charger_base_in(own) == IDENTITY
+        wait_until(lambda frames=frames: _is_told(frames, "map"), "it")
+        assert close(frames.charger_base_in("base_link"), pose)
+        assert close(frames.charger_base_in("map"), pose)
+    with pytest.raises(UnknownFrame, match=r"'charger_base'.*left/charger_base"):
+        make("left/", timeout=0.0).charger_base_in("charger_base")
+    assert close(left.charger_base_in("right/charger_base"), composed(inverted(other), MOUNT))
+
+
+def test_a_detection_in_the_cameras_frame_is_read_in_charger_base(robot: Robot, make: Make) -> None:
+    frames = make()
+    camera: Pose = (0.0, 0.12, -0.12, 0.0, -0.2669335818958115, 0.9637149282107609, 0.0)
+    robot.fix("base_link", "charger_base", MOUNT)
+    robot.fix("charger_base", "camera", camera)
+    told: Pose = (0.01, -0.02, 0.2, *composed(IDENTITY, (0, 0, 0, 0.0, math.sin(0.02), 0.0, math.cos(0.02)))[3:])
+    turned = composed(inverted(camera), told)
+    message = ElectrodeDetection()
+    message.header.frame_id = "camera"
+    place, turn = message.pose.pose.position, message.pose.pose.orientation
+    place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = turned
+    message.pose.covariance[21], message.pose.covariance[28], message.pose.covariance[35] = 0.0004, 0.0004, 0.0004
+    wait_until(lambda: _is_told(frames, "camera"), "the camera")
+    found = seen(in_charger_base(message, frames), 0.0)
+    assert found.position == pytest.approx(told[:3], abs=EXACT)
+    assert (found.roll, found.yaw, found.pitch) == pytest.approx((0.0, 0.04, 0.0), abs=EXACT)
+    assert (found.roll_stddev, found.yaw_stddev) == pytest.approx((0.02, 0.02))
+    message.header.frame_id = "another_camera"
+    with pytest.raises(UnknownFrame, match="another_camera"):
+        in_charger_base(message, frames)
+
+
+def test_nothing_is_taken_from_tf_while_nobody_asks(robot: Robot, make: Make, spin: Spin) -> None:
+    frames = make()
+    spin(frames._node)
+    for _ in range(300):
+        robot.move(("map", "base_link", IDENTITY))
+    assert frames._tf is not None
+    assert frames._tf._buffer is None
+    assert not frames._tf._moving.is_open
+    assert frames._tf.knows("map"), "and what came meanwhile is there when somebody does"

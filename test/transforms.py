@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What publishes transforms on a robot: robot_state_publisher and localization, in a few lines."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+from geometry_msgs.msg import TransformStamped
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.time import Time
+
+from .nodes import options
+
+WITHOUT_TF = "tf2_ros is not installed: it comes with ROS, or `make transforms` builds a stand-in"
+
+
+def transforms() -> Any:
+    """Return the module tf2_msgs.msg, or skip."""
+    pytest.importorskip("tf2_ros", reason=WITHOUT_TF)
+    return pytest.importorskip("tf2_msgs.msg", reason=WITHOUT_TF)
+
+
+class Robot(Node):
+    """Publishes transforms."""
+
+    def __init__(self, context: Any, name: str = "robot") -> None:
+        kind = transforms().TFMessage
+        super().__init__(name, **options(context))
+        self._kind = kind
+        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._moving = self.create_publisher(kind, "/tf", 100)
+        self._fixed = self.create_publisher(kind, "/tf_static", latched)
+
+    @property
+    def heard(self) -> bool:
+        """Whether somebody subscribes to both topics."""
+        return min(self._moving.get_subscription_count(), self._fixed.get_subscription_count()) > 0
+
+    def fix(self, parent: str, child: str, pose: Sequence[float]) -> None:
+        """Tell once that a frame never moves in its parent (7 numbers)."""
+        self._fixed.publish(self._kind(transforms=[self._told(parent, child, pose, time.time())]))
+
+    def move(self, *links: tuple[str, str, Sequence[float]], when: float | None = None) -> None:
+        """Tell where frames are: parent, child and pose of each, now or at another time (s since 1970)."""
+        at = time.time() if when is None else when
+        self._moving.publish(self._kind(transforms=[self._told(*link, at) for link in links]))
+
+    def _told(self, parent: str, child: str, pose: Sequence[float], when: float) -> TransformStamped:
+        message = TransformStamped(child_frame_id=child)
+        message.header.frame_id, message.header.stamp = parent, stamp(when)
+        place, turn = message.transform.translation, message.transform.rotation
+        place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w = (float(number) for number in pose)
+        return message
+
+
+def stamp(when: float) -> Any:
+    """Return a time (s since 1970) as a message."""
+    return Time(nanoseconds=round(1e9 * when)).to_msg()
