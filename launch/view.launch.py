@@ -30,6 +30,7 @@ MODEL = {
 ARGUMENTS = {
     "namespace": ("", "of the charger"),
     **MODEL,
+    "frame_prefix": ("", "of the charger's frames, as its nodes' parameter; base_link has none"),
     "rviz": ("true", "false: only the robot model and tf"),
 }
 
@@ -53,10 +54,11 @@ def _wire(context: LaunchContext) -> list[Any]:
     told = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
     told |= {name: _read(name, told[name]) for name in FILES if told[name]}
     description = xacro.process_file(
-        str(SHARE / "urdf" / "deltacharger.urdf.xacro"), mappings={name: told[name] for name in MODEL}
+        str(SHARE / "urdf" / "deltacharger.urdf.xacro"),
+        mappings={"prefix": told["frame_prefix"], **{name: told[name] for name in MODEL}},
     ).toxml()
     namespace = told["namespace"]
-    geometry = {"geometry_file": told["geometry_file"]} if told["geometry_file"] else {}
+    given = {name: told[name] for name in ("geometry_file", "frame_prefix") if told[name]}
     nodes = [
         Node(
             package="robot_state_publisher",
@@ -64,7 +66,7 @@ def _wire(context: LaunchContext) -> list[Any]:
             namespace=namespace,
             parameters=[{"robot_description": ParameterValue(description, value_type=str)}],
         ),
-        Node(package="deltacharger", executable="passive_joints_node", namespace=namespace, parameters=[geometry]),
+        Node(package="deltacharger", executable="passive_joints_node", namespace=namespace, parameters=[given]),
     ]
     if told["rviz"].lower() in ("true", "1"):
         config = str(SHARE / "config" / "charger.rviz")

@@ -119,6 +119,71 @@ def test_limits_dimensions_and_names_are_those_of_the_geometry() -> None:
     assert not tree.root.findall(".//mesh")
 
 
+def two_chargers() -> ElementTree.Element:
+    """Return a robot with a charger on either side, by the macro."""
+    xacro = pytest.importorskip("xacro", reason="`pip install xacro`, or a ROS installation")
+    text = f"""<robot name="robot" xmlns:xacro="http://www.ros.org/wiki/xacro">
+      <xacro:include filename="{URDF / "deltacharger.macro.xacro"}"/>
+      <xacro:property name="arm" value="an arm of the robot's own"/>
+      <xacro:macro name="box" params="of_its_own"/>
+      <link name="base_link"/><link name="mast"/>
+      <joint name="mast_joint" type="fixed"><parent link="base_link"/><child link="mast"/></joint>
+      <xacro:deltacharger prefix="left_" parent="mast"><origin xyz="0.1 0.3 0.4" rpy="0 0 1.5"/></xacro:deltacharger>
+      <xacro:deltacharger prefix="right/" joint_prefix="" parent="base_link">
+        <origin xyz="0 -0.3 0"/>
+      </xacro:deltacharger>
+      <material name="${{arm}}"/>
+    </robot>"""
+    document = xacro.parse(text)
+    xacro.process_doc(document)
+    return ElementTree.fromstring(document.toxml())
+
+
+def test_two_chargers_fit_into_one_robot_by_the_macro() -> None:
+    robot, alone = two_chargers(), ElementTree.fromstring(BAKED.read_text(encoding="utf-8"))
+    for kind in ("link", "joint", "material"):
+        names = [each.attrib["name"] for each in robot.findall(kind)]
+        assert len(set(names)) == len(names), f"one {kind} has the name of another"
+        own = {each.attrib["name"] for each in alone.findall(kind)} - {"base_link"}
+        left, right = "left_", "" if kind == "joint" else "right/"
+        assert {f"{prefix}{name}" for prefix in (left, right) for name in own} <= set(names)
+    joint = robot.find("joint[@name='left_charger_base_joint']")
+    assert joint is not None
+    assert [each.attrib for each in joint] == [
+        {"link": "mast"},
+        {"link": "left_charger_base"},
+        {"xyz": "0.1 0.3 0.4", "rpy": "0 0 1.5"},
+    ]
+    angles = (0.1, -0.2, 0.3)
+    arms = {f"limb_{index}_arm_joint": angle for index, angle in enumerate(angles)}
+    values = arms | passive_joints(ScalarDelta(), angles)
+    both = values | {f"left_{name}": value for name, value in values.items()}
+    frames = UrdfTree(ElementTree.tostring(robot, encoding="unicode")).frames(both)
+    single = UrdfTree(BAKED.read_text(encoding="utf-8")).frames(values)
+    expected = np.linalg.inv(single["charger_base"]) @ single["limb_1_rod_right"]
+    for prefix in ("left_", "right/"):
+        found = np.linalg.inv(frames[f"{prefix}charger_base"]) @ frames[f"{prefix}limb_1_rod_right"]
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_what_is_solid_has_collision_geometry_of_simple_shapes_around_what_is_seen() -> None:
+    robot = ElementTree.fromstring(BAKED.read_text(encoding="utf-8"))
+    solid = {each.attrib["name"] for each in robot.findall("link[collision]")}
+    limbs = {f"limb_{index}_{part}" for index in range(3) for part in ("motor", "arm")}
+    assert solid == {"delta_motor", "end_effector", "camera_color_optical_frame", *limbs}
+    assert {each.tag for each in robot.findall("link/collision/geometry/*")} == {"box", "cylinder"}
+    platform = robot.findall("link[@name='end_effector']/collision")
+    _, block = platform
+    top = _number(block, "origin", "xyz", 2) + 0.5 * _number(block, "geometry/box", "size", 2)
+    assert top == pytest.approx(0.0, abs=1e-12), "to the contact plane and not beyond it"
+
+
+def _number(element: ElementTree.Element, path: str, key: str, index: int) -> float:
+    found = element.find(path)
+    assert found is not None
+    return float(found.attrib[key].split()[index])
+
+
 def test_only_what_is_linear_is_mimicked() -> None:
     mimics = UrdfTree(BAKED.read_text(encoding="utf-8")).mimics()
     assert set(mimics) == {f"limb_{limb}_rod_right_{kind}_joint" for limb in range(3) for kind in ("pitch", "swing")}

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from deltacharger_kinematics import DeltaGeometry
 from deltacharger_kinematics.geometry_file import save_geometry
@@ -47,6 +48,17 @@ def test_a_file_that_cannot_be_read_is_named_in_one_line(argument: str, tmp_path
     wrong.write_text("armm: 0.1\n", encoding="utf-8")
     with pytest.raises(ValueError, match=rf"^{argument}: {wrong}: .*armm[^\n]*$"):
         wired(**{argument: str(wrong)})
+
+
+def test_a_prefix_reaches_frames_and_leaves_joints_to_the_servos() -> None:
+    publisher, joints, _ = wired(frame_prefix="left/")
+    text = str([getattr(value, "value", value) for value in publisher._Node__parameters[0].values()])
+    assert 'link name="left/charger_base"' in text
+    assert "limb_0_arm_joint" in text
+    assert "left/limb_0_arm_joint" not in text
+    ((key, value),) = joints._Node__parameters[0].items()
+    assert "".join(part.text for part in key) == "frame_prefix"
+    assert yaml.safe_load("".join(part.text for part in value)) == "left/"
 
 
 def test_a_calibrated_geometry_reaches_the_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

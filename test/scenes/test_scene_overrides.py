@@ -39,6 +39,23 @@ def test_ports_win_over_those_of_scene_and_node(hardware: Path, tmp_path: Path) 
     assert scene.node_parameters("tactile_node", {}) == {"port": str(board)}
 
 
+def test_one_word_gives_every_node_its_prefix(tmp_path: Path) -> None:
+    for name in ("simulated", "camera", "mocks", "bench", "mission"):
+        scene = override(load_scene(name), Overrides(frame_prefix="left/", joint_prefix="left_"))
+        told = {node: scene.node_parameters(node, {}) for node in scene.nodes}
+        without = {node for node, values in told.items() if values.get("frame_prefix") != "left/"}
+        assert without <= {"docking_recorder_node", "recording_player_node", "mock_navigator_node"}
+        assert [node for node, values in told.items() if "joint_prefix" in values] == [
+            node for node in scene.nodes if node.endswith("servo_node")
+        ]
+
+
+@pytest.mark.parametrize("prefix", ["/left/", "left side/", "left/\n", "x" * 65])
+def test_a_prefix_that_tf_takes_for_no_frame_is_refused(prefix: str) -> None:
+    with pytest.raises(SceneError, match="frame_prefix"):
+        override(load_scene("mocks"), Overrides(frame_prefix=prefix))
+
+
 @pytest.mark.parametrize(
     ("scene", "camera", "here", "gone"),
     [
