@@ -57,6 +57,7 @@ RELEASED = {
     "ros2launch",
     "robot_state_publisher",
     "rviz2",
+    "tf2_ros_py",
     "xacro",
 }
 VIEW = {"robot_state_publisher", "rviz2", "xacro"}

@@ -16,9 +16,12 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from deltacharger_lab.pages.interface_text import Interface, InterfacePart, read
 from deltacharger_lab.pages.parameters import write_page
+from deltacharger_ros.tf_tree import TF, TF_STATIC
 
 _EVERY_NODES = ("/parameter_events", "/rosout", "/clock")  # topics that every ROS node has
 _EVERY_NODES_TYPES = ("rcl_interfaces", "type_description_interfaces")  # of services that every ROS node has
+_OF_TF = "transform_timeout"  # a parameter of every node that reads tf, where tf2_ros is installed
+_TRANSFORMS = "tf2_msgs/TFMessage"
 _ROOT = Path(__file__).parents[2]
 _FOLDERS = {"msg": "Messages", "srv": "Services", "action": "Actions"}
 _NOTICED = 10.0  # s for a node to notice that somebody wants what it publishes
@@ -28,7 +31,8 @@ _HEAD = """# Topics, services, actions
 What each node publishes, subscribes to, serves and calls, from running nodes, and every field of the package's own
 messages, services and actions, from `msg/`, `srv/` and `action/`. Names are relative, so that a namespace makes a
 second charger; those with a leading / are not. What is marked *while looking* is there only while somebody asks for
-the electrodes, *while heard* only while somebody subscribes to what the node publishes. Mock nodes have topics and
+the electrodes, *while heard* only while somebody subscribes to what the node publishes. /tf and /tf_static are heard
+where tf2_ros is installed, by electrode_detector_node only with mount_from_tf. Mock nodes have topics and
 services of the nodes in whose place they stand. A subscriber that asks for reliable delivery hears nothing of a topic
 that is best effort.
 """
@@ -44,6 +48,10 @@ class Endpoint:
     quality: str = ""
 
 
+_HEARD_OF_TF = {
+    Endpoint("subscribes to", TF, _TRANSFORMS, "reliable, depth 100"),
+    Endpoint("subscribes to", TF_STATIC, _TRANSFORMS, "reliable, depth 100, transient local"),
+}
 _VERBS = ("publishes", "subscribes to", "serves", "calls", "serves the action", "calls the action")
 
 
@@ -53,8 +61,10 @@ def endpoints(node: Node) -> set[Endpoint]:
         Endpoint(verb, _relative(node, each.topic_name), _type(each.msg_type), quality(each.qos_profile))
         for verb, those in (("publishes", node.publishers), ("subscribes to", node.subscriptions))
         for each in those
-        if each.topic_name not in _EVERY_NODES
+        if each.topic_name not in (*_EVERY_NODES, TF, TF_STATIC)
     }
+    if node.has_parameter(_OF_TF):
+        found |= _HEARD_OF_TF
     found |= {
         Endpoint("serves", _relative(node, each.service_name), _type(each.srv_type))
         for each in node.services

@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -27,21 +28,25 @@ from rclpy.parameter import Parameter
 from deltacharger_core.yaml_file import read_yaml
 from deltacharger_mission.dialogue import Stage
 from deltacharger_mission.places import Place
+from deltacharger_mission.ros.messages import fill_pose
 from deltacharger_ros.client import ChargerClient
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.messages import CODES, duration
 from deltacharger_ros.node_support import StartupError
+from deltacharger_ros.tf_tree import installed
 from deltacharger_scenes.composition import Composition
 from deltacharger_scenes.scene import Scene, load_scene, parse_scene
 
-from ..chargers import DEADLINE, Process, new_namespace, wait_until
+from ..chargers import DEADLINE, Process, Spin, new_namespace, wait_until
 from ..docking.mock_docking import MockDocking
 from ..marks import slow
 from ..nodes import options
+from ..transforms import Robot as Broadcaster
 
 pytestmark = pytest.mark.ros
 
 WITHOUT_NAVIGATION = "nav2_msgs is not installed: it comes with Nav2, or `make navigation` builds a stand-in"
+TARGET = Place(1.0, 0.0, math.pi)
 HOME = Place(-1.0, 0.0, 0.0)
 REAL = Path(__file__).with_name("mission.yaml")
 STANDS = read_yaml(REAL)["parameters"]["mission_node"]["stands_max"]
@@ -103,10 +108,9 @@ class Robot:
         self._spinner = Spinner(self._client_node)
         wait_until(self._client.server_is_ready, "charge_robot")
 
-    def send(self, request_id: str = "", stop_after: float = 0.2, frame: str = "map") -> Errand:
+    def send(self, request_id: str = "", stop_after: float = 0.2, frame: str = "map", at: Place = TARGET) -> Errand:
         goal = ChargeRobot.Goal(request_id=request_id, stop_after=duration(stop_after))
-        goal.target.header.frame_id = frame
-        goal.target.pose.position.x, goal.target.pose.orientation.z, goal.target.pose.orientation.w = 1.0, 1.0, 0.0
+        fill_pose(goal.target, replace(at, frame=frame))
         errand = Errand()
         self._spinner.call_soon(errand.send, self._client, goal)
         return errand
@@ -331,7 +335,54 @@ def test_a_navigator_that_fails_is_told(robot: Robot, fault: str, name: str, say
 def test_a_place_in_no_frame_of_the_navigator_is_refused(robot: Robot, frame: str) -> None:
     result, _ = robot.run(frame=frame)
     assert not result.success
-    assert CODES[result.error_code] == ("UNREACHABLE" if frame else "REJECTED")
+    assert CODES[result.error_code] == ("UNREACHABLE" if frame and not installed() else "REJECTED")
+
+
+def test_a_target_in_another_frame_of_tf_is_the_same_target_in_map(robot: Robot, context: Any, spin: Spin) -> None:
+    """A navigator that knows no frame but map is sent to the same place."""
+    broadcaster = spin(Broadcaster(context))
+    errand = robot.send(stop_after=60.0)
+    errand.reach(Stage.CHARGE)
+    stand = robot.place
+    errand.cancel()
+    errand.end()
+    odom = Place(3.0, -2.0, 0.7)
+    wait_until(lambda: broadcaster.heard, "mission_node")
+    pose = (odom.x, odom.y, 0.0, 0.0, 0.0, math.sin(0.5 * odom.yaw), math.cos(0.5 * odom.yaw))
+    timer = broadcaster.create_timer(0.02, lambda: broadcaster.move(("map", "odom", pose)))
+    origin = Place(0.0, 0.0, -odom.yaw).at(-odom.x, -odom.y)  # of map in odom
+    errand = robot.send(stop_after=60.0, frame="odom", at=origin.at(TARGET.x, TARGET.y, TARGET.yaw))
+    errand.reach(Stage.CHARGE)
+    assert robot.place.distance(stand) < 1e-6
+    assert robot.place.turn(stand) < 1e-6
+    errand.cancel()
+    errand.end()
+    timer.cancel()
+
+
+def test_the_stand_follows_from_where_tf_says_that_the_charger_is(
+    made: Callable[[Scene], Robot], context: Any, spin: Spin
+) -> None:
+    def without(content: dict[str, Any]) -> None:
+        content["parameters"]["mission_node"].pop("base_pose", None)
+
+    def given(content: dict[str, Any]) -> None:
+        content["parameters"]["mission_node"]["base_pose"] = [0.0, 0.0, 0.0, 0.5, 0.5, 0.5, 0.5]
+
+    pytest.importorskip("nav2_msgs", reason=WITHOUT_NAVIGATION)
+    broadcaster = spin(Broadcaster(context))
+    broadcaster.fix("base_link", "charger_base", (0.25, 0.0, 0.4, 0.5, 0.5, 0.5, 0.5))
+    robot = made(mocked(without))
+    errand = robot.send(stop_after=60.0)
+    errand.reach(Stage.CHARGE)
+    assert robot.place.x == pytest.approx(TARGET.x - 0.25 - 0.2, abs=1e-6), "view_distance before it"
+    errand.cancel()
+    errand.end()
+    robot = made(mocked(given))
+    wait_until(lambda: robot.node("mission_node")._frames._tf.knows("charger_base"), "tf")
+    result, _ = robot.run()
+    assert named(result) == (False, "REJECTED", False)
+    assert "base_pose contradicts tf" in result.error_message
 
 
 def test_a_charger_that_is_docked_already_is_not_driven(robot: Robot) -> None:

@@ -23,11 +23,12 @@ from deltacharger_core.rotation import rotation
 from deltacharger_ros.executor import Spinner
 from deltacharger_ros.node_support import StartupError
 from deltacharger_sim.charger.simulated_camera_node import SimulatedCameraNode
-from deltacharger_vision.mount import Mount
+from deltacharger_vision.mount import Mount, quaternion
 
 from ..chargers import DEADLINE, Spin, wait_until
 from ..nodes import options
 from ..scenes.camera_driver import TARGET, Driver, picture
+from ..transforms import Robot
 from .detector_scenes import without_depth
 
 pytest.importorskip("cv2", reason="OpenCV is not installed (extra vision)")
@@ -74,6 +75,30 @@ def test_electrodes_are_told_in_charger_base_with_an_error_that_holds(
     assert found.header.frame_id == "charger_base"
     assert 0.2 < found.range < 0.3
     assert 0.5 < found.confidence <= 1.0
+
+
+def test_the_camera_is_where_tf_says_if_that_is_asked_for(
+    detector: Callable[..., ElectrodeDetectorNode], driver: Driver, context: Any, spin: Spin
+) -> None:
+    robot = spin(Robot(context))
+    detector(mount_from_tf=True, frame_prefix="left/", transform_timeout=0.2)
+    answer = driver.ask(1.0)
+    assert not answer.success
+    assert "not where the camera is" in answer.message
+    assert "left/charger_base" in answer.message
+    usual = Mount.default().pose
+    moved = (*(usual[:3, 3] + (0.0, 0.0, 0.1)), *quaternion(usual[:3, :3]))
+    robot.fix("left/charger_base", "camera_color_optical_frame", moved)
+    answer = driver.ask(DEADLINE)
+    assert answer.success, answer.message
+    assert answer.detection.header.frame_id == "left/charger_base"
+    place = answer.detection.pose.pose.position
+    assert (place.x, place.y, place.z) == pytest.approx((*TARGET[:2], TARGET[2] + 0.1), abs=0.001)
+
+
+def test_two_words_on_where_the_camera_is_are_refused(context: Any, namespace: str, tmp_path: Path) -> None:
+    with pytest.raises(StartupError, match="mount_from_tf and mount_file both"):
+        ElectrodeDetectorNode(**options(context, namespace, mount_from_tf=True, mount_file=str(tmp_path / "m.yaml")))
 
 
 def test_where_depth_should_be_and_is_not_no_normal_is_published(
