@@ -9,6 +9,7 @@ import time
 from rclpy.node import Node
 from sensor_msgs.msg import BatteryState
 
+from deltacharger_core.frames import CHARGER_BASE, END_EFFECTOR, FrameParameters
 from deltacharger_core.machine import ZERO_CURRENT
 from deltacharger_driver.board.samples import PowerSample
 from deltacharger_ros.flat_messages import Stamps
@@ -25,17 +26,25 @@ class BatteryPublishers:
 
     Args:
         node: the publisher.
+        frames: how the charger's frames are named.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, frames: FrameParameters) -> None:
         self._stamps = Stamps(node.get_clock())
-        self._own = node.create_publisher(BatteryState, "battery", LATEST)
-        self._target = node.create_publisher(BatteryState, "target_battery", LATEST)
+        self._told = [
+            (node.create_publisher(BatteryState, topic, LATEST), read, frames.named(frame))
+            for topic, read, frame in (
+                ("battery", own_battery, CHARGER_BASE),
+                ("target_battery", target_battery, END_EFFECTOR),
+            )
+        ]
 
     def publish(self, sample: PowerSample | None) -> None:
         """Publish both; None = nothing is known now."""
         stamp = self._stamps.convert(time.monotonic() if sample is None else sample.time)
-        for publisher, message in ((self._own, own_battery(sample)), (self._target, target_battery(sample))):
+        for publisher, read, frame in self._told:
+            message = read(sample)
+            message.header.frame_id = frame
             message.header.stamp.sec, message.header.stamp.nanosec = stamp
             publisher.publish(message)
 
@@ -45,7 +54,7 @@ def own_battery(sample: PowerSample | None) -> BatteryState:
 
     That it discharges is known while it charges a target. Whether the robot is being charged itself is not.
     """
-    message = _battery("charger_base", "charger", math.nan if sample is None else sample.power.battery_voltage)
+    message = _battery("charger", math.nan if sample is None else sample.power.battery_voltage)
     if message.present and sample is not None and sample.power.charge_current >= ZERO_CURRENT:
         message.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
     return message
@@ -57,9 +66,9 @@ def target_battery(sample: PowerSample | None) -> BatteryState:
     The voltage is that between the electrodes: while current flows, the battery's own and what its wires take.
     """
     if sample is None:
-        return _battery("end_effector", "target", math.nan)
+        return _battery("target", math.nan)
     power = sample.power
-    message = _battery("end_effector", "target", power.target_voltage)
+    message = _battery("target", power.target_voltage)
     if message.present and math.isfinite(power.charge_current):
         message.current = power.charge_current
         message.power_supply_status = _status(power.charge_current)
@@ -75,10 +84,9 @@ def _status(current: float) -> int:
     return int(BatteryState.POWER_SUPPLY_STATUS_NOT_CHARGING)
 
 
-def _battery(frame: str, location: str, voltage: float) -> BatteryState:
+def _battery(location: str, voltage: float) -> BatteryState:
     """Return a battery of which nothing but the voltage (V) is known."""
     message = BatteryState(location=location, **dict.fromkeys(_FIELDS, math.nan))
-    message.header.frame_id = frame
     message.voltage = voltage
     message.present = abs(voltage) >= _PRESENT
     return message

@@ -72,7 +72,7 @@ class TactileNode(Node):
         self._frame_rate, self._power_rate = RateMeter(time.monotonic), RateMeter(time.monotonic)
         self._period = 1.0 / given.rate
         self._samples = SamplePublishers(self, LATEST, given.pitch, frames.named(END_EFFECTOR))
-        self._batteries = BatteryPublishers(self)
+        self._batteries = BatteryPublishers(self, frames)
         self._diagnostics = Diagnostics(self)
         self._tare = SharedCall(lambda: self._keeper.link.tare(), _TARE_SHARED)
         # Each with workers of its own: whoever calls one without end keeps nobody from the others.

@@ -84,7 +84,7 @@ class MockTactileNode(Node):
         self._began = time.monotonic()
         pitch = self._model.contact.pad_side / COLUMNS
         self._samples = SamplePublishers(self, qos.LATEST, pitch, frames.named(END_EFFECTOR))
-        self._batteries = BatteryPublishers(self)
+        self._batteries = BatteryPublishers(self, frames)
         steady_timer(self, PERIOD, self._tell_batteries)
         group = ReentrantCallbackGroup()
         self.create_subscription(ServoState, "servo_state", self._on_servo_state, qos.LATEST)

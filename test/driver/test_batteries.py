@@ -52,13 +52,12 @@ def test_a_battery_is_there_where_no_probe_could_make_its_voltage(volts: float, 
 
 
 @pytest.mark.parametrize("power", [None, sample(), sample(current=10.0, closed=True)])
-def test_what_nobody_measures_is_unknown_and_frames_are_named(power: PowerSample | None) -> None:
+def test_what_nobody_measures_is_unknown(power: PowerSample | None) -> None:
     for battery in (own_battery(power), target_battery(power)):
         for name in ("temperature", "charge", "capacity", "design_capacity", "percentage"):
             assert math.isnan(getattr(battery, name)), name
         assert battery.power_supply_health == BatteryState.POWER_SUPPLY_HEALTH_UNKNOWN
         assert battery.power_supply_technology == BatteryState.POWER_SUPPLY_TECHNOLOGY_UNKNOWN
-        assert battery.header.frame_id
     assert math.isnan(own_battery(power).current), "it feeds servos and computer, too"
 
 
