@@ -21,12 +21,6 @@ def wrong_id(request_id: str) -> str:
     return f"request_id has {len(request_id)} characters: give at most {REQUEST_ID_MAX}"
 
 
-def figure(value: float, unit: str, digits: int, width: int = 0) -> str:
-    """Return a number with its unit, – in its place where it is not known."""
-    text = "–" if value != value else f"{value:.{digits}f}"
-    return f"{text:>{width}} {unit}".rstrip()
-
-
 def titled(action: str, request_id: str) -> str:
     """Return what a goal is called in logs: its action, and its request_id where it has one."""
     return f"{action} {request_id}" if request_id else action

@@ -7,7 +7,8 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 
-from deltacharger_core.texts import figure, passage
+from deltacharger_core.quantity import figure
+from deltacharger_core.texts import passage
 from deltacharger_docking.codes import Code, State
 from deltacharger_docking.observation import DockingStatus, Observation
 

@@ -59,8 +59,7 @@ class Log:
 
 
 def _takes_a_line() -> bool:
+    """Return whether a write ends at once; where standard error is closed it fails at once, which is well too."""
     look = select.poll()
     look.register(_STDERR, select.POLLOUT)
-    return bool(
-        look.poll(0)
-    )  # also where it is closed or its reader has left: a write fails then, and waits for nobody
+    return bool(look.poll(0))

@@ -7,7 +7,7 @@ import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from deltacharger_core.texts import figure
+from deltacharger_core.quantity import figure
 
 
 def place(x: float, y: float, z: float, roll: float) -> str:

@@ -25,7 +25,7 @@ class Tuning(Generic[T]):
     what the node does not take now.
 
     Args:
-        node: declared the table by `declare_all`.
+        node: declared the table by `declare_all`, and refuses what it does not know by `reject_unknown`.
         given: what was declared.
         take: works with new values from now on and returns '', or returns why it does not; must not wait.
     """
@@ -35,20 +35,8 @@ class Tuning(Generic[T]):
         self._given = given
         self._take = take
         self._lock = threading.Lock()
-        several = {each.name: isinstance(each.default, tuple) for each in declared(type(given))}
-        self._several = several
-        self._numbers = {each.name for each in declared(type(given)) if each.kind is float and not several[each.name]}
-        node.add_pre_set_parameters_callback(self._as_declared)
+        self._several = {each.name: isinstance(each.default, tuple) for each in declared(type(given))}
         node.add_on_set_parameters_callback(self._on_set)
-
-    def _as_declared(self, parameters: list[Parameter[Any]]) -> list[Parameter[Any]]:
-        """Take a whole number for a number, as `ros2 param set … 1` sends it."""
-        return [
-            Parameter(each.name, value=float(each.value))
-            if each.name in self._numbers and type(each.value) is int
-            else each
-            for each in parameters
-        ]
 
     def _on_set(self, parameters: Sequence[Parameter[Any]]) -> SetParametersResult:
         """Take what is about to be set; rclpy has looked at type and access, and no other callback refuses after it."""

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from deltacharger_bringup.cli.output import say, tell, write_json
-from deltacharger_core.texts import figure
+from deltacharger_core.quantity import figure
 from deltacharger_ros.outcomes import Outcome, Progress
 
 

@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from deltacharger_core.parameters import Bounded, ParameterError, number, numbers, tunable, words
-from deltacharger_ros.parameters import declare_all
+from deltacharger_ros.parameters import declare_all, reject_unknown
 from deltacharger_ros.regularly import Regularly
 from deltacharger_ros.tuning import Tuning
 
@@ -49,6 +49,7 @@ class Subject(Node):
         self.refusal = ""
         self.taken: list[Band] = []
         given = declare_all(self, Band)
+        reject_unknown(self)
         Tuning(self, given, self._take)
 
     def _take(self, given: Band) -> str:
