@@ -73,6 +73,7 @@ colcon: $(INSTALLED)  ## build as a ROS workspace package, the interfaces alone 
 	. $(COLCON)/install/local_setup.sh && $(BIN)/python -c 'import deltacharger.action as a; print(a.__file__)' \
 	  | grep -q $(COLCON)/install
 	test -x $(COLCON)/install/deltacharger/lib/deltacharger/docking_node
+	rm -rf $(COLCON)/build/deltacharger/test_results
 	$(COLCON_HERE) test --base-paths . --build-base $(COLCON)/build --install-base $(COLCON)/install \
 	  --ctest-args -R '^core$$'
 	$(COLCON_HERE) test-result --test-result-base $(COLCON)/build | grep -E '^Summary: [1-9][0-9]* tests, 0 errors, 0 failures'
