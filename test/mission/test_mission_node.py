@@ -491,3 +491,34 @@ def test_without_nav2_msgs_the_node_says_what_to_install(
     scene = parse_scene({"nodes": ["mission_node"], "parameters": {"mission_node": {"navigation": "nav2"}}}, "alone")
     with pytest.raises(StartupError, match="make navigation"):
         Composition(scene, context, namespace).start()
+
+
+def test_a_mission_that_meets_a_defect_as_it_begins_leaves_the_node_free(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine = robot.node("mission_node")._machine
+    begins = machine.start
+
+    def fail(*words: Any) -> None:
+        monkeypatch.undo()
+        begins(*words)
+        raise RuntimeError("a defect at the beginning")
+
+    monkeypatch.setattr(machine, "start", fail)
+    result, _ = robot.run()
+    assert named(result) == (False, "INTERNAL", False)
+    assert not machine.busy, "it drives for nobody"
+    result, _ = robot.run()
+    assert result.success, result
+
+
+def test_a_mission_is_logged_stage_by_stage(robot: Robot, capfd: pytest.CaptureFixture[str]) -> None:
+    result, _ = robot.run(request_id="r9")
+    assert result.success, result
+    lines = [line.split("charge_robot r9: ", 1)[1] for line in capfd.readouterr().err.splitlines() if "r9: " in line]
+    assert lines[0] == "accepted"
+    assert lines[-1].startswith("done in ")
+    passages = [line.split(" after ")[0].split(" → ") for line in lines[1:-1]]
+    assert passages[0] == ["wait", "drive"]
+    assert passages[-1] == ["undock", "return"]
+    assert all(before[1] == after[0] for before, after in pairwise(passages)), passages
