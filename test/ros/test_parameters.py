@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import weakref
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -67,9 +68,14 @@ def test_whole_numbers_are_taken_for_floats_where_a_node_starts(context: Any, na
         node.destroy_node()
 
 
-def test_whole_numbers_are_taken_for_floats_from_arguments_of_the_command_line(context: Any, namespace: str) -> None:
-    words = ["--ros-args", "-p", "rate:=60", "-p", "corner:=[0, 1]"]
-    node = Node("subject", cli_args=words, **options(context, namespace))
+@pytest.mark.parametrize("source", ["-p", "--params-file"])
+def test_whole_numbers_are_taken_for_floats_from_the_command_line_and_from_files(
+    context: Any, namespace: str, tmp_path: Path, source: str
+) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text("/**:\n  ros__parameters: {rate: 60, corner: [0, 1]}\n")
+    words = ["-p", "rate:=60", "-p", "corner:=[0, 1]"] if source == "-p" else [source, str(file)]
+    node = Node("subject", cli_args=["--ros-args", *words], **options(context, namespace))
     try:
         assert declare_all(node, Rates) == Rates(rate=60.0, corner=(0.0, 1.0))
         reject_unknown(node)
