@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import select
 import threading
-from typing import Any
+import time
 
 from rclpy.node import Node
 
@@ -30,21 +30,33 @@ class Log:
         self._logger = node.get_logger()
         self._lock = threading.Lock()
         self._lost = 0
+        self._due = 0.0  # s, monotonic, for the next line of those that come again and again
 
     def info(self, line: str) -> None:
         """Say what goes on; what would control a terminal, or end the line, is spelt out."""
         if self._is_open():
             self._logger.info(cut(streams.plain(line)))
 
-    def warning(self, line: str, **options: Any) -> None:
-        """Say what a person should look at; options as of rclpy's logger."""
-        if self._is_open():
-            self._logger.warning(cut(streams.plain(line)), **options)
+    def warning(self, line: str, pause: float = 0.0) -> None:
+        """Say what a person should look at; `pause` as in `error`."""
+        if self._is_due(pause) and self._is_open():
+            self._logger.warning(cut(streams.plain(line)))
 
-    def error(self, line: str, **options: Any) -> None:
-        """Say what a person must mend; options as of rclpy's logger."""
-        if self._is_open():
-            self._logger.error(cut(streams.plain(line)), **options)
+    def error(self, line: str, pause: float = 0.0) -> None:
+        """Say what a person must mend; where it may come at each tick, once in `pause` s.
+
+        rclpy's own throttle goes by the place of the call, which is this one for all.
+        """
+        if self._is_due(pause) and self._is_open():
+            self._logger.error(cut(streams.plain(line)))
+
+    def _is_due(self, pause: float) -> bool:
+        now = time.monotonic()
+        with self._lock:
+            if pause and now < self._due:
+                return False
+            self._due = now + pause if pause else self._due
+            return True
 
     def _is_open(self) -> bool:
         """Return whether standard error takes a line at once, and tell how many it did not take before."""

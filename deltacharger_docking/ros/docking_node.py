@@ -211,7 +211,7 @@ class DockingNode(Node):
     def _defect(self, error: Exception) -> None:
         """Make everything safe and end the goal, after one of our own errors."""
         text = f"docking stopped by a defect: {type(error).__name__}: {error}"
-        self._log.error(text, throttle_duration_sec=1.0)
+        self._log.error(text, pause=1.0)
         with self._lock:
             try:
                 observation = self._observe()

@@ -209,7 +209,7 @@ class ServoNode(Node):
         if state is ContactorState.CLOSED:
             controller.freeze()
         if inbox.refused > before and not self._stop.is_set():  # whose sender closes, too
-            self._lines.warning(inbox.last_refusal, throttle_duration_sec=1.0)
+            self._lines.warning(inbox.last_refusal, pause=1.0)
 
     def _on_set_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         return self._ask("torque_on" if request.data else "torque_off", response)

@@ -62,6 +62,20 @@ def test_what_would_control_a_terminal_is_spelt_out_on_one_line(
     assert len(second) < 1200
 
 
+def test_what_comes_again_and_again_is_told_once_in_a_while_and_keeps_nothing_else_back(
+    context: Any, namespace: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    node = Node("subject", **options(context, namespace))
+    log = Log(node)
+    for _ in range(3):
+        log.error("again", pause=60.0)
+        log.error("another")
+        log.warning("a third")
+    node.destroy_node()
+    told = [line.rsplit(": ", 1)[1] for line in capfd.readouterr().err.splitlines()]
+    assert told == ["again", *["another", "a third"] * 3]
+
+
 def test_lines_that_standard_error_does_not_take_are_left_out_and_counted() -> None:
     ended = subprocess.run(
         [sys.executable, "-c", _BLOCKED], capture_output=True, text=True, timeout=DEADLINE, check=False
