@@ -9,7 +9,7 @@ from array import array
 from collections.abc import Sequence
 from typing import Any
 
-from rclpy.clock import Clock
+from rclpy.clock import Clock, ROSClock
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message, serialize_message
 
@@ -32,7 +32,7 @@ class Stamps:
     """
 
     def __init__(self, clock: Clock) -> None:
-        self._clock: Any = clock  # a ROS clock: every node's is
+        self._clock = clock
         self._follows = False
         self._offset = 0  # ns
         self._due = -1.0
@@ -42,7 +42,7 @@ class Stamps:
         now = time.monotonic()
         if self._follows or now >= self._due:
             self._due = now + _LOOK
-            self._follows = self._clock.ros_time_is_active
+            self._follows = isinstance(self._clock, ROSClock) and self._clock.ros_time_is_active
             self._offset = min(self._look() for _ in range(_LOOKS))[1]
         return divmod(max(int(instant * 1e9) + self._offset, 0), 1_000_000_000)
 

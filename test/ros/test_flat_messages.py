@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 from deltacharger.msg import ServoState, TactileFrame
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
+from rclpy.time import Time
 
 from deltacharger_driver.board.tactile_node import SamplePublishers
 from deltacharger_driver.servos.servo_node_io import StatePublishers
@@ -140,3 +141,18 @@ def test_a_subscriber_hears_it(node: Node, context: Any) -> None:
     assert (frame.sequence, frame.tared, frame.rows) == (2**40 + 7, True, 10)
     np.testing.assert_array_equal(frame.left, forces)
     assert not any(frame.right)
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 2.0])
+def test_a_clock_that_follows_a_simulator_is_read_for_every_stamp(rate: float) -> None:
+    clock = ROSClock()
+    stamps = Stamps(clock)
+    clock._set_ros_time_is_active(True)
+    begun = time.monotonic()
+    for passed in (0.0, 0.01, 0.02, 5.0, 4.0):
+        clock.set_ros_time_override(Time(nanoseconds=int(1e9 * (100.0 + rate * passed))))
+        sec, nanosec = stamps.convert(now := time.monotonic())
+        spent = time.monotonic() - now
+        assert sec + 1e-9 * nanosec == pytest.approx(100.0 + rate * passed, abs=spent + 1e-3)
+    clock.set_ros_time_override(Time(nanoseconds=0))
+    assert stamps.convert(begun) == (0, 0), "before the first /clock there is no time"
