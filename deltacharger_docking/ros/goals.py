@@ -203,8 +203,9 @@ class Goals:
             DockingError: it is refused.
         """
         request = goal.handle.request
-        if self._clock.has_no_time:
-            raise NoTime(NO_TIME_YET)
+        with self._lock:
+            if self._clock.has_no_time and not self._machine.status.docked:  # whoever is docked may always undock
+                raise NoTime(NO_TIME_YET)
         wish = read(request)
         if isinstance(request, Dock.Goal) and request.start_charging and not self._machine.busy:
             self._look()
