@@ -14,9 +14,8 @@ from deltacharger_core import streams
 SIMULATION_DOMAIN = 87
 """ROS_DOMAIN_ID of simulated scenes where the user has chosen none: no robot on the default domain 0 hears them."""
 
-
 RUNS_ON = "ROS 2 Jazzy with rclpy 7.1.4 or newer, or Kilted"
-
+"""Versions whose rclpy has what the nodes stand on, in words."""
 
 LARGEST_DOMAIN = 232
 """Above it the UDP ports of a domain pass 65535."""

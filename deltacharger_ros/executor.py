@@ -24,7 +24,7 @@ from deltacharger_core.environment import refuse_ros
 
 try:
     from rclpy.experimental.events_executor import EventsExecutor
-except ImportError as missing:
+except ModuleNotFoundError as missing:
     refuse_ros(missing)
 
 _TURN = 3600.0  # s; without an end, `spin` of the PyPI wheels takes a whole core and hangs whoever publishes to it
