@@ -16,6 +16,7 @@ import pytest
 from catkin_pkg.package import parse_package_string
 
 from deltacharger_bringup.cli import main as cli
+from deltacharger_scenes import executables
 from deltacharger_scenes.node_table import NODES
 from deltacharger_scenes.scene import load_scene
 
@@ -220,9 +221,14 @@ def test_colcon_runs_every_folder_that_has_tests_without_ros() -> None:
 
 def test_every_executable_is_there() -> None:
     text = (ROOT / "setup.cfg").read_text(encoding="utf-8")
-    found = re.findall(r"^ {4}(\w+) = ([\w.]+):main$", text, re.MULTILINE)
-    assert len(found) > 10
-    for _, module in found:
+    found = re.findall(r"^ {4}(\w+) = ([\w.]+):(\w+)$", text, re.MULTILINE)
+    assert ("deltacharger", "deltacharger_bringup.cli.main", "main") in found
+    nodes = {
+        name for name, module, function in found if (module, function) == ("deltacharger_scenes.executables", name)
+    }
+    assert len(nodes) == len(found) - 1
+    assert nodes == set(executables.MODULES)
+    for module in executables.MODULES.values():
         tree = ast.parse((ROOT / (module.replace(".", "/") + ".py")).read_text(encoding="utf-8"))
         assert any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in tree.body), module
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import configparser
 import contextlib
 import io
 import itertools
@@ -22,6 +21,7 @@ import pytest
 
 from deltacharger_bringup.cli.main import COMMANDS, build_parser, main
 from deltacharger_core import streams
+from deltacharger_scenes import executables
 
 from .command import run
 
@@ -114,10 +114,7 @@ def test_a_shell_that_takes_nothing_away_from_a_command_but_its_words(typed: str
 
 
 def _executables() -> list[str]:
-    setup = configparser.ConfigParser()
-    setup.read(ROOT / "setup.cfg", encoding="utf-8")
-    words = setup["options.entry_points"]["console_scripts"].split()
-    return sorted(word.partition(":")[0] for word in words if ":main" in word and "cli" not in word)
+    return sorted(executables.MODULES.values())
 
 
 @pytest.mark.slow

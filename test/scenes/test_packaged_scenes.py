@@ -30,7 +30,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def executables() -> dict[str, str]:
-    """Return module and function of every executable that an installation has."""
+    """Return what every executable that an installation has runs."""
     parser = configparser.ConfigParser()
     parser.read(ROOT / "setup.cfg")
     lines = parser["options.entry_points"]["console_scripts"].strip().splitlines()
@@ -67,7 +67,7 @@ def test_it_starts_only_what_is_installed_and_says_why_and_what_it_lacks(
 ) -> None:
     scene, installed = load_scene(name), executables()
     for node in scene.nodes:
-        assert installed[node] == f"{NODES[node].module}:main"
+        assert installed[node] == f"deltacharger_scenes.executables:{node}"
     found = explained(name, capsys)
     started = [part["name"] for part in found["parts"]]
     assert [node for node in started if node in NODES] == scene.start_order()

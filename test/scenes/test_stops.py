@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -90,6 +91,21 @@ def test_docker_stop_of_up_makes_a_charging_charger_safe(
     assert stopped.stop(lambda: os.kill(first(process), number)) < OPEN
     assert process.end() == code, process.err
     stopped.assert_safe()
+
+
+def test_a_signal_while_a_node_is_being_imported_ends_it_with_0(start: Start) -> None:
+    code = "import sys; from deltacharger_scenes.executables import docking_node; sys.exit(docking_node())"
+    process = start(sys.executable, "-c", code)
+    folder = Path(f"/proc/{process.process.pid}")
+
+    def hears() -> bool:
+        caught = int(re.findall(r"SigCgt:\s(\w+)", (folder / "status").read_text())[0], 16)
+        return bool(caught >> (TERM - 1) & 1)
+
+    wait_until(hears, "a handler")
+    assert "rclpy" not in (folder / "maps").read_text(), "it hears signals only once it has been imported"
+    assert process.end(INT) == 0
+    assert (process.out, process.err) == ([], [])
 
 
 def test_a_node_ends_with_who_started_it(start: Start, namespace: str) -> None:
